@@ -1,0 +1,14 @@
+"""Palpate: elastic constants of a soft object from probings with a known force.
+
+Purpose    : estimate shear modulus, Poisson's ratio and Young's modulus, each with an interval.
+Takes      : a session folder (closed triangle mesh, support, probings with displacements).
+Gives      : an estimate with intervals, a likelihood over the constants, residuals per probing.
+Depends on : numpy, scipy, numba.
+Read first : `palpate.records.session`, then `palpate.pipeline`.
+
+Importing this root is cheap and does nothing else: the rooms are imported by their own names.
+"""
+
+__all__ = ["__version__"]
+
+__version__ = "0.1.0"
