@@ -1,0 +1,60 @@
+"""Geometry of the object's surface.
+
+Purpose    : triangle surfaces, their files, their quality, closest points on them.
+Takes      : arrays and mesh files.
+Gives      : `TriangleMesh`, `SurfacePoints`, figures about a mesh.
+Depends on : `errors`, `shapes`.
+Read first : `triangle_mesh.py`, then `mesh_quality.py`.
+"""
+
+from palpate.geometry.closest_point import SurfacePoints, closest_points, triangle_distances
+from palpate.geometry.fixed_array import fixed_array
+from palpate.geometry.late_import import late_import
+from palpate.geometry.mesh_files import MESH_SUFFIXES, read_mesh, welded, write_mesh
+from palpate.geometry.mesh_quality import MeshQuality, checked_mesh, mesh_quality
+from palpate.geometry.midpoints import (
+    QuadraticNodes,
+    displacement_nodes,
+    interpolation_matrix,
+    linear_nodes,
+    side_nodes,
+)
+from palpate.geometry.self_intersection import intersecting_pairs
+from palpate.geometry.sides import Sides, split_sides
+from palpate.geometry.triangle_mesh import (
+    TriangleMesh,
+    area_vectors,
+    bounding_diagonal,
+    enclosed_volume,
+    triangle_areas,
+    unit_normals,
+)
+
+__all__ = [
+    "MESH_SUFFIXES",
+    "MeshQuality",
+    "QuadraticNodes",
+    "Sides",
+    "SurfacePoints",
+    "TriangleMesh",
+    "area_vectors",
+    "bounding_diagonal",
+    "checked_mesh",
+    "closest_points",
+    "displacement_nodes",
+    "interpolation_matrix",
+    "enclosed_volume",
+    "fixed_array",
+    "intersecting_pairs",
+    "late_import",
+    "linear_nodes",
+    "mesh_quality",
+    "read_mesh",
+    "side_nodes",
+    "split_sides",
+    "triangle_areas",
+    "triangle_distances",
+    "unit_normals",
+    "welded",
+    "write_mesh",
+]

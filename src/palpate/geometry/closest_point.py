@@ -1,0 +1,201 @@
+"""Closest points of a triangle surface: how an observation is tied to the mesh."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from palpate.geometry.fixed_array import fixed_array
+from palpate.geometry.triangle_mesh import TriangleMesh
+from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
+
+__all__ = ["SurfacePoints", "closest_points", "triangle_distances"]
+
+_POINTS_A_BLOCK = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfacePoints:
+    """Points of a triangle surface, each in one triangle at barycentric coordinates.
+
+    Parameters
+    ----------
+    triangle : (n,) int             index of the triangle
+    barycentric : (n, 3) float [-]  weights of its three vertices, each in [0, 1], sum 1
+    position : (n, 3) float [m]     the point on the surface
+    distance : (n,) float [m]       to the point that was asked for, >= 0
+    """
+
+    triangle: PointIndices
+    barycentric: Points
+    position: Points
+    distance: PointScalars
+
+    def __post_init__(self) -> None:
+        triangle = fixed_array(self.triangle, name="triangle", shape=(None,), integer=True)
+        n = len(triangle)
+        object.__setattr__(self, "triangle", triangle)
+        for name, shape in (("barycentric", (n, 3)), ("position", (n, 3)), ("distance", (n,))):
+            array = fixed_array(getattr(self, name), name=name, shape=shape)
+            object.__setattr__(self, name, array)
+
+
+def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
+    """Point of the surface nearest to each given point.
+
+    Where several triangles are equally near (an edge, a vertex), the one of lowest index is taken.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    points : (n, 3) float [m]       finite
+
+    Returns
+    -------
+    SurfacePoints                   n points
+
+    Raises
+    ------
+    InputError                      points of a wrong shape or not finite
+
+    Source
+    ------
+    Ericson, Real-Time Collision Detection (2005), section 5.1.5, written over masks. Candidates
+    come from spheres that cover the triangles, so the result is exact, not approximate.
+    """
+    points = fixed_array(points, name="points", shape=(None, 3))
+    centre, radius, owner = _covering_spheres(mesh)
+    tree = cKDTree(centre)
+    blocks = [
+        _closest_in_block(mesh, points[i : i + _POINTS_A_BLOCK], tree, radius, owner)
+        for i in range(0, len(points), _POINTS_A_BLOCK)
+    ]
+    if not blocks:
+        blocks = [(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))]
+    triangle = np.concatenate([block[0] for block in blocks])
+    barycentric = np.concatenate([block[1] for block in blocks])
+    position = np.einsum("nv,nva->na", barycentric, mesh.vertices[mesh.triangles[triangle]])
+    return SurfacePoints(
+        triangle=triangle,
+        barycentric=barycentric,
+        position=position,
+        distance=np.linalg.norm(points - position, axis=1),
+    )
+
+
+def triangle_distances(mesh: TriangleMesh, point: Vector3) -> TriangleScalars:
+    """Distance of every triangle from one point, 0 for a triangle that holds it.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    point : (3,) float [m]
+
+    Returns
+    -------
+    (m,) float [m]                  chord distance to the triangle's nearest point
+
+    Raises
+    ------
+    InputError                      point of a wrong shape or not finite
+    """
+    point = fixed_array(point, name="point", shape=(3,))
+    corner = mesh.vertices[mesh.triangles]
+    barycentric = _closest_in_triangle(corner, np.broadcast_to(point, (len(corner), 3)))
+    return np.linalg.norm(np.einsum("ev,eva->ea", barycentric, corner) - point, axis=1)
+
+
+def _covering_spheres(
+    mesh: TriangleMesh,
+) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"], Int[np.ndarray, " s"]]:
+    """Spheres of similar size that cover every triangle: centre, radius, index of the triangle.
+
+    Long triangles are halved across their longest edge until the pieces are no larger than twice
+    the median, so that one large triangle does not become everybody's candidate.
+    """
+    corner = mesh.vertices[mesh.triangles]
+    owner = np.arange(len(corner))
+    limit = 2.0 * float(np.median(_sphere_radius(corner)))
+    done: list[tuple[np.ndarray, np.ndarray]] = []
+    while len(corner):
+        large = _sphere_radius(corner) > limit
+        done.append((corner[~large], owner[~large]))
+        corner, owner = _halved(corner[large]), np.repeat(owner[large], 2)
+    corner = np.concatenate([pair[0] for pair in done])
+    return corner.mean(axis=1), _sphere_radius(corner), np.concatenate([pair[1] for pair in done])
+
+
+def _sphere_radius(corner: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, " s"]:
+    """Largest distance of a corner from the centroid [m]."""
+    offset = corner - corner.mean(axis=1, keepdims=True)
+    return np.linalg.norm(offset, axis=2).max(axis=1)
+
+
+def _halved(corner: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "t 3 3"]:
+    """Each triangle cut in two at the middle of its longest edge (edge i is opposite vertex i)."""
+    edge = np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)
+    apex = np.linalg.norm(edge, axis=2).argmax(axis=1)
+    row = np.arange(len(corner))
+    a, b, c = (corner[row, (apex + k) % 3] for k in range(3))
+    middle = 0.5 * (b + c)
+    halves = np.stack([np.stack([a, b, middle], axis=1), np.stack([a, middle, c], axis=1)], axis=1)
+    return halves.reshape(-1, 3, 3)
+
+
+def _closest_in_block(
+    mesh: TriangleMesh,
+    points: Points,
+    tree: cKDTree,
+    radius: Float[np.ndarray, " s"],
+    owner: Int[np.ndarray, " s"],
+) -> tuple[PointIndices, Points]:
+    """Triangle and barycentric coordinates of the closest point, for a few thousand points."""
+    near, _ = tree.query(points)
+    # The centroid of a piece is on the surface: its distance bounds the answer from above.
+    reach = near + radius.max()
+    candidates = tree.query_ball_point(points, reach * (1.0 + 1e-12), return_sorted=False)
+    counts = np.array([len(found) for found in candidates])
+    piece = np.concatenate([np.asarray(found, dtype=np.int64) for found in candidates])
+    row = np.repeat(np.arange(len(points)), counts)
+    gap = np.linalg.norm(points[row] - tree.data[piece], axis=1) - radius[piece]
+    keep = gap <= near[row] * (1.0 + 1e-12)
+    pair = np.unique(np.stack([row[keep], owner[piece[keep]]], axis=1), axis=0)
+    row, triangle = pair[:, 0], pair[:, 1]
+    corner = mesh.vertices[mesh.triangles[triangle]]
+    barycentric = _closest_in_triangle(corner, points[row])
+    offset = np.einsum("nv,nva->na", barycentric, corner) - points[row]
+    distance = np.linalg.norm(offset, axis=1)
+    order = np.lexsort((triangle, distance, row))
+    _, first = np.unique(row[order], return_index=True)
+    best = order[first]
+    return triangle[best], barycentric[best]
+
+
+def _closest_in_triangle(
+    corner: Float[np.ndarray, "p 3 3"], point: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, "p 3"]:
+    """Barycentric coordinates of the point of each triangle nearest to its point, (p, 3)."""
+    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
+    normal = np.cross(b - a, c - a)
+    square = np.einsum("pa,pa->p", normal, normal)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weight_b = np.einsum("pa,pa->p", np.cross(point - a, c - a), normal) / square
+        weight_c = np.einsum("pa,pa->p", np.cross(b - a, point - a), normal) / square
+    inner = np.stack([1.0 - weight_b - weight_c, weight_b, weight_c], axis=1)
+    inside = np.isfinite(inner).all(axis=1) & (inner >= 0.0).all(axis=1)
+    best = np.where(inside[:, None], inner, 0.0)
+    best_square = np.where(inside, -1.0, np.inf)
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        p, q = corner[:, start], corner[:, end]
+        length = np.einsum("pa,pa->p", q - p, q - p)
+        along = np.einsum("pa,pa->p", point - p, q - p) / np.where(length > 0.0, length, 1.0)
+        t = np.clip(along, 0.0, 1.0)
+        gap = p + t[:, None] * (q - p) - point
+        gap_square = np.einsum("pa,pa->p", gap, gap)
+        closer = gap_square < best_square
+        best_square = np.where(closer, gap_square, best_square)
+        weight = np.zeros_like(best)
+        weight[:, start], weight[:, end] = 1.0 - t, t
+        best = np.where(closer[:, None], weight, best)
+    return best

@@ -1,0 +1,284 @@
+"""Is a surface the closed boundary of one solid, and how good are its triangles?"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from palpate.errors import MeshError
+from palpate.geometry.self_intersection import intersecting_pairs
+from palpate.geometry.triangle_mesh import TriangleMesh, enclosed_volume, triangle_areas
+
+__all__ = ["MeshQuality", "checked_mesh", "mesh_quality"]
+
+# Height over longest edge below which a triangle has no usable normal in double precision.
+_DEGENERATE_HEIGHT = 1e-6
+_NEEDLE_ANGLE = np.radians(5.0)
+_SHOWN = 5
+
+
+@dataclass(frozen=True, slots=True)
+class MeshQuality:
+    """Figures about a surface, for the person who decides whether it is good enough.
+
+    Parameters
+    ----------
+    vertices, triangles : int
+    area : float [m^2]
+    volume : float [m^3]
+    size : (float, float, float) [m]                edges of the bounding box
+    edge_shortest, edge_mean, edge_longest : float [m]
+    worst_aspect : float [-]        longest edge over smallest height; 1.15 for equal sides
+    smallest_angle : float [rad]
+    """
+
+    vertices: int
+    triangles: int
+    area: float
+    volume: float
+    size: tuple[float, float, float]
+    edge_shortest: float
+    edge_mean: float
+    edge_longest: float
+    worst_aspect: float
+    smallest_angle: float
+
+
+def mesh_quality(mesh: TriangleMesh) -> MeshQuality:
+    """Size, edge lengths and shape of the triangles of a surface without degenerate ones."""
+    corner = mesh.vertices[mesh.triangles]
+    edge = np.roll(corner, -1, axis=1) - corner
+    length = np.linalg.norm(edge, axis=2)
+    areas = triangle_areas(mesh)
+    unit = edge / length[:, :, None]
+    cosine = -np.einsum("eka,eka->ek", unit, np.roll(unit, 1, axis=1))
+    size = np.ptp(corner.reshape(-1, 3), axis=0)
+    return MeshQuality(
+        vertices=len(mesh.vertices),
+        triangles=len(mesh.triangles),
+        area=float(areas.sum()),
+        volume=enclosed_volume(mesh),
+        size=(float(size[0]), float(size[1]), float(size[2])),
+        edge_shortest=float(length.min()),
+        edge_mean=float(length.mean()),
+        edge_longest=float(length.max()),
+        worst_aspect=float((length.max(axis=1) ** 2 / (2.0 * areas)).max()),
+        smallest_angle=float(np.arccos(np.clip(cosine, -1.0, 1.0)).min()),
+    )
+
+
+def checked_mesh(mesh: TriangleMesh) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """The surface if it bounds one solid, with its orientation mended where that was wrong.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             welded
+
+    Returns
+    -------
+    mesh : TriangleMesh             closed, manifold, outward
+    notes : tuple of str            what was mended, what is poor, in sentences
+
+    Raises
+    ------
+    MeshError                       unused vertices, degenerate or double triangles, open edges,
+                                    edges or vertices where more than one sheet meets, several
+                                    components, one-sided, self-intersecting
+    """
+    _check_vertices_used(mesh)
+    _check_degenerate(mesh)
+    _check_duplicates(mesh)
+    opposite = _opposite_half_edges(mesh)
+    _check_vertex_fans(mesh, opposite)
+    _check_one_component(mesh, opposite)
+    mesh, notes = _outward(mesh, opposite)
+    _check_self_intersection(mesh)
+    angle = mesh_quality(mesh).smallest_angle
+    if angle < _NEEDLE_ANGLE:
+        note = (
+            f"The sharpest triangle of the mesh has an angle of {np.degrees(angle):.1f} degrees;"
+            " such needles cost accuracy: remesh the surface with even triangles if you can."
+        )
+        notes = (*notes, note)
+    return mesh, notes
+
+
+def _first(indices: np.ndarray) -> str:
+    """The first few indices, for a message."""
+    shown = np.asarray(indices)[:_SHOWN].tolist()
+    return f"{shown}" if len(indices) <= _SHOWN else f"{str(shown)[:-1]}, ...]"
+
+
+def _check_vertices_used(mesh: TriangleMesh) -> None:
+    unused = np.setdiff1d(np.arange(len(mesh.vertices)), mesh.triangles)
+    if len(unused):
+        raise MeshError(
+            f"{len(unused)} vertices belong to no triangle, the first: {_first(unused)};"
+            " remove them (reading the mesh from a file does so)"
+        )
+
+
+def _check_degenerate(mesh: TriangleMesh) -> None:
+    corner = mesh.vertices[mesh.triangles]
+    longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
+    flat = np.flatnonzero(2.0 * triangle_areas(mesh) <= _DEGENERATE_HEIGHT * longest**2)
+    if len(flat):
+        where = corner[flat[0]].mean(axis=0)
+        raise MeshError(
+            f"{len(flat)} triangles are degenerate (no area), the first: {_first(flat)} near"
+            f" {_place(where)}; remove them in a mesh program (merge close vertices, then remesh)"
+        )
+
+
+def _check_duplicates(mesh: TriangleMesh) -> None:
+    _, where, count = np.unique(
+        np.sort(mesh.triangles, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    double = np.flatnonzero(count[where.ravel()] > 1)
+    if len(double):
+        raise MeshError(
+            f"{len(double)} triangles share all three vertices with another, the first:"
+            f" {_first(double)}; delete duplicate faces in a mesh program"
+        )
+
+
+def _opposite_half_edges(mesh: TriangleMesh) -> Int[np.ndarray, " h"]:
+    """For half edge 3 e + i (from corner i to i + 1 of triangle e), the other one on its edge.
+
+    Raises
+    ------
+    MeshError                       an edge of one triangle (open) or of more than two
+    """
+    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+    edges, where, count = np.unique(
+        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    where = where.ravel()
+    crowded = np.flatnonzero(count > 2)
+    if len(crowded):
+        a, b = edges[crowded[0]]
+        raise MeshError(
+            f"{len(crowded)} edges belong to more than two triangles, the first between vertices"
+            f" {a} and {b} near {_place(mesh.vertices[a])}; the surface must be a single skin:"
+            " delete inner walls and make the parts one solid (boolean union)"
+        )
+    lonely = np.flatnonzero(count == 1)
+    if len(lonely):
+        a, b = edges[lonely[0]]
+        raise MeshError(
+            f"the surface is open: {len(lonely)} edges belong to one triangle only, the first"
+            f" between vertices {a} and {b} near {_place(mesh.vertices[a])};"
+            " close the holes in a mesh program (fill holes), the support's side included"
+        )
+    pair = np.argsort(where, kind="stable").reshape(-1, 2)
+    opposite = np.empty(len(ends), dtype=np.int64)
+    opposite[pair[:, 0]], opposite[pair[:, 1]] = pair[:, 1], pair[:, 0]
+    return opposite
+
+
+def _groups(links: np.ndarray, count: int) -> tuple[int, np.ndarray]:
+    """Number of connected groups of `count` things linked in pairs, and the group of each."""
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)
+
+
+def _check_vertex_fans(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) -> None:
+    """Refuse a vertex at which two sheets of triangles touch."""
+    half = np.arange(len(opposite))
+    tail = mesh.triangles.ravel()
+    following = 3 * (half // 3) + (half + 1) % 3
+    other_following = 3 * (opposite // 3) + (opposite + 1) % 3
+    along = tail == tail[opposite]
+    # A corner is numbered as the half edge that leaves it; each edge joins the corners at its ends.
+    links = np.concatenate(
+        [
+            np.stack([half, np.where(along, opposite, other_following)], axis=1),
+            np.stack([following, np.where(along, other_following, opposite)], axis=1),
+        ]
+    )
+    count, group = _groups(links, len(half))
+    if count == len(mesh.vertices):
+        return
+    fans = np.unique(np.stack([tail, group], axis=1), axis=0)[:, 0]
+    pinched = np.flatnonzero(np.bincount(fans) > 1)
+    raise MeshError(
+        f"at {len(pinched)} vertices separate parts of the surface touch in a point, the first:"
+        f" {_first(pinched)} near {_place(mesh.vertices[pinched[0]])};"
+        f" pull the parts apart or join them over a whole edge"
+    )
+
+
+def _check_one_component(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) -> None:
+    links = np.stack([np.arange(len(opposite)), opposite], axis=1) // 3
+    count, group = _groups(links, len(mesh.triangles))
+    if count > 1:
+        sizes = np.bincount(group)
+        firsts = np.unique(group, return_index=True)[1]
+        raise MeshError(
+            f"the surface has {count} separate components of {_first(np.sort(sizes)[::-1])}"
+            f" triangles, their first triangles: {_first(firsts)}; keep one object: delete stray"
+            " pieces and inner shells, or unite touching parts (boolean union)"
+        )
+
+
+def _outward(
+    mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]
+) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """The surface with every triangle counter-clockwise from outside, and what was turned."""
+    turned = _turned(mesh, opposite)
+    triangles = np.where(turned[:, None], mesh.triangles[:, ::-1], mesh.triangles)
+    mended = TriangleMesh(vertices=mesh.vertices, triangles=triangles)
+    if enclosed_volume(mended) < 0.0:
+        turned = ~turned
+        mended = TriangleMesh(vertices=mesh.vertices, triangles=triangles[:, ::-1])
+    if not turned.any():
+        return mesh, ()
+    if turned.all():
+        note = "All triangles of the mesh faced inward; they were turned outward."
+    else:
+        note = (
+            f"{int(turned.sum())} of {len(turned)} triangles of the mesh faced inward, the first:"
+            f" {_first(np.flatnonzero(turned))}; they were turned outward."
+        )
+    return mended, (note,)
+
+
+def _turned(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) -> Bool[np.ndarray, " m"]:
+    """Which triangles must turn so that all agree with the first.
+
+    Two copies of every triangle, as given and turned, are linked where they agree; the copies that
+    hang together with the first triangle as given are the consistent surface.
+    """
+    m = len(mesh.triangles)
+    half = np.arange(len(opposite))
+    tail = mesh.triangles.ravel()
+    clash = tail == tail[opposite]
+    e, f = half // 3, opposite // 3
+    links = np.concatenate(
+        [np.stack([e, f + m * clash], axis=1), np.stack([e + m, f + m * ~clash], axis=1)]
+    )
+    _, group = _groups(links, 2 * m)
+    if group[0] == group[m]:
+        raise MeshError(
+            "the surface is one-sided (like a Moebius strip): no choice of outward normals is"
+            " consistent; make it the boundary of a solid in a mesh program"
+        )
+    return group[:m] != group[0]
+
+
+def _check_self_intersection(mesh: TriangleMesh) -> None:
+    pairs = intersecting_pairs(mesh)
+    if len(pairs):
+        where = mesh.vertices[mesh.triangles[pairs[0, 0]]].mean(axis=0)
+        raise MeshError(
+            f"the surface intersects itself: {len(pairs)} pairs of triangles, the first:"
+            f" {_first(pairs)} near {_place(where)};"
+            " mend it in a mesh program (boolean union with itself, or remesh)"
+        )
+
+
+def _place(point: np.ndarray) -> str:
+    """Coordinates for a message [m]."""
+    return "(" + ", ".join(f"{x:.4g}" for x in point) + ") m"

@@ -1,0 +1,269 @@
+"""Values at the edge midpoints of a mesh, fitted from the vertices around: quadratic accuracy without more unknowns.
+
+A linear element knows a field at three vertices. The vertices around an edge know more: they fix a quadratic, and its
+value at the midpoint of the edge makes the element a quadratic one. The midpoint stays a fixed weighted sum of vertex
+values, so nothing is added to the unknowns. The same weights, applied to the vertices' own positions, give the midpoint
+of the smooth surface that the triangles approximate.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+
+from palpate.geometry.sides import Sides
+from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors
+
+SMOOTH_TURN = np.cos(np.radians(40.0))
+LARGEST_WEIGHT_SUM = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuadraticNodes:
+    """Six-node triangles whose midpoint values are weighted sums of their nodes' values.
+
+    Attributes
+    ----------
+    element : (m, 6) int      nodes at the three corners, then at the midpoints of edges 01, 12, 20; midpoints count
+                              from n_nodes on
+    n_nodes : int             number of nodes that carry values of their own
+    weights : (p, n_nodes)    sparse; value at midpoint n_nodes + row = weights[row] @ values
+    """
+
+    element: Int[np.ndarray, "m 6"]
+    n_nodes: int
+    weights: csr_array
+
+
+def displacement_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
+    """Nodes of a continuous field: one value at a vertex, one midpoint at an edge.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    sides : Sides             of that mesh
+
+    Returns
+    -------
+    QuadraticNodes            n_nodes = number of vertices; the midpoint of a cut edge is the mean of what its two
+                              sides say, so that the field stays continuous
+    """
+    rows = _half_edge_weights(mesh, sides)
+    edge = sides.edge.ravel()
+    n_edges = sides.cut.size
+    mean = csr_array((np.full(edge.size, 0.5), (edge, np.arange(edge.size))), shape=(n_edges, edge.size))
+    to_vertex = csr_array(
+        (np.ones(sides.vertex.size), (np.arange(sides.vertex.size), sides.vertex)),
+        shape=(sides.vertex.size, mesh.vertices.shape[0]),
+    )
+    element = np.concatenate([mesh.triangles, mesh.vertices.shape[0] + sides.edge], axis=1)
+    return QuadraticNodes(element, mesh.vertices.shape[0], csr_array(mean @ rows @ to_vertex))
+
+
+def side_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
+    """Nodes of a field that may jump at cut edges, as tractions do: one value at each side of a vertex.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    sides : Sides             of that mesh
+
+    Returns
+    -------
+    QuadraticNodes            n_nodes = number of sides; midpoints are one for each half-edge
+    """
+    rows = _half_edge_weights(mesh, sides)
+    n_sides = sides.vertex.size
+    midpoint = n_sides + np.arange(sides.edge.size).reshape(-1, 3)
+    return QuadraticNodes(np.concatenate([sides.corner, midpoint], axis=1), n_sides, rows)
+
+
+def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
+    """The same nodes with plain linear interpolation: the classical element of the paper.
+
+    Parameters
+    ----------
+    nodes : QuadraticNodes
+
+    Returns
+    -------
+    QuadraticNodes            every midpoint is the mean of the ends of its edge
+    """
+    corner = nodes.element[:, :3].ravel()
+    after = np.roll(nodes.element[:, :3], -1, axis=1).ravel()
+    row = nodes.element[:, 3:].ravel() - nodes.n_nodes
+    _, first = np.unique(row, return_index=True)
+    ends = np.stack([corner[first], after[first]], axis=1).ravel()
+    weights = csr_array(
+        (np.full(ends.size, 0.5), (np.repeat(row[first], 2), ends)), shape=nodes.weights.shape
+    )
+    return QuadraticNodes(nodes.element, nodes.n_nodes, weights)
+
+
+def interpolation_matrix(
+    nodes: QuadraticNodes, triangle: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
+) -> csr_array:
+    """Matrix that takes the values at the nodes to the values at points of the surface.
+
+    Parameters
+    ----------
+    nodes : QuadraticNodes
+    triangle : (n,) int
+    barycentric : (n, 3) float [-]
+
+    Returns
+    -------
+    (n, n_nodes) sparse           rows sum to 1
+    """
+    a, b, c = barycentric.T
+    corner = [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1)]
+    middle = [4 * a * b, 4 * b * c, 4 * c * a]
+    point = np.repeat(np.arange(triangle.size), 3)
+    at_corners = csr_array(
+        (np.stack(corner, axis=1).ravel(), (point, nodes.element[triangle, :3].ravel())),
+        shape=(triangle.size, nodes.n_nodes),
+    )
+    at_middles = csr_array(
+        (
+            np.stack(middle, axis=1).ravel(),
+            (point, nodes.element[triangle, 3:].ravel() - nodes.n_nodes),
+        ),
+        shape=(triangle.size, nodes.weights.shape[0]),
+    )
+    return csr_array(at_corners + at_middles @ nodes.weights)
+
+
+def _half_edge_weights(mesh: TriangleMesh, sides: Sides) -> csr_array:
+    """Weights over the sides for the midpoint of every half-edge, (3 m, n_sides)."""
+    half = np.arange(sides.edge.size)
+    is_cut = sides.cut[sides.edge.ravel()]
+    inner = half[~is_cut & (half < sides.twin.ravel())]
+    blocks = [_surface_stencils(mesh, sides, inner), _curve_stencils(mesh, sides, half[is_cut])]
+    row, column, weight = (np.concatenate(part) for part in zip(*blocks, strict=True))
+    partner = sides.twin.ravel()[row]
+    mirrored = ~is_cut[row]
+    row = np.concatenate([row, partner[mirrored]])
+    column = np.concatenate([column, column[mirrored]])
+    weight = np.concatenate([weight, weight[mirrored]])
+    return csr_array((weight, (row, column)), shape=(half.size, sides.vertex.size))
+
+
+def _surface_stencils(
+    mesh: TriangleMesh, sides: Sides, half: Int[np.ndarray, " h"]
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Least-squares quadratics over the neighbours of both ends of each inner edge."""
+    corner = sides.corner.ravel()
+    a, b = corner[half], corner[half - half % 3 + (half + 1) % 3]
+    near = _neighbours(sides)
+    wide = csr_array(near @ near)
+    normal = area_vectors(mesh)
+    across = sides.twin.ravel()[half]
+    plane = normal[half // 3] + normal[across // 3]
+    position = mesh.vertices[sides.vertex]
+    weight, column = _quadratic_weights(position, a, b, plane, near)
+    poor = ~(np.abs(weight).sum(axis=1) < LARGEST_WEIGHT_SUM)
+    row = np.broadcast_to(half[:, None], weight.shape)
+    keep = (weight != 0) & ~poor[:, None]
+    parts = [(row[keep], column[keep], weight[keep])]
+    if poor.any():
+        weight, column = _quadratic_weights(position, a[poor], b[poor], plane[poor], wide)
+        linear = ~(np.abs(weight).sum(axis=1) < LARGEST_WEIGHT_SUM)
+        row = np.broadcast_to(half[poor][:, None], weight.shape)
+        keep = (weight != 0) & ~linear[:, None]
+        parts.append((row[keep], column[keep], weight[keep]))
+        ends = np.stack([a[poor][linear], b[poor][linear]], axis=1).ravel()
+        parts.append((np.repeat(half[poor][linear], 2), ends, np.full(ends.size, 0.5)))
+    row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return row, column, value
+
+
+def _neighbours(sides: Sides) -> csr_array:
+    corner = sides.corner
+    row = np.repeat(corner, 3, axis=1).ravel()
+    column = np.tile(corner, (1, 3)).ravel()
+    n = sides.vertex.size
+    near = csr_array((np.ones(row.size), (row, column)), shape=(n, n))
+    near.sum_duplicates()
+    return near
+
+
+def _quadratic_weights(
+    position: Float[np.ndarray, "s 3"],
+    a: Int[np.ndarray, " h"],
+    b: Int[np.ndarray, " h"],
+    plane: Float[np.ndarray, "h 3"],
+    near: csr_array,
+) -> tuple[Float[np.ndarray, "h k"], Int[np.ndarray, "h k"]]:
+    """Moving-least-squares weights that give quadratics over the tangent plane exactly; NaN where they cannot."""
+    column, present = _padded_rows(csr_array(near[a] + near[b]))
+    middle = 0.5 * (position[a] + position[b])
+    along = position[b] - position[a]
+    length = np.linalg.norm(along, axis=1)
+    e1 = along / length[:, None]
+    normal = plane - np.einsum("hi,hi->h", plane, e1)[:, None] * e1
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    e2 = np.cross(normal, e1)
+    offset = (position[column] - middle[:, None]) / length[:, None, None]
+    x, y = np.einsum("hki,hi->hk", offset, e1), np.einsum("hki,hi->hk", offset, e2)
+    distance2 = np.einsum("hki,hki->hk", offset, offset)
+    omega = np.where(present, 1.0 / (distance2 + 1e-12) ** 2, 0.0)
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)
+    gram = np.einsum("hk,hkp,hkq->hpq", omega, basis, basis)
+    scale = 1.0 / np.sqrt(np.einsum("hpp->hp", gram))
+    gram = gram * scale[:, :, None] * scale[:, None, :]
+    singular = np.linalg.eigvalsh(gram)[:, 0] < 1e-8
+    gram[singular] = np.eye(6)
+    unit = np.zeros((a.size, 6, 1))
+    unit[:, 0, 0] = scale[:, 0]
+    coefficient = np.linalg.solve(gram, unit)[:, :, 0] * scale
+    weight = omega * np.einsum("hkp,hp->hk", basis, coefficient)
+    weight[singular] = np.nan
+    return weight, column
+
+
+def _padded_rows(matrix: csr_array) -> tuple[Int[np.ndarray, "h k"], Int[np.ndarray, "h k"]]:
+    count = np.diff(matrix.indptr)
+    slot = np.arange(max(count.max(initial=0), 1))
+    present = slot < count[:, None]
+    column = np.zeros(present.shape, dtype=np.int64)
+    column[present] = matrix.indices
+    return column, present.astype(np.int64)
+
+
+def _curve_stencils(
+    mesh: TriangleMesh, sides: Sides, half: Int[np.ndarray, " h"]
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Lagrange weights along the curve of cut edges that bounds a side, up to its corners."""
+    corner = sides.corner.ravel()
+    start, end = corner[half], corner[half - half % 3 + (half + 1) % 3]
+    before = np.full(sides.vertex.size, -1, dtype=np.int64)
+    after = np.full(sides.vertex.size, -1, dtype=np.int64)
+    before[end], after[start] = start, end
+    chain = np.stack([before[start], start, end, after[end]], axis=1)
+    p = mesh.vertices[sides.vertex[chain]]
+    step = np.diff(p, axis=1)
+    length = np.linalg.norm(step, axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turn_start = np.einsum("hi,hi->h", step[:, 0], step[:, 1]) / (length[:, 0] * length[:, 1])
+        turn_end = np.einsum("hi,hi->h", step[:, 1], step[:, 2]) / (length[:, 1] * length[:, 2])
+    use = np.ones(chain.shape, dtype=bool)
+    use[:, 0] = (chain[:, 0] >= 0) & (turn_start > SMOOTH_TURN)
+    use[:, 3] = (chain[:, 3] >= 0) & (turn_end > SMOOTH_TURN)
+    s = np.stack([-length[:, 0], 0 * length[:, 0], length[:, 1], length[:, 1] + length[:, 2]], axis=1)
+    weight = _lagrange(s, 0.5 * length[:, 1], use)
+    row = np.broadcast_to(half[:, None], chain.shape)
+    return row[use], chain[use], weight[use]
+
+
+def _lagrange(
+    s: Float[np.ndarray, "h k"], at: Float[np.ndarray, " h"], use: Int[np.ndarray, "h k"]
+) -> Float[np.ndarray, "h k"]:
+    weight = np.where(use, 1.0, 0.0)
+    for i in range(s.shape[1]):
+        for j in range(s.shape[1]):
+            if i != j:
+                both = use[:, i] & use[:, j]
+                gap = np.where(both, s[:, i] - s[:, j], 1.0)
+                weight[:, i] *= np.where(both, (at - s[:, j]) / gap, 1.0)
+    return weight

@@ -1,0 +1,115 @@
+"""Which triangles of a surface pass through one another."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
+
+__all__ = ["intersecting_pairs"]
+
+_PAIRS_A_BLOCK = 200_000
+# Relative to the bounding diagonal: far above rounding (1e-16), far below any real element.
+_TOUCH = 1e-10
+
+
+def intersecting_pairs(mesh: TriangleMesh) -> Int[np.ndarray, "k 2"]:
+    """Pairs of triangles that share more than the vertices they have in common.
+
+    Triangles without a common vertex must not even touch; neighbours must not cross each other,
+    nor be folded flat onto one another.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             no triangle of zero area
+
+    Returns
+    -------
+    (k, 2) int                      indices of triangles, the lower one first
+
+    Source
+    ------
+    Separating axes of two triangles: their normals, the nine products of their edges and, where
+    they lie in one plane, their edges' normals in it (Ericson, Real-Time Collision Detection,
+    2005, section 5.2.1). Two neighbours only touch if an axis shows no more than a point of both.
+    """
+    corner = mesh.vertices[mesh.triangles] - mesh.vertices.mean(axis=0)
+    touch = _TOUCH * bounding_diagonal(mesh)
+    pairs = _box_pairs(corner, touch)
+    found = [
+        block[~_apart(mesh, corner, block, touch)]
+        for block in np.split(pairs, np.arange(_PAIRS_A_BLOCK, len(pairs), _PAIRS_A_BLOCK))
+    ]
+    return np.concatenate(found)
+
+
+def _box_pairs(corner: Float[np.ndarray, "m 3 3"], touch: float) -> Int[np.ndarray, "p 2"]:
+    """Pairs of triangles whose boxes overlap, by a sweep along the longest axis."""
+    low, high = corner.min(axis=1) - touch, corner.max(axis=1) + touch
+    axis = int(np.ptp(corner.reshape(-1, 3), axis=0).argmax())
+    order = np.argsort(low[:, axis], kind="stable")
+    low, high = low[order], high[order]
+    end = np.searchsorted(low[:, axis], high[:, axis], side="right")
+    count = end - np.arange(len(order)) - 1
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    begin = 0
+    while begin < len(order):
+        total = np.cumsum(count[begin:])
+        size = max(1, int(np.searchsorted(total, 10 * _PAIRS_A_BLOCK)))
+        rows = np.arange(begin, min(begin + size, len(order)))
+        first = np.repeat(rows, count[rows])
+        start = np.cumsum(count[rows]) - count[rows]
+        second = first + 1 + np.arange(len(first)) - np.repeat(start, count[rows])
+        keep = ((low[second] <= high[first]) & (low[first] <= high[second])).all(axis=1)
+        found.append(order[np.stack([first[keep], second[keep]], axis=1)])
+        begin += size
+    return np.sort(np.concatenate(found), axis=1)
+
+
+def _apart(
+    mesh: TriangleMesh,
+    corner: Float[np.ndarray, "m 3 3"],
+    pairs: Int[np.ndarray, "p 2"],
+    touch: float,
+) -> Bool[np.ndarray, " p"]:
+    """True where two triangles share nothing but the vertices they have in common."""
+    a, b = corner[pairs[:, 0]], corner[pairs[:, 1]]
+    ids_a, ids_b = mesh.triangles[pairs[:, 0]], mesh.triangles[pairs[:, 1]]
+    neighbours = (ids_a[:, :, None] == ids_b[:, None, :]).any(axis=(1, 2))
+    # An overlap below this counts as apart: neighbours may touch, strangers must keep clear.
+    allowed = np.where(neighbours, touch, -touch)
+    edge_a, edge_b = _unit(np.roll(a, -1, axis=1) - a), _unit(np.roll(b, -1, axis=1) - b)
+    normal_a = _unit(np.cross(edge_a[:, 0], edge_a[:, 1]))
+    normal_b = _unit(np.cross(edge_b[:, 0], edge_b[:, 1]))
+    span_a = _overlap(a, b, normal_a)
+    span_b = _overlap(a, b, normal_b)
+    flat = (_thickness(b, normal_a) <= touch) & (_thickness(a, normal_b) <= touch)
+    # In one plane the normals show two points, one on the other, which says nothing.
+    apart = np.where(flat, span_a < -touch, (span_a <= allowed) | (span_b <= allowed))
+    for i in range(3):
+        apart |= _overlap(a, b, np.cross(normal_a, edge_a[:, i])) <= allowed
+        apart |= _overlap(a, b, np.cross(normal_b, edge_b[:, i])) <= allowed
+        for j in range(3):
+            apart |= ~flat & (_overlap(a, b, np.cross(edge_a[:, i], edge_b[:, j])) <= allowed)
+    return apart
+
+
+def _unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Vectors of length one; what is too short to have a direction becomes NaN."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0.0, length, np.nan)
+
+
+def _overlap(
+    a: Float[np.ndarray, "p 3 3"], b: Float[np.ndarray, "p 3 3"], axis: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, " p"]:
+    """How far two triangles' shadows on an axis would have to move to part; NaN: no direction."""
+    unit = _unit(axis)
+    on_a, on_b = np.einsum("pva,pa->pv", a, unit), np.einsum("pva,pa->pv", b, unit)
+    return np.minimum(on_a.max(axis=1) - on_b.min(axis=1), on_b.max(axis=1) - on_a.min(axis=1))
+
+
+def _thickness(
+    corner: Float[np.ndarray, "p 3 3"], unit: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, " p"]:
+    """Extent of each triangle along a direction."""
+    return np.ptp(np.einsum("pva,pa->pv", corner, unit), axis=1)

@@ -1,0 +1,106 @@
+"""A closed triangle surface in space, and the figures that follow from it at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.errors import MeshError
+from palpate.geometry.fixed_array import fixed_array
+from palpate.shapes import Triangles, TriangleScalars, TriangleVectors, Vertices
+
+__all__ = [
+    "TriangleMesh",
+    "area_vectors",
+    "bounding_diagonal",
+    "enclosed_volume",
+    "triangle_areas",
+    "unit_normals",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriangleMesh:
+    """Triangle surface of an object at rest; whether it is closed is `checked_mesh`'s question.
+
+    Parameters
+    ----------
+    vertices : (v, 3) float [m]
+    triangles : (m, 3) int          vertex indices, counter-clockwise seen from outside
+
+    Raises
+    ------
+    MeshError                       no triangles, an index out of range
+    InputError                      wrong shape, not finite
+    """
+
+    vertices: Vertices
+    triangles: Triangles
+
+    def __post_init__(self) -> None:
+        vertices = fixed_array(self.vertices, name="vertices", shape=(None, 3))
+        triangles = fixed_array(self.triangles, name="triangles", shape=(None, 3), integer=True)
+        if len(triangles) == 0:
+            raise MeshError("the mesh has no triangles; give a closed triangle surface")
+        low, high = int(triangles.min()), int(triangles.max())
+        if low < 0 or high >= len(vertices):
+            raise MeshError(
+                f"triangles use vertex indices {low} to {high}, but there are {len(vertices)}"
+                f" vertices (0 to {len(vertices) - 1}); write the mesh file again"
+            )
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "triangles", triangles)
+
+
+def area_vectors(mesh: TriangleMesh) -> TriangleVectors:
+    """Outward normal of every triangle times its area.
+
+    Returns
+    -------
+    (m, 3) float [m^2]              they sum to zero over a closed surface
+    """
+    corner = mesh.vertices[mesh.triangles]
+    return 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
+
+def triangle_areas(mesh: TriangleMesh) -> TriangleScalars:
+    """Area of every triangle, (m,) float [m^2]."""
+    return np.linalg.norm(area_vectors(mesh), axis=1)
+
+
+def unit_normals(mesh: TriangleMesh) -> TriangleVectors:
+    """Outward unit normal of every triangle.
+
+    Returns
+    -------
+    (m, 3) float [-]
+
+    Raises
+    ------
+    MeshError                       a triangle of zero area has no normal
+    """
+    vectors = area_vectors(mesh)
+    areas = np.linalg.norm(vectors, axis=1)
+    flat = np.flatnonzero(areas == 0.0)
+    if len(flat):
+        raise MeshError(
+            f"{len(flat)} triangles have zero area, the first: {flat[:5].tolist()};"
+            " remove them (most mesh programs: merge close vertices)"
+        )
+    return vectors / areas[:, None]
+
+
+def enclosed_volume(mesh: TriangleMesh) -> float:
+    """Volume inside a closed surface [m^3]; negative where the normals point inward.
+
+    Source
+    ------
+    Divergence theorem with the field x / 3, about the centre of the vertices to spare digits.
+    """
+    corner = mesh.vertices[mesh.triangles] - mesh.vertices.mean(axis=0)
+    return float(np.einsum("ea,ea->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0)
+
+
+def bounding_diagonal(mesh: TriangleMesh) -> float:
+    """Length of the diagonal of the box that holds all used vertices [m]."""
+    used = mesh.vertices[mesh.triangles.ravel()]
+    return float(np.linalg.norm(used.max(axis=0) - used.min(axis=0)))

@@ -1,0 +1,177 @@
+"""What an estimation gives: constants with intervals, per probing and for all of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from palpate.errors import InputError
+
+__all__ = ["CONSTANT_NAMES", "Constant", "Estimate", "ProbeEstimate", "Status"]
+
+CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
+
+_SUFFIX = "_not_identifiable"
+_TANGENTIAL_CURE = (
+    "force and normal displacement tell only G / (1 - nu): observe displacement vectors with all"
+    " three components near the contact (a few contact radii away), or probe at more points"
+)
+_SCALE_CURE = (
+    "the displacements hardly exceed their noise: press harder (within small deformation),"
+    " measure more points nearer to the contact, or repeat probings"
+)
+_ADVICE = {
+    "ok": "every constant is told by the data",
+    "poisson_ratio" + _SUFFIX: f"Poisson's ratio cannot be told: {_TANGENTIAL_CURE}",
+    "shear_modulus" + _SUFFIX: f"the shear modulus cannot be told: {_SCALE_CURE}",
+    "young_modulus" + _SUFFIX: f"Young's modulus cannot be told: {_SCALE_CURE}",
+    "shear_modulus_and_poisson_ratio" + _SUFFIX: (
+        "only Young's modulus is told, as in bending or stretching far from the contact; G and nu"
+        f" follow only together: {_TANGENTIAL_CURE}"
+    ),
+    "poisson_ratio_and_young_modulus" + _SUFFIX: (
+        f"only the shear modulus is told: {_TANGENTIAL_CURE}"
+    ),
+    "shear_modulus_and_young_modulus" + _SUFFIX: (
+        f"only Poisson's ratio is told: check the force, {_SCALE_CURE}"
+    ),
+    "nothing_identifiable": f"no constant can be told: {_SCALE_CURE}",
+    "not_converged": (
+        "the search for the constants stopped early: look at the plots for outliers, and check"
+        " that force, contact point and displacements belong together"
+    ),
+}
+
+
+class Status(StrEnum):
+    """Outcome of an estimation; `advice` holds the cure."""
+
+    OK = "ok"
+    POISSON_RATIO_NOT_IDENTIFIABLE = "poisson_ratio_not_identifiable"
+    SHEAR_MODULUS_NOT_IDENTIFIABLE = "shear_modulus_not_identifiable"
+    YOUNG_MODULUS_NOT_IDENTIFIABLE = "young_modulus_not_identifiable"
+    SHEAR_MODULUS_AND_POISSON_RATIO_NOT_IDENTIFIABLE = (
+        "shear_modulus_and_poisson_ratio_not_identifiable"
+    )
+    POISSON_RATIO_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = (
+        "poisson_ratio_and_young_modulus_not_identifiable"
+    )
+    SHEAR_MODULUS_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = (
+        "shear_modulus_and_young_modulus_not_identifiable"
+    )
+    NOTHING_IDENTIFIABLE = "nothing_identifiable"
+    NOT_CONVERGED = "not_converged"
+
+    @property
+    def advice(self) -> str:
+        """What the status means and what to do about it."""
+        return _ADVICE[self.value]
+
+    @classmethod
+    def from_identifiable(cls, identifiable: Mapping[str, bool]) -> "Status":
+        """Status that names exactly the constants that the data cannot tell.
+
+        Parameters
+        ----------
+        identifiable : mapping with the keys shear_modulus, poisson_ratio, young_modulus
+
+        Raises
+        ------
+        InputError                  a key is missing
+        """
+        _check_identifiable(identifiable)
+        lost = [name for name in CONSTANT_NAMES if not identifiable[name]]
+        if not lost:
+            return cls.OK
+        if len(lost) == len(CONSTANT_NAMES):
+            return cls.NOTHING_IDENTIFIABLE
+        return cls("_and_".join(lost) + _SUFFIX)
+
+
+def _check_identifiable(identifiable: Mapping[str, bool]) -> None:
+    """Refuse a mapping that does not speak of exactly the three constants."""
+    if set(identifiable) != set(CONSTANT_NAMES):
+        raise InputError(
+            f"identifiable has the keys {sorted(identifiable)}; must be {sorted(CONSTANT_NAMES)}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """An elastic constant with its uncertainty; NaN and infinity mean that it is not known.
+
+    Parameters
+    ----------
+    value : float                   [Pa] for moduli, [-] for Poisson's ratio
+    std : float                     one standard deviation, same unit
+    ci95 : (float, float)           95 % interval, same unit
+    """
+
+    value: float
+    std: float
+    ci95: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if self.ci95[0] > self.ci95[1]:
+            raise InputError(f"ci95 is {self.ci95}; its lower end must not exceed its upper end")
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeEstimate:
+    """The constants as one probing alone tells them, and how well it was explained.
+
+    Parameters
+    ----------
+    name : str
+    shear_modulus, poisson_ratio, young_modulus : Constant
+    observed : int                  points used
+    missing : int                   points looked at and not measured (NaN rows)
+    rejected : int                  points that the robust loss all but switched off
+    rms_residual : float [m]        over the observed points, joint estimate
+    prediction_error : float [m] or None    rms residual when this probing was left out
+    """
+
+    name: str
+    shear_modulus: Constant
+    poisson_ratio: Constant
+    young_modulus: Constant
+    observed: int
+    missing: int
+    rejected: int
+    rms_residual: float
+    prediction_error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The elastic constants of the object, from all its probings.
+
+    Parameters
+    ----------
+    status : Status                 OK, or what could not be told, with its cure
+    shear_modulus, poisson_ratio, young_modulus : Constant
+    identifiable : mapping          constant's name -> whether the data tell it
+    probes : tuple of ProbeEstimate
+    seconds : mapping               stage -> wall time [s]
+    method : str                    how the misfit was minimised
+    settings : mapping              everything chosen, for repeating the run
+    notes : tuple of str            full sentences for the reader of the result
+
+    Raises
+    ------
+    InputError                      `identifiable` does not name exactly the three constants
+    """
+
+    status: Status
+    shear_modulus: Constant
+    poisson_ratio: Constant
+    young_modulus: Constant
+    identifiable: dict[str, bool]
+    probes: tuple[ProbeEstimate, ...]
+    seconds: dict[str, float]
+    method: str
+    settings: dict[str, Any]
+    notes: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        _check_identifiable(self.identifiable)

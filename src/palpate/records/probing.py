@@ -1,0 +1,178 @@
+"""One probing: where the tool pressed, with what force, and how the surface moved."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.geometry import SurfacePoints, fixed_array
+from palpate.shapes import Flags, PointIndices, Points, Vector3
+
+__all__ = ["Contact", "ContactProfile", "DisplacementField", "Images", "Probing", "observed_rows"]
+
+
+class ContactProfile(StrEnum):
+    """How the traction falls off from the contact point; s = chord distance / radius.
+
+    Proportional to (1 - s^2)^2 `SMOOTH`, 1 `UNIFORM`, sqrt(1 - s^2) `HERTZ`; `VERTEX` is the
+    linear hat function of the vertex nearest to the contact point.
+    """
+
+    SMOOTH = "smooth"
+    UNIFORM = "uniform"
+    HERTZ = "hertz"
+    VERTEX = "vertex"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """Patch of the surface over which the tool presses.
+
+    Parameters
+    ----------
+    point : (3,) float [m]          centre of the patch, on the surface or close to it
+    radius : float [m] or None      > 0; None only for the profile `VERTEX`
+    profile : ContactProfile
+
+    Raises
+    ------
+    InputError                      radius missing, not positive, or given for `VERTEX`
+    """
+
+    point: Vector3
+    radius: float | None
+    profile: ContactProfile
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
+        if self.profile is ContactProfile.VERTEX:
+            if self.radius is not None:
+                raise InputError(
+                    f"radius is {self.radius} with profile 'vertex'; that profile has no radius:"
+                    " leave it out, or choose 'smooth', 'uniform' or 'hertz'"
+                )
+        elif self.radius is None:
+            raise InputError(
+                f"radius is missing; profile '{self.profile.value}' needs one"
+                " (only profile 'vertex' has none)"
+            )
+        elif not (np.isfinite(self.radius) and self.radius > 0.0):
+            raise InputError(f"radius is {self.radius}; must be a positive length")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisplacementField:
+    """Displacement of surface points between rest and load; NaN rows were not measured.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]       at rest, as they were observed
+    displacement : (n, 3) float [m] a row with any NaN is kept as a row of NaN: not measured
+    std : (n, 3) float [m] or None  one standard deviation per component, > 0 where measured
+    vertex : (n,) int or None       index of the mesh vertex, where the points are vertices
+    surface : SurfacePoints         where the points sit on the mesh
+    source : str                    file they came from, for messages
+
+    Raises
+    ------
+    InputError                      shapes that differ, a standard deviation that is not positive
+    """
+
+    points: Points
+    displacement: Points
+    std: Points | None
+    vertex: PointIndices | None
+    surface: SurfacePoints
+    source: str
+
+    def __post_init__(self) -> None:
+        points = fixed_array(self.points, name="points", shape=(None, 3))
+        n = len(points)
+        moved = np.array(
+            fixed_array(self.displacement, name="displacement", shape=(n, 3), nan_allowed=True)
+        )
+        missing = np.isnan(moved).any(axis=1)
+        moved[missing] = np.nan
+        moved.setflags(write=False)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "displacement", moved)
+        if self.std is not None:
+            std = fixed_array(self.std, name="std", shape=(n, 3), nan_allowed=True)
+            bad = np.flatnonzero(~missing & ~(std > 0.0).all(axis=1))
+            if len(bad):
+                raise InputError(
+                    f"std of {len(bad)} measured points is not positive, the first: row {bad[0]},"
+                    f" {std[bad[0]].tolist()}; give one standard deviation in each component"
+                )
+            object.__setattr__(self, "std", std)
+        if self.vertex is not None:
+            vertex = fixed_array(self.vertex, name="vertex", shape=(n,), integer=True)
+            object.__setattr__(self, "vertex", vertex)
+        if len(self.surface.triangle) != n:
+            raise InputError(f"surface has {len(self.surface.triangle)} points; must be {n}")
+
+
+def observed_rows(field: DisplacementField) -> Flags:
+    """True for the points that were measured, (n,) bool."""
+    return ~np.isnan(field.displacement).any(axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Images:
+    """File patterns of one probing's pictures, with `{camera}` in place of the camera's name.
+
+    Parameters
+    ----------
+    rest : str
+    loaded : tuple of str           in time; the last one is at the full force
+    """
+
+    rest: str
+    loaded: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Probing:
+    """One push of the tool with a known force, and what was observed of the surface.
+
+    Parameters
+    ----------
+    name : str                      unique within its session
+    contact : Contact
+    force : (3,) float [N]          total force that the tool exerts on the object, not zero
+    force_std : (3,) float [N] or None              one standard deviation, >= 0
+    tip_displacement : (3,) float [m] or None       of the contact point
+    tip_displacement_std : (3,) float [m] or None   one standard deviation, > 0
+    displacement : DisplacementField or None
+    images : Images or None
+
+    Raises
+    ------
+    InputError                      zero force, a negative standard deviation, wrong shape
+    """
+
+    name: str
+    contact: Contact
+    force: Vector3
+    force_std: Vector3 | None
+    tip_displacement: Vector3 | None
+    tip_displacement_std: Vector3 | None
+    displacement: DisplacementField | None
+    images: Images | None
+
+    def __post_init__(self) -> None:
+        for name in ("force", "force_std", "tip_displacement", "tip_displacement_std"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, fixed_array(value, name=name, shape=(3,)))
+        if not np.any(self.force):
+            raise InputError(
+                "force is zero; an unloaded object says nothing about its stiffness:"
+                " give the total force of the tool on the object, in newtons"
+            )
+        if self.force_std is not None and np.any(self.force_std < 0.0):
+            raise InputError(f"force_std is {self.force_std.tolist()}; must not be negative")
+        std = self.tip_displacement_std
+        if std is not None and not np.all(std > 0.0):
+            raise InputError(f"tip_displacement_std is {std.tolist()}; must be positive")

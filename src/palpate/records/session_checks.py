@@ -1,0 +1,146 @@
+"""What a session must satisfy beyond its syntax, and what looks implausible about it."""
+
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    mesh_quality,
+    triangle_distances,
+    unit_normals,
+)
+from palpate.records.probing import Contact, DisplacementField, Probing, observed_rows
+from palpate.shapes import Indices
+
+__all__ = ["check_contact", "check_observed_points", "plausibility_notes"]
+
+# Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
+_SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
+_UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
+
+
+def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
+    """Refuse a contact patch that misses the surface or reaches into the support.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    held : (k,) int                 triangles of the support
+    contact : Contact
+
+    Raises
+    ------
+    InputError                      the text gives the distances
+    """
+    distance = triangle_distances(mesh, contact.point)
+    gap = float(distance.min())
+    radius = contact.radius
+    reach = 3.0 * mesh_quality(mesh).edge_mean if radius is None else radius
+    if gap >= reach:
+        what = "three mean edge lengths" if radius is None else "its radius"
+        raise InputError(
+            f"the contact misses the surface: its point is {gap:.4g} m away from it, {what} is"
+            f" {reach:.3g} m (the mesh is {bounding_diagonal(mesh):.3g} m across);"
+            " check the point and length_unit"
+        )
+    if radius is None:
+        vertex = int(np.linalg.norm(mesh.vertices - contact.point, axis=1).argmin())
+        if vertex in mesh.triangles[held]:
+            raise InputError(
+                f"the contact is partly on the support: the nearest vertex ({vertex}) belongs to a"
+                " held triangle; probe farther from the support, or refine the mesh there"
+            )
+        return
+    # Triangles that face the other way are the far side of a thin object, out of the tool's reach.
+    normals = unit_normals(mesh)
+    facing = normals[held] @ normals[int(distance.argmin())] > -0.5
+    clear = float(distance[held][facing].min(initial=np.inf))
+    if clear < radius:
+        raise InputError(
+            f"the contact is partly on the support: its point is {clear:.4g} m from the support,"
+            f" nearer than its radius of {radius:.4g} m; probe farther from the support, or check"
+            " the radius"
+        )
+
+
+def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
+    """Refuse a field whose measured points all sit on the support, which does not move.
+
+    Raises
+    ------
+    InputError
+    """
+    measured = observed_rows(field)
+    corners = mesh.triangles[field.surface.triangle[measured]]
+    is_held = np.zeros(len(mesh.vertices), dtype=bool)
+    is_held[mesh.triangles[held]] = True
+    # A point counts as held where every vertex that carries weight is.
+    fixed = (is_held[corners] | (field.surface.barycentric[measured] < 1e-6)).all(axis=1)
+    if fixed.all():
+        raise InputError(
+            f"all {len(fixed)} measured points of {field.source} are on the support, which does"
+            " not move: they say nothing; check the support and length_unit (the mesh is"
+            f" {bounding_diagonal(mesh):.3g} m across)"
+        )
+
+
+def plausibility_notes(mesh: TriangleMesh, probings: tuple[Probing, ...]) -> tuple[str, ...]:
+    """Sentences about sizes and signs that are possible but more likely a mistake."""
+    size = bounding_diagonal(mesh)
+    notes = []
+    if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
+        notes.append(f"The object is {size:.3g} m across, an implausible size: {_UNIT_HINT}.")
+    for probing in probings:
+        notes += [f"Probing {probing.name}: {text}" for text in _probing_notes(mesh, probing, size)]
+    return tuple(notes)
+
+
+def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str]:
+    notes = []
+    radius = probing.contact.radius
+    if radius is not None and not 1e-3 * size <= radius <= 0.5 * size:
+        notes.append(
+            f"the contact radius of {radius:.3g} m is implausible against an object of"
+            f" {size:.3g} m: {_UNIT_HINT}."
+        )
+    largest = _largest_displacement(probing)
+    if 0.0 < largest < 1e-5 * size:
+        notes.append(
+            f"the largest displacement of {largest:.3g} m is implausibly small against an object"
+            f" of {size:.3g} m: {_UNIT_HINT}."
+        )
+    elif largest > 0.5 * size:
+        notes.append(
+            f"the largest displacement of {largest:.3g} m is implausibly large against an object"
+            f" of {size:.3g} m: {_UNIT_HINT}."
+        )
+    elif largest > 0.1 * size:
+        notes.append(
+            f"the largest displacement is {100.0 * largest / size:.0f} % of the object's size,"
+            " outside small deformation; the estimate will be biased: press less."
+        )
+    direction = probing.force / np.linalg.norm(probing.force)
+    triangle = int(triangle_distances(mesh, probing.contact.point).argmin())
+    if float(unit_normals(mesh)[triangle] @ direction) > 0.5:
+        notes.append(
+            "the force points out of the surface: the tool pulls; the force must be the one on"
+            " the object, not on the tool."
+        )
+    tip = probing.tip_displacement
+    if tip is not None and float(tip @ direction) < 0.0:
+        notes.append(
+            "the tip moved against the force; check the signs of force and tip_displacement."
+        )
+    return notes
+
+
+def _largest_displacement(probing: Probing) -> float:
+    """Length of the longest measured displacement vector, tip included [m]."""
+    lengths = [0.0]
+    if probing.displacement is not None:
+        moved = probing.displacement.displacement[observed_rows(probing.displacement)]
+        lengths += [float(np.linalg.norm(moved, axis=1).max(initial=0.0))]
+    if probing.tip_displacement is not None:
+        lengths.append(float(np.linalg.norm(probing.tip_displacement)))
+    return max(lengths)
