@@ -1,0 +1,147 @@
+"""The linear elastic map: loads in, displacement of every vertex and traction on the support out.
+
+Source: Lang and Pai (2001), eq. 5.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.bem.kelvin import check_material
+from palpate.bem.right_hand import RightHand, joined, load_columns
+from palpate.bem.surface import integral_weights
+from palpate.bem.surface_load import SurfaceLoad, integrate_load
+from palpate.bem.system import BoundarySystem, FactorisedSystem, factorise, solve
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ElasticState:
+    """What an object does under one load.
+
+    Attributes
+    ----------
+    displacement : (v, 3) float [m]       of every vertex
+    support_traction : (s, 3) float [Pa]  at the held sides of the vertices, `system.unknowns.held_sides`
+    reaction : (3,) float [N]             force of the support on the object
+    """
+
+    displacement: Float[np.ndarray, "v 3"]
+    support_traction: Float[np.ndarray, "s 3"]
+    reaction: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ElasticMap:
+    """A held object of known material.
+
+    Attributes
+    ----------
+    system : BoundarySystem
+    factorised : FactorisedSystem
+    shear_modulus : float [Pa]
+    poisson_ratio : float [-]
+    """
+
+    system: BoundarySystem
+    factorised: FactorisedSystem
+    shear_modulus: float
+    poisson_ratio: float
+
+    def respond(
+        self, loads: Sequence[SurfaceLoad], forces: Float[np.ndarray, "k 3"]
+    ) -> list[ElasticState]:
+        """The state under each load by itself.
+
+        Parameters
+        ----------
+        loads : sequence of k SurfaceLoad
+        forces : (k, 3) float [N]         total force of each on the object
+
+        Returns
+        -------
+        list of k ElasticState
+        """
+        right = joined([load_right_hand(self.system, load) for load in loads])
+        unit = solve(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
+        unit = unit.reshape(-1, len(loads), 3)
+        return [self.state(unit[:, k] @ force) for k, force in enumerate(forces)]
+
+    def state(self, unknowns: Float[np.ndarray, " k"]) -> ElasticState:
+        """Sort a solution of the system into displacement, traction and reaction.
+
+        Parameters
+        ----------
+        unknowns : (k,) float [m]         free displacements, then scaled tractions; the support is at rest
+
+        Returns
+        -------
+        ElasticState
+        """
+        return sorted_state(self.system, unknowns, self.shear_modulus)
+
+
+def make_elastic_map(
+    system: BoundarySystem, *, shear_modulus: float, poisson_ratio: float
+) -> ElasticMap:
+    """The elastic map of an object for one material.
+
+    Parameters
+    ----------
+    system : BoundarySystem           from `assemble_system`
+    shear_modulus : float [Pa]        > 0
+    poisson_ratio : float [-]         -1 < nu <= 0.5
+
+    Returns
+    -------
+    ElasticMap
+
+    Raises
+    ------
+    InputError                        constants out of range
+    SingularSystemError               the support does not hold the object
+    """
+    check_material(shear_modulus, poisson_ratio)
+    return ElasticMap(system, factorise(system, poisson_ratio), shear_modulus, poisson_ratio)
+
+
+def load_right_hand(system: BoundarySystem, load: SurfaceLoad) -> RightHand:
+    """Right-hand sides of a load of one newton along each axis.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    load : SurfaceLoad
+
+    Returns
+    -------
+    RightHand                         three columns
+    """
+    fields = integrate_load(system.surface, load, system.collocation, system.traction_kernel)
+    return load_columns(fields)
+
+
+def sorted_state(
+    system: BoundarySystem, unknowns: Float[np.ndarray, " k"], shear_modulus: float
+) -> ElasticState:
+    """Sort a solution of the system into displacement, traction and reaction.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    unknowns : (k,) float [m]
+    shear_modulus : float [Pa]
+
+    Returns
+    -------
+    ElasticState
+    """
+    n_free = system.unknowns.free_vertices.size
+    displacement = np.zeros_like(system.surface.mesh.vertices)
+    displacement[system.unknowns.free_vertices] = unknowns[: 3 * n_free].reshape(-1, 3)
+    scale = shear_modulus / system.traction_length
+    traction = unknowns[3 * n_free :].reshape(-1, 3) * scale
+    weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
+    reaction = weights[system.unknowns.held_sides] @ traction
+    return ElasticState(displacement, traction, reaction)

@@ -1,0 +1,196 @@
+"""Quadrature rules on the reference triangle: symmetric rules for far points, conical products for near ones."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import roots_jacobi, roots_legendre
+
+ELEMENT_NODES = np.array(
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriangleRule:
+    """Points and weights on a triangle.
+
+    Attributes
+    ----------
+    degree : int                   polynomials up to this degree are integrated exactly
+    barycentric : (q, 3) float [-] points
+    weight : (q,) float [-]        sum to 1/2, the area of the reference triangle
+    """
+
+    degree: int
+    barycentric: Float[np.ndarray, "q 3"]
+    weight: Float[np.ndarray, " q"]
+
+
+@dataclass(frozen=True, slots=True)
+class Quadrature:
+    """How the boundary integrals are evaluated.
+
+    Attributes
+    ----------
+    tolerance : float [-]     relative error aimed at in each integral over one triangle; the rule for a triangle follows
+                              from it and from the distance of the point over the triangle's radius
+    degrees : tuple of int    degrees of the rules for distant points, rising
+    polar_points : (int, int) Gauss points along and across the polar coordinates of the singular integrals
+    """
+
+    tolerance: float = 1e-6
+    degrees: tuple[int, ...] = (2, 4, 5, 7, 11)
+    polar_points: tuple[int, int] = (4, 12)
+
+    def ratios(self) -> Float[np.ndarray, " k"]:
+        """Distance over triangle radius from which each rule meets the tolerance.
+
+        Returns
+        -------
+        (k,) float [-]            falling with the degree; a rule of degree d errs by (radius / distance)^(d + 1)
+        """
+        return np.array([self.tolerance ** (-1.0 / (degree + 1)) for degree in self.degrees])
+
+
+def triangle_rule(degree: int) -> TriangleRule:
+    """A rule with positive weights that is exact up to at least the given degree.
+
+    Parameters
+    ----------
+    degree : int              at least 1
+
+    Returns
+    -------
+    TriangleRule              3, 6 or 7 points for degrees 2, 4 and 5, else a conical product of n^2 points
+
+    Source
+    ------
+    Hammer, Marlowe and Stroud (1956) for degrees 2 and 5; Dunavant (1985) for degree 4; Stroud (1971) for the products.
+    """
+    if degree <= 2:
+        return _symmetric(2, [(1 / 6, 1 / 3)], 0.0)
+    if degree <= 4:
+        root = np.sqrt(38 - 44 * np.sqrt(2 / 5))
+        base = np.sqrt(213125 - 53320 * np.sqrt(10))
+        orbits = [
+            ((8 - np.sqrt(10) + root) / 18, (620 + base) / 3720),
+            ((8 - np.sqrt(10) - root) / 18, (620 - base) / 3720),
+        ]
+        return _symmetric(4, orbits, 0.0)
+    if degree <= 5:
+        root = np.sqrt(15)
+        orbits = [((6 - root) / 21, (155 - root) / 1200), ((6 + root) / 21, (155 + root) / 1200)]
+        return _symmetric(5, orbits, 9 / 40)
+    return _conical(degree // 2 + 1)
+
+
+def _symmetric(
+    degree: int, orbits: list[tuple[float, float]], centre_weight: float
+) -> TriangleRule:
+    points, weights = [], []
+    for a, weight in orbits:
+        b = 1 - 2 * a
+        points += [(a, a, b), (a, b, a), (b, a, a)]
+        weights += [weight] * 3
+    if centre_weight:
+        points.append((1 / 3, 1 / 3, 1 / 3))
+        weights.append(centre_weight)
+    return TriangleRule(degree, np.array(points), 0.5 * np.array(weights))
+
+
+def _conical(n: int) -> TriangleRule:
+    radial, radial_weight = roots_jacobi(n, 0.0, 1.0)
+    s, w_s = 0.5 * (radial + 1), 0.25 * radial_weight
+    t, w_t = unit_gauss(n)
+    s, t = (grid.ravel() for grid in np.meshgrid(s, t, indexing="ij"))
+    barycentric = np.stack([1 - s, s * (1 - t), s * t], axis=1)
+    return TriangleRule(2 * n - 1, barycentric, np.outer(w_s, w_t).ravel())
+
+
+def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Gauss-Legendre points and weights on [0, 1].
+
+    Parameters
+    ----------
+    n : int                   number of points
+
+    Returns
+    -------
+    (n,) float, (n,) float    points; weights that sum to 1
+    """
+    x, w = roots_legendre(n)
+    return 0.5 * (x + 1), 0.5 * w
+
+
+def quadratic_shapes(barycentric: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, "6 q"]:
+    """Shape functions of the six-node triangle.
+
+    Parameters
+    ----------
+    barycentric : (q, 3) float [-]
+
+    Returns
+    -------
+    (6, q) float [-]          corners 0, 1, 2, then midpoints of edges 01, 12, 20
+    """
+    a, b, c = barycentric.T
+    return np.stack([a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a])
+
+
+def quadratic_slopes(
+    barycentric: Float[np.ndarray, "q 3"],
+) -> tuple[Float[np.ndarray, "6 q"], Float[np.ndarray, "6 q"]]:
+    """Derivatives of the six shape functions along edges 01 and 02.
+
+    Parameters
+    ----------
+    barycentric : (q, 3) float [-]
+
+    Returns
+    -------
+    (6, q), (6, q) float [-]  with respect to the second and to the third barycentric coordinate, the first following
+    """
+    a, b, c = barycentric.T
+    zero = np.zeros_like(a)
+    along_b = np.stack([1 - 4 * a, 4 * b - 1, zero, 4 * (a - b), 4 * c, -4 * c])
+    along_c = np.stack([1 - 4 * a, zero, 4 * c - 1, -4 * b, 4 * b, 4 * (a - c)])
+    return along_b, along_c
+
+
+def element_points(
+    nodes: Float[np.ndarray, "m 6 3"], barycentric: Float[np.ndarray, "q 3"]
+) -> Float[np.ndarray, "m q 6"]:
+    """Positions and area normals of six-node triangles at the same points of each.
+
+    Parameters
+    ----------
+    nodes : (m, 6, 3) float [m]
+    barycentric : (q, 3) float [-]
+
+    Returns
+    -------
+    (m, q, 6) float           position [m], then outward normal times area per reference area [m^2]
+    """
+    along_b, along_c = quadratic_slopes(barycentric)
+    position = np.einsum("aq,mai->mqi", quadratic_shapes(barycentric), nodes)
+    tangent_b = np.einsum("aq,mai->mqi", along_b, nodes)
+    tangent_c = np.einsum("aq,mai->mqi", along_c, nodes)
+    return np.concatenate([position, np.cross(tangent_b, tangent_c)], axis=2)
+
+
+def element_spheres(
+    nodes: Float[np.ndarray, "m 6 3"],
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
+    """Centre and radius of a sphere around each element.
+
+    Parameters
+    ----------
+    nodes : (m, 6, 3) float [m]
+
+    Returns
+    -------
+    (m, 3) float [m], (m,) float [m]
+    """
+    centre = nodes[:, :3].mean(axis=1)
+    return centre, np.linalg.norm(nodes - centre[:, None], axis=2).max(axis=1)

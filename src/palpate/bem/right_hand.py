@@ -1,0 +1,150 @@
+"""Right-hand sides of the system, linear in Poisson's ratio like its matrix."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+
+from palpate.bem.assembly import assemble
+from palpate.bem.kelvin import DISPLACEMENT_FIELDS
+from palpate.bem.quadrature import Quadrature
+from palpate.bem.system import PAIRS, BoundarySystem, restrict_collocation
+from palpate.geometry import QuadraticNodes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RightHand:
+    """Columns constant + nu * slope, for a shear modulus of one pascal.
+
+    Attributes
+    ----------
+    constant : (k, c) float
+    slope : (k, c) float
+    """
+
+    constant: Float[np.ndarray, "k c"]
+    slope: Float[np.ndarray, "k c"]
+
+    def at(self, poisson_ratio: float) -> Float[np.ndarray, "k c"]:
+        """The columns at one Poisson's ratio.
+
+        Parameters
+        ----------
+        poisson_ratio : float
+
+        Returns
+        -------
+        (k, c) float
+        """
+        return self.constant + poisson_ratio * self.slope
+
+
+def load_columns(fields: Float[np.ndarray, "r 6"]) -> RightHand:
+    """Three columns, one for each axis of a load of one newton.
+
+    Parameters
+    ----------
+    fields : (r, 6) float [1/m]       from `integrate_load`
+
+    Returns
+    -------
+    RightHand                         3 r rows, 3 columns
+    """
+    tensor = fields[:, np.array(PAIRS)]
+    trace = fields[:, :3].sum(axis=1)[:, None, None] * np.eye(3)
+    return RightHand(_stacked(1.5 * trace + 0.5 * tensor), _stacked(-2 * trace))
+
+
+def support_columns(
+    system: BoundarySystem, displacement: Float[np.ndarray, "v 3"]
+) -> RightHand:
+    """One column for a given displacement of the held vertices.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    displacement : (v, 3) float [m]   of every vertex; only that of the held ones is used
+
+    Returns
+    -------
+    RightHand                         3 r rows, one column, times the shear modulus in the units of the system
+    """
+    held = system.unknowns.held_vertices
+    u = displacement[held]
+    blocks = system.traction_kernel
+    parts = []
+    for values in blocks.values:
+        f = values[held]
+        skew, flux = f[:, :3], f[:, 3:6].sum(axis=1) / 3
+        a = np.einsum("vkl,vj->lkj", skew, u)
+        turned = np.stack([a[:, 2, 1] - a[:, 1, 2], a[:, 0, 2] - a[:, 2, 0], a[:, 1, 0] - a[:, 0, 1]])
+        part_a = turned - np.einsum("vl,vi->il", flux, u)
+        part_b = -np.einsum("vijl,vj->il", f[:, 3 + np.array(PAIRS)], u)
+        parts.append((part_a + part_b, -2 * part_a))
+    rows = blocks.n_rows
+    total = [np.concatenate(part, axis=1)[:, :rows].reshape(-1, 1) for part in zip(*parts, strict=True)]
+    return RightHand(-total[0], -total[1])
+
+
+def traction_column(
+    system: BoundarySystem,
+    triangles: Int[np.ndarray, " k"],
+    traction: Float[np.ndarray, "k 6 3"],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> RightHand:
+    """One column for a traction that is quadratic on each of some triangles and may jump between them.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    triangles : (k,) int              triangles of the free surface
+    traction : (k, 6, 3) float [Pa]   at their corners and at the midpoints of their edges 01, 12, 20
+    quadrature : Quadrature
+
+    Returns
+    -------
+    RightHand                         3 r rows, one column
+    """
+    surface = system.surface
+    # Three nodes, one an axis, whose shape functions are the components of the traction itself.
+    element = 3 + np.arange(6 * triangles.size).reshape(-1, 6)
+    nodes = QuadraticNodes(element, 3, csr_array(traction.reshape(-1, 3)))
+    chosen = np.zeros(surface.held.size, dtype=bool)
+    chosen[triangles] = True
+    blocks = assemble(
+        restrict_collocation(system.collocation, chosen), surface.mesh.triangles[triangles],
+        surface.element_nodes[triangles], nodes, n_fields=DISPLACEMENT_FIELDS,
+        quadrature=quadrature,
+    )  # fmt: skip
+    constant, slope = 0.0, 0.0
+    for axis in range(3):
+        fields = blocks.values[:, axis].transpose(0, 2, 1).reshape(-1, DISPLACEMENT_FIELDS)
+        column = load_columns(fields[: blocks.n_rows])
+        constant = constant + column.constant[:, axis : axis + 1]
+        slope = slope + column.slope[:, axis : axis + 1]
+    return RightHand(constant, slope)
+
+
+def joined(parts: list[RightHand]) -> RightHand:
+    """Right-hand sides side by side.
+
+    Parameters
+    ----------
+    parts : list of RightHand
+
+    Returns
+    -------
+    RightHand
+    """
+    return RightHand(
+        np.concatenate([part.constant for part in parts], axis=1),
+        np.concatenate([part.slope for part in parts], axis=1),
+    )
+
+
+def _stacked(tensor: Float[np.ndarray, "r 3 3"]) -> Float[np.ndarray, "k 3"]:
+    return np.asfortranarray(tensor.transpose(1, 0, 2).reshape(-1, 3))
+
+

@@ -1,0 +1,318 @@
+"""The linear system of a held object, linear in Poisson's ratio, and its factorisation."""
+
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import get_lapack_funcs, lu_factor, lu_solve
+
+from palpate.bem.assembly import Collocation, FieldBlocks, assemble, with_rigid_body_sum
+from palpate.bem.boundary import Unknowns, find_unknowns, place_collocation
+from palpate.bem.kelvin import DISPLACEMENT_FIELDS, LANES, TRACTION_FIELDS
+from palpate.bem.quadrature import Quadrature
+from palpate.bem.surface import BoundarySurface
+from palpate.errors import SingularSystemError
+from palpate.geometry import QuadraticNodes
+
+PAIRS = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
+SMALLEST_RCOND = 1e-14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundarySystem:
+    """Material-free matrices of one object on one support.
+
+    The system for the unknowns x = (displacement of the free vertices [m], traction of the held sides times
+    `traction_length` over the shear modulus [m]) is matrix(nu) x = right-hand side, multiplied by 8 pi (1 - nu).
+
+    Attributes
+    ----------
+    surface : BoundarySurface
+    unknowns : Unknowns
+    collocation : Collocation
+    traction_kernel : FieldBlocks         against the displacement of every vertex
+    displacement_kernel : FieldBlocks     against the traction of every side of the support
+    traction_length : float [m]           scales tractions to displacements, so that columns are alike
+    """
+
+    surface: BoundarySurface
+    unknowns: Unknowns
+    collocation: Collocation
+    traction_kernel: FieldBlocks
+    displacement_kernel: FieldBlocks
+    traction_length: float
+
+    @property
+    def size(self) -> int:
+        """Number of scalar unknowns."""
+        return 3 * (self.unknowns.free_vertices.size + self.unknowns.held_sides.size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorisedSystem:
+    """The system at one Poisson's ratio, ready to be solved.
+
+    Attributes
+    ----------
+    poisson_ratio : float
+    lu, pivots : arrays                   LAPACK's factorisation
+    reciprocal_condition : float          estimate in the 1-norm
+    """
+
+    poisson_ratio: float
+    lu: Float[np.ndarray, "k k"]
+    pivots: Int[np.ndarray, " k"]
+    reciprocal_condition: float
+
+
+def assemble_system(
+    surface: BoundarySurface, *, quadrature: Quadrature = Quadrature()
+) -> BoundarySystem:
+    """Compute all integrals of an object on its support, once for all materials.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    quadrature : Quadrature
+
+    Returns
+    -------
+    BoundarySystem
+    """
+    unknowns = find_unknowns(surface)
+    collocation = place_collocation(surface, unknowns)
+    raw = integral_equations(surface, unknowns, collocation, quadrature=quadrature)
+    h = with_rigid_body_sum(raw.traction_kernel, collocation, surface.displacement)
+    return replace(raw, traction_kernel=h)
+
+
+def integral_equations(
+    surface: BoundarySurface,
+    unknowns: Unknowns,
+    collocation: Collocation,
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> BoundarySystem:
+    """Write the boundary integral equation at some points, without the value at the points themselves.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    unknowns : Unknowns
+    collocation : Collocation
+    quadrature : Quadrature
+
+    Returns
+    -------
+    BoundarySystem                        as many rows as points; the traction kernel lacks the rigid-body sum
+    """
+    triangles = surface.mesh.triangles
+    h = assemble(
+        collocation, triangles, surface.element_nodes, surface.displacement,
+        n_fields=TRACTION_FIELDS, quadrature=quadrature,
+    )  # fmt: skip
+    held = np.flatnonzero(surface.held)
+    index = np.full(surface.traction.n_nodes, -1)
+    index[unknowns.held_sides] = np.arange(unknowns.held_sides.size)
+    g = assemble(
+        restrict_collocation(collocation, surface.held), triangles[held],
+        surface.element_nodes[held], restricted_nodes(surface.traction, held, index),
+        n_fields=DISPLACEMENT_FIELDS, quadrature=quadrature,
+    )  # fmt: skip
+    length = float(np.ptp(surface.mesh.vertices, axis=0).max())
+    return BoundarySystem(surface, unknowns, collocation, h, g, length)
+
+
+def restrict_collocation(
+    collocation: Collocation, kept: Float[np.ndarray, " m"] | Int[np.ndarray, " m"]
+) -> Collocation:
+    """The same points, their triangles renumbered among the kept ones.
+
+    Parameters
+    ----------
+    collocation : Collocation
+    kept : (m,) bool
+
+    Returns
+    -------
+    Collocation
+    """
+    new = np.where(kept, np.cumsum(kept) - 1, -1)
+    triangle = np.where(collocation.triangle >= 0, new[collocation.triangle], -1)
+    return Collocation(collocation.point, collocation.vertex, triangle, collocation.barycentric)
+
+
+def restricted_nodes(
+    nodes: QuadraticNodes, elements: Int[np.ndarray, " k"], index: Int[np.ndarray, " n"]
+) -> QuadraticNodes:
+    """Nodes of some elements only, their own nodes renumbered.
+
+    Parameters
+    ----------
+    nodes : QuadraticNodes
+    elements : (k,) int
+    index : (n,) int          new number of each node, -1 where it is not needed
+
+    Returns
+    -------
+    QuadraticNodes
+    """
+    count = int(index.max()) + 1
+    corner = index[nodes.element[elements, :3]]
+    middle = nodes.element[elements, 3:] - nodes.n_nodes + count
+    kept = np.flatnonzero(index >= 0)
+    order = kept[np.argsort(index[kept])]
+    return QuadraticNodes(np.concatenate([corner, middle], axis=1), count, nodes.weights[:, order])
+
+
+def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndarray, "r k"]:
+    """The matrix at one Poisson's ratio, multiplied by 8 pi (1 - nu).
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    poisson_ratio : float
+
+    Returns
+    -------
+    (r, k) float              Fortran order; rows by component, then by collocation point in the order of the blocks
+    """
+    matrix = np.empty((system.size, 3 * system.collocation.point.shape[0]))
+    n_free = system.unknowns.free_vertices.size
+    column = np.full(system.surface.mesh.vertices.shape[0], -1)
+    column[system.unknowns.free_vertices] = np.arange(n_free)
+    n_rows = system.collocation.point.shape[0]
+    _traction_columns(system.traction_kernel.values, column, poisson_ratio, n_rows, matrix)
+    scale = -0.5 / system.traction_length
+    _displacement_columns(
+        system.displacement_kernel.values, n_free, poisson_ratio, scale, n_rows, matrix
+    )
+    return matrix.T
+
+
+def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
+    """Factorise the system at one Poisson's ratio.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    poisson_ratio : float     -1 < nu <= 0.5
+
+    Returns
+    -------
+    FactorisedSystem
+
+    Raises
+    ------
+    SingularSystemError       the support does not hold the object
+    """
+    matrix = system_matrix(system, poisson_ratio)
+    norm = np.abs(matrix).sum(axis=0).max()
+    lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
+    (gecon,) = get_lapack_funcs(("gecon",), (lu,))
+    rcond = float(gecon(lu, norm)[0])
+    if not rcond > SMALLEST_RCOND:
+        raise SingularSystemError(
+            f"the system of {system.size} equations is singular (reciprocal condition {rcond:.1e}, "
+            f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate parts: "
+            "run `palpate check`"
+        )
+    return FactorisedSystem(poisson_ratio, lu, pivots, rcond)
+
+
+def solve(
+    factorised: FactorisedSystem, right: Float[np.ndarray, "k c"]
+) -> Float[np.ndarray, "k c"]:
+    """Solve the factorised system for several right-hand sides.
+
+    Parameters
+    ----------
+    factorised : FactorisedSystem
+    right : (k, c) float      rows in the order of `system_matrix`
+
+    Returns
+    -------
+    (k, c) float [m]
+    """
+    return lu_solve((factorised.lu, factorised.pivots), right, check_finite=False)
+
+
+def apply_slope(
+    system: BoundarySystem, unknowns: Float[np.ndarray, "k c"]
+) -> Float[np.ndarray, "k c"]:
+    """Product of the derivative of the matrix with respect to Poisson's ratio and some vectors.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    unknowns : (k, c) float
+
+    Returns
+    -------
+    (k, c) float              the matrix is linear in nu, so this is matrix(nu + 1) - matrix(nu)
+    """
+    n_free, c = system.unknowns.free_vertices.size, unknowns.shape[1]
+    u = np.zeros((system.surface.mesh.vertices.shape[0], 3 * c))
+    u[system.unknowns.free_vertices] = unknowns[: 3 * n_free].reshape(n_free, 3 * c)
+    q = 2 / system.traction_length * unknowns[3 * n_free :].reshape(-1, 3 * c)
+    n_rows = system.collocation.point.shape[0]
+    out = np.empty((3, n_rows, c))
+    h, g = system.traction_kernel.values, system.displacement_kernel.values
+    for b in range(h.shape[0]):
+        rows = slice(b * LANES, min((b + 1) * LANES, n_rows))
+        lanes = rows.stop - rows.start
+        fields = h[b].reshape(u.shape[0], -1)
+        x, y, z = (fields[:, : 3 * LANES].T @ u).reshape(3, LANES, 3, c)[:, :lanes]
+        flux = (2 / 3) * h[b, :, 3:6].sum(axis=1)
+        trace = g[b, :, :3].sum(axis=1)
+        value = (flux.T @ u + trace.T @ q).reshape(LANES, 3, c)[:lanes]
+        out[0, rows] = value[:, 0] - 2 * (z[:, 1] - y[:, 2])
+        out[1, rows] = value[:, 1] - 2 * (x[:, 2] - z[:, 0])
+        out[2, rows] = value[:, 2] - 2 * (y[:, 0] - x[:, 1])
+    return out.reshape(3 * n_rows, c)
+
+
+@numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)
+def _traction_columns(values, column, nu, n_rows, matrix):
+    a = 1 - 2 * nu
+    for node in numba.prange(column.size):
+        c = column[node]
+        if c < 0:
+            continue
+        for b in range(values.shape[0]):
+            first = b * LANES
+            for i in range(min(LANES, n_rows - first)):
+                f = values[b, node, :, i]
+                d = a * (f[3] + f[4] + f[5]) / 3
+                row = first + i
+                matrix[3 * c, row] = -d - f[3]
+                matrix[3 * c, n_rows + row] = -a * f[2] - f[8]
+                matrix[3 * c, 2 * n_rows + row] = a * f[1] - f[7]
+                matrix[3 * c + 1, row] = a * f[2] - f[8]
+                matrix[3 * c + 1, n_rows + row] = -d - f[4]
+                matrix[3 * c + 1, 2 * n_rows + row] = -a * f[0] - f[6]
+                matrix[3 * c + 2, row] = -a * f[1] - f[7]
+                matrix[3 * c + 2, n_rows + row] = a * f[0] - f[6]
+                matrix[3 * c + 2, 2 * n_rows + row] = -d - f[5]
+
+
+@numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)
+def _displacement_columns(values, first_column, nu, scale, n_rows, matrix):
+    for node in numba.prange(values.shape[1]):
+        c = first_column + node
+        for b in range(values.shape[0]):
+            first = b * LANES
+            for i in range(min(LANES, n_rows - first)):
+                f = values[b, node, :, i] * scale
+                d = (3 - 4 * nu) * (f[0] + f[1] + f[2])
+                row = first + i
+                matrix[3 * c, row] = d + f[0]
+                matrix[3 * c, n_rows + row] = f[5]
+                matrix[3 * c, 2 * n_rows + row] = f[4]
+                matrix[3 * c + 1, row] = f[5]
+                matrix[3 * c + 1, n_rows + row] = d + f[1]
+                matrix[3 * c + 1, 2 * n_rows + row] = f[3]
+                matrix[3 * c + 2, row] = f[4]
+                matrix[3 * c + 2, n_rows + row] = f[3]
+                matrix[3 * c + 2, 2 * n_rows + row] = d + f[2]

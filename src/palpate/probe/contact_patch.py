@@ -1,0 +1,122 @@
+"""The part of the surface that a tool presses on, and how its pressure is spread there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, closest_points, triangle_distances, unit_normals
+from palpate.records import Contact, ContactProfile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactPatch:
+    """Where a tool touches an object.
+
+    Attributes
+    ----------
+    contact : Contact
+    triangles : (k,) int          triangles that the contact sphere reaches, connected to the contact point
+    triangle : int                triangle at the contact point
+    barycentric : (3,) float [-]  place of the contact point in it
+    vertex : int                  vertex nearest to the contact point
+    """
+
+    contact: Contact
+    triangles: Int[np.ndarray, " k"]
+    triangle: int
+    barycentric: Float[np.ndarray, "3"]
+    vertex: int
+    corners: Int[np.ndarray, "m 3"]
+
+    def density(
+        self,
+        triangle: Int[np.ndarray, " n"],
+        barycentric: Float[np.ndarray, "n 3"],
+        position: Float[np.ndarray, "n 3"],
+    ) -> Float[np.ndarray, " n"]:
+        """Pressure at points of the surface, up to a factor.
+
+        Parameters
+        ----------
+        triangle : (n,) int
+        barycentric : (n, 3) float [-]
+        position : (n, 3) float [m]
+
+        Returns
+        -------
+        (n,) float [-]            SESSION.md's profiles: (1 - s^2)^2, 1 or sqrt(1 - s^2) with s = distance from the
+                                  contact point over the radius; or the linear hat function of the nearest vertex
+        """
+        if self.contact.profile is ContactProfile.VERTEX:
+            return (barycentric * (self.corners[triangle] == self.vertex)).sum(axis=1)
+        square = ((position - self.contact.point) ** 2).sum(axis=1) / self.contact.radius**2
+        inside = np.clip(1 - square, 0, None)
+        if self.contact.profile is ContactProfile.SMOOTH:
+            return inside**2
+        if self.contact.profile is ContactProfile.HERTZ:
+            return np.sqrt(inside)
+        return (square < 1).astype(np.float64)
+
+
+def find_contact_patch(
+    mesh: TriangleMesh, contact: Contact, held_triangles: Int[np.ndarray, " h"], *, name: str
+) -> ContactPatch:
+    """Find the triangles under a tool.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    contact : Contact
+    held_triangles : (h,) int         the support; a tool cannot press there
+    name : str                        of the probing, for messages
+
+    Returns
+    -------
+    ContactPatch
+
+    Raises
+    ------
+    InputError                        the contact misses the surface, or reaches the support
+    """
+    place = closest_points(mesh, contact.point[None])
+    first = int(place.triangle[0])
+    barycentric = place.barycentric[0]
+    vertex = int(mesh.triangles[first][np.argmax(barycentric)])
+    if contact.profile is ContactProfile.VERTEX:
+        vertex = int(np.argmin(np.linalg.norm(mesh.vertices - contact.point, axis=1)))
+        triangles = np.flatnonzero((mesh.triangles == vertex).any(axis=1))
+    else:
+        distance = float(place.distance[0])
+        if distance >= contact.radius:
+            raise InputError(
+                f"probe '{name}': the contact point is {1e3 * distance:.3g} mm from the surface, farther than "
+                f"its radius of {1e3 * contact.radius:.3g} mm; check the frame and the units of contact.point"
+            )
+        triangles = _reached(mesh, contact.point, contact.radius, first)
+    held = np.intersect1d(triangles, held_triangles)
+    if held.size:
+        raise InputError(
+            f"probe '{name}': the contact patch reaches {held.size} triangles of the support (first: "
+            f"{held[:3].tolist()}); a load there moves nothing; move the contact or shrink its radius"
+        )
+    return ContactPatch(contact, triangles, first, barycentric, vertex, mesh.triangles)
+
+
+def _reached(
+    mesh: TriangleMesh, point: Float[np.ndarray, "3"], radius: float, first: int
+) -> Int[np.ndarray, " k"]:
+    """Triangles within a sphere that hang together with the first one and face the same half space."""
+    near = np.flatnonzero(triangle_distances(mesh, point) < radius)
+    normals = unit_normals(mesh)
+    near = near[(normals[near] @ normals[first] > -0.5) | (near == first)]
+    corner = mesh.triangles[near]
+    row = np.repeat(np.arange(near.size), 3)
+    incidence = coo_array(
+        (np.ones(row.size), (row, corner.ravel())), shape=(near.size, mesh.vertices.shape[0])
+    ).tocsr()
+    _, label = connected_components(incidence @ incidence.T, directed=False)
+    return near[label == label[near == first][0]]
