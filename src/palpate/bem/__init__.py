@@ -8,7 +8,15 @@ Read first : `kelvin.py` (what is integrated), `system.py` (what is solved), `el
 """
 
 from palpate.bem.body_force import BodyForce, body_force_columns, dilation_factor
-from palpate.bem.elastic_map import ElasticMap, ElasticState, load_right_hand, make_elastic_map
+from palpate.bem.contact_shape import ContactShape
+from palpate.bem.elastic_map import (
+    ElasticMap,
+    ElasticState,
+    load_right_hand,
+    load_shape,
+    make_elastic_map,
+)
+from palpate.bem.half_space import PressureDisc
 from palpate.bem.quadrature import Quadrature
 from palpate.bem.right_hand import RightHand, joined, support_columns, traction_column
 from palpate.bem.surface import BoundarySurface, SurfaceSettings, make_surface
@@ -27,10 +35,12 @@ __all__ = [
     "BodyForce",
     "BoundarySurface",
     "BoundarySystem",
+    "ContactShape",
     "ElasticMap",
     "ElasticState",
     "FactorisedSystem",
     "PointEquations",
+    "PressureDisc",
     "Quadrature",
     "RightHand",
     "SurfaceLoad",
@@ -42,6 +52,7 @@ __all__ = [
     "factorise",
     "joined",
     "load_right_hand",
+    "load_shape",
     "make_elastic_map",
     "make_surface",
     "point_equations",

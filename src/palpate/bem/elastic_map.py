@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from palpate.bem.contact_shape import ContactShape, contact_shape, shape_columns
 from palpate.bem.kelvin import check_material
 from palpate.bem.right_hand import RightHand, joined, load_columns
-from palpate.bem.surface import integral_weights
-from palpate.bem.surface_load import SurfaceLoad, integrate_load
+from palpate.bem.surface import BoundarySurface, integral_weights
+from palpate.bem.surface_load import SurfaceLoad, integrate_load, load_points
 from palpate.bem.system import BoundarySystem, FactorisedSystem, factorise, solve
 
 
@@ -63,7 +64,10 @@ class ElasticMap:
         -------
         list of k ElasticState
         """
-        right = joined([load_right_hand(self.system, load) for load in loads])
+        surface = self.system.surface
+        right = joined(
+            [load_right_hand(self.system, load, load_shape(surface, load)) for load in loads]
+        )
         unit = solve(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
         unit = unit.reshape(-1, len(loads), 3)
         return [self.state(unit[:, k] @ force) for k, force in enumerate(forces)]
@@ -106,20 +110,50 @@ def make_elastic_map(
     return ElasticMap(system, factorise(system, poisson_ratio), shear_modulus, poisson_ratio)
 
 
-def load_right_hand(system: BoundarySystem, load: SurfaceLoad) -> RightHand:
+def load_right_hand(
+    system: BoundarySystem, load: SurfaceLoad, shape: ContactShape | None = None
+) -> RightHand:
     """Right-hand sides of a load of one newton along each axis.
 
     Parameters
     ----------
     system : BoundarySystem
     load : SurfaceLoad
+    shape : ContactShape or None      how the elements around it dip (`load_shape`)
 
     Returns
     -------
     RightHand                         three columns
     """
     fields = integrate_load(system.surface, load, system.collocation, system.traction_kernel)
-    return load_columns(fields)
+    right = load_columns(fields)
+    return right if shape is None else right + shape_columns(system, shape)
+
+
+def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | None:
+    """How the elements around a load dip, where that is known.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    load : SurfaceLoad
+
+    Returns
+    -------
+    ContactShape or None              None for a load that is no round patch, for linear elements, and where the patch
+                                      is not smooth ground: on flat facets, or across an edge of the object
+    """
+    if load.disc is None or not surface.follows_dips or _crosses_edge(surface, load):
+        return None
+    centre = surface.mesh.vertices[surface.mesh.triangles[load.triangles]].mean(axis=1)
+    nearest = load.triangles[np.argmin(np.linalg.norm(centre - load.disc.centre, axis=1))]
+    return contact_shape(surface, load.disc, int(nearest))
+
+
+def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad) -> bool:
+    """Whether an edge of the object or the rim of its support runs through a load."""
+    triangle = load_points(surface, load).triangle
+    return bool(surface.sides.cut[surface.sides.edge[np.unique(triangle)]].any())
 
 
 def sorted_state(

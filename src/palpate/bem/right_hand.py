@@ -15,16 +15,18 @@ from palpate.geometry import QuadraticNodes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RightHand:
-    """Columns constant + nu * slope, for a shear modulus of one pascal.
+    """Columns constant + nu * slope + nu^2 * curvature, for a shear modulus of one pascal.
 
     Attributes
     ----------
     constant : (k, c) float
     slope : (k, c) float
+    curvature : (k, c) float
     """
 
     constant: Float[np.ndarray, "k c"]
     slope: Float[np.ndarray, "k c"]
+    curvature: Float[np.ndarray, "k c"]
 
     def at(self, poisson_ratio: float) -> Float[np.ndarray, "k c"]:
         """The columns at one Poisson's ratio.
@@ -37,7 +39,15 @@ class RightHand:
         -------
         (k, c) float
         """
-        return self.constant + poisson_ratio * self.slope
+        return self.constant + poisson_ratio * (self.slope + poisson_ratio * self.curvature)
+
+    def __add__(self, other: "RightHand") -> "RightHand":
+        """Sum of two sets of as many columns."""
+        return RightHand(
+            self.constant + other.constant,
+            self.slope + other.slope,
+            self.curvature + other.curvature,
+        )
 
 
 def load_columns(fields: Float[np.ndarray, "r 6"]) -> RightHand:
@@ -53,7 +63,8 @@ def load_columns(fields: Float[np.ndarray, "r 6"]) -> RightHand:
     """
     tensor = fields[:, np.array(PAIRS)]
     trace = fields[:, :3].sum(axis=1)[:, None, None] * np.eye(3)
-    return RightHand(_stacked(1.5 * trace + 0.5 * tensor), _stacked(-2 * trace))
+    constant = _stacked(1.5 * trace + 0.5 * tensor)
+    return RightHand(constant, _stacked(-2 * trace), np.zeros_like(constant))
 
 
 def support_columns(
@@ -84,7 +95,7 @@ def support_columns(
         parts.append((part_a + part_b, -2 * part_a))
     rows = blocks.n_rows
     total = [np.concatenate(part, axis=1)[:, :rows].reshape(-1, 1) for part in zip(*parts, strict=True)]
-    return RightHand(-total[0], -total[1])
+    return RightHand(-total[0], -total[1], np.zeros_like(total[0]))
 
 
 def traction_column(
@@ -118,13 +129,13 @@ def traction_column(
         surface.element_nodes[triangles], nodes, n_fields=DISPLACEMENT_FIELDS,
         quadrature=quadrature,
     )  # fmt: skip
-    constant, slope = 0.0, 0.0
+    columns = []
     for axis in range(3):
         fields = blocks.values[:, axis].transpose(0, 2, 1).reshape(-1, DISPLACEMENT_FIELDS)
         column = load_columns(fields[: blocks.n_rows])
-        constant = constant + column.constant[:, axis : axis + 1]
-        slope = slope + column.slope[:, axis : axis + 1]
-    return RightHand(constant, slope)
+        columns.append((column.constant[:, axis], column.slope[:, axis]))
+    constant, slope = (np.sum(part, axis=0)[:, None] for part in zip(*columns, strict=True))
+    return RightHand(constant, slope, np.zeros_like(constant))
 
 
 def joined(parts: list[RightHand]) -> RightHand:
@@ -141,6 +152,7 @@ def joined(parts: list[RightHand]) -> RightHand:
     return RightHand(
         np.concatenate([part.constant for part in parts], axis=1),
         np.concatenate([part.slope for part in parts], axis=1),
+        np.concatenate([part.curvature for part in parts], axis=1),
     )
 
 

@@ -48,6 +48,7 @@ class BoundarySurface:
     element_nodes : (m, 6, 3) float   [m]
     displacement : QuadraticNodes     continuous, one node a vertex
     traction : QuadraticNodes         one node a side of a vertex
+    follows_dips : bool               whether elements under a load may take the shape of the dip (`contact_shape`)
     """
 
     mesh: TriangleMesh
@@ -56,6 +57,7 @@ class BoundarySurface:
     element_nodes: Float[np.ndarray, "m 6 3"]
     displacement: QuadraticNodes
     traction: QuadraticNodes
+    follows_dips: bool
 
 
 def make_surface(
@@ -94,7 +96,8 @@ def make_surface(
         displacement, traction = linear_nodes(displacement), linear_nodes(traction)
     position = np.concatenate([mesh.vertices, geometry.weights @ mesh.vertices])
     nodes = position[geometry.element]
-    return BoundarySurface(mesh, sides, held, nodes, displacement, traction)
+    follows_dips = settings.smooth and settings.quadratic
+    return BoundarySurface(mesh, sides, held, nodes, displacement, traction, follows_dips)
 
 
 def integral_weights(

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.bem.assembly import Collocation, FieldBlocks
+from palpate.bem.half_space import PressureDisc
 from palpate.bem.kelvin import DISPLACEMENT_FIELDS, LANES, displacement_fields
 from palpate.bem.quadrature import (
     quadratic_shapes,
@@ -43,10 +44,12 @@ class SurfaceLoad:
     triangles : (k,) int          triangles that it may touch
     density : callable            (triangle (n,), barycentric (n, 3), position (n, 3) [m]) -> (n,) >= 0, of any scale:
                                   it is divided by its own surface integral
+    disc : PressureDisc or None   the load as a round patch, where it is one: it sharpens the elements around it
     """
 
     triangles: Int[np.ndarray, " k"]
     density: Density
+    disc: PressureDisc | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

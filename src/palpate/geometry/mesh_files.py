@@ -1,6 +1,9 @@
 """Triangle surfaces from and to files: PLY, OBJ, STL, OFF, MSH, VTU, VTP."""
 
+import re
+from io import StringIO
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -123,8 +126,7 @@ def _raw_surface(path: Path, suffix: str) -> tuple[Vertices, Triangles]:
     # The readers raise whatever their parsing ran into, and one of them ends the process.
     try:
         if suffix in _TRIMESH_SUFFIXES:
-            loaded = module.load_mesh(path, process=False, maintain_order=True)
-            vertices, triangles = loaded.vertices, loaded.faces
+            vertices, triangles = _plain_surface(module, path)
         else:
             vertices, triangles = _surface_of_cells(module.read(path))
         return (
@@ -136,6 +138,24 @@ def _raw_surface(path: Path, suffix: str) -> tuple[Vertices, Triangles]:
             f"{path}: cannot be read as a {suffix[1:].upper()} surface ({error});"
             " open it in a mesh program and save it again"
         ) from error
+
+
+def _plain_surface(
+    trimesh: ModuleType, path: Path
+) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
+    """Vertices and triangles through trimesh, colours and textures left aside."""
+    if path.suffix.lower() != ".obj":
+        loaded = trimesh.load_mesh(path, process=False, maintain_order=True)
+        return loaded.vertices, loaded.faces
+    # Texture coordinates would split vertices, and half-textured files come out wrong: drop them.
+    kept = [
+        re.sub(r"(?<=\d)/\S*", "", line) if line[0] == "f" else line
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
+        if line.startswith(("v ", "f ", "v\t", "f\t"))
+    ]
+    text = StringIO("\n".join([*kept, ""]))
+    loaded = trimesh.load_mesh(text, file_type="obj", process=False, maintain_order=True)
+    return loaded.vertices, loaded.faces
 
 
 def _surface_of_cells(content: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:

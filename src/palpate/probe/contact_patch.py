@@ -53,13 +53,26 @@ class ContactPatch:
         """
         if self.contact.profile is ContactProfile.VERTEX:
             return (barycentric * (self.corners[triangle] == self.vertex)).sum(axis=1)
-        square = ((position - self.contact.point) ** 2).sum(axis=1) / self.contact.radius**2
-        inside = np.clip(1 - square, 0, None)
+        distance = np.linalg.norm(position - self.contact.point, axis=1)
+        return self.pressure(distance / self.contact.radius)
+
+    def pressure(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Pressure of a round patch, up to a factor.
+
+        Parameters
+        ----------
+        s : (n,) float [-]        distance from the contact point over the radius
+
+        Returns
+        -------
+        (n,) float [-]            zero from s = 1 on
+        """
+        inside = np.clip(1 - s**2, 0, None)
         if self.contact.profile is ContactProfile.SMOOTH:
             return inside**2
         if self.contact.profile is ContactProfile.HERTZ:
             return np.sqrt(inside)
-        return (square < 1).astype(np.float64)
+        return (s < 1).astype(np.float64)
 
 
 def find_contact_patch(

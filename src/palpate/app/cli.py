@@ -1,0 +1,74 @@
+"""The command `palpate`: names its subcommands, turns errors into one line and an exit code."""
+
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError
+from rich.console import Console
+
+from palpate import __version__
+from palpate.errors import NotConvergedError, PalpateError
+
+__all__ = ["BAD_INPUT", "NOT_OK", "main", "make_app"]
+
+BAD_INPUT = 2
+NOT_OK = 3
+_INTERRUPTED = 130
+
+
+def make_app() -> App:
+    """The command line; a subcommand's module is imported when it is called, not before."""
+    app = App(
+        name="palpate",
+        help="Elastic constants of a soft object, with intervals, from probings with a known"
+        " force.",
+        version=__version__,
+        help_format="plaintext",
+        error_console=Console(stderr=True),
+    )
+    app.command(
+        "palpate.app.fit_command:fit",
+        name="fit",
+        help="Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
+    )
+    app.command(
+        "palpate.app.check_command:check",
+        name="check",
+        help="Say everything about a session that can be said without solving.",
+    )
+    app.command(
+        "palpate.app.compression_command:compression",
+        name="compression",
+        help="Young's modulus from compression tests of cylinders.",
+    )
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None     None: those of the process
+
+    Returns
+    -------
+    int                             0; 2 bad input, said in one message; 3 an estimate that is not
+                                    ok; 130 interrupted
+    """
+    try:
+        outcome = make_app()(
+            None if arguments is None else list(arguments),
+            exit_on_error=False,
+            print_error=True,
+            result_action="return_value",
+        )
+    except CycloptsError:
+        return BAD_INPUT
+    except PalpateError as error:
+        print(f"palpate: {error}", file=sys.stderr)
+        return NOT_OK if isinstance(error, NotConvergedError) else BAD_INPUT
+    except KeyboardInterrupt:
+        print("palpate: interrupted; nothing was written", file=sys.stderr)
+        return _INTERRUPTED
+    return outcome if isinstance(outcome, int) else 0

@@ -1,0 +1,224 @@
+"""Measured against predicted displacement of one probing, on the object's surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PathCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpecFromSubplotSpec
+from matplotlib.ticker import MaxNLocator
+
+from palpate.app.surface_view import SurfaceView, best_direction, make_view, projected
+from palpate.estimation import ProbeFit
+from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
+from palpate.records import Probing, observed_rows
+from palpate.shapes import Flags, Points, PointScalars
+
+__all__ = ["displacement_figure"]
+
+INK, RED = "#1c1f24", "#D55E00"
+ARROWS = 60  # more would hide the points
+LONGEST_ARROW = 0.13  # of the object's size in the picture
+PANEL = 2.3  # inches
+CLAY = LinearSegmentedColormap.from_list("clay", ["#a9adb4", "#f4f5f6"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """What all three panels share, in the viewer's frame and millimetres."""
+
+    view: SurfaceView
+    place: Points
+    front: Flags
+    contact: Float[np.ndarray, "3"]
+    push: Float[np.ndarray, "3"]
+    size: float
+    spot: float
+
+
+def displacement_figure(mesh: TriangleMesh, probing: Probing, fit: ProbeFit) -> Figure | None:
+    """Three views of the surface: measured, predicted, and their difference.
+
+    Points carry the length of their displacement as colour, the same scale for the first two;
+    arrows are drawn at some of them. Points on the far side are left out.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    probing : Probing
+    fit : ProbeFit          of that probing
+
+    Returns
+    -------
+    Figure, or None where nothing was measured
+    """
+    field = probing.displacement
+    if field is None or not observed_rows(field).any():
+        return None
+    seen = observed_rows(field)
+    normals = unit_normals(mesh)[field.surface.triangle[seen]]
+    touched = closest_points(mesh, probing.contact.point[None]).triangle[0]
+    direction = best_direction(normals, unit_normals(mesh)[touched])
+    scene = _scene(mesh, probing, field.points[seen], normals, direction)
+    residual = field.displacement[seen] - fit.predicted[seen]
+    vectors = [
+        1e3 * projected(scene.view, moved)
+        for moved in (field.displacement[seen], fit.predicted[seen], residual)
+    ]
+    return _drawn(probing.name, scene, vectors)
+
+
+def _scene(
+    mesh: TriangleMesh,
+    probing: Probing,
+    points: Points,
+    normals: Points,
+    direction: Float[np.ndarray, "3"],
+) -> _Scene:
+    """Surface, points and force as the viewer has them."""
+    view = make_view(mesh, direction)
+    force = probing.force / np.linalg.norm(probing.force)
+    return _Scene(
+        view=view,
+        place=1e3 * projected(view, points),
+        front=normals @ view.R_view_object[2] > 0.05,
+        contact=1e3 * projected(view, probing.contact.point),
+        push=projected(view, force),
+        size=1e3 * bounding_diagonal(mesh),
+        spot=float(np.clip(3000.0 / len(points), 5.0, 42.0)),
+    )
+
+
+def _drawn(name: str, scene: _Scene, vectors: list[Points]) -> Figure:
+    """The figure: two panels with one colour bar, the residual with its own."""
+    lengths = [np.linalg.norm(moved, axis=1) for moved in vectors]
+    largest = max(float(np.quantile(lengths[0], 0.99)), float(lengths[1].max()), 1e-9)
+    over = max(float(np.quantile(lengths[2], 0.95)), 1e-9)
+    low, high = _extent(scene)
+    height = PANEL * (high[1] - low[1]) / (high[0] - low[0])
+    figure = Figure(figsize=(3 * PANEL + 0.3, float(np.clip(height, 1.2, 3.4)) + 1.15))
+    grid = figure.add_gridspec(
+        2, 3, height_ratios=[1.0, 0.035], left=0.01, right=0.99, top=0.84, bottom=0.17,
+        wspace=0.03, hspace=0.04,
+    )  # fmt: skip
+    panels = [figure.add_subplot(grid[0, column]) for column in range(3)]
+    titles = ("measured", "predicted", "measured \N{MINUS SIGN} predicted")
+    arrow = LONGEST_ARROW * scene.size / largest
+    stretch = LONGEST_ARROW * scene.size / over
+    colours = (("cividis", largest), ("cividis", largest), ("magma_r", over))
+    for axes, title, moved, length, (cmap, top) in zip(
+        panels, titles, vectors, lengths, colours, strict=True
+    ):
+        _surface(axes, scene)
+        _points(axes, scene, length, cmap, top)
+        _arrows(axes, scene, moved, min(stretch, arrow * 20) if cmap == "magma_r" else arrow)
+        axes.set_title(title, pad=4)
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+    _contact(panels[0], scene)
+    _scale_bar(panels[0], low, high)
+    _bar(figure, grid[1, 0:2], "cividis", largest, "displacement $|u|$ (mm)", 0.32)
+    _bar(figure, grid[1, 2], "magma_r", over, "difference (mm)", 0.7)
+    rms = float(np.sqrt(np.mean(lengths[2] ** 2)))
+    hidden = int((~scene.front).sum())
+    text = f"{name}: {len(lengths[0])} points, rms difference {rms:.3g} mm"
+    text += f", {hidden} on the far side not drawn" if hidden else ""
+    figure.text(0.5, 0.95, text, ha="center", va="center", fontsize=9, weight="bold")
+    return figure
+
+
+def _extent(scene: _Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Lower left and upper right of the picture [mm], with room for the force's arrow."""
+    corners = 1e3 * scene.view.polygons.reshape(-1, 2)
+    tail = (scene.contact - 0.2 * scene.size * scene.push)[None, :2]
+    everything = np.concatenate([corners, tail])
+    more = 0.03 * scene.size
+    return everything.min(axis=0) - more, everything.max(axis=0) + more
+
+
+def _surface(axes: Axes, scene: _Scene) -> None:
+    """Shaded triangles, nearest last."""
+    colours = CLAY(scene.view.brightness)
+    axes.add_collection(
+        PolyCollection(
+            1e3 * scene.view.polygons, facecolors=colours, edgecolors=colours, linewidths=0.3
+        )
+    )
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _points(
+    axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: float
+) -> PathCollection:
+    """Observed points on the near side, coloured by length."""
+    place = scene.place[scene.front]
+    return axes.scatter(
+        place[:, 0], place[:, 1], c=length[scene.front], s=scene.spot, cmap=cmap,
+        norm=Normalize(0.0, top), linewidths=0.15, edgecolors=INK, zorder=2,
+    )  # fmt: skip
+
+
+def _arrows(axes: Axes, scene: _Scene, moved: Points, stretch: float) -> None:
+    """Displacements of some points as arrows in the picture plane."""
+    front = np.flatnonzero(scene.front)
+    chosen = front[_spread(scene.place[front, :2], ARROWS)]
+    place, vector = scene.place[chosen, :2], stretch * moved[chosen, :2]
+    axes.quiver(
+        place[:, 0], place[:, 1], vector[:, 0], vector[:, 1], angles="xy", scale_units="xy",
+        scale=1.0, width=0.005, headwidth=3.6, headlength=4.2, color=INK, zorder=3,
+    )  # fmt: skip
+
+
+def _spread(place: Float[np.ndarray, "n 2"], count: int) -> list[int]:
+    """Indices of at most `count` points, each as far as it can be from the ones before."""
+    if len(place) == 0:
+        return []
+    chosen = [0]
+    distance = np.linalg.norm(place - place[0], axis=1)
+    while len(chosen) < min(count, len(place)):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
+    return chosen
+
+
+def _contact(axes: Axes, scene: _Scene) -> None:
+    """The contact point and the direction of the force on it."""
+    tip, tail = scene.contact[:2], (scene.contact - 0.2 * scene.size * scene.push)[:2]
+    axes.annotate(
+        "", xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), zorder=5,
+        arrowprops={"arrowstyle": "-|>", "color": RED, "linewidth": 1.6, "shrinkA": 0,
+                    "shrinkB": 0, "mutation_scale": 9},
+    )  # fmt: skip
+    axes.plot(*tip, "o", color=RED, markersize=3, zorder=5)
+
+
+def _scale_bar(axes: Axes, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> None:
+    """A bar of a round length in the lower left corner."""
+    target = 0.22 * float(high[0] - low[0])
+    power = 10.0 ** np.floor(np.log10(target))
+    length = float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= target))
+    x, y = float(low[0]) + 0.03 * float(high[0] - low[0]), float(low[1])
+    axes.plot([x, x + length], [y, y], color=INK, linewidth=1.6, clip_on=False)
+    axes.annotate(
+        f"{length:g} mm", (x + length, y), xytext=(3, 0), textcoords="offset points",
+        va="center", fontsize=7, annotation_clip=False,
+    )  # fmt: skip
+
+
+def _bar(figure: Figure, cell: object, cmap: str, top: float, label: str, share: float) -> None:
+    """A horizontal colour bar in the middle of a cell."""
+    side = (1.0 - share) / 2.0
+    parts = GridSpecFromSubplotSpec(1, 3, subplot_spec=cell, width_ratios=[side, share, side])
+    axes = figure.add_subplot(parts[0, 1])
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(0.0, top), cmap), cax=axes, orientation="horizontal",
+        extend="max",
+        ticks=MaxNLocator(4),
+    )  # fmt: skip
+    bar.outline.set_linewidth(0.4)
+    bar.set_label(label, labelpad=2)

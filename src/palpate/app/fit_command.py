@@ -1,0 +1,106 @@
+"""`palpate fit`: a session in, a table and a result folder out."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from palpate.app.plots import write_plots
+from palpate.app.progress import progress_bar
+from palpate.app.residual_files import write_residuals
+from palpate.app.result_folder import result_folder
+from palpate.app.tables import constants_table, probes_table
+from palpate.errors import InputError
+from palpate.estimation import FitResult
+from palpate.pipeline import fit_session
+from palpate.records import Session, Status, read_session, write_estimate
+
+__all__ = ["fit"]
+
+_NOT_OK = 3
+
+
+def fit(
+    session: Path,
+    /,
+    *,
+    out: Path | None = None,
+    probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    method: Literal["reduced", "nelder-mead"] = "reduced",
+) -> int:
+    """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
+
+    Prints the constants with their intervals and leaves a folder with estimate.json and plots.
+
+    Parameters
+    ----------
+    session
+        Folder of the session, or a session file in it.
+    out
+        Result folder; it appears whole or not at all. Default: the session's folder name followed
+        by -result, in the current folder.
+    probe
+        Use these probings only.
+    method
+        How the constants are searched: over the reduced model, or by Nelder-Mead on the full one.
+
+    Returns
+    -------
+    int
+        0, or 3 where a constant cannot be told by the data.
+    """
+    console = Console()
+    # The target is tried first: no one should wait for a result that cannot be kept.
+    with result_folder(out or _default_folder(session)) as folder:
+        given = read_session(session, probes=probe)
+        _print_notes(given)
+        with progress_bar() as progress:
+            result = fit_session(given, probes=None, method=method, progress=progress)
+            progress("tables and plots", 1.0)
+            _write(folder, given, result)
+    estimate = result.estimate
+    if len(estimate.probes) > 0:
+        console.print(probes_table(estimate))
+    console.print(constants_table(estimate))
+    for note in estimate.notes:
+        if note not in given.notes:
+            console.print(f"Note: {note}", markup=False, highlight=False)
+    console.print(
+        f"Result in {out or _default_folder(session)}"
+        f" ({estimate.seconds.get('total', float('nan')):.1f} s)",
+        markup=False,
+        highlight=False,
+    )
+    if estimate.status is not Status.OK:
+        print(f"palpate: {estimate.status.value}: {estimate.status.advice}", file=sys.stderr)
+        return _NOT_OK
+    return 0
+
+
+def _write(folder: Path, session: Session, result: FitResult) -> None:
+    """All files of the result."""
+    try:
+        write_estimate(folder / "estimate.json", result.estimate)
+        write_residuals(folder, session, result)
+        write_plots(folder, session, result)
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
+            " choose another place with --out"
+        ) from error
+
+
+def _default_folder(session: Path) -> Path:
+    """Folder in the current one, named after the session's folder (and its file, if unusual)."""
+    path = session.resolve()
+    if path.is_dir():
+        return Path(f"{path.name}-result")
+    name = path.parent.name if path.stem == "session" else f"{path.parent.name}-{path.stem}"
+    return Path(f"{name}-result")
+
+
+def _print_notes(session: Session) -> None:
+    for note in session.notes:
+        print(f"palpate: note: {note}", file=sys.stderr)

@@ -1,0 +1,234 @@
+"""What one probing contributes to the estimation: measured displacements and their model."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.errors import InputError
+from palpate.geometry import fixed_array
+from palpate.shapes import Points, Vector3
+
+__all__ = [
+    "CLAIMED_GROUPS",
+    "GROUP_COUNT",
+    "ObservedRows",
+    "ProbeObservations",
+    "ResponseModel",
+    "observed_rows_of",
+]
+
+# Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
+GROUP_COUNT = 8
+CLAIMED_GROUPS = slice(4, 8)
+_TIP_GROUP = 3
+
+
+class ResponseModel(Protocol):
+    """Displacement of the observed points per unit force, as a function of Poisson's ratio.
+
+    Rows are 3 * point + component for all points of the probing, then, where the tip was measured,
+    three rows for the contact point. Columns 0 to 2 belong to a unit force along x, y and z, column
+    3 to the body force; all are displacement times shear modulus, so that the displacement is
+    (value[:, :3] @ force + value[:, 3]) / shear_modulus.
+    """
+
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
+        """Displacement times shear modulus [m Pa / N], column 3 [m Pa]."""
+        ...
+
+    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
+        """Derivative of `value` with respect to Poisson's ratio, same units."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbeObservations:
+    """One probing: where the surface was seen to move, under which force, and its model.
+
+    Parameters
+    ----------
+    name : str
+    position : (n, 3) float [m]             observed points at rest
+    displacement : (n, 3) float [m]         NaN = looked at and not measured
+    std : (n, 3) float [m] or None          1 sigma per component; None = to be estimated
+    force : (3,) float [N]                  measured force on the object
+    force_std : (3,) float [N]              1 sigma per component, zero = exact
+    tip_displacement : (3,) float [m] or None    of the contact point, NaN = not measured
+    tip_displacement_std : (3,) float [m] or None
+    response : ResponseModel                3 n rows, three more where the tip was measured
+
+    Raises
+    ------
+    InputError                              wrong shape, infinite entry, std not positive
+    """
+
+    name: str
+    position: Points
+    displacement: Points
+    std: Points | None
+    force: Vector3
+    force_std: Vector3
+    tip_displacement: Vector3 | None
+    tip_displacement_std: Vector3 | None
+    response: ResponseModel
+
+    def __post_init__(self) -> None:
+        label = f"probing {self.name!r}: "
+        n = len(self.position)
+        shapes = {
+            "position": (n, 3),
+            "displacement": (n, 3),
+            "std": (n, 3),
+            "force": (3,),
+            "force_std": (3,),
+            "tip_displacement": (3,),
+            "tip_displacement_std": (3,),
+        }
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            nan_allowed = "displacement" in name or name == "std"
+            array = fixed_array(value, name=label + name, shape=shape, nan_allowed=nan_allowed)
+            object.__setattr__(self, name, array)
+        _check_std(label + "std", self.std, self.displacement)
+        _check_std(label + "tip_displacement_std", self.tip_displacement_std, self.tip_displacement)
+        if np.any(self.force_std < 0):
+            raise InputError(
+                f"{label}force_std is {self.force_std}; every component must be >= 0 (0 = exact)"
+            )
+
+
+def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | None) -> None:
+    """Refuse a standard deviation that is not positive where something was measured."""
+    if std is None or displacement is None:
+        return
+    bad = np.isfinite(displacement) & ~(std > 0)
+    if np.any(bad):
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"{name} is {std[where]} at index {where}, and {int(bad.sum())} entries in all are not"
+            " > 0 where a displacement was measured; give the true 1 sigma, or leave it out to have"
+            " the noise level estimated"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedRows:
+    """The measured components of one probing as one stack of rows, ready for the misfit.
+
+    A point has up to three rows that stand or fall together: a wrong match spoils all of them.
+
+    Parameters
+    ----------
+    name : str
+    rows : (r,) int or None                 rows of the response that were measured, None = all
+    measured : (r,) float [m]
+    unit : (r,) float [m]                   claimed 1 sigma, or 1 where the level is estimated
+    group : (r,) int                        noise group, see GROUP_COUNT
+    start : (p,) int                        first row of each point
+    components : (p,) float                 measured components of each point, 1 to 3
+    point : (p,) int                        index of the point in the probing; n = the tip
+    position : (p, 3) float [m]             NaN for the tip
+    point_count : int                       points of the probing, measured or not, without the tip
+    force, force_std : (3,) float [N]
+    response : ResponseModel
+    """
+
+    name: str
+    rows: Int[np.ndarray, " r"] | None
+    measured: Float[np.ndarray, " r"]
+    unit: Float[np.ndarray, " r"]
+    group: Int[np.ndarray, " r"]
+    start: Int[np.ndarray, " p"]
+    components: Float[np.ndarray, " p"]
+    point: Int[np.ndarray, " p"]
+    position: Float[np.ndarray, "p 3"]
+    point_count: int
+    force: Vector3
+    force_std: Vector3
+    response: ResponseModel
+
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
+        """Response of the measured rows [m Pa / N], column 3 [m Pa]."""
+        return self._measured_rows(self.response.value(poisson_ratio), poisson_ratio)
+
+    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
+        """Derivative of `value` with respect to Poisson's ratio."""
+        return self._measured_rows(self.response.slope(poisson_ratio), poisson_ratio)
+
+    def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
+        chosen = response if self.rows is None else response[self.rows]
+        if len(chosen) != len(self.measured) or not np.isfinite(chosen.sum()):
+            raise InputError(
+                f"probing {self.name!r}: the response at poisson_ratio {poisson_ratio:g} has shape"
+                f" {response.shape} and must be finite with three rows a point (and three for a"
+                " measured tip); check support, contact and mesh"
+            )
+        return chosen
+
+
+def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
+    """Measured components of a probing, in the order of the response's rows.
+
+    Parameters
+    ----------
+    probe : ProbeObservations
+
+    Returns
+    -------
+    ObservedRows
+
+    Raises
+    ------
+    InputError                              nothing was measured, or nothing pushes
+    """
+    displacement, unit, group = _stacked(probe)
+    seen = np.isfinite(displacement)
+    if not seen.any():
+        raise InputError(
+            f"probing {probe.name!r} has no measured displacement among {len(probe.position)}"
+            " points; leave the probing out, or check why every row is NaN"
+        )
+    if not np.any(probe.force) and not np.any(probe.response.value(0.25)[:, 3]):
+        raise InputError(
+            f"probing {probe.name!r} has zero force and no body force, so it says nothing about"
+            " the constants; give the force on the object in newton, or leave the probing out"
+        )
+    rows = np.flatnonzero(seen)
+    point, start, count = np.unique(rows // 3, return_index=True, return_counts=True)
+    position = np.vstack([probe.position, np.full((1, 3), np.nan)])[point]
+    return ObservedRows(
+        name=probe.name,
+        rows=None if seen.all() else rows,
+        measured=displacement[rows],
+        unit=unit[rows],
+        group=group[rows],
+        start=start.astype(np.int64),
+        components=count.astype(np.float64),
+        point=point.astype(np.int64),
+        position=position,
+        point_count=len(probe.position),
+        force=probe.force,
+        force_std=probe.force_std,
+        response=probe.response,
+    )
+
+
+def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Displacement, claimed 1 sigma (1 where none) and noise group of every row."""
+    n = len(probe.position)
+    claimed = probe.std is not None
+    unit = probe.std if claimed else np.ones((n, 3))
+    group = np.tile(np.arange(3), n) + (CLAIMED_GROUPS.start if claimed else 0)
+    displacement, unit = probe.displacement.ravel(), unit.ravel()
+    if probe.tip_displacement is not None:
+        claimed = probe.tip_displacement_std is not None
+        tip_unit = probe.tip_displacement_std if claimed else np.ones(3)
+        tip_group = _TIP_GROUP + (CLAIMED_GROUPS.start if claimed else 0)
+        displacement = np.concatenate([displacement, probe.tip_displacement])
+        unit = np.concatenate([unit, tip_unit])
+        group = np.concatenate([group, np.full(3, tip_group)])
+    return displacement, unit, group.astype(np.int64)

@@ -1,0 +1,102 @@
+"""The solution at every Poisson's ratio from one factorisation.
+
+The system is linear in nu: (K + d K') x = b + d b', with d the distance of nu from a centre. Its solution is a power
+series in d whose terms follow from one another by a back substitution. A handful of them span a space in which a small
+least-squares problem finds the solution at any nu, far outside the radius of convergence of the series itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.bem import BoundarySystem, RightHand, apply_slope, factorise, solve
+
+CENTRE = 0.3
+DIRECTIONS = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedModel:
+    """Directions in which the solutions for all Poisson's ratios lie.
+
+    Attributes
+    ----------
+    centre : float                            Poisson's ratio of the factorisation
+    directions : (j + 1, k, c) float          terms of the power series for each of c right-hand sides; the last one
+                                              serves to measure the residual only
+    triangular : (c, j, j) float              triangular factor of each column's directions from the third on
+    scale : (c,) float                        norm of each column's solution at the centre
+    """
+
+    centre: float
+    directions: Float[np.ndarray, "terms k c"]
+    triangular: Float[np.ndarray, "c terms terms"]
+    scale: Float[np.ndarray, " c"]
+
+    def coefficients(
+        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
+    ) -> tuple[Float[np.ndarray, "j c"], float]:
+        """Weights of the directions that give the solution at one Poisson's ratio.
+
+        Parameters
+        ----------
+        poisson_ratio : float
+        columns : (c,) int        right-hand sides asked for, all unless told
+
+        Returns
+        -------
+        (j, c) float              the first is 1, the second the distance from the centre: the right-hand side is
+                                  quadratic, and these take its terms up to there; the others minimise the residual
+        float                     largest residual over the columns, relative to the solution at the centre
+        """
+        distance = poisson_ratio - self.centre
+        count = self.directions.shape[0] - 3
+        step = np.eye(count + 1, count) - distance * np.eye(count + 1, count, k=-1)
+        triangular = self.triangular[columns]
+        matrix = triangular @ step
+        right = distance**2 * triangular[:, :, 0]
+        q, r = np.linalg.qr(matrix)
+        inner = np.linalg.solve(r, np.einsum("cij,ci->cj", q, right)[:, :, None])[:, :, 0]
+        left = right - np.einsum("cij,cj->ci", matrix, inner)
+        residual = np.linalg.norm(left, axis=1) / self.scale[columns]
+        first = np.broadcast_to([1.0, distance], (inner.shape[0], 2))
+        weights = np.concatenate([first, inner], axis=1)
+        return weights.T, float(residual.max(initial=0.0))
+
+
+def make_reduced_model(
+    system: BoundarySystem,
+    right: RightHand,
+    *,
+    centre: float = CENTRE,
+    directions: int = DIRECTIONS,
+) -> ReducedModel:
+    """Factorise once and gather the directions.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    right : RightHand                 c columns
+    centre : float                    Poisson's ratio of the factorisation
+    directions : int                  number of terms kept
+
+    Returns
+    -------
+    ReducedModel
+
+    Raises
+    ------
+    SingularSystemError               the support does not hold the object
+    """
+    factorised = factorise(system, centre)
+    terms = [solve(factorised, right.at(centre))]
+    slope = right.slope + 2 * centre * right.curvature
+    terms.append(solve(factorised, slope - apply_slope(system, terms[0])))
+    terms.append(solve(factorised, right.curvature - apply_slope(system, terms[1])))
+    for _ in range(directions - 2):
+        terms.append(solve(factorised, -apply_slope(system, terms[-1])))
+    stacked = np.stack(terms)
+    series = stacked[2:].transpose(2, 1, 0)
+    scale = np.linalg.norm(terms[0], axis=0)
+    return ReducedModel(centre, stacked, np.linalg.qr(series, mode="r"), scale)

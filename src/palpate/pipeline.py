@@ -1,0 +1,283 @@
+"""From a session to its elastic constants: the one place where probe, boundary elements and estimation meet."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array, hstack, kron
+
+from palpate.bem import (
+    BodyForce,
+    BoundarySystem,
+    PointEquations,
+    PressureDisc,
+    RightHand,
+    SurfaceLoad,
+    SurfaceSettings,
+    assemble_system,
+    body_force_columns,
+    joined,
+    load_right_hand,
+    load_shape,
+    make_surface,
+    point_equations,
+)
+from palpate.errors import InputError
+from palpate.estimation import (
+    FitResult,
+    FitSettings,
+    FullModel,
+    FullResponse,
+    PointRows,
+    ProbeObservations,
+    ProbeRows,
+    ResponseModel,
+    fit,
+    make_reduced_model,
+    reduced_response,
+)
+from palpate.geometry import interpolation_matrix
+from palpate.probe import ContactPatch, find_contact_patch
+from palpate.records import Probing, Session
+
+Progress = Callable[[str, float], None]
+METHODS = ("reduced", "nelder-mead")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectModel:
+    """Boundary element model of a session's object with the loads of its probings.
+
+    Attributes
+    ----------
+    system : BoundarySystem
+    patches : tuple of ContactPatch       distinct contacts
+    patch_of : (k,) int                   which of them each probing has
+    right : RightHand                     three columns a contact, then two of gravity, if any
+    body : BodyForce or None
+    tips : PointEquations                 at the point of each contact
+    tip_right : RightHand                 the same columns for these points
+    tip_body : BodyForce or None
+    """
+
+    system: BoundarySystem
+    patches: tuple[ContactPatch, ...]
+    patch_of: Int[np.ndarray, " k"]
+    right: RightHand
+    body: BodyForce | None
+    tips: PointEquations
+    tip_right: RightHand
+    tip_body: BodyForce | None
+
+
+def fit_session(
+    session: Session,
+    *,
+    probes: Sequence[str] | None = None,
+    method: str = "reduced",
+    settings: FitSettings = FitSettings(),
+    surface: SurfaceSettings = SurfaceSettings(),
+    progress: Progress | None = None,
+) -> FitResult:
+    """Estimate the elastic constants of a session's object.
+
+    Parameters
+    ----------
+    session : Session
+    probes : sequence of str          names of the probings to use; all unless told
+    method : str                      "reduced" (one factorisation, the default) or "nelder-mead" (the paper's search)
+    settings : FitSettings
+    surface : SurfaceSettings         how the surface between the vertices is understood
+    progress : callable               told what is done (text) and how far it is (0 to 1)
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    InputError                        unknown probing or method, a probing without displacements, a bad contact
+    SingularSystemError               the support does not hold the object
+    """
+    if method not in METHODS:
+        raise InputError(f"method is '{method}'; must be one of {', '.join(METHODS)}")
+    say = progress or _silent
+    start = time.perf_counter()
+    probings = _chosen(session, probes)
+    say("integrals over the surface", 0.0)
+    model = make_object_model(session, probings, surface=surface)
+    assembled = time.perf_counter()
+    say("factorisation", 0.5)
+    responses = _responses(model, session, probings, method)
+    factorised = time.perf_counter()
+    say("fit", 0.8)
+    observations = [
+        _observations(probing, response)
+        for probing, response in zip(probings, responses, strict=True)
+    ]
+    result = fit(observations, settings=replace(settings, method=method))
+    done = time.perf_counter()
+    say("done", 1.0)
+    seconds = {
+        "assembly": assembled - start,
+        "factorisation": factorised - assembled,
+        "fit": done - factorised,
+        "total": done - start,
+    }
+    return replace(result, estimate=replace(result.estimate, seconds=seconds))
+
+
+def make_object_model(
+    session: Session,
+    probings: Sequence[Probing],
+    *,
+    surface: SurfaceSettings = SurfaceSettings(),
+) -> ObjectModel:
+    """Compute all integrals of a session's object, its contacts and its weight.
+
+    Parameters
+    ----------
+    session : Session
+    probings : sequence of k Probing
+    surface : SurfaceSettings
+
+    Returns
+    -------
+    ObjectModel
+    """
+    patches, patch_of = _distinct_patches(session, probings)
+    boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
+    system = assemble_system(boundary)
+    place = np.array([patch.triangle for patch in patches])
+    tips = point_equations(system, place, np.array([patch.barycentric for patch in patches]))
+    loads = [_surface_load(patch) for patch in patches]
+    shapes = [load_shape(boundary, load) for load in loads]
+    pairs = list(zip(loads, shapes, strict=True))
+    right = [load_right_hand(system, load, shape) for load, shape in pairs]
+    tip_right = [load_right_hand(tips.system, load, shape) for load, shape in pairs]
+    body = tip_body = None
+    if session.gravity is not None and session.density is not None:
+        weight = session.density * session.gravity
+        body = body_force_columns(system, weight)
+        tip_body = body_force_columns(tips.system, weight)
+        right.append(body.right)
+        tip_right.append(tip_body.right)
+    return ObjectModel(
+        system, patches, patch_of, joined(right), body, tips, joined(tip_right), tip_body
+    )
+
+
+def _surface_load(patch: ContactPatch) -> SurfaceLoad:
+    disc = None
+    if patch.contact.radius is not None:
+        disc = PressureDisc(patch.contact.point, patch.contact.radius, patch.pressure)
+    return SurfaceLoad(patch.triangles, patch.density, disc)
+
+
+def _silent(_text: str, _share: float) -> None:
+    pass
+
+
+def _chosen(session: Session, names: Sequence[str] | None) -> list[Probing]:
+    known = {probing.name: probing for probing in session.probings}
+    wanted = list(known) if names is None else list(dict.fromkeys(names))
+    missing = [name for name in wanted if name not in known]
+    if missing:
+        raise InputError(
+            f"there is no probing named {', '.join(map(repr, missing))} in {session.path}; "
+            f"it has {', '.join(known)}"
+        )
+    blind = [name for name in wanted if known[name].displacement is None]
+    if blind:
+        raise InputError(
+            f"probing {', '.join(map(repr, blind))} in {session.path} has no measured displacement; "
+            "give its `displacement` file, or leave it out with --probe"
+        )
+    return [known[name] for name in wanted]
+
+
+def _distinct_patches(
+    session: Session, probings: Sequence[Probing]
+) -> tuple[tuple[ContactPatch, ...], Int[np.ndarray, " k"]]:
+    patches: dict[tuple[object, ...], ContactPatch] = {}
+    keys = []
+    for probing in probings:
+        contact = probing.contact
+        key = (*contact.point.tolist(), contact.radius, contact.profile)
+        keys.append(key)
+        if key not in patches:
+            patches[key] = find_contact_patch(
+                session.mesh, contact, session.held_triangles, name=probing.name
+            )
+    order = list(patches)
+    return tuple(patches.values()), np.array([order.index(key) for key in keys])
+
+
+def _responses(
+    model: ObjectModel, session: Session, probings: Sequence[Probing], method: str
+) -> list[ResponseModel]:
+    rows = [
+        _rows(model, session, probing, int(patch))
+        for probing, patch in zip(probings, model.patch_of, strict=True)
+    ]
+    if method == "nelder-mead":
+        full = FullModel(model.system, model.right)
+        return [FullResponse(full, row) for row in rows]
+    reduced = make_reduced_model(model.system, model.right)
+    return [reduced_response(reduced, row) for row in rows]
+
+
+def _rows(model: ObjectModel, session: Session, probing: Probing, patch: int) -> ProbeRows:
+    columns = 3 * patch + np.arange(3)
+    if model.body is not None:
+        columns = np.concatenate([columns, 3 * len(model.patches) + np.arange(2)])
+    place = probing.displacement.surface
+    nodes = model.system.surface.displacement
+    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    particular = np.zeros(3 * place.triangle.size)
+    if model.body is not None:
+        particular = (at_points @ model.body.particular).ravel()
+    free = at_points[:, model.system.unknowns.free_vertices]
+    rest = csr_array((particular.size, model.system.size - 3 * free.shape[1]))
+    surface = csr_array(hstack([kron(free, np.eye(3)), rest]))
+    tip = None if probing.tip_displacement is None else _tip_rows(model, patch, columns)
+    return ProbeRows(columns, surface, particular, tip)
+
+
+def _tip_rows(model: ObjectModel, patch: int, columns: Int[np.ndarray, " c"]) -> PointRows:
+    right = [
+        model.tips.by_point(part)[patch][:, columns]
+        for part in (model.tip_right.constant, model.tip_right.slope, model.tip_right.curvature)
+    ]
+    particular = np.zeros(3)
+    if model.body is not None:
+        contact = model.patches[patch]
+        nodes = model.system.surface.displacement
+        at_tip = interpolation_matrix(
+            nodes, np.array([contact.triangle]), contact.barycentric[None]
+        )
+        particular = (at_tip @ model.body.particular)[0]
+    return PointRows(
+        model.tips.matrix[:, patch], model.tips.own[:, patch], np.stack(right), particular
+    )
+
+
+def _observations(probing: Probing, response: ResponseModel) -> ProbeObservations:
+    field = probing.displacement
+    return ProbeObservations(
+        name=probing.name,
+        position=field.points,
+        displacement=field.displacement,
+        std=field.std,
+        force=probing.force,
+        force_std=_or_zero(probing.force_std),
+        tip_displacement=probing.tip_displacement,
+        tip_displacement_std=probing.tip_displacement_std,
+        response=response,
+    )
+
+
+def _or_zero(std: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:
+    return np.zeros(3) if std is None else std

@@ -1,0 +1,37 @@
+"""What every test may ask for."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jaxtyping import _import_hook
+
+# The import hook wraps every function; numba cannot compile a wrapper, so kernels go unwrapped.
+# They are arrays in, arrays out, and called by functions that are checked.
+_marked_unchecked = _import_hook._is_no_type_check
+
+
+def _is_unchecked(decorator: Any) -> bool:
+    """True for decorators of functions that the shape checker must leave alone."""
+    called = getattr(decorator, "func", decorator)
+    name = getattr(called, "attr", getattr(called, "id", ""))
+    return name in ("njit", "vectorize", "guvectorize") or _marked_unchecked(decorator)
+
+
+_import_hook._is_no_type_check = _is_unchecked
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the data that is shared between the project's parts, beside the checkout.
+
+    Tests that use it skip where it is absent; where CI=true is set they fail instead.
+    """
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if folder.is_dir():
+        return folder
+    text = "needs the folder ../shared/data beside the checkout, which is not there"
+    if os.environ.get("CI") == "true":
+        pytest.fail(text)
+    pytest.skip(text)

@@ -1,0 +1,76 @@
+"""Triangle surfaces: closed forms of a box and a sphere, and what the constructor refuses."""
+
+import numpy as np
+import pytest
+from surfaces import box, sphere
+
+from palpate.errors import InputError, MeshError
+from palpate.geometry import (
+    TriangleMesh,
+    area_vectors,
+    bounding_diagonal,
+    enclosed_volume,
+    triangle_areas,
+    unit_normals,
+)
+
+
+def test_box_has_the_volume_and_area_of_a_box():
+    mesh = box(size=(0.1, 0.03, 0.02), cells=3, origin=(5.0, -2.0, 1.0))
+    # Sums of a hundred products: 1e-12 leaves a thousand roundings.
+    assert enclosed_volume(mesh) == pytest.approx(0.1 * 0.03 * 0.02, rel=1e-12)
+    area = 2 * (0.1 * 0.03 + 0.03 * 0.02 + 0.02 * 0.1)
+    assert triangle_areas(mesh).sum() == pytest.approx(area, rel=1e-12)
+    assert bounding_diagonal(mesh) == pytest.approx(np.sqrt(0.1**2 + 0.03**2 + 0.02**2), rel=1e-12)
+
+
+def test_volume_of_a_sphere_converges_at_second_order():
+    levels = np.array([2, 3, 4])
+    error = [1.0 - enclosed_volume(sphere(n)) / (4.0 * np.pi / 3.0) for n in levels]
+    rate = np.polyfit(np.log(0.5**levels), np.log(error), 1)[0]
+    # Facets of a sphere lose volume as h^2; the coarsest level bends the rate by under 0.1.
+    assert rate == pytest.approx(2.0, abs=0.1)
+
+
+def test_normals_of_a_sphere_point_outward_and_close():
+    mesh = sphere(2)
+    centre = mesh.vertices[mesh.triangles].mean(axis=1)
+    assert np.einsum("ea,ea->e", unit_normals(mesh), centre).min() > 0.9
+    # The area vectors of a closed surface sum to zero, up to rounding of 128 terms of size 0.1.
+    assert np.abs(area_vectors(mesh).sum(axis=0)).max() < 1e-14
+
+
+def test_volume_changes_sign_with_the_orientation():
+    mesh = sphere(1)
+    turned = TriangleMesh(mesh.vertices, mesh.triangles[:, ::-1])
+    assert enclosed_volume(turned) == -enclosed_volume(mesh)
+
+
+def test_arrays_are_read_only_copies():
+    vertices = np.array(box().vertices)
+    mesh = TriangleMesh(vertices, box().triangles)
+    vertices[0] = 7.0
+    assert not np.any(mesh.vertices == 7.0)
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.vertices[0, 0] = 1.0
+
+
+def test_index_out_of_range_is_refused():
+    with pytest.raises(MeshError, match="indices 0 to 3, but there are 3"):
+        TriangleMesh(np.eye(3), np.array([[0, 1, 3]]))
+
+
+def test_mesh_without_triangles_is_refused():
+    with pytest.raises(MeshError, match="no triangles"):
+        TriangleMesh(np.eye(3), np.zeros((0, 3), dtype=np.int64))
+
+
+def test_vertices_that_are_not_finite_are_refused():
+    with pytest.raises(InputError, match="1 entries that are not finite, the first at index"):
+        TriangleMesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, np.nan, 0]]), np.array([[0, 1, 2]]))
+
+
+def test_normal_of_a_flat_triangle_is_refused():
+    mesh = TriangleMesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]]))
+    with pytest.raises(MeshError, match="zero area"):
+        unit_normals(mesh)

@@ -1,0 +1,145 @@
+"""Displacement CSVs: round trips, units, and every bad input with its message."""
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.errors import RecordError
+from palpate.records import observed_rows, read_displacement, write_displacement
+
+CUBE = box(size=(0.04, 0.04, 0.04), cells=4)
+HEAD = "x,y,z,ux,uy,uz"
+ROW = "0.02,0.02,0.04,0,0,-0.001"
+
+
+@pytest.fixture
+def csv_file(tmp_path):
+    """Function that writes a CSV of the given lines and gives its path."""
+
+    def write(*lines):
+        path = tmp_path / "n01.csv"
+        path.write_text("\n".join(lines) + "\n")
+        return path
+
+    return write
+
+
+def test_columns_may_come_in_any_order_and_units(csv_file):
+    path = csv_file(" UZ,ux,uy,X,y,z,sigma", "-1,0.5,nan,20,10,40,0.1", "-1,0.5,0,20,11,40,0.2")
+    field, notes = read_displacement(path, CUBE, metres_per_unit=0.001)
+    assert notes == ()
+    np.testing.assert_allclose(field.points, [[0.02, 0.01, 0.04], [0.02, 0.011, 0.04]])
+    assert observed_rows(field).tolist() == [False, True]
+    assert np.isnan(field.displacement[0]).all()
+    np.testing.assert_allclose(field.displacement[1], [0.0005, 0.0, -0.001])
+    np.testing.assert_allclose(field.std, [[1e-4] * 3, [2e-4] * 3])
+    assert field.source == str(path)
+
+
+def test_points_are_tied_to_the_surface(csv_file):
+    field, _ = read_displacement(csv_file(HEAD, "0.02,0.011,0.0401,0,0,0"), CUBE)
+    assert field.surface.distance[0] == pytest.approx(1e-4, rel=1e-10)
+    np.testing.assert_allclose(field.surface.position[0], [0.02, 0.011, 0.04], atol=1e-15)
+
+
+def test_empty_displacement_cells_are_not_measured(csv_file):
+    field, _ = read_displacement(csv_file(HEAD, "0.02,0.02,0.04,,,", ROW), CUBE)
+    assert observed_rows(field).tolist() == [False, True]
+
+
+def test_comments_and_byte_order_marks_are_skipped(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("\ufeff# from the scanner\n" + HEAD + "\n" + ROW + "\n\n")
+    assert len(read_displacement(path, CUBE)[0].points) == 1
+
+
+def test_vertex_and_std_columns_round_trip_exactly(tmp_path, csv_file):
+    index = 7
+    place = ",".join(repr(float(x)) for x in CUBE.vertices[index])
+    path = csv_file(
+        HEAD + ",sx,sy,sz,vertex",
+        f"{place},0.0001,nan,0.1,1e-5,2e-5,3e-5,7",
+        f"{place},{1 / 3:.17g},0,1e-300,1e-5,2e-5,3e-5,7",
+    )
+    field, _ = read_displacement(path, CUBE)
+    assert field.vertex.tolist() == [7, 7]
+    write_displacement(tmp_path / "again.csv", field)
+    again, _ = read_displacement(tmp_path / "again.csv", CUBE)
+    for name in ("points", "displacement", "std", "vertex"):
+        assert np.array_equal(getattr(again, name), getattr(field, name), equal_nan=True)
+
+
+def test_round_trip_through_another_unit(tmp_path, csv_file):
+    field, _ = read_displacement(csv_file(HEAD, ROW), CUBE)
+    write_displacement(tmp_path / "mm.csv", field, metres_per_unit=0.001)
+    again, _ = read_displacement(tmp_path / "mm.csv", CUBE, metres_per_unit=0.001)
+    # One division and one multiplication: two roundings.
+    np.testing.assert_allclose(again.displacement, field.displacement, rtol=5e-16)
+
+
+def test_unknown_columns_are_left_out_and_said(csv_file):
+    _, notes = read_displacement(csv_file(HEAD + ",correlation", ROW + ",high"), CUBE)
+    assert "columns ['correlation'] are not of the format and were left out" in notes[0]
+
+
+def test_points_off_the_surface_are_noted(csv_file):
+    _, notes = read_displacement(csv_file(HEAD, "0.02,0.02,0.0412,0,0,0"), CUBE)
+    assert "lie up to 0.0012 m off the surface" in notes[0]
+
+
+BAD = [
+    (("x,y,z,ux,uy", "0,0,0,0,0"), "the column 'uz' is missing; the first line must hold"),
+    (("x;y;z;ux;uy;uz", "0;0;0;0;0;0"), "column 'x' is missing; separate the columns by ','"),
+    ((HEAD + ",ux", ROW + ",0"), "the column 'ux' is there twice"),
+    ((HEAD + ",sx", ROW + ",0"), r"has \['sx'\] only; give sx, sy and sz"),
+    ((HEAD + ",sx,sy,sz,sigma", ROW + ",1,1,1,1"), "has both sx,sy,sz and sigma"),
+    ((HEAD + ",sigmas", ROW + ",1"), "unknown column 'sigmas'; did you mean 'sigma'"),
+    ((HEAD, ROW, "0.02,0.02,top,0,0,0"), "line 3: column 'z' holds 'top'; must be a number"),
+    ((HEAD, ROW, "0.02,0.02"), "line 3: has 2 cells; the header has 6 columns"),
+    ((HEAD, ROW, "0,02,0,02,0,04,0,0,0"), "line 3: has 9 cells; the header has 6"),
+    ((HEAD, "", ROW), "line 2: has 0 cells"),
+    ((HEAD,), "has a header and no rows"),
+    ((HEAD, "0.02,0.02,0.04,nan,nan,nan"), r"not one of its 1 rows has a displacement \(all NaN"),
+    ((HEAD, ROW, "nan,0.02,0.04,0,0,0"), "line 3: x, y or z is not a finite number"),
+    ((HEAD, ROW, "0.02,0.02,0.04,inf,0,0"), "displacement has 1 entries that are not finite"),
+    ((HEAD, ROW, "0.02,0.02,0.05,0,0,0"), r"line 3: the point is 0.01 m off the surface, farther"),
+    ((HEAD + ",sigma", ROW + ",0"), "std of 1 measured points is not positive, the first: row 0"),
+    ((HEAD + ",vertex", ROW + ",98"), "line 2: vertex is 98; must be a whole number from 0 to 97"),
+    ((HEAD + ",vertex", ROW + ",0.5"), "line 2: vertex is 0.5; must be a whole number"),
+    ((HEAD + ",vertex", ROW + ",0"), "vertex 0 of the mesh is 0.04899 m from the row's"),
+    (("",), "is empty; its first line must be x,y,z,ux,uy,uz"),
+]
+
+
+@pytest.mark.parametrize(("lines", "message"), BAD)
+def test_bad_files_are_told_where_and_what(csv_file, lines, message):
+    with pytest.raises(RecordError, match=message) as caught:
+        read_displacement(csv_file(*lines), CUBE)
+    assert "n01.csv" in str(caught.value)
+
+
+def test_far_points_are_counted_and_the_worst_named(csv_file):
+    rows = ["0.02,0.02,0.05,0,0,0", ROW, "0.02,0.02,0.09,0,0,0"]
+    with pytest.raises(
+        RecordError, match=r"2 of 3 points are, the worst by 0.05 m \(line 4\); .* 0.0693 m across"
+    ):
+        read_displacement(csv_file(HEAD, *rows), CUBE)
+
+
+def test_limit_is_half_an_edge_where_the_mesh_is_coarse(csv_file):
+    coarse = box(size=(0.04, 0.04, 0.04))
+    row = "0.02,0.02,0.06,0,0,0"
+    assert len(read_displacement(csv_file(HEAD, row), coarse)[0].points) == 1
+    with pytest.raises(RecordError, match=r"0\.02 m off the surface, farther than 0\.00"):
+        read_displacement(csv_file(HEAD, row), CUBE)
+
+
+def test_files_that_cannot_be_read_or_written_are_named(tmp_path, csv_file):
+    with pytest.raises(RecordError, match=r"none\.csv: cannot be read"):
+        read_displacement(tmp_path / "none.csv", CUBE)
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(RecordError, match="not a text file"):
+        read_displacement(tmp_path / "binary.csv", CUBE)
+    field, _ = read_displacement(csv_file(HEAD, ROW), CUBE)
+    with pytest.raises(RecordError, match="cannot be written"):
+        write_displacement(tmp_path / "none" / "a.csv", field)

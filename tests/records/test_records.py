@@ -1,0 +1,149 @@
+"""Constructors of the records: what they make of good values and refuse of bad ones."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.errors import InputError
+from palpate.geometry import closest_points
+from palpate.records import (
+    Constant,
+    Contact,
+    ContactProfile,
+    DisplacementField,
+    Estimate,
+    Probing,
+    Session,
+    Status,
+)
+
+CUBE = box(cells=2)
+
+
+def _field(**changes):
+    points = np.array([[0.5, 0.5, 1.0], [0.25, 0.5, 1.0]])
+    values = {
+        "points": points,
+        "displacement": np.zeros((2, 3)),
+        "std": None,
+        "vertex": None,
+        "surface": closest_points(CUBE, points),
+        "source": "memory",
+    }
+    return DisplacementField(**(values | changes))
+
+
+def _probing(**changes):
+    values = {
+        "name": "a",
+        "contact": Contact(np.array([0.5, 0.5, 1.0]), 0.1, ContactProfile.HERTZ),
+        "force": np.array([0.0, 0.0, -1.0]),
+        "force_std": None,
+        "tip_displacement": None,
+        "tip_displacement_std": None,
+        "displacement": _field(),
+        "images": None,
+    }
+    return Probing(**(values | changes))
+
+
+def _session(**changes):
+    values = {
+        "name": "s",
+        "path": Path("session.toml"),
+        "mesh": CUBE,
+        "held_triangles": np.array([3, 1, 3]),
+        "probings": (_probing(),),
+        "density": None,
+        "gravity": None,
+        "rig": None,
+        "notes": (),
+    }
+    return Session(**(values | changes))
+
+
+def test_a_partly_measured_row_is_not_measured():
+    moved = np.array([[0.0, np.nan, 1.0], [0.0, 0.0, 1.0]])
+    assert np.isnan(_field(displacement=moved).displacement).tolist() == [[True] * 3, [False] * 3]
+
+
+def test_standard_deviation_may_be_missing_where_nothing_was_measured():
+    moved = np.array([[np.nan, 0, 0], [0.0, 0.0, 1.0]])
+    std = np.array([[np.nan] * 3, [1.0] * 3])
+    assert _field(displacement=moved, std=std).std is not None
+    with pytest.raises(InputError, match="std of 1 measured points is not positive"):
+        _field(std=std)
+
+
+def test_held_triangles_are_sorted_and_distinct():
+    assert _session().held_triangles.tolist() == [1, 3]
+
+
+def test_records_cannot_be_changed():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        _probing().name = "b"
+    with pytest.raises(ValueError, match="read-only"):
+        _probing().force[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("make", "changes", "message"),
+    [
+        (_probing, {"force": np.zeros(3)}, "force is zero"),
+        (_probing, {"force": np.array([0.0, np.inf, 0.0])}, "not finite"),
+        (_probing, {"force_std": np.array([0.0, -1.0, 0.0])}, "force_std is .* must not be neg"),
+        (
+            _probing,
+            {"tip_displacement": np.ones(3), "tip_displacement_std": np.zeros(3)},
+            "tip_displacement_std is .*; must be positive",
+        ),
+        (_session, {"held_triangles": np.zeros(0, dtype=np.int64)}, "support is empty"),
+        (_session, {"held_triangles": np.array([48])}, "names triangles 48 to 48, but the mesh"),
+        (_session, {"held_triangles": np.arange(48)}, "the whole surface"),
+        (_session, {"probings": ()}, "no probings"),
+        (_session, {"probings": (_probing(), _probing())}, r"share the names \['a'\]"),
+        (_session, {"density": -1.0}, "density is -1.0"),
+        (_session, {"gravity": np.array([0.0, 0.0, -9.81])}, "gravity is given without a density"),
+    ],
+)
+def test_bad_values_are_refused(make, changes, message):
+    with pytest.raises(InputError, match=message):
+        make(**changes)
+
+
+def test_contact_needs_a_radius_unless_it_is_a_vertex():
+    point = np.zeros(3)
+    assert Contact(point, None, ContactProfile.VERTEX).radius is None
+    for radius, profile in ((None, "hertz"), (-1.0, "hertz"), (1.0, "vertex"), (np.nan, "smooth")):
+        with pytest.raises(InputError, match="radius is"):
+            Contact(point, radius, ContactProfile(profile))
+
+
+def test_status_names_exactly_what_is_not_told():
+    names = ("shear_modulus", "poisson_ratio", "young_modulus")
+    seen = set()
+    for bits in range(8):
+        told = {name: bool(bits >> i & 1) for i, name in enumerate(names)}
+        status = Status.from_identifiable(told)
+        seen.add(status)
+        if 0 < bits < 7:
+            assert [name in status.value for name in names] == [not told[name] for name in names]
+    assert seen == set(Status) - {Status.NOT_CONVERGED}
+    assert Status.from_identifiable(dict.fromkeys(names, True)) is Status.OK
+    with pytest.raises(InputError, match="identifiable has the keys"):
+        Status.from_identifiable({"nu": True})
+
+
+def test_every_status_has_its_cure():
+    assert all(len(status.advice) > 20 for status in Status)
+
+
+def test_constants_and_estimates_are_checked():
+    with pytest.raises(InputError, match="ci95 is"):
+        Constant(1.0, 0.1, (2.0, 1.0))
+    one = Constant(1.0, 0.1, (0.8, 1.2))
+    with pytest.raises(InputError, match="identifiable has the keys"):
+        Estimate(Status.OK, one, one, one, {}, (), {}, "reduced", {}, ())

@@ -1,0 +1,346 @@
+"""Sessions: what a good one becomes, and what every kind of bad one is told."""
+
+import numpy as np
+import pytest
+from surfaces import box, joined, sphere
+
+from palpate.errors import InputError, MeshError, RecordError
+from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas, write_mesh
+from palpate.records import ContactProfile, Images, observed_rows, read_session
+
+
+def test_a_good_session_is_read_in_si_units(session_folder):
+    session = read_session(session_folder)
+    assert session.name == "test cube"
+    assert session.path == session_folder / "session.toml"
+    assert session.notes == ()
+    assert triangle_areas(session.mesh)[session.held_triangles].sum() == pytest.approx(0.04**2)
+    first, second = session.probings
+    assert (first.name, first.contact.profile) == ("n01", ContactProfile.SMOOTH)
+    assert first.contact.radius == 0.006
+    assert first.force_std.tolist() == [0.012] * 3
+    assert first.tip_displacement_std.tolist() == [5e-5] * 3
+    assert second.contact.radius is None
+    assert second.tip_displacement is None
+    assert (~observed_rows(second.displacement)).sum() == 1
+    assert session.density == 1000.0
+    assert session.gravity is None
+
+
+def test_a_file_name_is_as_good_as_its_folder(session_folder):
+    (session_folder / "session.toml").rename(session_folder / "other.toml")
+    assert read_session(session_folder / "other.toml").name == "test cube"
+    with pytest.raises(RecordError, match=r"no session\.toml; it has \['other\.toml'\]"):
+        read_session(session_folder)
+
+
+def test_only_the_named_probings_are_read(session_folder):
+    (session_folder / "n01.csv").unlink()
+    assert [p.name for p in read_session(session_folder, probes=["n02"]).probings] == ["n02"]
+    with pytest.raises(RecordError, match="no probing 'n1'; did you mean 'n01'"):
+        read_session(session_folder, probes=["n1"])
+
+
+def test_every_length_is_converted(edited):
+    """The same cube written in millimetres, density and force in SI as ever."""
+    metres = read_session(edited('length_unit = "m"', 'length_unit = "m"'))
+    folder = edited('length_unit = "m"', 'length_unit = "mm"')
+    text = (folder / "session.toml").read_text()
+    for old, new in (
+        ("[0.02, 0.02, 0.04], radius = 0.006", "[20, 20, 40], radius = 6"),
+        ("[0.04, 0.02, 0.03]", "[40, 20, 30]"),
+        ("-0.0021", "-2.1"),
+        ("5e-5", "5e-2"),
+        ("1e-6", "1e-3"),
+    ):
+        text = text.replace(old, new)
+    (folder / "session.toml").write_text(text)
+    write_mesh(folder / "mesh.ply", box(size=(40.0, 40.0, 40.0), cells=4))
+    for name in ("n01.csv", "n02.csv"):
+        table = np.genfromtxt(folder / name, delimiter=",", skip_header=1)
+        header = "x,y,z,ux,uy,uz"
+        np.savetxt(folder / name, 1000.0 * table, delimiter=",", header=header, comments="")
+    millimetres = read_session(folder)
+    assert millimetres.notes == ()
+    assert np.array_equal(millimetres.held_triangles, metres.held_triangles)
+    assert enclosed_volume(millimetres.mesh) == pytest.approx(0.04**3, rel=1e-12)
+    for a, b in zip(millimetres.probings, metres.probings, strict=True):
+        # Nine digits are in the files.
+        np.testing.assert_allclose(a.contact.point, b.contact.point, rtol=1e-12)
+        np.testing.assert_allclose(a.displacement.points, b.displacement.points, atol=1e-10)
+        np.testing.assert_allclose(
+            a.displacement.displacement, b.displacement.displacement, atol=1e-12
+        )
+    assert millimetres.probings[0].contact.radius == pytest.approx(0.006)
+    assert millimetres.probings[0].tip_displacement[2] == pytest.approx(-0.0021)
+    assert millimetres.probings[0].tip_displacement_std[0] == pytest.approx(5e-5)
+    assert millimetres.probings[0].force.tolist() == [0.0, 0.0, -1.2]
+    assert millimetres.probings[0].force_std.tolist() == [0.012] * 3
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("in", 0.0254), ("cm", 0.01), ("mm", 0.001)])
+def test_every_unit_has_its_length(edited, unit, metres):
+    session = read_session(edited('length_unit = "m"', f'length_unit = "{unit}"'))
+    assert enclosed_volume(session.mesh) == pytest.approx((0.04 * metres) ** 3, rel=1e-12)
+    assert session.probings[0].contact.radius == pytest.approx(0.006 * metres, rel=1e-15)
+
+
+# One spoilt piece of session.toml each: what replaces what, and what the message must say.
+BAD_TEXT = [
+    ('format = "palpate-session/1"', 'format = "palpate-session/2"', r"format: is 'palpate-sess"),
+    ('format = "palpate-session/1"', "", "the key 'format' is missing"),
+    ('format = "palpate', "format = palpate", "not valid TOML.*line 1"),
+    ("length_unit", "lenght_unit", r"\[object\]: unknown key 'lenght_unit'; did you mean 'length_"),
+    ('length_unit = "m"', 'length_unit = "mn"', r"\[object\] length_unit: is 'mn'; did you mean"),
+    ('length_unit = "m"', "", r"\[object\]: the key 'length_unit' is missing"),
+    ("[support]", "[suport]", "unknown key 'suport'; did you mean 'support'"),
+    ('mesh = "mesh.ply"', 'mesh = "mash.ply"', r"\[object\] mesh: no such file: .*did you mean 'm"),
+    ('mesh = "mesh.ply"', "mesh = 3", r"\[object\] mesh: is 3; must be a text"),
+    ("density = 1000.0", "density = -1", "density: is -1.0; must be positive"),
+    ("density = 1000.0", "density = nan", "density: is nan; must be a finite number"),
+    ("density = 1000.0", "density = true", "density: is True; must be a finite number"),
+    ("normal = [0, 0, 2]", "normal = [0, 0, 0]", r"\[support\] plane normal: is the zero vector"),
+    ("normal = [0, 0, 2]", "normal = [0, 0]", r"normal: is \[0, 0\]; must be three finite numbers"),
+    ("tolerance = 1e-6", "tolerance = -1", r"tolerance: is -1.0; must not be negative"),
+    ("tolerance = 1e-6", "tolerence = 1e-6", "did you mean 'tolerance'"),
+    ("force = [0, 0, -1.2]", "force = [0, 0, 0]", r"\[\[probe\]\] 'n01': force is zero"),
+    ("force = [0, 0, -1.2]", "force = 1.2", r"'n01' force: is 1.2; must be three finite numbers"),
+    ("force = [0, 0, -1.2]", "", r"\[\[probe\]\] 'n01': the key 'force' is missing"),
+    ("force_std = 0.012", "force_std = -0.1", "force_std: is -0.1; must not be negative"),
+    ("force_std = 0.012", 'force_std = "1 %"', "force_std: is '1 %'; must be a finite number, or"),
+    ("tip_displacement_std = 5e-5", "tip_displacement_std = 0", "tip_displacement_std: is 0; must"),
+    ("tip_displacement = [0, 0, -0.0021]", "", "is given without tip_displacement"),
+    ("radius = 0.006, ", "", "'n01': radius is missing; profile 'smooth' needs one"),
+    ("radius = 0.006", "radius = 0", "'n01': radius is 0.0; must be a positive length"),
+    ('"smooth"', '"smoth"', "'n01' contact profile: is 'smoth'; did you mean 'smooth'"),
+    ('profile = "vertex"', 'profile = "vertex", radius = 1', "'n02': radius is 1.0 with profile"),
+    ('name = "n02"', 'name = "n01"', "number 2 name: 'n01' is taken by an earlier probing"),
+    ('name = "n02"', "", r"\[\[probe\]\] number 2: the key 'name' is missing"),
+    ('"n01.csv"', '"n03.csv"', "'n01' displacement: no such file: .*did you mean 'n0"),
+    ('displacement = "n02.csv"', "", "'n02' displacement: the key is missing: give the measured"),
+    ("[0.02, 0.02, 0.04]", "[0.02, 0.02, 0.05]", "contact misses the surface: its point is 0.01 m"),
+    ("[0.04, 0.02, 0.03]", "[0.09, 0.02, 0.03]", "misses the surface: .* three mean edge lengths"),
+    ("[0.02, 0.02, 0.04]", "[0.0, 0.02, 0.004]", "partly on the support: its point is 0.004 m"),
+    ("[0.04, 0.02, 0.03]", "[0.04, 0.02, 0.0]", "partly on the support: the nearest vertex"),
+    ("[[probe]]", "[gravity]\nacceleration = [0, 0]\n[[probe]]", "acceleration: is .*three finite"),
+    ("[[probe]]", '[rig]\ncameras = "rig.toml"\n[[probe]]', r"\[rig\] cameras: no such file"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), BAD_TEXT)
+def test_a_bad_session_file_is_told_where_and_what(edited, old, new, message):
+    folder = edited(old, new)
+    with pytest.raises(RecordError, match=message) as caught:
+        read_session(folder)
+    assert str(caught.value).startswith(str(folder / "session.toml"))
+
+
+def test_far_side_of_a_thin_object_is_no_contact(session_folder):
+    """A sheet of 4 mm held below, pressed above with a radius of 6 mm."""
+    write_mesh(session_folder / "mesh.ply", box(size=(0.04, 0.04, 0.004), cells=8))
+    text = (session_folder / "session.toml").read_text().replace("0.02, 0.04]", "0.02, 0.004]")
+    (session_folder / "session.toml").write_text(text)
+    (session_folder / "n01.csv").write_text("x,y,z,ux,uy,uz\n0.02,0.01,0.004,0,0,-1e-4\n")
+    assert len(read_session(session_folder, probes=["n01"]).probings) == 1
+
+
+def test_gravity_needs_a_density(edited):
+    edited("[[probe]]", "[gravity]\nacceleration = [0, 0, -9.81]\n[[probe]]")
+    assert read_session(edited("n01", "n01")).gravity.tolist() == [0.0, 0.0, -9.81]
+    with pytest.raises(RecordError, match=r"\[gravity\] acceleration: gravity needs the object's"):
+        read_session(edited("density = 1000.0", ""))
+
+
+def test_sessions_without_probings_and_of_steps_are_refused(session_folder):
+    file = session_folder / "session.toml"
+    head = file.read_text().partition("[[probe]]")[0]
+    file.write_text(head)
+    with pytest.raises(RecordError, match=r"has no \[\[probe\]\] table"):
+        read_session(session_folder)
+    file.write_text(head + '[[step]]\nname = "s0"\nimages = "s0_{camera}.png"\n')
+    with pytest.raises(RecordError, match="rigid-motion sequence"):
+        read_session(session_folder)
+
+
+def test_images_are_kept_and_alone_do_not_suffice(edited):
+    images = 'images = { rest = "r_{camera}.png", loaded = ["a_{camera}.png"] }\n'
+    session = read_session(edited("force_std = 0.012\n", images))
+    assert session.probings[0].images == Images("r_{camera}.png", ("a_{camera}.png",))
+    with pytest.raises(RecordError, match="has images only; they are not evaluated yet: give"):
+        read_session(edited('displacement = "n01.csv"', ""))
+    edited('loaded = ["a_{camera}.png"]', 'loaded = "a_{camera}.png"')
+    with pytest.raises(RecordError, match=r"images loaded: is 'a_{camera}.png'; must be a list"):
+        read_session(edited("n01", "n01"))
+
+
+def test_missing_paths_are_named(tmp_path):
+    with pytest.raises(RecordError, match="no such file or folder"):
+        read_session(tmp_path / "nothing")
+    with pytest.raises(RecordError, match=r"the folder has no session.toml$"):
+        read_session(tmp_path)
+
+
+def test_session_file_that_is_not_text_is_refused(tmp_path):
+    (tmp_path / "session.toml").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(RecordError, match="not a text file in UTF-8"):
+        read_session(tmp_path)
+
+
+# ---------------------------------------------------------------- the support
+
+
+def _support(edited, text):
+    return edited("plane = { point = [0, 0, 0], normal = [0, 0, 2], tolerance = 1e-6 }", text)
+
+
+def test_selectors_are_united(edited):
+    folder = _support(
+        edited,
+        "plane = [{ point = [0, 0, 0], normal = [0, 0, -3], tolerance = 1e-6 }]\n"
+        "box = { min = [-1, -1, -1], max = [0.041, 0.0001, 0.011] }\n"
+        'triangles = "support.txt"',
+    )
+    (folder / "support.txt").write_text("# the last one\n191\n\n191 # again\n")
+    session = read_session(folder, probes=["n01"])
+    # Floor, one row of the four cells high side y = 0, and the listed triangle.
+    area = 0.04**2 + 0.04 * 0.01 + triangle_areas(session.mesh)[191]
+    assert triangle_areas(session.mesh)[session.held_triangles].sum() == pytest.approx(area)
+
+
+def test_empty_support_tells_how_far_the_plane_is(edited):
+    folder = edited("plane = { point = [0, 0, 0]", "plane = { point = [0, 0, -0.003]")
+    with pytest.raises(RecordError, match=r"support is empty: .* plane is 0\.003 m off"):
+        read_session(folder)
+    with pytest.raises(RecordError, match=r"\[support\]: is empty; give at least one of"):
+        read_session(
+            edited("plane = { point = [0, 0, -0.003], normal = [0, 0, 2], tolerance = 1e-6 }", "")
+        )
+
+
+def test_tolerance_of_a_plane_is_in_the_unit_of_lengths(edited):
+    edited('length_unit = "m"', 'length_unit = "cm"')
+    folder = edited(
+        "[0, 0, 0], normal = [0, 0, 2], tolerance = 1e-6",
+        "[0, 0, -0.003], normal = [0, 0, 2], tolerance = 0.002",
+    )
+    # 0.003 cm off, 0.002 cm allowed.
+    with pytest.raises(RecordError, match=r"plane is 3e-05 m off, its tolerance is 2e-05 m"):
+        read_session(folder)
+    assert len(read_session(edited("tolerance = 0.002", "tolerance = 0.004")).held_triangles) == 32
+
+
+def test_support_that_is_the_whole_surface_is_refused(edited):
+    folder = _support(edited, "box = { min = [-1, -1, -1], max = [1, 1, 1] }")
+    with pytest.raises(RecordError, match=r"the whole surface \(all 192 triangles\)"):
+        read_session(folder)
+
+
+def test_bad_selectors_are_refused(edited):
+    folder = _support(edited, "box = { min = [1, 0, 0], max = [0, 1, 1] }")
+    with pytest.raises(RecordError, match="min: exceeds max"):
+        read_session(folder)
+    edited("box = { min = [1, 0, 0], max = [0, 1, 1] }", 'triangles = "support.txt"')
+    with pytest.raises(RecordError, match="triangles: no such file"):
+        read_session(folder)
+    for word in ("192", "-1", "2.5", "two"):
+        (folder / "support.txt").write_text(f"0\n{word}\n")
+        with pytest.raises(RecordError, match=rf"line 2: '{word}' is not a triangle.* 0 to 191"):
+            read_session(folder)
+    edited('triangles = "support.txt"', "plane = 3")
+    with pytest.raises(RecordError, match="plane: is 3; must be a table or a list of tables"):
+        read_session(folder)
+
+
+# ---------------------------------------------------------------- the mesh
+
+
+def test_mesh_failures_name_the_file(session_folder):
+    cube = box(size=(0.04, 0.04, 0.04), cells=4)
+    far = sphere(1, radius=0.01)
+    for bad, message in (
+        (TriangleMesh(cube.vertices, cube.triangles[1:]), "the surface is open"),
+        (joined(cube, TriangleMesh(far.vertices + 1.0, far.triangles)), "2 separate components"),
+        (
+            TriangleMesh(cube.vertices, np.concatenate([cube.triangles, cube.triangles[:1]])),
+            "share all three vertices",
+        ),
+    ):
+        write_mesh(session_folder / "mesh.ply", bad)
+        with pytest.raises(MeshError, match=rf"mesh\.ply: .*{message}"):
+            read_session(session_folder)
+
+
+def test_inward_mesh_is_turned_and_said(session_folder):
+    cube = box(size=(0.04, 0.04, 0.04), cells=4)
+    write_mesh(session_folder / "mesh.ply", TriangleMesh(cube.vertices, cube.triangles[:, ::-1]))
+    session = read_session(session_folder)
+    assert enclosed_volume(session.mesh) > 0.0
+    assert session.notes == (
+        "mesh.ply: All triangles of the mesh faced inward; they were turned outward.",
+    )
+
+
+# ---------------------------------------------------------------- observed points, plausibility
+
+
+def test_points_all_on_the_support_are_refused(session_folder):
+    (session_folder / "n01.csv").write_text(
+        "x,y,z,ux,uy,uz\n0.01,0.01,0,0,0,1e-4\n0.02,0.01,0,0,0,1e-4\n0.02,0.02,0.04,nan,0,0\n"
+    )
+    with pytest.raises(RecordError, match=r"'n01': all 2 measured points of .* on the support"):
+        read_session(session_folder)
+
+
+def test_one_free_point_suffices(session_folder):
+    (session_folder / "n01.csv").write_text(
+        "x,y,z,ux,uy,uz\n0.01,0.01,0,0,0,0\n0.02,0.01,0.04,0,0,-1e-3\n"
+    )
+    assert len(read_session(session_folder).probings[0].displacement.points) == 2
+
+
+def test_mesh_in_millimetres_declared_metres_is_noted(session_folder):
+    """Mesh and points 1000 times too large, displacements in metres."""
+    text = (session_folder / "session.toml").read_text()
+    text = text.replace("[0.02, 0.02, 0.04], radius = 0.006", "[20, 20, 40], radius = 6")
+    text = text.replace("[0.04, 0.02, 0.03]", "[40, 20, 30]")
+    (session_folder / "session.toml").write_text(text)
+    write_mesh(session_folder / "mesh.ply", box(size=(40.0, 40.0, 40.0), cells=4))
+    row = "20,10,40,0,0,-1e-4\n"
+    for name in ("n01.csv", "n02.csv"):
+        (session_folder / name).write_text("x,y,z,ux,uy,uz\n" + row)
+    notes = read_session(session_folder).notes
+    assert "69.3 m across, an implausible size: is the mesh in another unit" in notes[0]
+    assert any("n02: the largest displacement of 0.0001 m is implausibly small" in n for n in notes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("force = [0, 0, -1.2]", "force = [0, 0, 1.2]", "the tool pulls"),
+        ("[0, 0, -0.0021]", "[0, 0, 0.0021]", "the tip moved against the force"),
+        ("[0, 0, -0.0021]", "[0, 0, -0.009]", "13 % of the object's size, outside small"),
+        ("[0, 0, -0.0021]", "[0, 0, -2.1]", "implausibly large"),
+        ("radius = 0.006", "radius = 0.00001", "contact radius of 1e-05 m is implausible"),
+    ],
+)
+def test_likely_mistakes_are_noted(edited, old, new, message):
+    notes = read_session(edited(old, new)).notes
+    assert any("Probing n01" in note and message in note for note in notes)
+
+
+def test_shared_sessions_are_read(shared_data):
+    """Needs ../shared."""
+    noisy = read_session(shared_data / "halfball_probes")
+    assert len(noisy.probings) == 17
+    assert noisy.notes == ()
+    field = noisy.probings[0].displacement
+    assert (~observed_rows(field)).sum() == 75
+    # Points are vertices of the mesh; the CSV has nine digits of 40 mm.
+    assert field.surface.distance.max() < 1e-9
+    beam = read_session(shared_data / "real" / "dragonskin_beam")
+    assert beam.probings[0].name == "load52_a"
+    assert any("outside small deformation" in note for note in beam.notes)
+    with pytest.raises(InputError, match="has images only"):
+        read_session(shared_data / "halfball_images")
+    with pytest.raises(InputError, match="rigid-motion sequence"):
+        read_session(shared_data / "rigid_rotation_z")

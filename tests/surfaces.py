@@ -1,0 +1,50 @@
+"""Closed triangle surfaces for tests, made by hand: no mesh program, no file."""
+
+import numpy as np
+
+from palpate.geometry import TriangleMesh, welded
+
+
+def box(size=(1.0, 1.0, 1.0), cells=1, origin=(0.0, 0.0, 0.0)) -> TriangleMesh:
+    """Box from `origin`, every face a grid of `cells` by `cells` squares cut in two."""
+    t = np.linspace(0.0, 1.0, cells + 1)
+    u, v = (grid.ravel() for grid in np.meshgrid(t, t, indexing="ij"))
+    a = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    quads = np.stack([a[:-1, :-1], a[1:, :-1], a[1:, 1:], a[:-1, 1:]], axis=-1).reshape(-1, 4)
+    flat = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    vertices, triangles = [], []
+    for axis in range(3):
+        for side in (0.0, 1.0):
+            face = np.zeros((len(u), 3))
+            face[:, axis] = side
+            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = u, v
+            triangles.append((flat if side else flat[:, ::-1]) + len(u) * len(vertices))
+            vertices.append(face * np.asarray(size) + np.asarray(origin))
+    return welded(TriangleMesh(np.concatenate(vertices), np.concatenate(triangles)))
+
+
+def sphere(subdivisions=2, radius=1.0) -> TriangleMesh:
+    """Octahedron, every triangle cut in four `subdivisions` times, vertices on the sphere."""
+    vertices = np.concatenate([np.eye(3), -np.eye(3)])
+    triangles = np.array(
+        [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+    )
+    for _ in range(subdivisions):
+        corner = vertices[triangles]
+        middle = 0.5 * (corner + np.roll(corner, -1, axis=1))
+        points = np.concatenate([corner, middle], axis=1).reshape(-1, 3)
+        base = 6 * np.arange(len(triangles))[:, None, None]
+        cut = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+        mesh = welded(TriangleMesh(points, (base + cut).reshape(-1, 3)))
+        vertices, triangles = mesh.vertices, mesh.triangles
+        vertices = vertices / np.linalg.norm(vertices, axis=1)[:, None]
+    return TriangleMesh(radius * vertices, triangles)
+
+
+def joined(*meshes: TriangleMesh) -> TriangleMesh:
+    """Several surfaces in one mesh, vertices kept apart."""
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    return TriangleMesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([m.triangles + s for m, s in zip(meshes, starts, strict=False)]),
+    )
