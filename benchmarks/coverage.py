@@ -112,7 +112,7 @@ def measured_coverage(
     repeats, seed : int
     settings : FitSettings or None
     """
-    settings = settings or FitSettings(map_size=0)
+    settings = settings or FitSettings(map_size=2)
     young = 2 * shear_modulus * (1 + poisson_ratio)
     truth = dict(zip(NAMES, (poisson_ratio, shear_modulus, young), strict=True))
     errors: list[list[float]] = []

@@ -242,8 +242,9 @@ def sampled(mesh: Hexahedra, field: np.ndarray, points: np.ndarray, radius: floa
         offset = point - corner[0, 0]
         a, _ = lagrange(mesh.order, np.array([offset @ along / (along @ along)]))
         b, _ = lagrange(mesh.order, np.array([offset @ across / (across @ across)]))
-        result[i] = np.einsum("i,j,ij...->...", a[0], b[0], field[faces[face]].reshape(
-            width, width, *field.shape[1:]))
+        result[i] = np.einsum(
+            "i,j,ij...->...", a[0], b[0], field[faces[face]].reshape(width, width, *field.shape[1:])
+        )
     return result
 
 
@@ -259,10 +260,10 @@ def contacts() -> tuple[np.ndarray, np.ndarray]:
     points, forces = [], []
     for _, polar, azimuth, force, (tilt, about) in PROBES:
         theta, phi, tilt, about = np.radians([polar, azimuth, tilt, about])
-        normal = np.array(
-            [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-        across = np.array([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi),
-                           -np.sin(theta)])
+        normal = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+        across = np.array(
+            [np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)]
+        )
         along = np.cross(normal, across)
         aside = np.cos(about) * across + np.sin(about) * along
         points.append(RADIUS * normal)
@@ -272,13 +273,22 @@ def contacts() -> tuple[np.ndarray, np.ndarray]:
 
 def displacements(sides: int, shells: int, order: int, at: np.ndarray, **body) -> np.ndarray:
     """Displacement (k, points, 3) of each probing at points of the sphere."""
-    body = {"radius": RADIUS, "young_modulus": YOUNG_MODULUS, "poisson_ratio": POISSON_RATIO,
-            "patch": PATCH_RADIUS, "contacts": contacts()} | body
+    body = {
+        "radius": RADIUS,
+        "young_modulus": YOUNG_MODULUS,
+        "poisson_ratio": POISSON_RATIO,
+        "patch": PATCH_RADIUS,
+        "contacts": contacts(),
+    } | body
     mesh = half_ball(sides, shells, order, radius=body["radius"])
     matrix = assembled(mesh, stiffness(mesh, body["young_modulus"], body["poisson_ratio"]))
-    load = np.stack([
-        np.outer(patch_load(mesh, point, body["patch"], body["radius"]), force).ravel()
-        for point, force in zip(*body["contacts"], strict=True)], axis=1)
+    load = np.stack(
+        [
+            np.outer(patch_load(mesh, point, body["patch"], body["radius"]), force).ravel()
+            for point, force in zip(*body["contacts"], strict=True)
+        ],
+        axis=1,
+    )
     free = np.repeat(mesh.nodes[:, 2] > 1e-9, 3)
     field = solved(matrix, load, free, corner_interpolation(mesh)).reshape(len(mesh.nodes), 3, -1)
     return sampled(mesh, field, at, body["radius"]).transpose(2, 0, 1)
@@ -347,15 +357,25 @@ def write_session(seen: np.ndarray, field: np.ndarray, tips: np.ndarray) -> None
         moved[gross] += rng.uniform(3e-4, 1e-3, (gross.sum(), 1)) * unit(rng, gross.sum())
         moved[rng.random(len(moved)) < MISSING] = np.nan
         rows = np.hstack([seen[free], moved, np.broadcast_to(NOISE, moved.shape)]) * 1e3
-        np.savetxt(HERE / f"{name}.csv", rows, "%.4f", ",", header="x,y,z,ux,uy,uz,sx,sy,sz",
-                   comments="")
-        text.append(PROBE.format(
-            name=name, point=listed(1e3 * points[i]), radius=1e3 * PATCH_RADIUS,
-            force=listed(force), force_std=FORCE_NOISE * size, tip=listed(1e3 * tip),
-            tip_std=1e3 * TIP_NOISE))
-        truth.append(f'\n[[probe]]\nname = "{name}"\nforce = {listed(forces[i])}\n'
-                     f"tip_displacement = {listed(1e3 * tips[i])}\n"
-                     f"outlier_rows = {np.flatnonzero(gross).tolist()}\n")
+        np.savetxt(
+            HERE / f"{name}.csv", rows, "%.4f", ",", header="x,y,z,ux,uy,uz,sx,sy,sz", comments=""
+        )
+        text.append(
+            PROBE.format(
+                name=name,
+                point=listed(1e3 * points[i]),
+                radius=1e3 * PATCH_RADIUS,
+                force=listed(force),
+                force_std=FORCE_NOISE * size,
+                tip=listed(1e3 * tip),
+                tip_std=1e3 * TIP_NOISE,
+            )
+        )
+        truth.append(
+            f'\n[[probe]]\nname = "{name}"\nforce = {listed(forces[i])}\n'
+            f"tip_displacement = {listed(1e3 * tips[i])}\n"
+            f"outlier_rows = {np.flatnonzero(gross).tolist()}\n"
+        )
     (HERE / "session.toml").write_text("".join(text))
     (HERE / "truth.toml").write_text("".join(truth))
 
@@ -374,10 +394,12 @@ def listed(values: np.ndarray) -> str:
 def write_mesh() -> None:
     """mesh.ply in mm, as text."""
     vertices, triangles = surface_mesh()
-    head = (f"ply\nformat ascii 1.0\ncomment half ball, radius 30, unit mm\n"
-            f"element vertex {len(vertices)}\nproperty double x\nproperty double y\n"
-            f"property double z\nelement face {len(triangles)}\n"
-            "property list uchar int vertex_indices\nend_header\n")
+    head = (
+        f"ply\nformat ascii 1.0\ncomment half ball, radius 30, unit mm\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\n"
+        f"property double z\nelement face {len(triangles)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
     rows = [" ".join(f"{1e3 * x:.6f}" for x in v) for v in vertices]
     rows += ["3 " + " ".join(map(str, t)) for t in triangles]
     (HERE / "mesh.ply").write_text(head + "\n".join(rows) + "\n")
@@ -419,17 +441,23 @@ def main() -> None:
     at = np.vstack([seen, points])
     best = displacements(12, 6, 3, at)
     write_mesh()
-    write_session(seen, best[:, : len(seen)], best[np.arange(len(points)), len(seen) :][
-        np.arange(len(points)), np.arange(len(points))])
+    write_session(
+        seen,
+        best[:, : len(seen)],
+        best[np.arange(len(points)), len(seen) :][np.arange(len(points)), np.arange(len(points))],
+    )
     for mesh in ((10, 5, 3), (12, 6, 2), (16, 8, 2)) if check else ():
         other = displacements(*mesh, at)
         for i, (name, *_) in enumerate(PROBES):
             free = np.linalg.norm(at - points[i], axis=1) > 1.3 * PATCH_RADIUS
             rms = np.linalg.norm((other - best)[i, free]) / np.linalg.norm(best[i, free])
             tip = np.linalg.norm((other - best)[i, len(seen) + i]) / np.linalg.norm(
-                best[i, len(seen) + i])
-            print(f"{mesh} {name}: {100 * rms:.2f} % rms over the points, {100 * tip:.2f} % tip",
-                  flush=True)
+                best[i, len(seen) + i]
+            )
+            print(
+                f"{mesh} {name}: {100 * rms:.2f} % rms over the points, {100 * tip:.2f} % tip",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

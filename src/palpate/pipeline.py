@@ -1,4 +1,5 @@
-"""From a session to its elastic constants: the one place where probe, boundary elements and estimation meet."""
+"""From a session to its elastic constants: the one place where probe, boundary elements and
+estimation meet."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -26,6 +27,7 @@ from palpate.bem import (
 )
 from palpate.errors import InputError
 from palpate.estimation import (
+    FitMethod,
     FitResult,
     FitSettings,
     FullModel,
@@ -43,7 +45,7 @@ from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import Probing, Session
 
 Progress = Callable[[str, float], None]
-METHODS = ("reduced", "nelder-mead")
+FIT_STARTS = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +89,8 @@ def fit_session(
     ----------
     session : Session
     probes : sequence of str          names of the probings to use; all unless told
-    method : str                      "reduced" (one factorisation, the default) or "nelder-mead" (the paper's search)
+    method : str                      "reduced" (one factorisation, the default) or "nelder-mead"
+                                      (the paper's search)
     settings : FitSettings
     surface : SurfaceSettings         how the surface between the vertices is understood
     progress : callable               told what is done (text) and how far it is (0 to 1)
@@ -98,11 +101,11 @@ def fit_session(
 
     Raises
     ------
-    InputError                        unknown probing or method, a probing without displacements, a bad contact
+    InputError                        unknown probing or method, a probing without displacements, a
+                                      bad contact
     SingularSystemError               the support does not hold the object
     """
-    if method not in METHODS:
-        raise InputError(f"method is '{method}'; must be one of {', '.join(METHODS)}")
+    settings = replace(settings, method=method)
     say = progress or _silent
     start = time.perf_counter()
     probings = _chosen(session, probes)
@@ -112,12 +115,15 @@ def fit_session(
     say("factorisation", 0.5)
     responses = _responses(model, session, probings, method)
     factorised = time.perf_counter()
-    say("fit", 0.8)
     observations = [
         _observations(probing, response)
         for probing, response in zip(probings, responses, strict=True)
     ]
-    result = fit(observations, settings=replace(settings, method=method))
+    result = fit(
+        observations,
+        settings=settings,
+        progress=lambda stage, share: say(stage, FIT_STARTS + (1 - FIT_STARTS) * share),
+    )
     done = time.perf_counter()
     say("done", 1.0)
     seconds = {
@@ -192,8 +198,8 @@ def _chosen(session: Session, names: Sequence[str] | None) -> list[Probing]:
     blind = [name for name in wanted if known[name].displacement is None]
     if blind:
         raise InputError(
-            f"probing {', '.join(map(repr, blind))} in {session.path} has no measured displacement; "
-            "give its `displacement` file, or leave it out with --probe"
+            f"probing {', '.join(map(repr, blind))} in {session.path} has no measured "
+            "displacement; give its `displacement` file, or leave it out with --probe"
         )
     return [known[name] for name in wanted]
 
@@ -222,7 +228,7 @@ def _responses(
         _rows(model, session, probing, int(patch))
         for probing, patch in zip(probings, model.patch_of, strict=True)
     ]
-    if method == "nelder-mead":
+    if method == FitMethod.NELDER_MEAD:
         full = FullModel(model.system, model.right)
         return [FullResponse(full, row) for row in rows]
     reduced = make_reduced_model(model.system, model.right)

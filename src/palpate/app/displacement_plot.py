@@ -6,21 +6,22 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PathCollection, PolyCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpecFromSubplotSpec
+from matplotlib.gridspec import GridSpecFromSubplotSpec, SubplotSpec
 from matplotlib.ticker import MaxNLocator
 
 from palpate.app.surface_view import SurfaceView, best_direction, make_view, projected
 from palpate.estimation import ProbeFit
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
 from palpate.records import Probing, observed_rows
-from palpate.shapes import Flags, Points, PointScalars
+from palpate.shapes import Flags, Points, PointScalars, Vector3
 
 __all__ = ["displacement_figure"]
 
 INK, RED = "#1c1f24", "#D55E00"
+OFF = 0.1  # robust weight under which a point counts as an outlier
 ARROWS = 60  # more would hide the points
 LONGEST_ARROW = 0.13  # of the object's size in the picture
 PANEL = 2.3  # inches
@@ -34,8 +35,9 @@ class _Scene:
     view: SurfaceView
     place: Points
     front: Flags
-    contact: Float[np.ndarray, "3"]
-    push: Float[np.ndarray, "3"]
+    contact: Vector3
+    push: Vector3
+    off: Flags
     size: float
     spot: float
 
@@ -63,7 +65,8 @@ def displacement_figure(mesh: TriangleMesh, probing: Probing, fit: ProbeFit) -> 
     normals = unit_normals(mesh)[field.surface.triangle[seen]]
     touched = closest_points(mesh, probing.contact.point[None]).triangle[0]
     direction = best_direction(normals, unit_normals(mesh)[touched])
-    scene = _scene(mesh, probing, field.points[seen], normals, direction)
+    off = fit.weight[seen].min(axis=1) < OFF
+    scene = _scene(mesh, probing, field.points[seen], normals, direction, off)
     residual = field.displacement[seen] - fit.predicted[seen]
     vectors = [
         1e3 * projected(scene.view, moved)
@@ -77,7 +80,8 @@ def _scene(
     probing: Probing,
     points: Points,
     normals: Points,
-    direction: Float[np.ndarray, "3"],
+    direction: Vector3,
+    off: Flags,
 ) -> _Scene:
     """Surface, points and force as the viewer has them."""
     view = make_view(mesh, direction)
@@ -88,6 +92,7 @@ def _scene(
         front=normals @ view.R_view_object[2] > 0.05,
         contact=1e3 * projected(view, probing.contact.point),
         push=projected(view, force),
+        off=off,
         size=1e3 * bounding_diagonal(mesh),
         spot=float(np.clip(3000.0 / len(points), 5.0, 42.0)),
     )
@@ -96,39 +101,58 @@ def _scene(
 def _drawn(name: str, scene: _Scene, vectors: list[Points]) -> Figure:
     """The figure: two panels with one colour bar, the residual with its own."""
     lengths = [np.linalg.norm(moved, axis=1) for moved in vectors]
-    largest = max(float(np.quantile(lengths[0], 0.99)), float(lengths[1].max()), 1e-9)
-    over = max(float(np.quantile(lengths[2], 0.95)), 1e-9)
-    low, high = _extent(scene)
-    height = PANEL * (high[1] - low[1]) / (high[0] - low[0])
-    figure = Figure(figsize=(3 * PANEL + 0.3, float(np.clip(height, 1.2, 3.4)) + 1.15))
-    grid = figure.add_gridspec(
-        2, 3, height_ratios=[1.0, 0.035], left=0.01, right=0.99, top=0.84, bottom=0.17,
-        wspace=0.03, hspace=0.04,
-    )  # fmt: skip
-    panels = [figure.add_subplot(grid[0, column]) for column in range(3)]
+    used = ~scene.off if not scene.off.all() else scene.off
+    largest = max(float(np.quantile(lengths[0][used], 0.99)), float(lengths[1].max()), 1e-9)
+    over = max(float(np.quantile(lengths[2][used], 0.95)), 1e-9)
+    figure, panels, bars = _layout(scene)
     titles = ("measured", "predicted", "measured \N{MINUS SIGN} predicted")
-    arrow = LONGEST_ARROW * scene.size / largest
-    stretch = LONGEST_ARROW * scene.size / over
-    colours = (("cividis", largest), ("cividis", largest), ("magma_r", over))
+    scales = (("cividis", largest), ("cividis", largest), ("magma_r", over))
     for axes, title, moved, length, (cmap, top) in zip(
-        panels, titles, vectors, lengths, colours, strict=True
+        panels, titles, vectors, lengths, scales, strict=True
     ):
         _surface(axes, scene)
         _points(axes, scene, length, cmap, top)
-        _arrows(axes, scene, moved, min(stretch, arrow * 20) if cmap == "magma_r" else arrow)
+        _arrows(axes, scene, moved, LONGEST_ARROW * scene.size / top)
         axes.set_title(title, pad=4)
+    _contact(panels[0], scene)
+    _scale_bar(panels[0])
+    _bar(figure, bars[0], "cividis", largest, "displacement $|u|$ (mm)", 0.32)
+    _bar(figure, bars[1], "magma_r", over, "difference (mm)", 0.7)
+    rms = float(np.sqrt(np.mean(lengths[2][used] ** 2)))
+    text = f"{name}: {used.sum()} points, rms difference {rms:.3g} mm"
+    figure.text(0.5, 0.965, text, ha="center", va="top", fontsize=9, weight="bold")
+    figure.text(0.99, 0.02, _left_out(scene), ha="right", va="bottom", fontsize=6.5)
+    return figure
+
+
+def _left_out(scene: _Scene) -> str:
+    """What the picture does not colour, in words."""
+    said = []
+    if scene.off.any() and not scene.off.all():
+        said.append(f"\N{MULTIPLICATION SIGN} {scene.off.sum()} outliers, left aside")
+    hidden = int((~scene.front).sum())
+    if hidden:
+        said.append(f"{hidden} points on the far side not drawn")
+    return "; ".join(said)
+
+
+def _layout(scene: _Scene) -> tuple[Figure, list[Axes], tuple[SubplotSpec, SubplotSpec]]:
+    """Figure, its three panels with their limits, and the cells of the two colour bars."""
+    low, high = _extent(scene)
+    height = float(np.clip(PANEL * (high[1] - low[1]) / (high[0] - low[0]), 1.2, 3.4))
+    total = height + 1.15
+    figure = Figure(figsize=(3 * PANEL + 0.3, total))
+    grid = figure.add_gridspec(
+        2, 3, height_ratios=[1.0, 0.08 / height], left=0.01, right=0.99,
+        top=1 - 0.48 / total, bottom=0.56 / total, wspace=0.03, hspace=0.06,
+    )  # fmt: skip
+    panels = [figure.add_subplot(grid[0, column]) for column in range(3)]
+    for axes in panels:
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
-    _contact(panels[0], scene)
-    _scale_bar(panels[0], low, high)
-    _bar(figure, grid[1, 0:2], "cividis", largest, "displacement $|u|$ (mm)", 0.32)
-    _bar(figure, grid[1, 2], "magma_r", over, "difference (mm)", 0.7)
-    rms = float(np.sqrt(np.mean(lengths[2] ** 2)))
-    hidden = int((~scene.front).sum())
-    text = f"{name}: {len(lengths[0])} points, rms difference {rms:.3g} mm"
-    text += f", {hidden} on the far side not drawn" if hidden else ""
-    figure.text(0.5, 0.95, text, ha="center", va="center", fontsize=9, weight="bold")
-    return figure
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+    return figure, panels, (grid[1, 0:2], grid[1, 2])
 
 
 def _extent(scene: _Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
@@ -148,24 +172,25 @@ def _surface(axes: Axes, scene: _Scene) -> None:
             1e3 * scene.view.polygons, facecolors=colours, edgecolors=colours, linewidths=0.3
         )
     )
-    axes.set_aspect("equal")
-    axes.set_axis_off()
 
 
-def _points(
-    axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: float
-) -> PathCollection:
-    """Observed points on the near side, coloured by length."""
-    place = scene.place[scene.front]
-    return axes.scatter(
-        place[:, 0], place[:, 1], c=length[scene.front], s=scene.spot, cmap=cmap,
+def _points(axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: float) -> None:
+    """Observed points on the near side, coloured by length; outliers as crosses."""
+    used = scene.front & (~scene.off | scene.off.all())
+    place = scene.place[used]
+    axes.scatter(
+        place[:, 0], place[:, 1], c=length[used], s=scene.spot, cmap=cmap,
         norm=Normalize(0.0, top), linewidths=0.15, edgecolors=INK, zorder=2,
     )  # fmt: skip
+    crossed = scene.place[scene.front & ~used]
+    axes.scatter(
+        crossed[:, 0], crossed[:, 1], s=scene.spot, marker="x", color=INK, linewidths=0.7, zorder=2
+    )
 
 
 def _arrows(axes: Axes, scene: _Scene, moved: Points, stretch: float) -> None:
     """Displacements of some points as arrows in the picture plane."""
-    front = np.flatnonzero(scene.front)
+    front = np.flatnonzero(scene.front & (~scene.off | scene.off.all()))
     chosen = front[_spread(scene.place[front, :2], ARROWS)]
     place, vector = scene.place[chosen, :2], stretch * moved[chosen, :2]
     axes.quiver(
@@ -197,8 +222,9 @@ def _contact(axes: Axes, scene: _Scene) -> None:
     axes.plot(*tip, "o", color=RED, markersize=3, zorder=5)
 
 
-def _scale_bar(axes: Axes, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> None:
+def _scale_bar(axes: Axes) -> None:
     """A bar of a round length in the lower left corner."""
+    low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
     target = 0.22 * float(high[0] - low[0])
     power = 10.0 ** np.floor(np.log10(target))
     length = float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= target))
@@ -210,7 +236,9 @@ def _scale_bar(axes: Axes, low: Float[np.ndarray, "2"], high: Float[np.ndarray, 
     )  # fmt: skip
 
 
-def _bar(figure: Figure, cell: object, cmap: str, top: float, label: str, share: float) -> None:
+def _bar(
+    figure: Figure, cell: SubplotSpec, cmap: str, top: float, label: str, share: float
+) -> None:
     """A horizontal colour bar in the middle of a cell."""
     side = (1.0 - share) / 2.0
     parts = GridSpecFromSubplotSpec(1, 3, subplot_spec=cell, width_ratios=[side, share, side])

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from scipy.interpolate import RectBivariateSpline
 
 from palpate.app.displacement_plot import displacement_figure
 from palpate.app.quantities import modulus_unit
@@ -79,7 +80,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
 def _saved(figure: Figure, folder: Path, name: str) -> Path:
     """Write one figure."""
     path = folder / f"{name}.png"
-    figure.savefig(path)
+    figure.savefig(path, pil_kwargs={"compress_level": 2})  # the usual 6 takes as long as drawing
     return path
 
 
@@ -102,8 +103,10 @@ def _likelihood(likelihood: LikelihoodMap, estimate: Estimate) -> Figure:
     figure = Figure(figsize=(4.6, 3.6))
     axes = figure.add_axes((0.14, 0.13, 0.82, 0.76))
     levels = [0.0, REGIONS[50], REGIONS[95]]
-    axes.contourf(nu, shear, deviance, levels=levels, colors=["#5aa6d6", "#c9e2f2"])
-    axes.contour(nu, shear, deviance, levels=levels[1:], colors=BLUE, linewidths=0.8)
+    fine_nu, fine_shear, fine = _refined(nu, shear, deviance)
+    levels[0] = min(0.0, float(fine.min())) - 1e-9  # a spline may dip below zero
+    axes.contourf(fine_nu, fine_shear, fine, levels=levels, colors=["#5aa6d6", "#c9e2f2"])
+    axes.contour(fine_nu, fine_shear, fine, levels=levels[1:], colors=BLUE, linewidths=0.8)
     best_nu, best = estimate.poisson_ratio.value, estimate.shear_modulus.value / factor
     near = deviance < WIDEST
     rows, columns = near.any(axis=1), near.any(axis=0)
@@ -125,6 +128,25 @@ def _likelihood(likelihood: LikelihoodMap, estimate: Estimate) -> Figure:
     figure.legend(handles, labels, loc="upper center", ncols=4, columnspacing=1.4)
     _plain(axes)
     return figure
+
+
+def _refined(
+    nu: Float[np.ndarray, " k"],
+    shear: Float[np.ndarray, " l"],
+    deviance: Float[np.ndarray, "l k"],
+) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"], Float[np.ndarray, "b a"]]:
+    """The part of the map that is shown, on a finer grid: a coarse one makes regions angular."""
+    near = deviance < WIDEST
+    columns, rows = np.flatnonzero(near.any(axis=0)), np.flatnonzero(near.any(axis=1))
+    if min(len(columns), len(rows)) == 0:
+        return nu, shear, deviance
+    across = slice(max(columns[0] - 2, 0), columns[-1] + 3)
+    along = slice(max(rows[0] - 2, 0), rows[-1] + 3)
+    nu, shear, part = nu[across], shear[along], deviance[along, across]
+    if min(part.shape) < 4 or not np.isfinite(part).all():
+        return nu, shear, part
+    fine_nu, fine_shear = (np.linspace(x[0], x[-1], 300) for x in (nu, shear))
+    return fine_nu, fine_shear, RectBivariateSpline(shear, nu, part)(fine_shear, fine_nu)
 
 
 def _padded(shown: Float[np.ndarray, " a"], grid: Float[np.ndarray, " b"]) -> tuple[float, float]:

@@ -2,9 +2,11 @@
 
 Purpose    : how every point of an object moves under a load, for all materials at once.
 Takes      : a closed triangle mesh, the triangles of its support, tractions on its free surface.
-Gives      : `BoundarySystem` (material-free matrices), `ElasticMap` (one material), right-hand sides.
+Gives      : `BoundarySystem` (material-free matrices), `ElasticMap` (one material), right-hand
+           sides.
 Depends on : errors, geometry.
-Read first : `kelvin.py` (what is integrated), `system.py` (what is solved), `elastic_map.py` (what comes out).
+Read first : `kelvin.py` (what is integrated), `system.py` (what is solved), `elastic_map.py` (what
+comes out).
 """
 
 from palpate.bem.body_force import BodyForce, body_force_columns, dilation_factor

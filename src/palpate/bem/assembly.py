@@ -1,8 +1,8 @@
 """Material-free matrices of a boundary element model: every collocation point against every node.
 
-The rows come in blocks of LANES collocation points that lie close together, so that one instruction serves several
-points and one quadrature rule suits a block. A block belongs to one thread, which adds its triangles in order: the
-result does not depend on the number of threads.
+The rows come in blocks of LANES collocation points that lie close together, so that one instruction
+serves several points and one quadrature rule suits a block. A block belongs to one thread, which
+adds its triangles in order: the result does not depend on the number of threads.
 """
 
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from palpate.bem.integrals import (
     add_shape_moment,
     add_singular,
     fields_at_points,
+    shapes_at,
 )
 from palpate.bem.kelvin import LANES
 from palpate.bem.quadrature import (
@@ -55,8 +56,10 @@ class FieldBlocks:
 
     Attributes
     ----------
-    values : (blocks, n_nodes, fields, LANES) float     the order of the fields is that of `bem.kelvin`
-    rows : (blocks, LANES) int                          collocation point of each lane; the last block repeats its last
+    values : (blocks, n_nodes, fields, LANES) float     the order of the fields is that of
+                                                        `bem.kelvin`
+    rows : (blocks, LANES) int                          collocation point of each lane; the last
+                                                        block repeats its last
     n_rows : int                                        number of collocation points
     """
 
@@ -81,14 +84,16 @@ def assemble(
     collocation : Collocation
     triangles : (m, 3) int                vertices of each triangle, to know the singular ones
     element_nodes : (m, 6, 3) float [m]   the surface
-    nodes : QuadraticNodes                of the field that the kernel multiplies, for the same m triangles
+    nodes : QuadraticNodes                of the field that the kernel multiplies, for the same m
+                                          triangles
     n_fields : int                        9 for the traction kernel, 6 for the displacement kernel
     quadrature : Quadrature
 
     Returns
     -------
-    FieldBlocks                           the traction kernel with the value at the collocation point subtracted within
-                                          the triangles that hold it; `with_rigid_body_sum` completes it
+    FieldBlocks                           the traction kernel with the value at the collocation
+                                          point subtracted within the triangles that hold it;
+                                          `with_rigid_body_sum` completes it
     """
     rows, lanes = _blocks_of_neighbours(collocation.point)
     rules = [triangle_rule(degree) for degree in quadrature.degrees]
@@ -103,17 +108,18 @@ def assemble(
     element, weights = _numbered_midpoints(nodes)
     _integrate_blocks(
         lanes, rows, collocation.point, collocation.vertex, collocation.triangle,
-        collocation.barycentric, triangles, element_nodes, sources,
+        collocation.barycentric, np.array(triangles), element_nodes, sources,
         np.ascontiguousarray(quadratic_shapes(barycentric)), start, quadrature.ratios(),
         centre, radius, near, _polar_rule(quadrature), element, nodes.n_nodes, n_fields,
-        weights.indptr, weights.indices, weights.data, values,
+        weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data, values,
     )  # fmt: skip
     shape = (rows.shape[0], nodes.n_nodes, n_fields, LANES)
     return FieldBlocks(values.reshape(shape), rows, collocation.point.shape[0])
 
 
 def _numbered_midpoints(nodes: QuadraticNodes) -> tuple[Int[np.ndarray, "m 6"], csr_array]:
-    """The elements' nodes with only the midpoints that they use, counted from n_nodes on; weights of these."""
+    """The elements' nodes with only the midpoints that they use, counted from n_nodes on; weights
+    of these."""
     dependent = nodes.element >= nodes.n_nodes
     used, number = np.unique(nodes.element[dependent], return_inverse=True)
     element = nodes.element.copy()
@@ -124,7 +130,8 @@ def _numbered_midpoints(nodes: QuadraticNodes) -> tuple[Int[np.ndarray, "m 6"], 
 def with_rigid_body_sum(
     blocks: FieldBlocks, collocation: Collocation, nodes: QuadraticNodes
 ) -> FieldBlocks:
-    """Complete the traction kernel so that a rigid translation gives no traction, for each field apart.
+    """Complete the traction kernel so that a rigid translation gives no traction, for each field
+    apart.
 
     Parameters
     ----------
@@ -134,7 +141,8 @@ def with_rigid_body_sum(
 
     Returns
     -------
-    FieldBlocks                   free term and Cauchy principal value included (paper, eq. 4, C for A and B apart)
+    FieldBlocks                   free term and Cauchy principal value included (paper, eq. 4, C for
+                                  A and B apart)
     """
     total = blocks.values.sum(axis=1)
     vertex = collocation.vertex[blocks.rows]
@@ -162,7 +170,8 @@ def _polar_rule(quadrature: Quadrature) -> Float[np.ndarray, "p 3"]:
 def _blocks_of_neighbours(
     point: Float[np.ndarray, "r 3"],
 ) -> tuple[Int[np.ndarray, "b lanes"], Float[np.ndarray, "b width"]]:
-    """Rows grouped along a Morton curve, padded with the last one, and their coordinates by lane."""
+    """Rows grouped along a Morton curve, padded with the last one, and their coordinates by
+    lane."""
     low = point.min(axis=0)
     cell = ((point - low) / max(np.ptp(point, axis=0).max(), 1e-300) * 1023).astype(np.int64)
     code = np.zeros(point.shape[0], dtype=np.int64)
@@ -230,7 +239,8 @@ def _integrate_blocks(
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
 def _choose_rule(lanes, centre, radius, ratios, ratio):
-    """Rule for a block of points; distance over radius of each lane, negative where any lane is near."""
+    """Rule for a block of points; distance over radius of each lane, negative where any lane is
+    near."""
     smallest = np.inf
     nearest = np.inf
     for i in range(LANES):
@@ -268,16 +278,12 @@ def _single(
     own = np.zeros(6)
     corners = np.zeros((3, 3))
     if inside:
-        b0, b1, b2 = barycentric
-        own[:] = np.array(
-            [b0 * (2 * b0 - 1), b1 * (2 * b1 - 1), b2 * (2 * b2 - 1),
-             4 * b0 * b1, 4 * b1 * b2, 4 * b2 * b0]
-        )  # fmt: skip
+        shapes_at(barycentric[0], barycentric[1], barycentric[2], own)
         for k in range(3):
-            corners[:] = 0.0
-            corners[0] = barycentric
-            corners[1, k] = 1.0
-            corners[2, (k + 1) % 3] = 1.0
+            for i in range(3):
+                corners[0, i] = barycentric[i]
+                corners[1, i] = 1.0 if i == k else 0.0
+                corners[2, i] = 1.0 if i == (k + 1) % 3 else 0.0
             add_singular(point, nodes, corners, polar, own, n_fields, out)
         return out
     for k in range(3):

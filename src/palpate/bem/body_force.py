@@ -1,12 +1,13 @@
-"""A constant body force, such as gravity, by a particular solution: nothing is integrated over the volume.
+"""A constant body force, such as gravity, by a particular solution: nothing is integrated over the
+volume.
 
-With b the force per volume and y the position, the hydrostatic stress -(b.y) times the unit tensor balances b. Its
-strain is a uniform dilation that varies linearly, which is the displacement
+With b the force per volume and y the position, the hydrostatic stress -(b.y) times the unit tensor
+balances b. Its strain is a uniform dilation that varies linearly, which is the displacement
 
     u_p = -(1 - 2 nu) / (2 G (1 + nu)) [(b.y) y - b |y|^2 / 2],      traction  t_p = -(b.y) n.
 
-The rest of the displacement has no body force: it sees the traction +(b.y) n on the free surface, whatever the material,
-and -u_p on the support. Both are right-hand sides of the same system.
+The rest of the displacement has no body force: it sees the traction +(b.y) n on the free surface,
+whatever the material, and -u_p on the support. Both are right-hand sides of the same system.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from palpate.bem.right_hand import RightHand, joined, support_columns, traction_
 from palpate.bem.surface import BoundarySurface
 from palpate.bem.system import BoundarySystem
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyForce:
     """Right-hand sides of a constant body force.
@@ -28,7 +30,8 @@ class BodyForce:
 
     Attributes
     ----------
-    right : RightHand                     two columns: the traction on the free surface, the moved support
+    right : RightHand                     two columns: the traction on the free surface, the moved
+                                          support
     particular : (v, 3) float [m Pa]      particular displacement of every vertex over factor(nu)
     """
 

@@ -1,9 +1,10 @@
 """Boundary conditions: what is unknown at each vertex, and where the integral equation is written.
 
-The free surface has an unknown displacement at each vertex. The support has an unknown traction at each side of each of
-its vertices; on its rim the free side is not the support's, so there is just one. A vertex where two or three held
-faces meet has as many unknown tractions but a single place: there the equation is written at points moved a little into
-each face (Beer, Smith and Duenser 2008; MultiFEBE does the same).
+The free surface has an unknown displacement at each vertex. The support has an unknown traction at
+each side of each of its vertices; on its rim the free side is not the support's, so there is just
+one. A vertex where two or three held faces meet has as many unknown tractions but a single place:
+there the equation is written at points moved a little into each face (Beer, Smith and Duenser 2008;
+MultiFEBE does the same).
 """
 
 from dataclasses import dataclass
@@ -61,7 +62,8 @@ def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocati
 
     Returns
     -------
-    Collocation               every vertex, but for those with several held sides: these have a point inside each
+    Collocation               every vertex, but for those with several held sides: these have a
+                              point inside each
     """
     n = surface.mesh.vertices.shape[0]
     side_vertex = surface.sides.vertex[unknowns.held_sides]
@@ -69,9 +71,7 @@ def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocati
     vertex = np.flatnonzero(~several)
     moved = unknowns.held_sides[several[side_vertex]]
     triangle, barycentric = _points_inside(surface, moved)
-    inside = np.einsum(
-        "ak,kai->ki", quadratic_shapes(barycentric), surface.element_nodes[triangle]
-    )
+    inside = np.einsum("ak,kai->ki", quadratic_shapes(barycentric), surface.element_nodes[triangle])
     return Collocation(
         point=np.concatenate([surface.mesh.vertices[vertex], inside]),
         vertex=np.concatenate([vertex, np.full(moved.size, -1)]),

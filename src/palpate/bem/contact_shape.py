@@ -1,8 +1,9 @@
 """Quadratic elements that know how a surface dips under a tool.
 
-Close to a contact the displacement is a smooth field plus the dip of a half space under the same pressure. Fitted
-midpoints catch the smooth part; the dip is known. So the midpoints near a load get what the fit of the dip misses,
-which goes to the right-hand side. No unknown is added, and the dip is linear in Poisson's ratio like the system.
+Close to a contact the displacement is a smooth field plus the dip of a half space under the same
+pressure. Fitted midpoints catch the smooth part; the dip is known. So the midpoints near a load get
+what the fit of the dip misses, which goes to the right-hand side. No unknown is added, and the dip
+is linear in Poisson's ratio like the system.
 """
 
 from dataclasses import dataclass
@@ -33,8 +34,8 @@ class ContactShape:
     Attributes
     ----------
     midpoints : (p,) int              rows of `QuadraticNodes.weights`
-    missing : (2, p, 3, 3) float      displacement times shear modulus per newton, constant and slope in nu [1/m];
-                                      [.., i, j]: component i, force along j
+    missing : (2, p, 3, 3) float      displacement times shear modulus per newton, constant and
+                                      slope in nu [1/m]; [.., i, j]: component i, force along j
     """
 
     midpoints: Int[np.ndarray, " p"]
@@ -96,8 +97,11 @@ def shape_columns(
     number[shape.midpoints] = np.arange(shape.midpoints.size)
     local = number[nodes.element[:, 3:] - nodes.n_nodes]
     triangles = np.flatnonzero((local >= 0).any(axis=1))
-    # 18 nodes, one for each entry of `missing`, whose shape functions carry these entries; one more row of zeros.
-    values = np.concatenate([shape.missing.transpose(1, 0, 2, 3).reshape(-1, 18), np.zeros((1, 18))])
+    # 18 nodes, one for each entry of `missing`, whose shape functions carry these entries; one more
+    # row of zeros.
+    values = np.concatenate(
+        [shape.missing.transpose(1, 0, 2, 3).reshape(-1, 18), np.zeros((1, 18))]
+    )
     element = np.full((triangles.size, 6), 18 + shape.midpoints.size)
     found = local[triangles]
     element[:, 3:] = np.where(found >= 0, 18 + found, element[:, 3:])

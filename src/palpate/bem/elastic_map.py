@@ -24,7 +24,8 @@ class ElasticState:
     Attributes
     ----------
     displacement : (v, 3) float [m]       of every vertex
-    support_traction : (s, 3) float [Pa]  at the held sides of the vertices, `system.unknowns.held_sides`
+    support_traction : (s, 3) float [Pa]  at the held sides of the vertices,
+                                          `system.unknowns.held_sides`
     reaction : (3,) float [N]             force of the support on the object
     """
 
@@ -77,7 +78,8 @@ class ElasticMap:
 
         Parameters
         ----------
-        unknowns : (k,) float [m]         free displacements, then scaled tractions; the support is at rest
+        unknowns : (k,) float [m]         free displacements, then scaled tractions; the support is
+                                          at rest
 
         Returns
         -------
@@ -140,8 +142,9 @@ def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | No
 
     Returns
     -------
-    ContactShape or None              None for a load that is no round patch, for linear elements, and where the patch
-                                      is not smooth ground: on flat facets, or across an edge of the object
+    ContactShape or None              None for a load that is no round patch, for linear elements,
+                                      and where the patch is not smooth ground: on flat facets, or
+                                      across an edge of the object
     """
     if load.disc is None or not surface.follows_dips or _crosses_edge(surface, load):
         return None

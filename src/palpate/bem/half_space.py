@@ -1,7 +1,8 @@
-"""Surface displacement of a half space under a round patch: what a displacement looks like close to a tool.
+"""Surface displacement of a half space under a round patch: what a displacement looks like close to
+a tool.
 
-The formulae of Boussinesq and Cerruti for a point force, spread over a disc whose pressure depends on the radius alone.
-All of it is linear in Poisson's ratio once multiplied by the shear modulus.
+The formulae of Boussinesq and Cerruti for a point force, spread over a disc whose pressure depends
+on the radius alone. All of it is linear in Poisson's ratio once multiplied by the shear modulus.
 
 Source: Johnson, Contact Mechanics (1985), eq. 3.18, 3.19 and 3.77, at the surface.
 """
@@ -29,7 +30,8 @@ class PressureDisc:
     ----------
     centre : (3,) float [m]
     radius : float [m]
-    profile : callable            pressure over any scale at s = distance from the centre / radius, (n,) -> (n,)
+    profile : callable            pressure over any scale at s = distance from the centre / radius,
+                                  (n,) -> (n,)
     """
 
     centre: Float[np.ndarray, "3"]
@@ -46,11 +48,13 @@ def disc_displacement(
     ----------
     disc : PressureDisc
     normal : (3,) float [-]           outward normal of the half space
-    position : (n, 3) float [m]       points on or near its surface; their distance from the centre counts
+    position : (n, 3) float [m]       points on or near its surface; their distance from the centre
+                                      counts
 
     Returns
     -------
-    (2, n, 3, 3) float [1/m]          constant and slope in Poisson's ratio; [.., i, j]: component i, force along j
+    (2, n, 3, 3) float [1/m]          constant and slope in Poisson's ratio; [.., i, j]: component
+                                      i, force along j
     """
     offset = position - disc.centre
     distance = np.linalg.norm(offset, axis=1)
@@ -71,10 +75,9 @@ def disc_displacement(
     return np.stack([constant, slope])
 
 
-def _radial(
-    disc: PressureDisc, s: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " n"], ...]:
-    """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle seen from radius s."""
+def _radial(disc: PressureDisc, s: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], ...]:
+    """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle seen
+    from radius s."""
     grid = FAR * (np.arange(GRID) / (GRID - 1)) ** 2
     near = CubicSpline(grid, np.stack(_polar_integrals(disc, grid), axis=1))(np.minimum(s, FAR))
     far = (s > FAR)[:, None]

@@ -1,9 +1,10 @@
-"""Integrals of the kernel fields over one six-node triangle: regular for many load points, near and singular for one.
+"""Integrals of the kernel fields over one six-node triangle: regular for many load points, near and
+singular for one.
 
-Regular: Gauss points, LANES load points at a time, so that everything vectorises. Near: the triangle is divided until
-every part is far enough for its rule. Singular: polar coordinates at the load point, whose Jacobian takes away the
-1 / r that is left once the value at the load point is subtracted from the shape functions (the rest is the rigid-body
-sum of the assembly).
+Regular: Gauss points, LANES load points at a time, so that everything vectorises. Near: the
+triangle is divided until every part is far enough for its rule. Singular: polar coordinates at the
+load point, whose Jacobian takes away the 1 / r that is left once the value at the load point is
+subtracted from the shape functions (the rest is the rigid-body sum of the assembly).
 """
 
 import numba
@@ -84,7 +85,8 @@ def surface_point(nodes, b0, b1, b2, shape, source):
     nodes : (6, 3) float [m]
     b0, b1, b2 : float                      barycentric coordinates
     shape : (6,) float                      overwritten
-    source : (6,) float                     overwritten: position [m], normal times area per reference area [m^2]
+    source : (6,) float                     overwritten: position [m], normal times area per
+                                            reference area [m^2]
     """
     shapes_at(b0, b1, b2, shape)
     c0, c1, c2 = 4 * b0 - 1, 4 * b1 - 1, 4 * b2 - 1
@@ -129,7 +131,8 @@ def add_point(point, source, weight, shape, own, n_fields, out):
     point : (3,) float [m]                  load point
     source : (6,) float                     position and area normal of the surface point
     weight : float                          reference weight
-    shape, own : (6,) float                 shape functions there and at the load point (zero where that is elsewhere)
+    shape, own : (6,) float                 shape functions there and at the load point (zero where
+                                            that is elsewhere)
     n_fields : int                          9 for traction, 6 for displacement
     out : (6, 9) float                      added to
     """
@@ -171,9 +174,11 @@ def add_singular(point, nodes, corners, polar, own, n_fields, out):
     ----------
     point : (3,) float [m]                  load point
     nodes : (6, 3) float [m]                six-node triangle
-    corners : (3, 3) float                  barycentric coordinates of the part's corners, the load point first
-    polar : (p, 3) float                    radius and hyperbolic angle, from 0 to 1, and weight times radius; the
-                                            angle makes the integrand smooth however flat the part is
+    corners : (3, 3) float                  barycentric coordinates of the part's corners, the load
+                                            point first
+    polar : (p, 3) float                    radius and hyperbolic angle, from 0 to 1, and weight
+                                            times radius; the angle makes the integrand smooth
+                                            however flat the part is
     own : (6,) float                        shape functions at the load point
     n_fields : int                          9 for traction, 6 for displacement
     out : (6, 9) float                      added to
@@ -204,13 +209,15 @@ def add_singular(point, nodes, corners, polar, own, n_fields, out):
 
 @numba.njit(error_model="numpy", cache=True)
 def _foot_and_height(nodes, corners):
-    """Where the perpendicular from the first corner meets the line of the other two (0 at the second corner, 1 at the
+    """Where the perpendicular from the first corner meets the line of the other two (0 at the
+    second corner, 1 at the
     third), and its length, both over the distance of these two."""
     shape, source = np.empty(6), np.empty(6)
     place = np.empty((3, 3))
     for k in range(3):
         surface_point(nodes, corners[k, 0], corners[k, 1], corners[k, 2], shape, source)
-        place[k] = source[:3]
+        for i in range(3):
+            place[k, i] = source[i]
     edge2, along, away2 = 0.0, 0.0, 0.0
     for i in range(3):
         edge, away = place[2, i] - place[1, i], place[1, i] - place[0, i]
@@ -225,7 +232,8 @@ def _foot_and_height(nodes, corners):
 def add_near(point, nodes, rule, ratio, n_fields, out):
     """Add the integrals over a triangle that does not hold the load point but is close to it.
 
-    The triangle is divided into four, and these again, until the load point is `ratio` radii away from each part.
+    The triangle is divided into four, and these again, until the load point is `ratio` radii away
+    from each part.
 
     Parameters
     ----------
@@ -238,13 +246,17 @@ def add_near(point, nodes, rule, ratio, n_fields, out):
     """
     shape, source, own = np.empty(6), np.empty(6), np.zeros(6)
     stack = np.empty((MAX_PARTS, 10))
-    stack[0] = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 1.0])
+    part = np.zeros(10)
+    for k in range(9):
+        stack[0, k] = 1.0 if k % 4 == 0 else 0.0
+    stack[0, 9] = 1.0
     top = 1
     middle = np.empty((3, 3))
     corner = np.empty((3, 3))
     while top > 0:
         top -= 1
-        part = stack[top].copy()
+        for k in range(10):
+            part[k] = stack[top, k]
         size = part[9]
         for k in range(3):
             surface_point(nodes, part[3 * k], part[3 * k + 1], part[3 * k + 2], shape, source)

@@ -1,16 +1,18 @@
 """Kelvin's fundamental solution, split into parts that are free of the material.
 
-With r = x - y from the load point y to the point x on the surface, n the outward normal there, i the direction of the
-load and j the component, multiplied by 8 pi (1 - nu):
+With r = x - y from the load point y to the point x on the surface, n the outward normal there, i
+the direction of the load and j the component, multiplied by 8 pi (1 - nu):
 
     traction      (1 - 2 nu) A_ij + B_ij      A_ij = (r_i n_j - r_j n_i - delta_ij r.n) / r^3
                                               B_ij = -3 r_i r_j (r.n) / r^5
     displacement  [(3 - 4 nu) delta_ij / r + r_i r_j / r^3] / (2 G)
 
-Only 15 scalars are independent: the vector r x n / r^3 and the symmetric 3 r_i r_j (r.n) / r^5 give A and B (the trace of
-the second is 3 r.n / r^3), the symmetric r_i r_j / r^3 gives the displacement (its trace is 1 / r).
+Only 15 scalars are independent: the vector r x n / r^3 and the symmetric 3 r_i r_j (r.n) / r^5 give
+A and B (the trace of the second is 3 r.n / r^3), the symmetric r_i r_j / r^3 gives the displacement
+(its trace is 1 / r).
 
-Source: Lang and Pai (2001), eq. 2 and 3; Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), chapter 5.
+Source: Lang and Pai (2001), eq. 2 and 3; Brebbia, Telles and Wrobel, Boundary Element Techniques
+(1984), chapter 5.
 """
 
 import numba
@@ -57,7 +59,8 @@ def kelvin_displacement(
 def kelvin_traction(
     r: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], poisson_ratio: float
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Traction at x on a plane of given normal per unit point force at y in unbounded elastic space.
+    """Traction at x on a plane of given normal per unit point force at y in unbounded elastic
+    space.
 
     Parameters
     ----------
@@ -110,7 +113,8 @@ def check_material(shear_modulus: float, poisson_ratio: float) -> None:
 
 @numba.njit(fastmath=True, error_model="numpy", inline="always")
 def _reciprocal_root(square):
-    # One Newton step from single precision: 5e-15 relative, at half the cost of a double square root and division.
+    # One Newton step from single precision: 5e-15 relative, at half the cost of a double square
+    # root and division.
     start = np.float64(np.float32(1.0) / np.sqrt(np.float32(square)))
     return start * (1.5 - 0.5 * square * start * start)
 
@@ -123,7 +127,8 @@ def traction_fields(points, source, out):
     ----------
     points : (3 LANES,) float [m]   load points y, coordinate-major
     source : (6,) float             surface point x [m], normal times weight [m^2]
-    out : (9 LANES,) float          overwritten: r x n / r^3 (x, y, z), then 3 r_i r_j r.n / r^5 (xx yy zz yz zx xy)
+    out : (9 LANES,) float          overwritten: r x n / r^3 (x, y, z), then 3 r_i r_j r.n / r^5 (xx
+                                    yy zz yz zx xy)
     """
     px, py, pz = source[0], source[1], source[2]
     nx, ny, nz = source[3], source[4], source[5]

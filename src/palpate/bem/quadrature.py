@@ -1,4 +1,5 @@
-"""Quadrature rules on the reference triangle: symmetric rules for far points, conical products for near ones."""
+"""Quadrature rules on the reference triangle: symmetric rules for far points, conical products for
+near ones."""
 
 from dataclasses import dataclass
 
@@ -33,10 +34,12 @@ class Quadrature:
 
     Attributes
     ----------
-    tolerance : float [-]     relative error aimed at in each integral over one triangle; the rule for a triangle follows
-                              from it and from the distance of the point over the triangle's radius
+    tolerance : float [-]     relative error aimed at in each integral over one triangle; the rule
+                              for a triangle follows from it and from the distance of the point over
+                              the triangle's radius
     degrees : tuple of int    degrees of the rules for distant points, rising
-    polar_points : (int, int) Gauss points along and across the polar coordinates of the singular integrals
+    polar_points : (int, int) Gauss points along and across the polar coordinates of the singular
+    integrals
     """
 
     tolerance: float = 1e-6
@@ -48,7 +51,8 @@ class Quadrature:
 
         Returns
         -------
-        (k,) float [-]            falling with the degree; a rule of degree d errs by (radius / distance)^(d + 1)
+        (k,) float [-]            falling with the degree; a rule of degree d errs by (radius /
+                                  distance)^(d + 1)
         """
         return np.array([self.tolerance ** (-1.0 / (degree + 1)) for degree in self.degrees])
 
@@ -62,11 +66,13 @@ def triangle_rule(degree: int) -> TriangleRule:
 
     Returns
     -------
-    TriangleRule              3, 6 or 7 points for degrees 2, 4 and 5, else a conical product of n^2 points
+    TriangleRule              3, 6 or 7 points for degrees 2, 4 and 5, else a conical product of n^2
+                              points
 
     Source
     ------
-    Hammer, Marlowe and Stroud (1956) for degrees 2 and 5; Dunavant (1985) for degree 4; Stroud (1971) for the products.
+    Hammer, Marlowe and Stroud (1956) for degrees 2 and 5; Dunavant (1985) for degree 4; Stroud
+    (1971) for the products.
     """
     if degree <= 2:
         return _symmetric(2, [(1 / 6, 1 / 3)], 0.0)
@@ -135,7 +141,9 @@ def quadratic_shapes(barycentric: Float[np.ndarray, "q 3"]) -> Float[np.ndarray,
     (6, q) float [-]          corners 0, 1, 2, then midpoints of edges 01, 12, 20
     """
     a, b, c = barycentric.T
-    return np.stack([a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a])
+    return np.stack(
+        [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a]
+    )
 
 
 def quadratic_slopes(
@@ -149,7 +157,8 @@ def quadratic_slopes(
 
     Returns
     -------
-    (6, q), (6, q) float [-]  with respect to the second and to the third barycentric coordinate, the first following
+    (6, q), (6, q) float [-]  with respect to the second and to the third barycentric coordinate,
+                              the first following
     """
     a, b, c = barycentric.T
     zero = np.zeros_like(a)

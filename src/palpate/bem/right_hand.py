@@ -67,9 +67,7 @@ def load_columns(fields: Float[np.ndarray, "r 6"]) -> RightHand:
     return RightHand(constant, _stacked(-2 * trace), np.zeros_like(constant))
 
 
-def support_columns(
-    system: BoundarySystem, displacement: Float[np.ndarray, "v 3"]
-) -> RightHand:
+def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3"]) -> RightHand:
     """One column for a given displacement of the held vertices.
 
     Parameters
@@ -79,7 +77,8 @@ def support_columns(
 
     Returns
     -------
-    RightHand                         3 r rows, one column, times the shear modulus in the units of the system
+    RightHand                         3 r rows, one column, times the shear modulus in the units of
+                                      the system
     """
     held = system.unknowns.held_vertices
     u = displacement[held]
@@ -89,12 +88,16 @@ def support_columns(
         f = values[held]
         skew, flux = f[:, :3], f[:, 3:6].sum(axis=1) / 3
         a = np.einsum("vkl,vj->lkj", skew, u)
-        turned = np.stack([a[:, 2, 1] - a[:, 1, 2], a[:, 0, 2] - a[:, 2, 0], a[:, 1, 0] - a[:, 0, 1]])
+        turned = np.stack(
+            [a[:, 2, 1] - a[:, 1, 2], a[:, 0, 2] - a[:, 2, 0], a[:, 1, 0] - a[:, 0, 1]]
+        )
         part_a = turned - np.einsum("vl,vi->il", flux, u)
         part_b = -np.einsum("vijl,vj->il", f[:, 3 + np.array(PAIRS)], u)
         parts.append((part_a + part_b, -2 * part_a))
     rows = blocks.n_rows
-    total = [np.concatenate(part, axis=1)[:, :rows].reshape(-1, 1) for part in zip(*parts, strict=True)]
+    total = [
+        np.concatenate(part, axis=1)[:, :rows].reshape(-1, 1) for part in zip(*parts, strict=True)
+    ]
     return RightHand(-total[0], -total[1], np.zeros_like(total[0]))
 
 
@@ -105,13 +108,15 @@ def traction_column(
     *,
     quadrature: Quadrature = Quadrature(),
 ) -> RightHand:
-    """One column for a traction that is quadratic on each of some triangles and may jump between them.
+    """One column for a traction that is quadratic on each of some triangles and may jump between
+    them.
 
     Parameters
     ----------
     system : BoundarySystem
     triangles : (k,) int              triangles of the free surface
-    traction : (k, 6, 3) float [Pa]   at their corners and at the midpoints of their edges 01, 12, 20
+    traction : (k, 6, 3) float [Pa]   at their corners and at the midpoints of their edges 01, 12,
+                                      20
     quadrature : Quadrature
 
     Returns
@@ -158,5 +163,3 @@ def joined(parts: list[RightHand]) -> RightHand:
 
 def _stacked(tensor: Float[np.ndarray, "r 3 3"]) -> Float[np.ndarray, "k 3"]:
     return np.asfortranarray(tensor.transpose(1, 0, 2).reshape(-1, 3))
-
-

@@ -1,4 +1,5 @@
-"""The surface as the boundary integrals see it: six-node triangles, and where fields live on them."""
+"""The surface as the boundary integrals see it: six-node triangles, and where fields live on
+them."""
 
 from dataclasses import dataclass
 
@@ -24,11 +25,13 @@ class SurfaceSettings:
 
     Attributes
     ----------
-    smooth : bool             True: the vertices lie on a smooth object and its curvature is followed between them; False:
-                              the object has exactly the flat facets of the mesh
-    quadratic : bool          True: fields are quadratic on each triangle, fitted from the vertices around; False: linear
-                              elements, as in the paper
-    crease_angle : float [rad] angle between neighbouring triangles from which their edge is a real edge of the object
+    smooth : bool             True: the vertices lie on a smooth object and its curvature is
+                              followed between them; False: the object has exactly the flat facets
+                              of the mesh
+    quadratic : bool          True: fields are quadratic on each triangle, fitted from the vertices
+                              around; False: linear elements, as in the paper
+    crease_angle : float [rad] angle between neighbouring triangles from which their edge is a real
+    edge of the object
     """
 
     smooth: bool = True
@@ -48,7 +51,8 @@ class BoundarySurface:
     element_nodes : (m, 6, 3) float   [m]
     displacement : QuadraticNodes     continuous, one node a vertex
     traction : QuadraticNodes         one node a side of a vertex
-    follows_dips : bool               whether elements under a load may take the shape of the dip (`contact_shape`)
+    follows_dips : bool               whether elements under a load may take the shape of the dip
+                                      (`contact_shape`)
     """
 
     mesh: TriangleMesh
@@ -86,8 +90,8 @@ def make_surface(
     held[held_triangles] = True
     if held.all() or not held.any():
         raise InputError(
-            f"the support has {held.sum()} of {held.size} triangles; it must hold a part of the surface "
-            "and leave a part free; check the selectors of [support]"
+            f"the support has {held.sum()} of {held.size} triangles; it must hold a part of "
+            "the surface and leave a part free; check the selectors of [support]"
         )
     sides = split_sides(mesh, held.astype(np.int64), crease_angle=settings.crease_angle)
     displacement, traction = displacement_nodes(mesh, sides), side_nodes(mesh, sides)

@@ -1,7 +1,9 @@
-"""Displacement kernel integrated against a given traction: the load's own integral, not its nodal values.
+"""Displacement kernel integrated against a given traction: the load's own integral, not its nodal
+values.
 
-A contact patch is often hardly wider than an element. Its traction is therefore integrated over the patch itself: fine
-cells, finer where the patch ends, and polar coordinates around every collocation point inside it.
+A contact patch is often hardly wider than an element. Its traction is therefore integrated over the
+patch itself: fine cells, finer where the patch ends, and polar coordinates around every collocation
+point inside it.
 """
 
 from collections.abc import Callable
@@ -37,14 +39,16 @@ POLAR_POINTS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceLoad:
-    """A traction of constant direction, spread over some triangles; its total is one newton along any axis.
+    """A traction of constant direction, spread over some triangles; its total is one newton along
+    any axis.
 
     Attributes
     ----------
     triangles : (k,) int          triangles that it may touch
-    density : callable            (triangle (n,), barycentric (n, 3), position (n, 3) [m]) -> (n,) >= 0, of any scale:
-                                  it is divided by its own surface integral
-    disc : PressureDisc or None   the load as a round patch, where it is one: it sharpens the elements around it
+    density : callable            (triangle (n,), barycentric (n, 3), position (n, 3) [m]) -> (n,)
+                                  >= 0, of any scale: it is divided by its own surface integral
+    disc : PressureDisc or None   the load as a round patch, where it is one: it sharpens the
+                                  elements around it
     """
 
     triangles: Int[np.ndarray, " k"]
@@ -61,7 +65,8 @@ class LoadPoints:
     position : (q, 3) float [m]
     weight : (q,) float           sum to 1
     triangle : (q,) int           triangle of each point
-    total : float [m^2]           integral of the density before it was scaled, times the density's unit
+    total : float [m^2]           integral of the density before it was scaled, times the density's
+                                  unit
     """
 
     position: Float[np.ndarray, "q 3"]
@@ -111,7 +116,8 @@ def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
     total = float(weight.sum())
     if not total > 0:
         raise InputError(
-            "the contact patch covers no part of the free surface; move its point or enlarge its radius"
+            "the contact patch covers no part of the free surface; move its point or enlarge "
+            "its radius"
         )
     return LoadPoints(np.concatenate(positions), weight / total, np.concatenate(owners), total)
 
@@ -153,12 +159,15 @@ def _mend_touching_rows(
     order: Int[np.ndarray, " r"],
     fields: Float[np.ndarray, "r 6"],
 ) -> None:
-    """Replace what the cells give for the collocation points on the patch by polar coordinates around them."""
+    """Replace what the cells give for the collocation points on the patch by polar coordinates
+    around them."""
     place, triangle, corners = _touching_parts(surface, points.triangle, collocation, order)
     if not place.size:
         return
     s, t, polar_weight = _polar_panels()
-    far_side = np.einsum("q,pj->pqj", 1 - t, corners[:, 1]) + np.einsum("q,pj->pqj", t, corners[:, 2])
+    far_side = np.einsum("q,pj->pqj", 1 - t, corners[:, 1]) + np.einsum(
+        "q,pj->pqj", t, corners[:, 2]
+    )
     barycentric = np.einsum("q,pj->pqj", 1 - s, corners[:, 0]) + s[:, None] * far_side
     position, area = _points_of(surface.element_nodes, triangle, barycentric)
     repeated = np.repeat(triangle, s.size)
@@ -181,7 +190,8 @@ def _touching_parts(
     collocation: Collocation,
     order: Int[np.ndarray, " r"],
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Float[np.ndarray, "p 3 3"]]:
-    """Places in the order whose collocation point lies on a loaded triangle, that triangle, and barycentric corners of
+    """Places in the order whose collocation point lies on a loaded triangle, that triangle, and
+    barycentric corners of
     the part of it that starts at the point."""
     triangles = np.unique(loaded)
     place_of = np.full(collocation.point.shape[0], -1)

@@ -1,8 +1,9 @@
 """Displacement of a point of the surface that need not be a vertex, as sharp as that of a vertex.
 
-Under a tool the displacement changes within an element, and what the vertices around say by interpolation is too soft.
-The integral equation written at the point itself knows the load there: the displacement follows from it once the
-vertices' displacements and the support's tractions are known.
+Under a tool the displacement changes within an element, and what the vertices around say by
+interpolation is too soft. The integral equation written at the point itself knows the load there:
+the displacement follows from it once the vertices' displacements and the support's tractions are
+known.
 """
 
 from dataclasses import dataclass
@@ -106,7 +107,9 @@ def _collocation_at(
     )
 
 
-def _sorted_rows(system: BoundarySystem, rows: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "p 3 c"]:
+def _sorted_rows(
+    system: BoundarySystem, rows: Float[np.ndarray, "r c"]
+) -> Float[np.ndarray, "p 3 c"]:
     count = system.collocation.point.shape[0]
     order = system.traction_kernel.rows.ravel()[:count]
     out = np.empty((count, 3, rows.shape[1]))

@@ -23,8 +23,9 @@ SMALLEST_RCOND = 1e-14
 class BoundarySystem:
     """Material-free matrices of one object on one support.
 
-    The system for the unknowns x = (displacement of the free vertices [m], traction of the held sides times
-    `traction_length` over the shear modulus [m]) is matrix(nu) x = right-hand side, multiplied by 8 pi (1 - nu).
+    The system for the unknowns x = (displacement of the free vertices [m], traction of the held
+    sides times `traction_length` over the shear modulus [m]) is matrix(nu) x = right-hand side,
+    multiplied by 8 pi (1 - nu).
 
     Attributes
     ----------
@@ -33,7 +34,8 @@ class BoundarySystem:
     collocation : Collocation
     traction_kernel : FieldBlocks         against the displacement of every vertex
     displacement_kernel : FieldBlocks     against the traction of every side of the support
-    traction_length : float [m]           scales tractions to displacements, so that columns are alike
+    traction_length : float [m]           scales tractions to displacements, so that columns are
+                                          alike
     """
 
     surface: BoundarySurface
@@ -94,7 +96,8 @@ def integral_equations(
     *,
     quadrature: Quadrature = Quadrature(),
 ) -> BoundarySystem:
-    """Write the boundary integral equation at some points, without the value at the points themselves.
+    """Write the boundary integral equation at some points, without the value at the points
+    themselves.
 
     Parameters
     ----------
@@ -105,7 +108,8 @@ def integral_equations(
 
     Returns
     -------
-    BoundarySystem                        as many rows as points; the traction kernel lacks the rigid-body sum
+    BoundarySystem                        as many rows as points; the traction kernel lacks the
+                                          rigid-body sum
     """
     triangles = surface.mesh.triangles
     h = assemble(
@@ -176,7 +180,8 @@ def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndar
 
     Returns
     -------
-    (r, k) float              Fortran order; rows by component, then by collocation point in the order of the blocks
+    (r, k) float              Fortran order; rows by component, then by collocation point in the
+                              order of the blocks
     """
     matrix = np.empty((system.size, 3 * system.collocation.point.shape[0]))
     n_free = system.unknowns.free_vertices.size
@@ -208,15 +213,15 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
     SingularSystemError       the support does not hold the object
     """
     matrix = system_matrix(system, poisson_ratio)
-    norm = np.abs(matrix).sum(axis=0).max()
+    gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
+    norm = lange("1", matrix)
     lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
-    (gecon,) = get_lapack_funcs(("gecon",), (lu,))
     rcond = float(gecon(lu, norm)[0])
     if not rcond > SMALLEST_RCOND:
         raise SingularSystemError(
             f"the system of {system.size} equations is singular (reciprocal condition {rcond:.1e}, "
-            f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate parts: "
-            "run `palpate check`"
+            f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate "
+            "parts: run `palpate check`"
         )
     return FactorisedSystem(poisson_ratio, lu, pivots, rcond)
 

@@ -11,6 +11,15 @@ from palpate.estimation.cramer_rao import cramer_rao_bound
 from palpate.estimation.fit import FitResult, fit
 from palpate.estimation.likelihood_map import LikelihoodMap
 from palpate.estimation.observations import ProbeObservations, ResponseModel
+from palpate.estimation.reduced_model import ReducedModel, make_reduced_model
+from palpate.estimation.responses import (
+    FullModel,
+    FullResponse,
+    PointRows,
+    ProbeRows,
+    ReducedResponse,
+    reduced_response,
+)
 from palpate.estimation.settings import FitMethod, FitSettings, IntervalMethod
 from palpate.estimation.uncertainty import IntervalSet
 from palpate.estimation.validation import ProbeFit
@@ -19,12 +28,20 @@ __all__ = [
     "FitMethod",
     "FitResult",
     "FitSettings",
+    "FullModel",
+    "FullResponse",
     "IntervalMethod",
     "IntervalSet",
     "LikelihoodMap",
+    "PointRows",
     "ProbeFit",
     "ProbeObservations",
+    "ProbeRows",
+    "ReducedModel",
+    "ReducedResponse",
     "ResponseModel",
     "cramer_rao_bound",
     "fit",
+    "make_reduced_model",
+    "reduced_response",
 ]

@@ -30,7 +30,9 @@ def bootstrap_constants(
     """
     k = len(scores.score)
     if k < 2:
-        return rng.multivariate_normal(np.zeros(2), scores.covariance(), size=count)
+        value, vector = np.linalg.eigh(scores.covariance())
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+        return rng.normal(size=(count, 2)) @ root.T
     times = rng.multinomial(k, np.full(k, 1.0 / k), size=count).astype(np.float64)
     centred = scores.score - scores.score.mean(0)
     total = np.einsum("bk,kij->bij", times, scores.information)

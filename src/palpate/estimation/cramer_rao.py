@@ -1,4 +1,4 @@
-"""The smallest standard deviations that any estimate can have: what a session could tell at best."""
+"""The smallest standard deviations that any estimate can have: what a session tells at best."""
 
 from collections.abc import Sequence
 

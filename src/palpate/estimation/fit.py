@@ -2,8 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from enum import Enum
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -37,6 +36,14 @@ from palpate.records import Estimate, ProbeEstimate, Status
 
 __all__ = ["FitResult", "fit"]
 
+# Stages and how much of the time has passed when they start.
+_STAGES = {
+    "tabulation": 0.0,
+    "minimisation": 0.2,
+    "intervals": 0.5,
+    "single probings": 0.7,
+    "validation": 0.95,
+}
 _LEVEL_ROUNDS = 3
 _LEVEL_CHANGE = 1e-3
 
@@ -48,22 +55,22 @@ class FitResult:
     Parameters
     ----------
     estimate : Estimate
-    likelihood : LikelihoodMap or None      None where the settings leave it out
+    likelihood : LikelihoodMap
     probes : tuple of ProbeFit
     intervals : method -> IntervalSet       of the joint constants, before prior ranges
     """
 
     estimate: Estimate
-    likelihood: LikelihoodMap | None
+    likelihood: LikelihoodMap
     probes: tuple[ProbeFit, ...]
-    intervals: dict[str, IntervalSet]
+    intervals: dict[str, IntervalSet] = field(default_factory=dict)
 
 
 def fit(
     probes: Sequence[ProbeObservations],
     *,
     settings: FitSettings | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> FitResult:
     """Elastic constants from all probings together and from each alone, with intervals.
 
@@ -71,7 +78,7 @@ def fit(
     ----------
     probes : sequence of ProbeObservations  at least one
     settings : FitSettings or None          None = defaults
-    progress : callable or None             told the name of each stage as it starts
+    progress : callable or None             told what starts (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -82,7 +89,7 @@ def fit(
     InputError                              no probing, a name twice, nothing measured in a probing
     """
     settings = settings or FitSettings()
-    clock = _Clock(progress or (lambda _: None))
+    clock = _Clock(progress or (lambda _text, _share: None))
     clock.start("tabulation")
     rows = _checked_rows(probes)
     table = response_table(rows, settings.poisson_range)
@@ -93,10 +100,10 @@ def fit(
     weights = _fixed_weights(misfit, minimum, table, settings)
     scatters = scatters_of(scores, minimum.poisson_ratio)
     sets = _interval_sets(minimum, scores, noise, weights, scatters, settings)
-    told = identifiable_constants(sets[settings.interval.value], weights)
-    reported = with_prior_ranges(sets[settings.interval.value], told, settings.poisson_range)
+    told = identifiable_constants(sets[settings.interval], weights)
+    reported = with_prior_ranges(sets[settings.interval], told, settings.poisson_range)
     likelihood = _map(scores, scatters, weights, reported, minimum, settings)
-    clock.start("single_probings")
+    clock.start("single probings")
     singles = _single_intervals(misfit, table, weights, noise, scatters, settings, reported)
     clock.start("validation")
     several = len(rows) > 1
@@ -114,7 +121,7 @@ def fit(
             for probe, single, one in zip(rows, singles, fits, strict=True)
         ),
         seconds=clock.stopped(),
-        method=settings.method.value,
+        method=str(settings.method),
         settings=_plain(settings),
         notes=fit_notes(misfit, minimum, noise, scatters, told, weights),
     )
@@ -124,7 +131,7 @@ def fit(
 class _Clock:
     """Wall time of each stage."""
 
-    def __init__(self, progress: Callable[[str], None]) -> None:
+    def __init__(self, progress: Callable[[str, float], None]) -> None:
         self._progress = progress
         self._seconds: dict[str, float] = {}
         self._stage = ""
@@ -133,7 +140,7 @@ class _Clock:
     def start(self, stage: str) -> None:
         self.stopped()
         self._stage, self._since = stage, time.perf_counter()
-        self._progress(stage)
+        self._progress(stage, _STAGES[stage])
 
     def stopped(self) -> dict[str, float]:
         if self._stage:
@@ -173,7 +180,7 @@ def _joint_minimum(
         if settled or round_number == _LEVEL_ROUNDS - 1:
             break
         misfit = with_levels(rows, level, **degrees)
-    if settings.method is FitMethod.NELDER_MEAD:
+    if settings.method == FitMethod.NELDER_MEAD:
         found = nelder_mead_minimum(
             misfit,
             start.poisson_ratio,
@@ -229,9 +236,7 @@ def _map(
     reported: IntervalSet,
     minimum: ScoredMinimum,
     settings: FitSettings,
-) -> LikelihoodMap | None:
-    if settings.map_size < 2:
-        return None
+) -> LikelihoodMap:
     calibration = 1.0
     for name, turn in (("poisson_ratio", np.eye(2)[0]), ("shear_modulus", np.eye(2)[1])):
         variance = float(turn @ scores.covariance() @ turn) * scatters[name].factor
@@ -265,7 +270,7 @@ def _single_intervals(
         sets = _interval_sets(
             minimum, scores, noise, alone.only(k), scatters, replace(settings, bootstrap_count=0)
         )
-        chosen = sets.get(settings.interval.value, sets["profile"])
+        chosen = sets.get(settings.interval, sets["profile"])
         told = identifiable_constants(chosen, alone.only(k))
         found.append(with_prior_ranges(chosen, told, settings.poisson_range))
     return found
@@ -303,6 +308,6 @@ def _rms(values: Float[np.ndarray, "n 3"]) -> float:
 def _plain(settings: FitSettings) -> dict[str, object]:
     """Settings as plain values for a file."""
     return {
-        name: value.value if isinstance(value, Enum) else value
+        name: str(value) if isinstance(value, str) else value
         for name, value in asdict(settings).items()
     }

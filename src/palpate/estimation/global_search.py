@@ -84,7 +84,7 @@ def global_start(
     nu, beta = grid[len(grid) // 2], 1.0
     for _ in range(_ROUNDS):
         level = noise_levels(probes, residuals, parameters=fitted_parameters(probes))
-        weights, squared = [], []
+        weights = []
         for probe, residual in zip(probes, residuals, strict=True):
             variance = (probe.unit * level[probe.group]) ** 2
             squared = np.add.reduceat(residual**2 / variance, probe.start)
@@ -106,7 +106,7 @@ def weighted_gram(
     probes: Sequence[ObservedRows],
     table: ResponseTable,
     level: Float[np.ndarray, " 8"],
-    point_weight: Sequence[Float[np.ndarray, " p"]],
+    point_weight: Sequence[Float[np.ndarray, " _"]],
 ) -> GramTable:
     """Gram matrices for given noise levels and robust weights of the points."""
     weights = [

@@ -57,16 +57,23 @@ def with_prior_ranges(
     For a modulus that is bounded by the data only through the range of nu, that range is its
     interval already and stays; without any signal it is (0, infinity).
     """
-    changed = {}
+    ratio = intervals.poisson_ratio
     if not identifiable["poisson_ratio"]:
-        old = intervals.poisson_ratio
-        uniform = (poisson_range[1] - poisson_range[0]) / np.sqrt(12.0)
-        changed["poisson_ratio"] = Constant(old.value, float(uniform), poisson_range)
-    for name in ("shear_modulus", "young_modulus"):
-        old = getattr(intervals, name)
-        if not np.isfinite(old.ci95[1]):
-            changed[name] = Constant(old.value, np.inf, (0.0, np.inf))
-    return replace(intervals, **changed)
+        uniform = float(np.ptp(poisson_range) / np.sqrt(12.0))
+        ratio = Constant(ratio.value, uniform, poisson_range)
+    return replace(
+        intervals,
+        poisson_ratio=ratio,
+        shear_modulus=_modulus_in_range(intervals.shear_modulus),
+        young_modulus=_modulus_in_range(intervals.young_modulus),
+    )
+
+
+def _modulus_in_range(modulus: Constant) -> Constant:
+    """The modulus itself, or all positive values where its interval has no upper end."""
+    if np.isfinite(modulus.ci95[1]):
+        return modulus
+    return Constant(modulus.value, np.inf, (0.0, np.inf))
 
 
 def told_combination(weights: FixedWeights) -> str:

@@ -30,12 +30,13 @@ class ScaledRows:
     ----------
     measured : (r,) float [-]
     base : (r, 4) float [Pa/N]      response at a reference Poisson's ratio, column 3 [Pa]
-    slope : (r, 4) float or None    its derivative with respect to Poisson's ratio
+    slope : (r, 4) float            its derivative with respect to Poisson's ratio, zero where not
+                                    asked for
     """
 
     measured: Float[np.ndarray, " r"]
     base: Float[np.ndarray, "r 4"]
-    slope: Float[np.ndarray, "r 4"] | None
+    slope: Float[np.ndarray, "r 4"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +138,7 @@ def scaled_rows(
 ) -> ScaledRows:
     """Rows of a probing in units of the noise, the response taken at one Poisson's ratio."""
     base = probe.value(poisson_ratio) / sigma[:, None]
-    slope = probe.slope(poisson_ratio) / sigma[:, None] if with_slope else None
+    slope = probe.slope(poisson_ratio) / sigma[:, None] if with_slope else np.zeros_like(base)
     return ScaledRows(probe.measured / sigma, base, slope)
 
 

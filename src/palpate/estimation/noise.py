@@ -13,7 +13,8 @@ _MAD_TO_SIGMA = 1.482602218505602
 # Relative standard error of a sigma from the median absolute deviation of n Gaussian values.
 _MAD_ERROR = 1.166
 _SIGNIFICANT = 2.5
-_FLOOR_OVER_SIGNAL = 1e-10
+# No field is measured better than this; it keeps exact data apart from the force's claim.
+_FLOOR_OVER_SIGNAL = 1e-6
 _TIP_GROUP = 3
 _TIP_PRIOR_ROWS = 3.0
 
@@ -25,7 +26,7 @@ def claimed_only(probes: Sequence[ObservedRows]) -> bool:
 
 def noise_levels(
     probes: Sequence[ObservedRows],
-    residuals: Sequence[Float[np.ndarray, " r"]],
+    residuals: Sequence[Float[np.ndarray, " _"]],
     *,
     parameters: int,
 ) -> Float[np.ndarray, " 8"]:

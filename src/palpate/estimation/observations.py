@@ -1,7 +1,7 @@
 """What one probing contributes to the estimation: measured displacements and their model."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,6 +25,7 @@ CLAIMED_GROUPS = slice(4, 8)
 _TIP_GROUP = 3
 
 
+@runtime_checkable
 class ResponseModel(Protocol):
     """Displacement of the observed points per unit force, as a function of Poisson's ratio.
 
@@ -221,7 +222,7 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
     """Displacement, claimed 1 sigma (1 where none) and noise group of every row."""
     n = len(probe.position)
     claimed = probe.std is not None
-    unit = probe.std if claimed else np.ones((n, 3))
+    unit = np.ones((n, 3)) if probe.std is None else probe.std
     group = np.tile(np.arange(3), n) + (CLAIMED_GROUPS.start if claimed else 0)
     displacement, unit = probe.displacement.ravel(), unit.ravel()
     if probe.tip_displacement is not None:

@@ -168,7 +168,7 @@ def _crossings(place: np.ndarray, height: np.ndarray, allowed: float) -> tuple[f
 
 
 def _edges(curve: ProfileCurve, allowed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest 1 / G below a height at every Poisson's ratio, NaN where there is none."""
+    """Smallest and largest 1 / G below a height at every Poisson's ratio, NaN where none is."""
     spare = allowed - curve.height
     inside = spare > 0
     best = curve.compliance[None]

@@ -1,8 +1,9 @@
 """The solution at every Poisson's ratio from one factorisation.
 
-The system is linear in nu: (K + d K') x = b + d b', with d the distance of nu from a centre. Its solution is a power
-series in d whose terms follow from one another by a back substitution. A handful of them span a space in which a small
-least-squares problem finds the solution at any nu, far outside the radius of convergence of the series itself.
+The system is linear in nu: (K + d K') x = b + d b', with d the distance of nu from a centre. Its
+solution is a power series in d whose terms follow from one another by a back substitution. A
+handful of them span a space in which a small least-squares problem finds the solution at any nu,
+far outside the radius of convergence of the series itself.
 """
 
 from dataclasses import dataclass
@@ -23,9 +24,11 @@ class ReducedModel:
     Attributes
     ----------
     centre : float                            Poisson's ratio of the factorisation
-    directions : (j + 1, k, c) float          terms of the power series for each of c right-hand sides; the last one
-                                              serves to measure the residual only
-    triangular : (c, j, j) float              triangular factor of each column's directions from the third on
+    directions : (j + 1, k, c) float          terms of the power series for each of c right-hand
+                                              sides; the last one serves to measure the residual
+                                              only
+    triangular : (c, j, j) float              triangular factor of each column's directions from the
+                                              third on
     scale : (c,) float                        norm of each column's solution at the centre
     """
 
@@ -46,9 +49,11 @@ class ReducedModel:
 
         Returns
         -------
-        (j, c) float              the first is 1, the second the distance from the centre: the right-hand side is
-                                  quadratic, and these take its terms up to there; the others minimise the residual
-        float                     largest residual over the columns, relative to the solution at the centre
+        (j, c) float              the first is 1, the second the distance from the centre: the
+                                  right-hand side is quadratic, and these take its terms up to
+                                  there; the others minimise the residual
+        float                     largest residual over the columns, relative to the solution at the
+                                  centre
         """
         distance = poisson_ratio - self.centre
         count = self.directions.shape[0] - 3

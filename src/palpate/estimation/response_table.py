@@ -1,4 +1,4 @@
-"""Responses tabulated once over Poisson's ratio, so that the whole likelihood costs next to nothing.
+"""Responses tabulated once over Poisson's ratio: the whole likelihood costs next to nothing.
 
 The response is smooth in Poisson's ratio, so its values at Chebyshev nodes give it everywhere. With
 weights held fixed a probing enters the likelihood only through small Gram matrices at those nodes.
@@ -89,8 +89,8 @@ def response_table(
 
 def gram_table(
     table: ResponseTable,
-    measured: Sequence[Float[np.ndarray, " r"]],
-    weight: Sequence[Float[np.ndarray, " r"]],
+    measured: Sequence[Float[np.ndarray, " _"]],
+    weight: Sequence[Float[np.ndarray, " _"]],
 ) -> GramTable:
     """Products of every probing for given row weights (robust weight over variance) [1/m^2]."""
     both, mixed, plain = [], [], []

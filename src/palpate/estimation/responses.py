@@ -1,8 +1,9 @@
-"""What a boundary element model says that each probing should have seen, as a function of Poisson's ratio.
+"""What a boundary element model says that each probing should have seen, as a function of Poisson's
+ratio.
 
-The rows of a probing are those of `observations.ResponseModel`: its observed points, then its contact point. Two models
-give them: `ReducedResponse` from one factorisation for all Poisson's ratios, `FullResponse` from a new factorisation at
-each, the plain way and the reference.
+The rows of a probing are those of `observations.ResponseModel`: its observed points, then its
+contact point. Two models give them: `ReducedResponse` from one factorisation for all Poisson's
+ratios, `FullResponse` from a new factorisation at each, the plain way and the reference.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +20,8 @@ SLOPE_STEP = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointRows:
-    """How the displacement of a contact point follows from the unknowns (`bem.PointEquations`), with its loads.
+    """How the displacement of a contact point follows from the unknowns (`bem.PointEquations`),
+    with its loads.
 
     Attributes
     ----------
@@ -41,9 +43,11 @@ class ProbeRows:
 
     Attributes
     ----------
-    columns : (c,) int                right-hand sides: the force along x, y, z, then the two of a body force, if any
+    columns : (c,) int                right-hand sides: the force along x, y, z, then the two of a
+                                      body force, if any
     surface : (3 n, k) sparse         observed displacements from the unknowns of the system
-    particular : (3 n,) float [m Pa]  particular displacement there under a body force, over its factor
+    particular : (3 n,) float [m Pa]  particular displacement there under a body force, over its
+                                      factor
     tip : PointRows or None           where the contact point's displacement was measured
     """
 
@@ -71,14 +75,16 @@ class ReducedResponse:
     tip: Float[np.ndarray, "c six terms"]
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
-        """Displacement times shear modulus per unit force, and under the body force (`ResponseModel`)."""
+        """Displacement times shear modulus per unit force, and under the body force
+        (`ResponseModel`)."""
         weights, _ = self.model.coefficients(poisson_ratio, self.rows.columns)
         observed = (self.surface @ weights.T[:, :, None])[:, :, 0].T
         equations = (self.tip @ weights.T[:, :, None])[:, :, 0].T
         return _response(self.rows, observed, equations, poisson_ratio)
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
-        """Derivative of `value` with respect to Poisson's ratio, by a central difference (error 1e-8)."""
+        """Derivative of `value` with respect to Poisson's ratio, by a central difference (error
+        1e-8)."""
         return _slope(self.value, poisson_ratio)
 
 
@@ -90,7 +96,8 @@ class FullModel:
     ----------
     system : BoundarySystem
     right : RightHand
-    solved : dict                     the latest solution by its Poisson's ratio: all probings ask for the same one
+    solved : dict                     the latest solution by its Poisson's ratio: all probings ask
+                                      for the same one
     """
 
     system: BoundarySystem
@@ -129,7 +136,8 @@ class FullResponse:
     rows: ProbeRows
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
-        """Displacement times shear modulus per unit force, and under the body force (`ResponseModel`)."""
+        """Displacement times shear modulus per unit force, and under the body force
+        (`ResponseModel`)."""
         x = self.model.solution(poisson_ratio)[:, self.rows.columns]
         equations = np.zeros((6, x.shape[1]))
         if self.rows.tip is not None:
@@ -137,7 +145,8 @@ class FullResponse:
         return _response(self.rows, self.rows.surface @ x, equations, poisson_ratio)
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
-        """Derivative of `value` with respect to Poisson's ratio, by a central difference (error 1e-8)."""
+        """Derivative of `value` with respect to Poisson's ratio, by a central difference (error
+        1e-8)."""
         return _slope(self.value, poisson_ratio)
 
 

@@ -4,7 +4,7 @@ Model-based first: Fisher information of the robust loss, with the noise as the 
 (never below the claim) and the spatial correlation of residuals. Then the probings are asked: if
 their scores scatter more than that explains (a force sensor that is off, a model error that is
 common to all points of a probing), the variance of the constant concerned is raised to the scatter,
-with the Student quantile of the probings that told it. Scatter that chance explains changes nothing.
+with Student's quantile for the probings that told it. Scatter that chance explains changes nothing.
 """
 
 from collections.abc import Sequence
@@ -260,7 +260,8 @@ def _absorbed(misfit: Misfit, local: Sequence[LocalProbe]) -> float:
 
 def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inverse with a ridge far below any information that counts, and the ridge."""
-    size = np.maximum(np.diag(matrix), np.finfo(float).tiny)
+    size = np.diag(matrix)
+    size = np.maximum(size, max(1e-15 * float(size.max()), 1e-200))
     ridge = _RIDGE * np.diag(size)
     scale = np.sqrt(size)
     unit = matrix / np.outer(scale, scale) + _RIDGE * np.eye(2)

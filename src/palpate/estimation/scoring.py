@@ -19,6 +19,7 @@ __all__ = ["LocalProbe", "ScoredMinimum", "linearised", "scored_minimum"]
 _OUTER = 8
 _INNER = 12
 _HALVINGS = 12
+_LONGEST_STEP = 2.0
 _OUTER_STEP = 1e-10
 _INNER_STEP = 1e-11
 # A step this small against the standard error changes nothing that could be told.
@@ -100,8 +101,7 @@ def linearised(
     residual = rows.measured - predicted
     squared = np.add.reduceat(residual**2, probe.start)
     design = np.empty((len(residual), 5))
-    if rows.slope is not None:
-        design[:, 0] = rows.slope @ load
+    design[:, 0] = rows.slope @ load
     np.negative(predicted, out=design[:, 1])
     np.multiply(response[:, :3], probe.force_std / shear_modulus, out=design[:, 2:])
     count = force_components(probe)
@@ -184,10 +184,11 @@ def _inner(
     poisson_range: tuple[float, float],
 ) -> tuple[float, float, list[np.ndarray], float, int]:
     """Scoring steps with the response linear in Poisson's ratio about a reference."""
-    nu, error = reference, np.inf
+    nu, error, steps = reference, np.inf, 0
     local = _all_linearised(misfit, rows, 0.0, modulus, shifts)
     loss = sum(probe.loss for probe in local)
-    for count in range(1, _INNER + 1):
+    while steps < _INNER:
+        steps += 1
         constants, forces, error = _step(misfit, local, nu, poisson_range)
         factor = 1.0
         for _ in range(_HALVINGS):
@@ -199,11 +200,14 @@ def _inner(
             if new_loss <= loss + 1e-12 * (1 + abs(loss)):
                 break
             factor *= 0.5
+        else:
+            # No step of this direction lowers the misfit: rounding is all that is left.
+            break
         moved = max(abs(new_nu - nu), abs(factor * constants[1]))
         nu, modulus, shifts, local, loss = new_nu, new_modulus, new_shifts, trial, new_loss
         if moved < max(_INNER_STEP, 0.1 * _STEP_OVER_ERROR * error):
             break
-    return nu, modulus, shifts, error, count
+    return nu, modulus, shifts, error, steps
 
 
 def _step(
@@ -231,8 +235,7 @@ def _step(
         kept.append(solved)
     step = _bounded(normal, gradient, nu, poisson_range)
     forces = [solved[:, 2] - solved[:, :2] @ step for solved in kept]
-    scale = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
-    return step, forces, float(1 / scale.max())
+    return step, forces, float(1 / _scale_of(normal).max())
 
 
 def _bounded(
@@ -240,11 +243,17 @@ def _bounded(
 ) -> np.ndarray:
     """Step of (nu, log G); at an end of the range nu is held where the step leads outwards."""
     # Scaled to a unit diagonal, least squares: nothing breaks where only one combination is told.
-    scale = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
+    scale = _scale_of(normal)
     unit = normal / np.outer(scale, scale)
     step = np.linalg.lstsq(unit, gradient / scale, rcond=1e-11)[0] / scale
     low, high = poisson_range
     if not low <= nu + step[0] <= high:
         fixed = float(np.clip(nu + step[0], low, high) - nu)
-        step = np.array([fixed, (gradient[1] - normal[1, 0] * fixed) / normal[1, 1]])
-    return step
+        step = np.array([fixed, (gradient[1] - normal[1, 0] * fixed) / scale[1] ** 2])
+    return np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+
+
+def _scale_of(normal: np.ndarray) -> np.ndarray:
+    """Root of the diagonal, with a floor far below any information that counts."""
+    size = np.diag(normal)
+    return np.sqrt(np.maximum(size, max(1e-15 * float(size.max()), 1e-200)))

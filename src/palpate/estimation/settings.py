@@ -1,7 +1,7 @@
 """Everything that can be chosen about an estimation, with defaults that were measured."""
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 
 import numpy as np
 
@@ -10,14 +10,14 @@ from palpate.errors import InputError
 __all__ = ["FitMethod", "FitSettings", "IntervalMethod"]
 
 
-class FitMethod(str, Enum):
-    """How the misfit is minimised."""
+class FitMethod(StrEnum):
+    """How the misfit is minimised: variable projection on tabulated responses, or a simplex."""
 
-    VARIABLE_PROJECTION = "variable-projection"
+    REDUCED = "reduced"
     NELDER_MEAD = "nelder-mead"
 
 
-class IntervalMethod(str, Enum):
+class IntervalMethod(StrEnum):
     """Which interval is reported; all are computed."""
 
     FISHER = "fisher"
@@ -31,15 +31,15 @@ class FitSettings:
 
     Parameters
     ----------
-    method : FitMethod
-    interval : IntervalMethod           the reported one
+    method : FitMethod, or its name
+    interval : IntervalMethod, or its name           the reported one
     poisson_range : (float, float) [-]  prior range of Poisson's ratio, within [-0.99, 0.4999]
     degrees : float                     of Student's t for a point's displacement, see `student_t`
     force_degrees : float               of Student's t for a probing's force
     rejection_weight : float            a point of smaller robust weight counts as rejected;
                                         0.25 is 4.9 sigma for three components
     bootstrap_count : int               resamples, 0 = none
-    map_size : int                      grid points of the likelihood along each constant, 0 = none
+    map_size : int                      grid points of the likelihood along each constant, >= 2
     seed : int                          of the bootstrap
 
     Raises
@@ -47,8 +47,8 @@ class FitSettings:
     InputError                          a choice is out of its range
     """
 
-    method: FitMethod = FitMethod.VARIABLE_PROJECTION
-    interval: IntervalMethod = IntervalMethod.PROFILE
+    method: str = FitMethod.REDUCED
+    interval: str = IntervalMethod.PROFILE
     poisson_range: tuple[float, float] = (0.0, 0.4999)
     degrees: float = 8.0
     force_degrees: float = 8.0
@@ -58,6 +58,8 @@ class FitSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "method", _member(FitMethod, "method", self.method))
+        object.__setattr__(self, "interval", _member(IntervalMethod, "interval", self.interval))
         low, high = self.poisson_range
         if not (np.isfinite([low, high]).all() and -0.99 <= low < high <= 0.4999):
             raise InputError(
@@ -71,8 +73,19 @@ class FitSettings:
             )
         if not 0 <= self.rejection_weight < 1:
             raise InputError(f"rejection_weight is {self.rejection_weight}; must be in [0, 1)")
-        if self.bootstrap_count < 0 or self.map_size < 0:
+        if self.bootstrap_count < 0 or self.map_size < 2:
             raise InputError(
-                f"bootstrap_count is {self.bootstrap_count}, map_size {self.map_size}; both must be"
-                " >= 0 (0 leaves them out)"
+                f"bootstrap_count is {self.bootstrap_count} and must be >= 0 (0 leaves it out);"
+                f" map_size is {self.map_size} and must be >= 2"
             )
+        if self.interval == IntervalMethod.BOOTSTRAP and not self.bootstrap_count:
+            raise InputError("interval is 'bootstrap', so bootstrap_count must be > 0; try 500")
+
+
+def _member(kind: type[StrEnum], name: str, value: str) -> StrEnum:
+    """Member of an enumeration from its value."""
+    try:
+        return kind(value)
+    except ValueError as error:
+        allowed = ", ".join(repr(member.value) for member in kind)
+        raise InputError(f"{name} is {value!r}; must be one of {allowed}") from error

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from palpate.estimation.response_table import GramTable
 
-__all__ = ["ProjectedProbes", "best_compliance", "deviance_of", "projected", "parabola_minimum"]
+__all__ = ["ProjectedProbes", "best_compliance", "deviance_of", "parabola_minimum", "projected"]
 
 _NEWTON_STEPS = 8
 _SMALLEST = 1e-9

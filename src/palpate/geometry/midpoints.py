@@ -1,9 +1,11 @@
-"""Values at the edge midpoints of a mesh, fitted from the vertices around: quadratic accuracy without more unknowns.
+"""Values at the edge midpoints of a mesh, fitted from the vertices around: quadratic accuracy
+without more unknowns.
 
-A linear element knows a field at three vertices. The vertices around an edge know more: they fix a quadratic, and its
-value at the midpoint of the edge makes the element a quadratic one. The midpoint stays a fixed weighted sum of vertex
-values, so nothing is added to the unknowns. The same weights, applied to the vertices' own positions, give the midpoint
-of the smooth surface that the triangles approximate.
+A linear element knows a field at three vertices. The vertices around an edge know more: they fix a
+quadratic, and its value at the midpoint of the edge makes the element a quadratic one. The midpoint
+stays a fixed weighted sum of vertex values, so nothing is added to the unknowns. The same weights,
+applied to the vertices' own positions, give the midpoint of the smooth surface that the triangles
+approximate.
 """
 
 from dataclasses import dataclass
@@ -25,8 +27,8 @@ class QuadraticNodes:
 
     Attributes
     ----------
-    element : (m, 6) int      nodes at the three corners, then at the midpoints of edges 01, 12, 20; midpoints count
-                              from n_nodes on
+    element : (m, 6) int      nodes at the three corners, then at the midpoints of edges 01, 12, 20;
+                              midpoints count from n_nodes on
     n_nodes : int             number of nodes that carry values of their own
     weights : (p, n_nodes)    sparse; value at midpoint n_nodes + row = weights[row] @ values
     """
@@ -46,13 +48,15 @@ def displacement_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
 
     Returns
     -------
-    QuadraticNodes            n_nodes = number of vertices; the midpoint of a cut edge is the mean of what its two
-                              sides say, so that the field stays continuous
+    QuadraticNodes            n_nodes = number of vertices; the midpoint of a cut edge is the mean
+                              of what its two sides say, so that the field stays continuous
     """
     rows = _half_edge_weights(mesh, sides)
     edge = sides.edge.ravel()
     n_edges = sides.cut.size
-    mean = csr_array((np.full(edge.size, 0.5), (edge, np.arange(edge.size))), shape=(n_edges, edge.size))
+    mean = csr_array(
+        (np.full(edge.size, 0.5), (edge, np.arange(edge.size))), shape=(n_edges, edge.size)
+    )
     to_vertex = csr_array(
         (np.ones(sides.vertex.size), (np.arange(sides.vertex.size), sides.vertex)),
         shape=(sides.vertex.size, mesh.vertices.shape[0]),
@@ -62,7 +66,8 @@ def displacement_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
 
 
 def side_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
-    """Nodes of a field that may jump at cut edges, as tractions do: one value at each side of a vertex.
+    """Nodes of a field that may jump at cut edges, as tractions do: one value at each side of a
+    vertex.
 
     Parameters
     ----------
@@ -71,11 +76,12 @@ def side_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
 
     Returns
     -------
-    QuadraticNodes            n_nodes = number of sides; midpoints are one for each half-edge
+    QuadraticNodes            n_nodes = number of sides; a cut edge has two midpoints, any other one
     """
     rows = _half_edge_weights(mesh, sides)
     n_sides = sides.vertex.size
-    midpoint = n_sides + np.arange(sides.edge.size).reshape(-1, 3)
+    half = np.arange(sides.edge.size).reshape(-1, 3)
+    midpoint = n_sides + np.where(sides.cut[sides.edge], half, np.minimum(half, sides.twin))
     return QuadraticNodes(np.concatenate([sides.corner, midpoint], axis=1), n_sides, rows)
 
 
@@ -195,7 +201,8 @@ def _quadratic_weights(
     plane: Float[np.ndarray, "h 3"],
     near: csr_array,
 ) -> tuple[Float[np.ndarray, "h k"], Int[np.ndarray, "h k"]]:
-    """Moving-least-squares weights that give quadratics over the tangent plane exactly; NaN where they cannot."""
+    """Moving-least-squares weights that give quadratics over the tangent plane exactly; NaN where
+    they cannot."""
     column, present = _padded_rows(csr_array(near[a] + near[b]))
     middle = 0.5 * (position[a] + position[b])
     along = position[b] - position[a]
@@ -250,7 +257,9 @@ def _curve_stencils(
     use = np.ones(chain.shape, dtype=bool)
     use[:, 0] = (chain[:, 0] >= 0) & (turn_start > SMOOTH_TURN)
     use[:, 3] = (chain[:, 3] >= 0) & (turn_end > SMOOTH_TURN)
-    s = np.stack([-length[:, 0], 0 * length[:, 0], length[:, 1], length[:, 1] + length[:, 2]], axis=1)
+    s = np.stack(
+        [-length[:, 0], 0 * length[:, 0], length[:, 1], length[:, 1] + length[:, 2]], axis=1
+    )
     weight = _lagrange(s, 0.5 * length[:, 1], use)
     row = np.broadcast_to(half[:, None], chain.shape)
     return row[use], chain[use], weight[use]

@@ -1,4 +1,5 @@
-"""Smooth sides of a triangle mesh: where normals, tractions and gradients may jump, and where they may not."""
+"""Smooth sides of a triangle mesh: where normals, tractions and gradients may jump, and where they
+may not."""
 
 from dataclasses import dataclass
 
@@ -16,8 +17,9 @@ CREASE_ANGLE = np.radians(40.0)
 class Sides:
     """The mesh with its vertices split wherever the surface has an edge.
 
-    A side is a fan of triangles around one vertex in which no edge is cut. An edge is cut where the surface turns by
-    more than the crease angle or where the support ends. A corner of a cube has three sides, a vertex of a sphere one.
+    A side is a fan of triangles around one vertex in which no edge is cut. An edge is cut where the
+    surface turns by more than the crease angle or where the support ends. A corner of a cube has
+    three sides, a vertex of a sphere one.
 
     Attributes
     ----------
@@ -44,7 +46,8 @@ def split_sides(
     ----------
     mesh : TriangleMesh               closed and consistently oriented
     region : (m,) int                 label of each triangle (say 1 where held, 0 where free)
-    crease_angle : float [rad]        angle between the normals of two triangles above which their edge is a crease
+    crease_angle : float [rad]        angle between the normals of two triangles above which their
+                                      edge is a crease
 
     Returns
     -------

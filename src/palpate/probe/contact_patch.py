@@ -19,7 +19,8 @@ class ContactPatch:
     Attributes
     ----------
     contact : Contact
-    triangles : (k,) int          triangles that the contact sphere reaches, connected to the contact point
+    triangles : (k,) int          triangles that the contact sphere reaches, connected to the
+                                  contact point
     triangle : int                triangle at the contact point
     barycentric : (3,) float [-]  place of the contact point in it
     vertex : int                  vertex nearest to the contact point
@@ -48,8 +49,9 @@ class ContactPatch:
 
         Returns
         -------
-        (n,) float [-]            SESSION.md's profiles: (1 - s^2)^2, 1 or sqrt(1 - s^2) with s = distance from the
-                                  contact point over the radius; or the linear hat function of the nearest vertex
+        (n,) float [-]            SESSION.md's profiles: (1 - s^2)^2, 1 or sqrt(1 - s^2) with s =
+                                  distance from the contact point over the radius; or the linear hat
+                                  function of the nearest vertex
         """
         if self.contact.profile is ContactProfile.VERTEX:
             return (barycentric * (self.corners[triangle] == self.vertex)).sum(axis=1)
@@ -106,15 +108,17 @@ def find_contact_patch(
         distance = float(place.distance[0])
         if distance >= contact.radius:
             raise InputError(
-                f"probe '{name}': the contact point is {1e3 * distance:.3g} mm from the surface, farther than "
-                f"its radius of {1e3 * contact.radius:.3g} mm; check the frame and the units of contact.point"
+                f"probe '{name}': the contact point is {1e3 * distance:.3g} mm from the surface, "
+                f"farther than its radius of {1e3 * contact.radius:.3g} mm; check the frame and "
+                "the units of contact.point"
             )
         triangles = _reached(mesh, contact.point, contact.radius, first)
     held = np.intersect1d(triangles, held_triangles)
     if held.size:
         raise InputError(
-            f"probe '{name}': the contact patch reaches {held.size} triangles of the support (first: "
-            f"{held[:3].tolist()}); a load there moves nothing; move the contact or shrink its radius"
+            f"probe '{name}': the contact patch reaches {held.size} triangles of the support "
+            f"(first: {held[:3].tolist()}); a load there moves nothing; move the contact or "
+            "shrink its radius"
         )
     return ContactPatch(contact, triangles, first, barycentric, vertex, mesh.triangles)
 
@@ -122,7 +126,8 @@ def find_contact_patch(
 def _reached(
     mesh: TriangleMesh, point: Float[np.ndarray, "3"], radius: float, first: int
 ) -> Int[np.ndarray, " k"]:
-    """Triangles within a sphere that hang together with the first one and face the same half space."""
+    """Triangles within a sphere that hang together with the first one and face the same half
+    space."""
     near = np.flatnonzero(triangle_distances(mesh, point) < radius)
     normals = unit_normals(mesh)
     near = near[(normals[near] @ normals[first] > -0.5) | (near == first)]

@@ -1,0 +1,63 @@
+"""One measured figure with what was asked of it."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+__all__ = ["BEM", "ESTIMATION", "Figure", "Limit", "figure_from_plain", "plain"]
+
+BEM = "Boundary element model"
+ESTIMATION = "Estimation"
+Limit = float | tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure, measured.
+
+    Parameters
+    ----------
+    section : str               BEM or ESTIMATION
+    name : str                  what was measured, on what
+    reached : float or None     None where it could not be measured; the note says why
+    unit : str                  "", "%", "s", "GB" or "x"; percentages are given as percentages
+    must : float, pair or None  bound, or interval, to keep; None for a row that only compares
+    reach : float, pair or None the same, to strive for
+    higher : bool               True where more is better
+    note : str                  how it was measured, one or two sentences
+    """
+
+    section: str
+    name: str
+    reached: float | None
+    unit: str = ""
+    must: Limit = None
+    reach: Limit = None
+    higher: bool = False
+    note: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """ "reach" or "must", the better one that is met, "missed", or "" where nothing is asked."""
+        if self.must is None and self.reach is None:
+            return ""
+        if self.reached is None:
+            return "not measured"
+        if self.reach is not None and self._keeps(self.reach):
+            return "reach"
+        return "must" if self.must is not None and self._keeps(self.must) else "missed"
+
+    def _keeps(self, limit: float | tuple[float, float]) -> bool:
+        if isinstance(limit, tuple):
+            return limit[0] <= self.reached <= limit[1]
+        return self.reached >= limit if self.higher else self.reached <= limit
+
+
+def plain(figures: list[Figure]) -> list[dict[str, Any]]:
+    """Figures as JSON can hold them."""
+    return [asdict(figure) for figure in figures]
+
+
+def figure_from_plain(values: dict[str, Any]) -> Figure:
+    """The inverse of `plain` for one figure: JSON has lists where a limit is a pair."""
+    pairs = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    return Figure(**pairs)

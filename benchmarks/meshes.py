@@ -1,0 +1,78 @@
+"""Surfaces for benchmarks, made by hand."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.geometry import TriangleMesh
+
+__all__ = ["CUBE_NORMALS", "ball", "cap", "cube"]
+
+CUBE_NORMALS = np.array(
+    [[-1.0, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]]
+)
+
+
+def cube(cells: int) -> tuple[TriangleMesh, Int[np.ndarray, " m"]]:
+    """Unit cube, every face `cells` by `cells` squares cut in two along alternating diagonals.
+
+    Returns
+    -------
+    TriangleMesh
+    (m,) int                  face of each triangle, an index of CUBE_NORMALS
+    """
+    number: dict[tuple[int, ...], int] = {}
+    triangles, face = [], []
+    for axis in range(3):
+        for side in (0, 1):
+            for i, j in np.ndindex(cells, cells):
+                corner = []
+                for p, q in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)):
+                    place = [side * cells] * 3
+                    place[(axis + 1) % 3], place[(axis + 2) % 3] = p, q
+                    corner.append(number.setdefault(tuple(place), len(number)))
+                a, b, c, d = corner
+                cut = [[a, b, c], [a, c, d]] if (i + j) % 2 == 0 else [[a, b, d], [b, c, d]]
+                triangles += cut if side else [one[::-1] for one in cut]
+                face += [2 * axis + side] * 2
+    vertices = np.array(list(number), dtype=float) / cells
+    return TriangleMesh(vertices, np.array(triangles)), np.array(face)
+
+
+def ball(subdivisions: int, *, radius: float = 1.0) -> TriangleMesh:
+    """Icosahedron cut in four `subdivisions` times, 10 * 4^k + 2 vertices on the sphere."""
+    g = (1 + np.sqrt(5)) / 2
+    pairs = np.array([[-1, g], [1, g], [-1, -g], [1, -g]])
+    flat = np.zeros((4, 1))
+    vertices = np.concatenate([np.roll(np.hstack([pairs, flat]), k, axis=1) for k in (0, 1, 2)])
+    triangles = _hull(vertices)
+    for _ in range(subdivisions):
+        edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        unique, number = np.unique(edges, axis=0, return_inverse=True)
+        middle = len(vertices) + number.reshape(-1, 3)
+        vertices = np.concatenate([vertices, vertices[unique].mean(axis=1)])
+        nodes = np.hstack([triangles, middle])
+        cut = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+        triangles = nodes[:, cut].reshape(-1, 3)
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    return TriangleMesh(radius * vertices, triangles)
+
+
+def cap(mesh: TriangleMesh, height: float) -> Int[np.ndarray, " k"]:
+    """Triangles that lie below a height z [m] with all three vertices."""
+    return np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < height).all(axis=1))
+
+
+def _hull(vertices: Float[np.ndarray, "12 3"]) -> Int[np.ndarray, "20 3"]:
+    """Outward faces of the icosahedron: triples of vertices at the distance of an edge, 2."""
+    near = np.isclose(np.linalg.norm(vertices[:, None] - vertices, axis=2), 2.0)
+    faces = [
+        (a, b, c)
+        for a in range(12)
+        for b in range(a + 1, 12)
+        for c in range(b + 1, 12)
+        if near[a, b] and near[b, c] and near[c, a]
+    ]
+    outward = [
+        (a, b, c) if np.linalg.det(vertices[[a, b, c]]) > 0 else (a, c, b) for a, b, c in faces
+    ]
+    return np.array(outward)

@@ -1,0 +1,19 @@
+"""What a subject is told."""
+
+from dataclasses import dataclass
+
+__all__ = ["Options"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices of a run.
+
+    Parameters
+    ----------
+    quick : bool        small meshes and few repeats: shows that everything runs
+    peers : bool        other programs' environments may be made (from the package index)
+    """
+
+    quick: bool = False
+    peers: bool = False

@@ -1,0 +1,78 @@
+"""BENCHMARK.md from figures."""
+
+from collections.abc import Sequence
+
+from benchmarks.figure import BEM, ESTIMATION, Figure, Limit
+
+__all__ = ["as_markdown", "as_text", "number"]
+
+HEAD = "| what | unit | must | reach for | reached | kept | how |"
+RULE = "| --- | --- | --- | --- | --- | --- | --- |"
+
+
+def as_markdown(
+    figures: Sequence[Figure], machine: Sequence[tuple[str, str]], failures: dict[str, str]
+) -> str:
+    """The whole report.
+
+    Parameters
+    ----------
+    figures : sequence of Figure
+    machine : pairs of str          from `machine.described`
+    failures : subject -> message   subjects that stopped before their figures
+    """
+    lines = ["# Benchmark", "", "Written by `python -m benchmarks.run`; do not edit by hand.", ""]
+    lines += [f"- {heading}: {text}" for heading, text in machine]
+    lines += [
+        "",
+        '"kept" says which demand is met: "reach", "must" or "missed"; rows without a demand stand'
+        " beside the others for comparison. x = times.",
+    ]
+    for section in (BEM, ESTIMATION):
+        rows = [_row(figure) for figure in figures if figure.section == section]
+        if rows:
+            lines += ["", f"## {section}", "", HEAD, RULE, *rows]
+    if failures:
+        lines += ["", "## Not measured", ""]
+        lines += [f"- `{name}`: {message}" for name, message in failures.items()]
+    return "\n".join(lines) + "\n"
+
+
+def as_text(figures: Sequence[Figure]) -> str:
+    """A short table for the screen."""
+    return "\n".join(
+        f"{figure.verdict or '-':>12}  {number(figure.reached):>9} {figure.unit:<2}"
+        f"  (must {_limit(figure.must, figure.higher) or '-'},"
+        f" reach {_limit(figure.reach, figure.higher) or '-'})  {figure.name}"
+        for figure in figures
+    )
+
+
+def number(value: float | None) -> str:
+    """Three significant digits, powers of ten only where they are short."""
+    if value is None:
+        return "-"
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
+    return f"{value:.1e}"
+
+
+def _row(figure: Figure) -> str:
+    limits = (_limit(figure.must, figure.higher), _limit(figure.reach, figure.higher))
+    cells = (
+        figure.name,
+        figure.unit,
+        *limits,
+        number(figure.reached),
+        figure.verdict,
+        figure.note.replace("|", "\\|"),
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def _limit(limit: Limit, higher: bool) -> str:
+    if limit is None:
+        return ""
+    if isinstance(limit, tuple):
+        return f"{number(limit[0])} to {number(limit[1])}"
+    return f"{'>=' if higher else '<='} {number(limit)}"

@@ -1,0 +1,176 @@
+"""Intervals: coverage, correlation, disagreement, bounds, and what cannot be told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimation.half_space import Cantilever, HalfSpace, half_space_probes, surface_grid
+
+from palpate.estimation import FitSettings, ProbeObservations, cramer_rao_bound, fit
+from palpate.records import Status
+
+QUICK = FitSettings(bootstrap_count=0, map_size=2)
+
+
+def _repeats(repeats: int, **options: object) -> list[dict]:
+    found = []
+    for seed in range(repeats):
+        rng = np.random.default_rng([7, seed])
+        found.append(fit(half_space_probes(rng, **options), settings=QUICK).intervals)
+    return found
+
+
+def _covered(found: list[dict], name: str, truth: float) -> float:
+    ends = [getattr(one["profile"], name).ci95 for one in found]
+    return float(np.mean([low <= truth <= high for low, high in ends]))
+
+
+@pytest.mark.parametrize(("count", "grid"), [(1, 10), (6, 7)])
+def test_intervals_cover_and_errors_reach_the_bound(count: int, grid: int) -> None:
+    found = _repeats(150, count=count, grid=grid, noise=5e-5, force_noise=0.01)
+    for name, truth in (("poisson_ratio", 0.3), ("shear_modulus", 2e4), ("young_modulus", 5.2e4)):
+        # 95 % of 150: three standard deviations of a count are 5.3 %.
+        assert 0.89 < _covered(found, name, truth), name
+    error = np.array([one["profile"].poisson_ratio.value - 0.3 for one in found])
+    claimed = np.array([one["fisher"].poisson_ratio.std for one in found])
+    pull = np.sqrt(np.mean((error / claimed) ** 2))
+    # One with 6 % statistical error; much less means needlessly wide intervals.
+    assert 0.82 < pull < 1.2
+
+
+def test_profile_is_fisher_for_plenty_of_data() -> None:
+    probes = half_space_probes(np.random.default_rng(2), count=8, grid=20, noise=5e-5)
+    sets = fit(probes).intervals
+    for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
+        fisher, profile = getattr(sets["fisher"], name), getattr(sets["profile"], name)
+        # The skewness that is left at a standard error of 0.002, and the profile's grid.
+        np.testing.assert_allclose(
+            profile.ci95, fisher.ci95, atol=0.03 * fisher.std, err_msg=name
+        )
+
+
+def test_bound_is_reached_by_claims() -> None:
+    probes = half_space_probes(np.random.default_rng(2), count=5, noise=5e-5, force_noise=0.01)
+    bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
+    sets = fit(probes, settings=QUICK).intervals["fisher"]
+    for name, limit in bound.items():
+        # Student's t with 8 degrees loses 2-3 %; the bound is taken at the truth.
+        assert 0.99 < getattr(sets, name).std / limit < 1.12, name
+
+
+def _correlated(probe: ProbeObservations, rng: np.random.Generator) -> ProbeObservations:
+    gap = ((probe.position[:, None] - probe.position[None]) ** 2).sum(-1)
+    root = np.linalg.cholesky(np.exp(-gap / (2 * 0.006**2)) + 1e-6 * np.eye(len(gap)))
+    noise = root @ rng.normal(size=probe.displacement.shape)
+    return replace(probe, displacement=probe.displacement + 5e-5 * noise, std=np.full_like(noise, 5e-5))
+
+
+def test_correlated_residuals_widen_the_interval() -> None:
+    covered, widened = 0, []
+    for seed in range(40):
+        rng = np.random.default_rng([3, seed])
+        probes = [_correlated(p, rng) for p in half_space_probes(rng, count=2, grid=14)]
+        found = fit(probes, settings=QUICK).estimate
+        bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
+        widened.append(found.poisson_ratio.std / bound["poisson_ratio"])
+        covered += found.poisson_ratio.ci95[0] <= 0.3 <= found.poisson_ratio.ci95[1]
+    # Points 4.6 mm apart with a correlation length of 6 mm: about five share one value.
+    assert np.median(widened) > 1.5
+    # Independent intervals cover about 65 %; 40 repeats leave 3.4 % of standard error.
+    assert covered / 40 > 0.82
+
+
+def test_probings_that_disagree_widen_the_interval() -> None:
+    rng = np.random.default_rng(5)
+    probes = half_space_probes(rng, count=10, noise=3e-5)
+    off = [replace(p, force=p.force * (1 + 0.05 * rng.normal())) for p in probes]
+    calm, torn = fit(probes).estimate, fit(off).estimate
+    # 5 % a probing, ten of them: 1.6 %.
+    assert 0.008 < torn.shear_modulus.std / torn.shear_modulus.value < 0.04
+    assert torn.shear_modulus.std > 3 * calm.shear_modulus.std
+    assert any("disagree about the shear modulus" in note for note in torn.notes)
+    assert calm.notes == ()
+
+
+def _beam(rng: np.random.Generator, noise: float) -> list[ProbeObservations]:
+    position = np.array([[x, y, z] for x in (0.06, 0.08, 0.1) for y in (-5e-3, 5e-3) for z in (0.0,)])
+    response = Cantilever(position)
+    probes = []
+    for k, size in enumerate((-0.1, -0.2)):
+        force = np.array([0.0, 0.0, size])
+        moved = (response.value(0.4)[:, :3] @ force / 9e4).reshape(-1, 3)
+        moved = moved + noise * rng.normal(size=moved.shape)
+        std = np.full_like(moved, noise)
+        probes.append(
+            ProbeObservations(
+                f"b{k}", position, moved, std, force, np.zeros(3), None, None, response
+            )
+        )
+    return probes
+
+
+def test_bent_beam_tells_only_young_modulus() -> None:
+    estimate = fit(_beam(np.random.default_rng(1), 2e-5)).estimate
+    assert estimate.identifiable == {
+        "poisson_ratio": False,
+        "shear_modulus": False,
+        "young_modulus": True,
+    }
+    assert estimate.status is Status.SHEAR_MODULUS_AND_POISSON_RATIO_NOT_IDENTIFIABLE
+    assert estimate.poisson_ratio.ci95 == (0.0, 0.4999)
+    young = estimate.young_modulus
+    truth = 2 * 9e4 * 1.4
+    assert young.ci95[0] < truth < young.ci95[1]
+    assert (young.ci95[1] - young.ci95[0]) / truth < 0.02
+    low, high = estimate.shear_modulus.ci95
+    # E / (2 (1 + nu)) over all nu.
+    np.testing.assert_allclose([low, high], [truth / 2.9998, truth / 2], rtol=0.02)
+    assert any("E = 2 G (1 + nu)" in note for note in estimate.notes)
+    single = estimate.probes[0]
+    assert single.poisson_ratio.ci95 == (0.0, 0.4999)
+
+
+def test_normal_displacement_of_a_half_space_tells_one_combination() -> None:
+    points = surface_grid(10, 0.03) + np.array([1e-3, 2e-3, 0.0])
+    response = HalfSpace(points)
+    force = np.array([0.0, 0.0, -0.8])
+    moved = (response.value(0.3)[:, :3] @ force / 2e4).reshape(-1, 3)
+    moved += 1e-5 * np.random.default_rng(1).normal(size=moved.shape)
+    moved[:, :2] = np.nan
+    probe = ProbeObservations(
+        "n", points, moved, np.full_like(moved, 1e-5), force, np.zeros(3), None, None, response
+    )
+    estimate = fit([probe]).estimate
+    assert not any(estimate.identifiable.values())
+    assert estimate.status is Status.NOTHING_IDENTIFIABLE
+    assert any("G / (1 - nu)" in note for note in estimate.notes)
+    # All that nu may be: G = (1 - nu) 2e4 / 0.7.
+    np.testing.assert_allclose(
+        estimate.shear_modulus.ci95, [0.5001 / 0.7 * 2e4, 2e4 / 0.7], rtol=0.03
+    )
+
+
+def test_no_signal_is_said() -> None:
+    probes = half_space_probes(np.random.default_rng(1), count=2, noise=1.0)
+    estimate = fit(probes).estimate
+    assert estimate.status is Status.NOTHING_IDENTIFIABLE
+    assert estimate.shear_modulus.ci95 == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("truth", [0.0, 0.4999])
+def test_intervals_at_the_ends_of_the_range(truth: float) -> None:
+    found = _repeats(80, count=2, grid=7, noise=1e-4, poisson_ratio=truth)
+    # A constrained estimate is at the bound half the time; its interval must not lose the truth.
+    assert _covered(found, "poisson_ratio", truth) > 0.9
+    assert _covered(found, "shear_modulus", 2e4) > 0.88
+    at_bound = [one["profile"].poisson_ratio for one in found]
+    assert 0.2 < np.mean([c.value == truth for c in at_bound]) < 0.8
+    assert all(0.0 <= c.ci95[0] < c.ci95[1] <= 0.4999 for c in at_bound)
+
+
+def test_bootstrap_and_fisher_agree_roughly_for_many_probings() -> None:
+    rng = np.random.default_rng(8)
+    sets = fit(half_space_probes(rng, count=25, grid=8, noise=5e-5, force_noise=0.01)).intervals
+    fisher, bootstrap = sets["fisher"].shear_modulus, sets["bootstrap"].shear_modulus
+    # 25 probings: the bootstrap's width is known to 14 %.
+    assert bootstrap.std == pytest.approx(fisher.std, rel=0.4)
