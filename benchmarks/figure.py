@@ -37,7 +37,7 @@ class Figure:
 
     @property
     def verdict(self) -> str:
-        """ "reach" or "must", the better one that is met, "missed", or "" where nothing is asked."""
+        """What is met: "reach", else "must", else "missed"; "" where nothing is asked."""
         if self.must is None and self.reach is None:
             return ""
         if self.reached is None:

@@ -7,9 +7,7 @@ from palpate.geometry import TriangleMesh
 
 __all__ = ["CUBE_NORMALS", "ball", "cap", "cube"]
 
-CUBE_NORMALS = np.array(
-    [[-1.0, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]]
-)
+CUBE_NORMALS = np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
 
 
 def cube(cells: int) -> tuple[TriangleMesh, Int[np.ndarray, " m"]]:

@@ -7,6 +7,10 @@ from benchmarks.figure import BEM, ESTIMATION, Figure, Limit
 __all__ = ["as_markdown", "as_text", "number"]
 
 HEAD = "| what | unit | must | reach for | reached | kept | how |"
+KEPT = (
+    '"kept" says which demand is met: "reach", "must" or "missed"; rows without a demand stand'
+    " beside the others for comparison. x = times."
+)
 RULE = "| --- | --- | --- | --- | --- | --- | --- |"
 
 
@@ -25,8 +29,7 @@ def as_markdown(
     lines += [f"- {heading}: {text}" for heading, text in machine]
     lines += [
         "",
-        '"kept" says which demand is met: "reach", "must" or "missed"; rows without a demand stand'
-        " beside the others for comparison. x = times.",
+        KEPT,
     ]
     for section in (BEM, ESTIMATION):
         rows = [_row(figure) for figure in figures if figure.section == section]

@@ -60,9 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.run", description=__doc__)
-    parser.add_argument("--only", nargs="+", choices=SUBJECTS, metavar="NAME", help="|".join(SUBJECTS))
+    names = ", ".join(SUBJECTS)
+    parser.add_argument("--only", nargs="+", choices=SUBJECTS, metavar="NAME", help=names)
     parser.add_argument("--quick", action="store_true", help="small meshes, few repeats")
-    parser.add_argument("--peers", action="store_true", help="make bempp-cl's environment, if missing")
+    parser.add_argument("--peers", action="store_true", help="make bempp-cl's environment")
     parser.add_argument("--out", type=Path, help="write the report here, whatever was measured")
     return parser.parse_args(arguments)
 

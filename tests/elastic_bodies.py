@@ -109,7 +109,7 @@ def solve_known(
     displacement = exact.copy()
     displacement[system.unknowns.free_vertices] = x[:count].reshape(-1, 3)
     scale = material.shear / system.traction_length
-    return displacement, x[count:].reshape(-1, 3) * scale
+    return displacement, x[count:-3].reshape(-1, 3) * scale
 
 
 def held_part(mesh: TriangleMesh, chosen: np.ndarray, **options) -> BoundarySystem:

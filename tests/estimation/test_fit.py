@@ -51,9 +51,7 @@ def test_scaling_laws() -> None:
     assert stiffer.shear_modulus.value == pytest.approx(plain.shear_modulus.value * 5, rel=1e-8)
     for other in (softer, stiffer):
         assert other.poisson_ratio.value == pytest.approx(plain.poisson_ratio.value, abs=1e-8)
-        np.testing.assert_allclose(
-            other.poisson_ratio.ci95, plain.poisson_ratio.ci95, rtol=1e-6
-        )
+        np.testing.assert_allclose(other.poisson_ratio.ci95, plain.poisson_ratio.ci95, rtol=1e-6)
 
 
 class _Turned:
@@ -118,7 +116,7 @@ def test_gross_outliers_do_no_harm() -> None:
             replace(probe, displacement=np.where(wild[:, None], gross, 0) + probe.displacement)
         )
     plain, robust = fit(clean).estimate, fit(dirty).estimate
-    # Losing a tenth of the points moves the estimate by a third of its standard error at most often.
+    # Losing a tenth of the points moves the estimate by a third of its standard error.
     shift = robust.poisson_ratio.value - plain.poisson_ratio.value
     assert abs(shift) < plain.poisson_ratio.std
     assert robust.poisson_ratio.std < 1.3 * plain.poisson_ratio.std
@@ -185,16 +183,16 @@ def test_force_noise_does_not_bias_the_modulus() -> None:
     """The functional errors-in-variables model: no bias of the order of the force variance."""
     ratios = [
         fit(
-            _probes(seed, count=10, grid=6, noise=1e-6, force_noise=0.08),
+            _probes(seed, count=6, grid=5, noise=1e-6, force_noise=0.12),
             settings=FitSettings(bootstrap_count=0, map_size=2),
         ).estimate.shear_modulus.value
         / 2e4
-        for seed in range(40)
+        for seed in range(16)
     ]
     error = np.std(ratios) / np.sqrt(len(ratios))
-    # A normaliser of the force would add 3 * 0.08^2 = 2 %, six of these errors.
+    # A normaliser of the force would add 3 * 0.12^2 = 4.3 %, four of these errors.
     assert abs(np.mean(ratios) - 1) < 3 * error
-    assert error < 0.006
+    assert error < 0.014
 
 
 def test_left_out_prediction_is_a_refit() -> None:
@@ -205,9 +203,10 @@ def test_left_out_prediction_is_a_refit() -> None:
     expected = (value[:, :3] @ probes[0].force / refit.shear_modulus.value).reshape(-1, 3)
     got = result.probes[0].left_out_predicted
     # Noise levels and weights are those of the joint fit: agreement to a part of the noise.
-    assert np.abs(got - expected).max() < 0.05 * np.abs(
-        result.probes[0].predicted - expected
-    ).max() + 1e-7
+    assert (
+        np.abs(got - expected).max()
+        < 0.05 * np.abs(result.probes[0].predicted - expected).max() + 1e-7
+    )
 
 
 def test_single_probing() -> None:

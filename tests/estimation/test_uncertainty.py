@@ -25,17 +25,17 @@ def _covered(found: list[dict], name: str, truth: float) -> float:
     return float(np.mean([low <= truth <= high for low, high in ends]))
 
 
-@pytest.mark.parametrize(("count", "grid"), [(1, 10), (6, 7)])
+@pytest.mark.parametrize(("count", "grid"), [(1, 8), (3, 5)])
 def test_intervals_cover_and_errors_reach_the_bound(count: int, grid: int) -> None:
-    found = _repeats(150, count=count, grid=grid, noise=5e-5, force_noise=0.01)
+    found = _repeats(80, count=count, grid=grid, noise=5e-5, force_noise=0.01)
     for name, truth in (("poisson_ratio", 0.3), ("shear_modulus", 2e4), ("young_modulus", 5.2e4)):
-        # 95 % of 150: three standard deviations of a count are 5.3 %.
-        assert 0.89 < _covered(found, name, truth), name
+        # 95 % of 80: three standard deviations of a share are 7.3 %.
+        assert _covered(found, name, truth) > 0.876, name
     error = np.array([one["profile"].poisson_ratio.value - 0.3 for one in found])
     claimed = np.array([one["fisher"].poisson_ratio.std for one in found])
     pull = np.sqrt(np.mean((error / claimed) ** 2))
-    # One with 6 % statistical error; much less means needlessly wide intervals.
-    assert 0.82 < pull < 1.2
+    # One with 8 % statistical error; much less means needlessly wide intervals.
+    assert 0.78 < pull < 1.24
 
 
 def test_profile_is_fisher_for_plenty_of_data() -> None:
@@ -44,30 +44,34 @@ def test_profile_is_fisher_for_plenty_of_data() -> None:
     for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
         fisher, profile = getattr(sets["fisher"], name), getattr(sets["profile"], name)
         # The skewness that is left at a standard error of 0.002, and the profile's grid.
-        np.testing.assert_allclose(
-            profile.ci95, fisher.ci95, atol=0.03 * fisher.std, err_msg=name
-        )
+        np.testing.assert_allclose(profile.ci95, fisher.ci95, atol=0.03 * fisher.std, err_msg=name)
 
 
 def test_bound_is_reached_by_claims() -> None:
-    probes = half_space_probes(np.random.default_rng(2), count=5, noise=5e-5, force_noise=0.01)
-    bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
-    sets = fit(probes, settings=QUICK).intervals["fisher"]
-    for name, limit in bound.items():
-        # Student's t with 8 degrees loses 2-3 %; the bound is taken at the truth.
-        assert 0.99 < getattr(sets, name).std / limit < 1.12, name
+    ratios = []
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        probes = half_space_probes(rng, count=5, noise=5e-5, force_noise=0.01)
+        bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
+        sets = fit(probes, settings=QUICK).intervals["fisher"]
+        ratios.append([getattr(sets, name).std / limit for name, limit in bound.items()])
+    # Student's t with 8 degrees loses 2 %; one session in ten has probings that disagree by chance.
+    assert np.all(np.median(ratios, axis=0) < 1.06)
+    assert np.min(ratios) > 0.97
 
 
 def _correlated(probe: ProbeObservations, rng: np.random.Generator) -> ProbeObservations:
     gap = ((probe.position[:, None] - probe.position[None]) ** 2).sum(-1)
     root = np.linalg.cholesky(np.exp(-gap / (2 * 0.006**2)) + 1e-6 * np.eye(len(gap)))
     noise = root @ rng.normal(size=probe.displacement.shape)
-    return replace(probe, displacement=probe.displacement + 5e-5 * noise, std=np.full_like(noise, 5e-5))
+    return replace(
+        probe, displacement=probe.displacement + 5e-5 * noise, std=np.full_like(noise, 5e-5)
+    )
 
 
 def test_correlated_residuals_widen_the_interval() -> None:
     covered, widened = 0, []
-    for seed in range(40):
+    for seed in range(16):
         rng = np.random.default_rng([3, seed])
         probes = [_correlated(p, rng) for p in half_space_probes(rng, count=2, grid=14)]
         found = fit(probes, settings=QUICK).estimate
@@ -76,8 +80,8 @@ def test_correlated_residuals_widen_the_interval() -> None:
         covered += found.poisson_ratio.ci95[0] <= 0.3 <= found.poisson_ratio.ci95[1]
     # Points 4.6 mm apart with a correlation length of 6 mm: about five share one value.
     assert np.median(widened) > 1.5
-    # Independent intervals cover about 65 %; 40 repeats leave 3.4 % of standard error.
-    assert covered / 40 > 0.82
+    # Independent intervals cover about 65 %; 16 repeats leave 5.4 % of standard error.
+    assert covered / 16 > 0.78
 
 
 def test_probings_that_disagree_widen_the_interval() -> None:
@@ -93,7 +97,9 @@ def test_probings_that_disagree_widen_the_interval() -> None:
 
 
 def _beam(rng: np.random.Generator, noise: float) -> list[ProbeObservations]:
-    position = np.array([[x, y, z] for x in (0.06, 0.08, 0.1) for y in (-5e-3, 5e-3) for z in (0.0,)])
+    position = np.array(
+        [[x, y, z] for x in (0.06, 0.08, 0.1) for y in (-5e-3, 5e-3) for z in (0.0,)]
+    )
     response = Cantilever(position)
     probes = []
     for k, size in enumerate((-0.1, -0.2)):
@@ -118,6 +124,11 @@ def test_bent_beam_tells_only_young_modulus() -> None:
     }
     assert estimate.status is Status.SHEAR_MODULUS_AND_POISSON_RATIO_NOT_IDENTIFIABLE
     assert estimate.poisson_ratio.ci95 == (0.0, 0.4999)
+    # The middle of the range, not an accident of the noise.
+    assert estimate.poisson_ratio.value == pytest.approx(0.24995)
+    assert estimate.young_modulus.value == pytest.approx(
+        2 * estimate.shear_modulus.value * 1.24995, rel=1e-9
+    )
     young = estimate.young_modulus
     truth = 2 * 9e4 * 1.4
     assert young.ci95[0] < truth < young.ci95[1]
@@ -159,10 +170,11 @@ def test_no_signal_is_said() -> None:
 
 @pytest.mark.parametrize("truth", [0.0, 0.4999])
 def test_intervals_at_the_ends_of_the_range(truth: float) -> None:
-    found = _repeats(80, count=2, grid=7, noise=1e-4, poisson_ratio=truth)
+    found = _repeats(40, count=1, grid=7, noise=1e-4, poisson_ratio=truth)
     # A constrained estimate is at the bound half the time; its interval must not lose the truth.
-    assert _covered(found, "poisson_ratio", truth) > 0.9
-    assert _covered(found, "shear_modulus", 2e4) > 0.88
+    # 95 % of 40: three standard deviations of a share are 10 %.
+    assert _covered(found, "poisson_ratio", truth) > 0.84
+    assert _covered(found, "shear_modulus", 2e4) > 0.84
     at_bound = [one["profile"].poisson_ratio for one in found]
     assert 0.2 < np.mean([c.value == truth for c in at_bound]) < 0.8
     assert all(0.0 <= c.ci95[0] < c.ci95[1] <= 0.4999 for c in at_bound)

@@ -1,6 +1,7 @@
 """Pictures of an estimate: likelihood, each probing alone, measured against predicted."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -19,7 +20,7 @@ __all__ = ["write_plots"]
 
 # Okabe and Ito's palette: told apart by colour-blind readers, and in grey.
 BLUE, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#8a8f98", "#1c1f24"
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 8.5,
     "axes.labelsize": 8.0,
@@ -114,7 +115,16 @@ def _likelihood(likelihood: LikelihoodMap, estimate: Estimate) -> Figure:
     axes.set_ylim(*_padded(shear[rows], shear))
     young = estimate.young_modulus.value
     axes.plot(nu, young / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8)
-    axes.plot(best_nu, best, "o", color=ORANGE, markersize=5, markeredgecolor="white", zorder=5)
+    axes.plot(
+        best_nu,
+        best,
+        "o",
+        color=ORANGE,
+        markersize=5,
+        markeredgecolor="white",
+        zorder=5,
+        clip_on=False,
+    )
     axes.set_xlabel(r"Poisson's ratio $\nu$")
     axes.set_ylabel(f"shear modulus $G$ ({unit})")
     young_factor, young_unit = modulus_unit(young)
@@ -228,8 +238,8 @@ def _panel_limits(
     width = max(high - low, 1e-3 * max(abs(high), 1e-12))
     reach = ends[np.isfinite(ends)]
     if reach.size:
-        low = max(float(reach.min()), low - width)
-        high = min(float(reach.max()), high + width)
+        low = max(float(reach.min()), low - 2 * width)
+        high = min(float(reach.max()), high + 2 * width)
     low, high = min(low, float(everything.min())), max(high, float(everything.max()))
     more = 0.04 * max(high - low, width)
     return low - more, high + more

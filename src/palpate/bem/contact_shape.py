@@ -118,4 +118,5 @@ def shape_columns(
     part_b = -np.einsum("rsjcij->isrc", fields[..., 3 + np.array(PAIRS)])
     zero, one = part_a + part_b, -2 * part_a
     constant, slope = -zero[:, 0], -(zero[:, 1] + one[:, 0])
-    return RightHand(*(part.reshape(-1, 3) for part in (constant, slope, -one[:, 1])))
+    parts = (constant, slope, -one[:, 1])
+    return RightHand(*(np.concatenate([p.reshape(-1, 3), np.zeros((3, 3))]) for p in parts))

@@ -128,7 +128,7 @@ def load_right_hand(
     RightHand                         three columns
     """
     fields = integrate_load(system.surface, load, system.collocation, system.traction_kernel)
-    right = load_columns(fields)
+    right = load_columns(fields, -np.eye(3) / system.traction_length)
     return right if shape is None else right + shape_columns(system, shape)
 
 
@@ -178,7 +178,7 @@ def sorted_state(
     displacement = np.zeros_like(system.surface.mesh.vertices)
     displacement[system.unknowns.free_vertices] = unknowns[: 3 * n_free].reshape(-1, 3)
     scale = shear_modulus / system.traction_length
-    traction = unknowns[3 * n_free :].reshape(-1, 3) * scale
+    traction = unknowns[3 * n_free : -3].reshape(-1, 3) * scale
     weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
     reaction = weights[system.unknowns.held_sides] @ traction
     return ElasticState(displacement, traction, reaction)

@@ -208,16 +208,37 @@ def add_singular(point, nodes, corners, polar, own, n_fields, out):
 
 
 @numba.njit(error_model="numpy", cache=True)
+def _slopes_at(a, b0, b1, b2):
+    """Derivatives of one shape function along edges 01 and 02."""
+    if a == 0:
+        return 1 - 4 * b0, 1 - 4 * b0
+    if a == 1:
+        return 4 * b1 - 1, 0.0
+    if a == 2:
+        return 0.0, 4 * b2 - 1
+    if a == 3:
+        return 4 * (b0 - b1), -4 * b1
+    if a == 4:
+        return 4 * b2, 4 * b1
+    return -4 * b2, 4 * (b0 - b2)
+
+
+@numba.njit(error_model="numpy", cache=True)
 def _foot_and_height(nodes, corners):
-    """Where the perpendicular from the first corner meets the line of the other two (0 at the
-    second corner, 1 at the
-    third), and its length, both over the distance of these two."""
-    shape, source = np.empty(6), np.empty(6)
-    place = np.empty((3, 3))
-    for k in range(3):
-        surface_point(nodes, corners[k, 0], corners[k, 1], corners[k, 2], shape, source)
-        for i in range(3):
-            place[k, i] = source[i]
+    """Where the perpendicular from the first corner meets the line of the other two, and its length.
+
+    Both over the distance of these two; the foot is 0 at the second corner, 1 at the third. Measured
+    in the tangent plane at the first corner: there the integrand is large, and a bent element's
+    corners may lie elsewhere.
+    """
+    place = np.zeros((3, 3))
+    b0, b1, b2 = corners[0]
+    for a in range(6):
+        slope = _slopes_at(a, b0, b1, b2)
+        for k in range(1, 3):
+            change = slope[0] * (corners[k, 1] - b1) + slope[1] * (corners[k, 2] - b2)
+            for i in range(3):
+                place[k, i] += change * nodes[a, i]
     edge2, along, away2 = 0.0, 0.0, 0.0
     for i in range(3):
         edge, away = place[2, i] - place[1, i], place[1, i] - place[0, i]

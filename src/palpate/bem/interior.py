@@ -1,7 +1,7 @@
 """Displacement and stress inside a loaded object: where it strains.
 
 The solved surface says everything about the inside (Somigliana's identity, `somigliana.py`). Points may come within 5 %
-of a triangle's size of the surface; closer than that, and outside, they are refused.
+of a triangle's radius of the surface; closer than that, and outside, they are refused.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ def interior_state(
     elastic_map : ElasticMap
     load : SurfaceLoad
     force : (3,) float [N]            total force of the load on the object
-    points : (n, 3) float [m]         inside, at least 5 % of a triangle's size away from the surface
+    points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius away from the surface
     quadrature : Quadrature
 
     Returns
@@ -100,7 +100,7 @@ def interior_values(
     Parameters
     ----------
     fields : BoundaryFields
-    points : (n, 3) float [m]         inside, at least 5 % of a triangle's size away from the surface
+    points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius away from the surface
     shear_modulus : float [Pa]
     poisson_ratio : float [-]         -1 < nu <= 0.5
     quadrature : Quadrature
@@ -119,11 +119,11 @@ def interior_values(
     )  # fmt: skip
     close = values.clearance < SMALLEST_CLEARANCE
     _refuse(
-        close, points, f"within {SMALLEST_CLEARANCE:.0%} of a triangle's size of the surface",
+        close, points, f"within {SMALLEST_CLEARANCE:.0%} of a triangle's radius of the surface",
         "move them inward, refine the mesh there, or use the displacement of the surface itself",
     )  # fmt: skip
     _refuse(
-        values.solid_angle < 0.5, points, "outside the object",
+        ~(values.solid_angle > 0.5), points, "outside the object",
         "check their frame and that they are in metres",
     )  # fmt: skip
     return InteriorState(values.displacement, values.stress)

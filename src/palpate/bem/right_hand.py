@@ -8,7 +8,12 @@ from scipy.sparse import csr_array
 
 from palpate.bem.assembly import assemble
 from palpate.bem.kelvin import DISPLACEMENT_FIELDS
-from palpate.bem.quadrature import Quadrature
+from palpate.bem.quadrature import (
+    Quadrature,
+    element_points,
+    quadratic_shapes,
+    triangle_rule,
+)
 from palpate.bem.system import PAIRS, BoundarySystem, restrict_collocation
 from palpate.geometry import QuadraticNodes
 
@@ -50,21 +55,22 @@ class RightHand:
         )
 
 
-def load_columns(fields: Float[np.ndarray, "r 6"]) -> RightHand:
+def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3 3"]) -> RightHand:
     """Three columns, one for each axis of a load of one newton.
 
     Parameters
     ----------
     fields : (r, 6) float [1/m]       from `integrate_load`
+    balance : (3, 3) float [1/m]      minus the total load of each column over `traction_length`
 
     Returns
     -------
-    RightHand                         3 r rows, 3 columns
+    RightHand                         3 r + 3 rows, 3 columns
     """
     tensor = fields[:, np.array(PAIRS)]
     trace = fields[:, :3].sum(axis=1)[:, None, None] * np.eye(3)
-    constant = _stacked(1.5 * trace + 0.5 * tensor)
-    return RightHand(constant, _stacked(-2 * trace), np.zeros_like(constant))
+    constant = _stacked(1.5 * trace + 0.5 * tensor, balance)
+    return RightHand(constant, _stacked(-2 * trace, np.zeros((3, 3))), np.zeros_like(constant))
 
 
 def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3"]) -> RightHand:
@@ -77,8 +83,7 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
 
     Returns
     -------
-    RightHand                         3 r rows, one column, times the shear modulus in the units of
-                                      the system
+    RightHand                         3 r + 3 rows, one column, for a shear modulus of one pascal
     """
     held = system.unknowns.held_vertices
     u = displacement[held]
@@ -96,7 +101,8 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
         parts.append((part_a + part_b, -2 * part_a))
     rows = blocks.n_rows
     total = [
-        np.concatenate(part, axis=1)[:, :rows].reshape(-1, 1) for part in zip(*parts, strict=True)
+        np.concatenate([np.concatenate(part, axis=1)[:, :rows].ravel(), np.zeros(3)])[:, None]
+        for part in zip(*parts, strict=True)
     ]
     return RightHand(-total[0], -total[1], np.zeros_like(total[0]))
 
@@ -121,7 +127,7 @@ def traction_column(
 
     Returns
     -------
-    RightHand                         3 r rows, one column
+    RightHand                         3 r + 3 rows, one column
     """
     surface = system.surface
     # Three nodes, one an axis, whose shape functions are the components of the traction itself.
@@ -134,10 +140,12 @@ def traction_column(
         surface.element_nodes[triangles], nodes, n_fields=DISPLACEMENT_FIELDS,
         quadrature=quadrature,
     )  # fmt: skip
+    total = total_traction(surface.element_nodes[triangles], traction)
+    balance = -total / system.traction_length
     columns = []
     for axis in range(3):
         fields = blocks.values[:, axis].transpose(0, 2, 1).reshape(-1, DISPLACEMENT_FIELDS)
-        column = load_columns(fields[: blocks.n_rows])
+        column = load_columns(fields[: blocks.n_rows], np.diag(balance))
         columns.append((column.constant[:, axis], column.slope[:, axis]))
     constant, slope = (np.sum(part, axis=0)[:, None] for part in zip(*columns, strict=True))
     return RightHand(constant, slope, np.zeros_like(constant))
@@ -161,5 +169,28 @@ def joined(parts: list[RightHand]) -> RightHand:
     )
 
 
-def _stacked(tensor: Float[np.ndarray, "r 3 3"]) -> Float[np.ndarray, "k 3"]:
-    return np.asfortranarray(tensor.transpose(1, 0, 2).reshape(-1, 3))
+def total_traction(
+    nodes: Float[np.ndarray, "k 6 3"], traction: Float[np.ndarray, "k 6 3"]
+) -> Float[np.ndarray, "3"]:
+    """Force of a traction that is quadratic on each of some triangles.
+
+    Parameters
+    ----------
+    nodes : (k, 6, 3) float [m]
+    traction : (k, 6, 3) float [Pa]
+
+    Returns
+    -------
+    (3,) float [N]
+    """
+    rule = triangle_rule(7)
+    area = np.linalg.norm(element_points(nodes, rule.barycentric)[:, :, 3:], axis=2)
+    shape = quadratic_shapes(rule.barycentric)
+    return np.einsum("q,kq,aq,kai->i", rule.weight, area, shape, traction)
+
+
+def _stacked(
+    tensor: Float[np.ndarray, "r 3 3"], last: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "k 3"]:
+    rows = np.concatenate([tensor.transpose(1, 0, 2).reshape(-1, 3), last])
+    return np.asfortranarray(rows)

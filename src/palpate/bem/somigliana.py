@@ -57,7 +57,7 @@ class InnerValues:
     displacement : (n, 3) float [m]
     stress : (n, 3, 3) float [Pa]
     solid_angle : (n,) float [-]          over 4 pi: 1 inside, 0 outside
-    clearance : (n,) float [-]            distance from the surface over the size of the nearest triangle, to about
+    clearance : (n,) float [-]            distance from the surface over the radius of the nearest triangle, to about
                                           a tenth; infinite where no triangle is near
     """
 

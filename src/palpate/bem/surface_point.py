@@ -42,7 +42,7 @@ class PointEquations:
 
         Parameters
         ----------
-        rows : (3 p, c) float             as right-hand sides of `system` come
+        rows : (3 p + 3, c) float         as right-hand sides of `system` come
 
         Returns
         -------
@@ -113,5 +113,5 @@ def _sorted_rows(
     count = system.collocation.point.shape[0]
     order = system.traction_kernel.rows.ravel()[:count]
     out = np.empty((count, 3, rows.shape[1]))
-    out[order] = rows.reshape(3, count, -1).transpose(1, 0, 2)
+    out[order] = rows[: 3 * count].reshape(3, count, -1).transpose(1, 0, 2)
     return out

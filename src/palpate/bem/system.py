@@ -4,14 +4,14 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import get_lapack_funcs, lu_factor, lu_solve
 
 from palpate.bem.assembly import Collocation, FieldBlocks, assemble, with_rigid_body_sum
 from palpate.bem.boundary import Unknowns, find_unknowns, place_collocation
 from palpate.bem.kelvin import DISPLACEMENT_FIELDS, LANES, TRACTION_FIELDS
 from palpate.bem.quadrature import Quadrature
-from palpate.bem.surface import BoundarySurface
+from palpate.bem.surface import BoundarySurface, integral_weights
 from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes
 
@@ -24,8 +24,13 @@ class BoundarySystem:
     """Material-free matrices of one object on one support.
 
     The system for the unknowns x = (displacement of the free vertices [m], traction of the held
-    sides times `traction_length` over the shear modulus [m]) is matrix(nu) x = right-hand side,
-    multiplied by 8 pi (1 - nu).
+    sides times `traction_length` over the shear modulus [m], slack [m]) is matrix(nu) x =
+    right-hand side, its integral equations multiplied by 8 pi (1 - nu).
+
+    Collocation does not keep the balance of forces by itself. Three more equations demand that the
+    support's tractions balance the load, and three more unknowns, one uniform slack for each
+    component of all integral equations, make room for them. The slack is zero in the exact solution
+    and about 1e-4 of the displacement in a discrete one.
 
     Attributes
     ----------
@@ -47,8 +52,8 @@ class BoundarySystem:
 
     @property
     def size(self) -> int:
-        """Number of scalar unknowns."""
-        return 3 * (self.unknowns.free_vertices.size + self.unknowns.held_sides.size)
+        """Number of scalar unknowns, the three of the slack included."""
+        return 3 * (self.unknowns.free_vertices.size + self.unknowns.held_sides.size + 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +134,7 @@ def integral_equations(
 
 
 def restrict_collocation(
-    collocation: Collocation, kept: Float[np.ndarray, " m"] | Int[np.ndarray, " m"]
+    collocation: Collocation, kept: Bool[np.ndarray, " m"]
 ) -> Collocation:
     """The same points, their triangles renumbered among the kept ones.
 
@@ -181,18 +186,23 @@ def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndar
     Returns
     -------
     (r, k) float              Fortran order; rows by component, then by collocation point in the
-                              order of the blocks
+                              order of the blocks; the last three are the balance of forces
     """
-    matrix = np.empty((system.size, 3 * system.collocation.point.shape[0]))
+    n_rows = system.collocation.point.shape[0]
+    matrix = np.zeros((system.size, 3 * n_rows + 3))
     n_free = system.unknowns.free_vertices.size
     column = np.full(system.surface.mesh.vertices.shape[0], -1)
     column[system.unknowns.free_vertices] = np.arange(n_free)
-    n_rows = system.collocation.point.shape[0]
     _traction_columns(system.traction_kernel.values, column, poisson_ratio, n_rows, matrix)
     scale = -0.5 / system.traction_length
     _displacement_columns(
         system.displacement_kernel.values, n_free, poisson_ratio, scale, n_rows, matrix
     )
+    weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
+    share = weights[system.unknowns.held_sides] / system.traction_length**2
+    for axis in range(3):
+        matrix[3 * n_free + axis : -3 : 3, 3 * n_rows + axis] = share
+        matrix[axis - 3, axis * n_rows : (axis + 1) * n_rows] = 8 * np.pi
     return matrix.T
 
 
@@ -260,7 +270,7 @@ def apply_slope(
     n_free, c = system.unknowns.free_vertices.size, unknowns.shape[1]
     u = np.zeros((system.surface.mesh.vertices.shape[0], 3 * c))
     u[system.unknowns.free_vertices] = unknowns[: 3 * n_free].reshape(n_free, 3 * c)
-    q = 2 / system.traction_length * unknowns[3 * n_free :].reshape(-1, 3 * c)
+    q = 2 / system.traction_length * unknowns[3 * n_free : -3].reshape(-1, 3 * c)
     n_rows = system.collocation.point.shape[0]
     out = np.empty((3, n_rows, c))
     h, g = system.traction_kernel.values, system.displacement_kernel.values
@@ -275,7 +285,7 @@ def apply_slope(
         out[0, rows] = value[:, 0] - 2 * (z[:, 1] - y[:, 2])
         out[1, rows] = value[:, 1] - 2 * (x[:, 2] - z[:, 0])
         out[2, rows] = value[:, 2] - 2 * (y[:, 0] - x[:, 1])
-    return out.reshape(3 * n_rows, c)
+    return np.concatenate([out.reshape(3 * n_rows, c), np.zeros((3, c))])
 
 
 @numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)

@@ -12,7 +12,7 @@ from palpate.estimation.global_search import (
     fitted_parameters,
     global_start,
     poisson_grid,
-    weighted_gram,
+    weighted_products,
 )
 from palpate.estimation.identifiability import (
     identifiable_constants,
@@ -45,7 +45,7 @@ _STAGES = {
     "validation": 0.95,
 }
 _LEVEL_ROUNDS = 3
-_LEVEL_CHANGE = 1e-3
+_LEVEL_CHANGE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ def fit(
     scatters = scatters_of(scores, minimum.poisson_ratio)
     sets = _interval_sets(minimum, scores, noise, weights, scatters, settings)
     told = identifiable_constants(sets[settings.interval], weights)
-    reported = with_prior_ranges(sets[settings.interval], told, settings.poisson_range)
+    reported = with_prior_ranges(sets[settings.interval], told, weights)
     likelihood = _map(scores, scatters, weights, reported, minimum, settings)
     clock.start("single probings")
     singles = _single_intervals(misfit, table, weights, noise, scatters, settings, reported)
@@ -200,13 +200,15 @@ def _joint_minimum(
 def _fixed_weights(
     misfit: Misfit, minimum: ScoredMinimum, table: ResponseTable, settings: FitSettings
 ) -> FixedWeights:
-    gram = weighted_gram(misfit.probes, table, misfit.level, [one.weight for one in minimum.probes])
+    products = weighted_products(
+        misfit.probes, table, misfit.level, [one.weight for one in minimum.probes]
+    )
     root = [
         probe.force_std / np.sqrt(one.force_weight)
         for probe, one in zip(misfit.probes, minimum.probes, strict=True)
     ]
     force = np.stack([probe.force for probe in misfit.probes])
-    return FixedWeights(gram, force, np.stack(root), settings.poisson_range)
+    return FixedWeights(products, force, np.stack(root), settings.poisson_range)
 
 
 def _interval_sets(
@@ -272,7 +274,7 @@ def _single_intervals(
         )
         chosen = sets.get(settings.interval, sets["profile"])
         told = identifiable_constants(chosen, alone.only(k))
-        found.append(with_prior_ranges(chosen, told, settings.poisson_range))
+        found.append(with_prior_ranges(chosen, told, alone.only(k)))
     return found
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from palpate.estimation.misfit import force_components
 from palpate.estimation.noise import noise_levels
 from palpate.estimation.observations import ObservedRows
-from palpate.estimation.response_table import GramTable, ResponseTable, gram_table
+from palpate.estimation.response_table import NodeProducts, ResponseTable, node_products
 from palpate.estimation.student_t import weight_of
 from palpate.estimation.variable_projection import (
     best_compliance,
@@ -22,7 +22,7 @@ from palpate.estimation.variable_projection import (
     projected,
 )
 
-__all__ = ["GlobalStart", "fitted_parameters", "global_start", "poisson_grid", "weighted_gram"]
+__all__ = ["GlobalStart", "fitted_parameters", "global_start", "poisson_grid", "weighted_products"]
 
 _CONVEX_ROUNDS = 6
 _ROUNDS = 3
@@ -96,25 +96,25 @@ def global_start(
                 for probe, one in zip(probes, shift, strict=True)
             ]
         )
-        gram = gram_table(table, [probe.measured for probe in probes], weights)
-        nu, beta = _tabulated_minimum(gram, probes, root, grid)
+        products = node_products(table, [probe.measured for probe in probes], weights)
+        nu, beta = _tabulated_minimum(products, probes, root, grid)
         residuals, shift = _residuals_at(probes, table, weights, root, nu, beta)
     return GlobalStart(nu, 1.0 / beta, level, tuple(shift))
 
 
-def weighted_gram(
+def weighted_products(
     probes: Sequence[ObservedRows],
     table: ResponseTable,
     level: Float[np.ndarray, " 8"],
     point_weight: Sequence[Float[np.ndarray, " _"]],
-) -> GramTable:
-    """Gram matrices for given noise levels and robust weights of the points."""
+) -> NodeProducts:
+    """Products of the tabulated responses for given noise levels and weights of the points."""
     weights = [
         np.repeat(weight, probe.components.astype(np.int64))
         / (probe.unit * level[probe.group]) ** 2
         for probe, weight in zip(probes, point_weight, strict=True)
     ]
-    return gram_table(table, [probe.measured for probe in probes], weights)
+    return node_products(table, [probe.measured for probe in probes], weights)
 
 
 def _convex_residuals(
@@ -126,11 +126,12 @@ def _convex_residuals(
     residuals = [probe.measured for probe in probes]
     for _ in range(_CONVEX_ROUNDS):
         for k, probe in enumerate(probes):
-            root = np.sqrt(weights[k])
             columns = middle[k] if np.any(middle[k][3]) else middle[k][:3]
-            size = np.sqrt(np.maximum((columns**2).sum(1), np.finfo(float).tiny))
-            columns = columns / size[:, None]
-            fitted = np.linalg.lstsq((columns * root).T, root * probe.measured, rcond=1e-9)[0]
+            both = np.vstack([columns, probe.measured])
+            products = (both * weights[k]) @ both.T
+            size = np.sqrt(np.maximum(np.diag(products)[:-1], np.finfo(float).tiny))
+            unit = products[:-1, :-1] / np.outer(size, size) + 1e-12 * np.eye(len(size))
+            fitted = np.linalg.solve(unit, products[:-1, -1] / size) / size
             residuals[k] = probe.measured - fitted @ columns
         level = noise_levels(probes, residuals, parameters=3 * len(probes))
         for k, probe in enumerate(probes):
@@ -142,13 +143,13 @@ def _convex_residuals(
 
 
 def _tabulated_minimum(
-    gram: GramTable, probes: Sequence[ObservedRows], root: np.ndarray, grid: np.ndarray
+    products: NodeProducts, probes: Sequence[ObservedRows], root: np.ndarray, grid: np.ndarray
 ) -> tuple[float, float]:
     """Poisson's ratio and 1 / G at the global minimum for fixed weights."""
     force = np.stack([probe.force for probe in probes])
-    _, height = best_compliance(projected(gram.at(grid), force, root))
+    _, height = best_compliance(projected(products.at(grid), force, root))
     nu = parabola_minimum(grid, height[0])
-    beta, _ = best_compliance(projected(gram.at(np.array([nu])), force, root))
+    beta, _ = best_compliance(projected(products.at(np.array([nu])), force, root))
     return nu, float(beta[0, 0])
 
 

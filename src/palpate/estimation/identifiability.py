@@ -48,25 +48,40 @@ def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dic
 
 
 def with_prior_ranges(
-    intervals: IntervalSet,
-    identifiable: Mapping[str, bool],
-    poisson_range: tuple[float, float],
+    intervals: IntervalSet, identifiable: Mapping[str, bool], weights: FixedWeights
 ) -> IntervalSet:
     """Intervals as wide as the prior range for what the data cannot tell.
 
-    For a modulus that is bounded by the data only through the range of nu, that range is its
-    interval already and stays; without any signal it is (0, infinity).
+    Where the data cannot tell nu, its best value is an accident of the noise: the middle of its
+    range is given, and the moduli that the valley of the misfit has there. A modulus that is
+    bounded only through the range of nu keeps its interval; without any signal it is (0, infinity).
+
+    Parameters
+    ----------
+    intervals : IntervalSet
+    identifiable : constant's name -> bool
+    weights : FixedWeights          for the valley
     """
-    ratio = intervals.poisson_ratio
-    if not identifiable["poisson_ratio"]:
-        uniform = float(np.ptp(poisson_range) / np.sqrt(12.0))
-        ratio = Constant(ratio.value, uniform, poisson_range)
-    return replace(
-        intervals,
-        poisson_ratio=ratio,
-        shear_modulus=_modulus_in_range(intervals.shear_modulus),
-        young_modulus=_modulus_in_range(intervals.young_modulus),
+    ratio, shear, young = (
+        intervals.poisson_ratio,
+        _modulus_in_range(intervals.shear_modulus),
+        _modulus_in_range(intervals.young_modulus),
     )
+    if not identifiable["poisson_ratio"]:
+        middle = float(np.mean(weights.poisson_range))
+        uniform = float(np.ptp(weights.poisson_range) / np.sqrt(12.0))
+        ratio = Constant(middle, uniform, weights.poisson_range)
+        if np.isfinite(shear.ci95[1]):
+            compliance, _ = best_compliance(weights.at(np.array([middle])))
+            modulus = 1.0 / float(compliance[0, 0])
+            shear = _moved(shear, modulus)
+            young = _moved(young, 2 * modulus * (1 + middle))
+    return replace(intervals, poisson_ratio=ratio, shear_modulus=shear, young_modulus=young)
+
+
+def _moved(constant: Constant, value: float) -> Constant:
+    """The same interval about another value inside it."""
+    return replace(constant, value=float(np.clip(value, *constant.ci95)))
 
 
 def _modulus_in_range(modulus: Constant) -> Constant:

@@ -65,7 +65,9 @@ def nelder_mead_minimum(
     low, high = poisson_range
     start = np.array([np.clip(poisson_ratio, low, high), 0.0])
     inward = _FIRST_STEP if start[0] + _FIRST_STEP <= high else -_FIRST_STEP
-    simplex = np.stack([start, start + np.array([inward, 0.0]), start + np.array([0.0, _FIRST_STEP])])
+    simplex = np.stack(
+        [start, start + np.array([inward, 0.0]), start + np.array([0.0, _FIRST_STEP])]
+    )
     found = minimize(
         lambda x: misfit(float(x[0]), reference * float(np.exp(x[1]))),
         start,

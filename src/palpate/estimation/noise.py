@@ -13,8 +13,10 @@ _MAD_TO_SIGMA = 1.482602218505602
 # Relative standard error of a sigma from the median absolute deviation of n Gaussian values.
 _MAD_ERROR = 1.166
 _SIGNIFICANT = 2.5
+# Gross outliers on a tenth of the points lift the median by about this much.
+_OUTLIER_LIFT = 0.12
 # No field is measured better than this; it keeps exact data apart from the force's claim.
-_FLOOR_OVER_SIGNAL = 1e-6
+_FLOOR_OVER_SIGNAL = 1e-5
 _TIP_GROUP = 3
 _TIP_PRIOR_ROWS = 3.0
 
@@ -52,17 +54,16 @@ def noise_levels(
     scaled = np.abs(np.concatenate(residuals)) / unit
     lost = min(parameters, len(group) // 2)
     lift = np.sqrt(len(group) / (len(group) - lost)) if lost else 1.0
-    level, count = np.ones(GROUP_COUNT), np.zeros(GROUP_COUNT)
+    level, count, floor = np.ones(GROUP_COUNT), np.zeros(GROUP_COUNT), np.zeros(GROUP_COUNT)
     for index in range(GROUP_COUNT):
         chosen = group == index
         count[index] = chosen.sum()
         if count[index]:
-            floor = _FLOOR_OVER_SIGNAL * np.abs(measured[chosen]).max()
-            level[index] = max(
-                _MAD_TO_SIGMA * lift * np.median(scaled[chosen]), floor, np.finfo(float).tiny ** 0.5
-            )
+            floor[index] = _FLOOR_OVER_SIGNAL * np.abs(measured[chosen]).max()
+            median = _MAD_TO_SIGMA * lift * float(np.median(scaled[chosen]))
+            level[index] = max(median, floor[index], np.finfo(float).tiny ** 0.5)
     _settle_tip(level, count)
-    return _settle_claims(level, count)
+    return _settle_claims(level, count, floor)
 
 
 def _settle_tip(level: np.ndarray, count: np.ndarray) -> None:
@@ -74,9 +75,9 @@ def _settle_tip(level: np.ndarray, count: np.ndarray) -> None:
         level[_TIP_GROUP] = np.sqrt(total / (count[_TIP_GROUP] + _TIP_PRIOR_ROWS))
 
 
-def _settle_claims(level: np.ndarray, count: np.ndarray) -> np.ndarray:
+def _settle_claims(level: np.ndarray, count: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Claims hold unless residuals exceed them by more than chance allows."""
-    limit = 1 + _SIGNIFICANT * _MAD_ERROR / np.sqrt(np.maximum(count, 1.0))
+    limit = 1 + _OUTLIER_LIFT + _SIGNIFICANT * _MAD_ERROR / np.sqrt(np.maximum(count, 1.0))
     claimed = np.zeros(GROUP_COUNT, dtype=bool)
     claimed[CLAIMED_GROUPS] = True
-    return np.where(claimed & (level < limit), 1.0, level)
+    return np.where(claimed & (level < limit), np.maximum(floor, 1.0), level)

@@ -49,7 +49,7 @@ def fit_notes(
                 f"The force of probing {probe.name!r} disagrees with the others by {off:.1f} of"
                 " its standard deviations and was given little weight; check the sensor's scale."
             )
-    if not identifiable["poisson_ratio"] and np.isfinite(weights.gram.measured_measured).all():
+    if not identifiable["poisson_ratio"]:
         notes.append(
             "Poisson's ratio cannot be told; what the data do tell is"
             f" {told_combination(weights)}. Moduli are given for all of its range."

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.response_table import GramTable
+from palpate.estimation.response_table import NodeProducts
 from palpate.estimation.variable_projection import (
     ProjectedProbes,
     best_compliance,
@@ -32,31 +32,30 @@ class FixedWeights:
 
     Parameters
     ----------
-    gram : GramTable                    of these probings
+    products : NodeProducts             of these probings
     force : (k, 3) float [N]
     force_root : (k, 3) float [N]       1 sigma over the root of the force's robust weight
     poisson_range : (float, float) [-]
     """
 
-    gram: GramTable
+    products: NodeProducts
     force: Float[np.ndarray, "k 3"]
     force_root: Float[np.ndarray, "k 3"]
     poisson_range: tuple[float, float]
 
     def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> ProjectedProbes:
         """Probings with their forces eliminated."""
-        return projected(self.gram.at(poisson_ratio), self.force, self.force_root)
+        return projected(self.products.at(poisson_ratio), self.force, self.force_root)
 
     def only(self, index: int) -> "FixedWeights":
         """One probing as a set of its own."""
         chosen = slice(index, index + 1)
-        gram = GramTable(
-            self.gram.poisson_ratio,
-            self.gram.response_response[chosen],
-            self.gram.response_measured[chosen],
-            self.gram.measured_measured[chosen],
+        return FixedWeights(
+            self.products.only(index),
+            self.force[chosen],
+            self.force_root[chosen],
+            self.poisson_range,
         )
-        return FixedWeights(gram, self.force[chosen], self.force_root[chosen], self.poisson_range)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +133,7 @@ def _curve(weights: FixedWeights, grid: np.ndarray) -> ProfileCurve:
     probes = weights.at(grid)
     compliance, height = best_compliance(probes)
     lowest = _lowest(height[0])
-    no_signal = float(weights.gram.measured_measured.sum()) - lowest
+    no_signal = float(weights.products.measured_measured.sum()) - lowest
     above = np.maximum(height[0] - lowest, 0.0)
     return ProfileCurve(probes, grid, compliance[0], above, no_signal)
 

@@ -12,11 +12,20 @@ from jaxtyping import Float
 
 from palpate.estimation.observations import ObservedRows
 
-__all__ = ["GramTable", "ResponseTable", "gram_table", "interpolation_weights", "response_table"]
+__all__ = [
+    "GramTable",
+    "NodeProducts",
+    "ResponseTable",
+    "interpolation_weights",
+    "node_products",
+    "response_table",
+]
 
 # Nodes for a range of 0.5, more in proportion. Nearest pole of an elastic response at nu about 1
 # or 0.6 at worst: error below 1e-4 of the response; the final estimate uses exact responses.
 _NODES_A_HALF = 9
+# Multiplications below which OpenBLAS keeps to one thread.
+_UNTHREADED = 2**18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,34 +44,61 @@ class ResponseTable:
     def at(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "4 _"], ...]:
         """Interpolated responses of all probings, transposed."""
         weight = interpolation_weights(self.poisson_ratio, np.array([poisson_ratio]))[0]
-        return tuple(np.tensordot(weight, response, axes=1) for response in self.response)
+        return tuple(np.einsum("m,mir->ir", weight, response) for response in self.response)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GramTable:
-    """Weighted products of response and measurement of every probing at every node.
+    """Weighted products of response and measurement of every probing at some Poisson's ratios.
+
+    Parameters
+    ----------
+    response_response : (k, g, 4, 4) float      R' W R
+    response_measured : (k, g, 4) float         R' W y
+    measured_measured : (k,) float              y' W y
+    """
+
+    response_response: Float[np.ndarray, "k g 4 4"]
+    response_measured: Float[np.ndarray, "k g 4"]
+    measured_measured: Float[np.ndarray, " k"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NodeProducts:
+    """Weighted products of the responses at all pairs of nodes.
+
+    With all pairs the products elsewhere are exactly those of interpolated responses. Interpolating
+    the products themselves would leave an error that no noise hides where the signal is strong.
 
     Parameters
     ----------
     poisson_ratio : (m,) float [-]
-    response_response : (k, m, 4, 4) float      R' W R
-    response_measured : (k, m, 4) float         R' W y
-    measured_measured : (k,) float              y' W y
+    response_response : (k, m, 4, m, 4) float
+    response_measured : (k, m, 4) float
+    measured_measured : (k,) float
     """
 
     poisson_ratio: Float[np.ndarray, " m"]
-    response_response: Float[np.ndarray, "k m 4 4"]
+    response_response: Float[np.ndarray, "k m 4 m 4"]
     response_measured: Float[np.ndarray, "k m 4"]
     measured_measured: Float[np.ndarray, " k"]
 
-    def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> "GramTable":
-        """The same products at other Poisson's ratios inside the range."""
+    def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> GramTable:
+        """Products at Poisson's ratios inside the range."""
         weight = interpolation_weights(self.poisson_ratio, poisson_ratio)
-        return GramTable(
-            poisson_ratio,
-            np.einsum("gm,kmij->kgij", weight, self.response_response, optimize=True),
-            np.einsum("gm,kmi->kgi", weight, self.response_measured, optimize=True),
-            self.measured_measured,
+        half = np.einsum("kaibj,gb->kgiaj", self.response_response, weight, optimize=True)
+        both = (weight[:, None, None, :] @ half)[..., 0, :]
+        mixed = np.einsum("gm,kmi->kgi", weight, self.response_measured)
+        return GramTable(both, mixed, self.measured_measured)
+
+    def only(self, index: int) -> "NodeProducts":
+        """One probing as a set of its own."""
+        chosen = slice(index, index + 1)
+        return NodeProducts(
+            self.poisson_ratio,
+            self.response_response[chosen],
+            self.response_measured[chosen],
+            self.measured_measured[chosen],
         )
 
 
@@ -87,19 +123,42 @@ def response_table(
     return ResponseTable(node, response)
 
 
-def gram_table(
+def node_products(
     table: ResponseTable,
     measured: Sequence[Float[np.ndarray, " _"]],
     weight: Sequence[Float[np.ndarray, " _"]],
-) -> GramTable:
+) -> NodeProducts:
     """Products of every probing for given row weights (robust weight over variance) [1/m^2]."""
-    both, mixed, plain = [], [], []
+    products = []
+    count = len(table.poisson_ratio)
     for response, y, w in zip(table.response, measured, weight, strict=True):
-        weighted = response * w
-        both.append(weighted @ response.transpose(0, 2, 1))
-        mixed.append(weighted @ y)
-        plain.append(y @ (w * y))
-    return GramTable(table.poisson_ratio, np.stack(both), np.stack(mixed), np.array(plain))
+        stacked = np.vstack([response.reshape(4 * count, -1), y])
+        products.append(_weighted_square(stacked, w))
+    every = np.stack(products)
+    shape = (len(products), count, 4)
+    return NodeProducts(
+        table.poisson_ratio,
+        every[:, :-1, :-1].reshape(*shape, count, 4),
+        every[:, :-1, -1].reshape(shape),
+        every[:, -1, -1],
+    )
+
+
+def _weighted_square(
+    stacked: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
+) -> Float[np.ndarray, "s s"]:
+    """Matrix product of rows with themselves, in pieces too small for BLAS to start threads.
+
+    Threads that wait for each other cost ten times the product where other work is running.
+    """
+    size, rows = stacked.shape
+    piece = max(1, _UNTHREADED // size**2)
+    weighted = stacked * weight
+    total = np.zeros((size, size))
+    for first in range(0, rows, piece):
+        chosen = slice(first, first + piece)
+        total += weighted[:, chosen] @ stacked[:, chosen].T
+    return total
 
 
 def interpolation_weights(

@@ -32,8 +32,8 @@ class LocalProbe:
 
     Parameters
     ----------
-    design : (r, 5) float           slope of the prediction in nu, log G and the three force shifts
-    residual : (r,) float           measured minus predicted
+    table : (r, 6) float            slope of the prediction in nu, log G and the three force shifts,
+                                    and last the residual, measured minus predicted
     squared : (p,) float            squared residual of every point
     weight : (p,) float             robust weight of every point
     shift : (3,) float              true minus measured force, in sigmas
@@ -41,13 +41,22 @@ class LocalProbe:
     loss : float                    contribution to the misfit
     """
 
-    design: Float[np.ndarray, "r 5"]
-    residual: Float[np.ndarray, " r"]
+    table: Float[np.ndarray, "r 6"]
     squared: Float[np.ndarray, " p"]
     weight: Float[np.ndarray, " p"]
     shift: Float[np.ndarray, " 3"]
     force_weight: float
     loss: float
+
+    @property
+    def design(self) -> Float[np.ndarray, "r 5"]:
+        """Slope of the prediction."""
+        return self.table[:, :5]
+
+    @property
+    def residual(self) -> Float[np.ndarray, " r"]:
+        """Measured minus predicted."""
+        return self.table[:, 5]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,16 +109,16 @@ def linearised(
     predicted = response @ load
     residual = rows.measured - predicted
     squared = np.add.reduceat(residual**2, probe.start)
-    design = np.empty((len(residual), 5))
-    design[:, 0] = rows.slope @ load
-    np.negative(predicted, out=design[:, 1])
-    np.multiply(response[:, :3], probe.force_std / shear_modulus, out=design[:, 2:])
+    table = np.empty((len(residual), 6))
+    table[:, 0] = rows.slope @ load
+    np.negative(predicted, out=table[:, 1])
+    np.multiply(response[:, :3], probe.force_std / shear_modulus, out=table[:, 2:5])
+    table[:, 5] = residual
     count = force_components(probe)
     length = float(shift @ shift)
     force_loss = (misfit.force_degrees + count) * float(np.log1p(length / misfit.force_degrees))
     return LocalProbe(
-        design=design,
-        residual=residual,
+        table=table,
         squared=squared,
         weight=weight_of(squared, probe.components, degrees=misfit.degrees),
         shift=shift,
@@ -224,9 +233,9 @@ def _step(
         # Scoring, not plain reweighting: the mean slope of the score replaces the mean weight.
         factor = max(slope / float(one.weight.mean()), 0.3)
         row_weight = np.repeat(one.weight, probe.components.astype(np.int64))
-        weighted = one.design * row_weight[:, None]
-        inner = factor * (weighted.T @ one.design)
-        pull = weighted.T @ one.residual
+        # One small product: a product with a vector would be threaded, at ten times the cost.
+        products = (one.table * row_weight[:, None]).T @ one.table
+        inner, pull = factor * products[:5, :5], products[:5, 5]
         force = inner[2:, 2:] + one.force_weight * np.eye(3)
         force_pull = pull[2:] - one.force_weight * one.shift
         solved = np.linalg.solve(force, np.column_stack([inner[2:, :2], force_pull]))

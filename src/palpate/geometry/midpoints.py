@@ -11,7 +11,7 @@ approximate.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 
 from palpate.geometry.sides import Sides
@@ -217,7 +217,8 @@ def _quadratic_weights(
     omega = np.where(present, 1.0 / (distance2 + 1e-12) ** 2, 0.0)
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)
     gram = np.einsum("hk,hkp,hkq->hpq", omega, basis, basis)
-    scale = 1.0 / np.sqrt(np.einsum("hpp->hp", gram))
+    # All neighbours on one line leave a column of zeros: singular, found below.
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("hpp->hp", gram), 1e-30))
     gram = gram * scale[:, :, None] * scale[:, None, :]
     singular = np.linalg.eigvalsh(gram)[:, 0] < 1e-8
     gram[singular] = np.eye(6)
@@ -266,7 +267,7 @@ def _curve_stencils(
 
 
 def _lagrange(
-    s: Float[np.ndarray, "h k"], at: Float[np.ndarray, " h"], use: Int[np.ndarray, "h k"]
+    s: Float[np.ndarray, "h k"], at: Float[np.ndarray, " h"], use: Bool[np.ndarray, "h k"]
 ) -> Float[np.ndarray, "h k"]:
     weight = np.where(use, 1.0, 0.0)
     for i in range(s.shape[1]):

@@ -1,0 +1,96 @@
+"""Time of all fields for all pairs of nodes, beside LAPACK and bempp-cl in the same run."""
+
+import numpy as np
+from scipy.linalg import lu_factor
+
+from benchmarks.clock import shortest
+from benchmarks.figure import BEM, Figure
+from benchmarks.machine import CORES
+from benchmarks.meshes import ball, cap
+from benchmarks.options import Options
+from benchmarks.peers import laplace_times
+from palpate.bem import BoundarySurface, Quadrature, make_surface
+from palpate.bem.assembly import Collocation, assemble
+from palpate.bem.kelvin import DISPLACEMENT_FIELDS, TRACTION_FIELDS
+from palpate.geometry import TriangleMesh
+
+__all__ = ["lu_time", "measure"]
+
+ASKED = {3: (0.4, 0.1), 4: (3.0, 0.8)}
+REPEATS = 3
+
+
+def measure(options: Options) -> list[Figure]:
+    """Both kernels over the whole surface, one LU of the 3N system, bempp-cl's operators."""
+    figures = []
+    for level in (3,) if options.quick else (3, 4):
+        mesh = ball(level)
+        size = len(mesh.vertices)
+        surface = make_surface(mesh, cap(mesh, -0.4))
+        traction = shortest(lambda s=surface: _fields(s, TRACTION_FIELDS), repeats=REPEATS)
+        displacement = shortest(lambda s=surface: _fields(s, DISPLACEMENT_FIELDS), repeats=REPEATS)
+        pairs = len(mesh.triangles) * size
+        how = (
+            f"ball, {size} vertices, {len(mesh.triangles)} triangles, {CORES} cores; nine fields"
+            f" {traction:.2f} s, six fields {displacement:.2f} s, that is"
+            f" {1e-6 * pairs / (traction + displacement):.0f} million node-triangle pairs a second"
+        )
+        figures += [
+            Figure(
+                BEM,
+                f"separated fields, all pairs, warm, {size} vertices",
+                traction + displacement,
+                "s",
+                *ASKED[level],
+                note=how,
+            ),
+            Figure(
+                BEM,
+                f"beside it: LAPACK, one LU of the 3N system, {size} vertices",
+                lu_time(3 * size),
+                "s",
+                note=f"scipy.linalg.lu_factor of a random matrix, {3 * size} rows",
+            ),
+            *_peer(mesh, make=options.peers),
+        ]
+    return figures
+
+
+def lu_time(size: int) -> float:
+    """Wall time [s] of one LU factorisation in double precision."""
+    matrix = np.random.default_rng(0).normal(size=(size, size)).T
+    return shortest(lambda: lu_factor(matrix, check_finite=False), repeats=2, warm=size < 4000)
+
+
+def _fields(surface: BoundarySurface, n_fields: int) -> None:
+    """One kernel from every vertex over every triangle, against the nodes it is used with."""
+    vertices = surface.mesh.vertices
+    n = len(vertices)
+    nowhere = np.full(n, -1)
+    collocation = Collocation(vertices, np.arange(n), nowhere, np.zeros((n, 3)))
+    nodes = surface.displacement if n_fields == TRACTION_FIELDS else surface.traction
+    assemble(
+        collocation,
+        surface.mesh.triangles,
+        surface.element_nodes,
+        nodes,
+        n_fields=n_fields,
+        quadrature=Quadrature(),
+    )
+
+
+def _peer(mesh: TriangleMesh, *, make: bool) -> list[Figure]:
+    found = laplace_times(mesh, repeats=REPEATS, make=make)
+    size = len(mesh.vertices)
+    rows = []
+    for kind in ("single", "double"):
+        name = f"beside it: bempp-cl, scalar Laplace {kind}-layer operator, {size} vertices"
+        if isinstance(found, str):
+            rows.append(Figure(BEM, name, None, "s", note=found))
+        else:
+            note = (
+                f"bempp-cl {found['version']}, dense, numba, continuous linear functions, warm;"
+                " one scalar field, Galerkin"
+            )
+            rows.append(Figure(BEM, name, found[f"{kind}_layer"], "s", note=note))
+    return rows

@@ -1,0 +1,61 @@
+"""The shipped silicone beam: Young's modulus from the 0.510 N probings."""
+
+from dataclasses import replace
+
+from benchmarks.figure import ESTIMATION, Figure
+from benchmarks.machine import ROOT
+from benchmarks.options import Options
+from palpate.estimation import FitSettings
+from palpate.pipeline import fit_session
+from palpate.records import Session, read_session
+
+__all__ = ["measure"]
+
+PROBES = ("load52_a", "load52_b")
+# Linear finite elements (quadratic hexahedra) on the same CSVs, by Poisson's ratio [Pa].
+FINITE_ELEMENTS = {0.30: 246e3, 0.49: 239e3}
+AUTHORS = 263.8e3  # their fit of a corotated finite element model, nu 0.499 [Pa]
+
+
+def measure(options: Options) -> list[Figure]:
+    """E at the Poisson's ratios of the finite elements, and E as it is reported."""
+    session = read_session(ROOT / "examples" / "beam", probes=PROBES)
+    reported = fit_session(session).estimate
+    at_ratio = {nu: _young_modulus_at(session, nu) for nu in FINITE_ELEMENTS}
+    errors = {nu: 100 * abs(e / FINITE_ELEMENTS[nu] - 1) for nu, e in at_ratio.items()}
+    listed = "; ".join(
+        f"nu {nu}: {e / 1e3:.1f} kPa against {FINITE_ELEMENTS[nu] / 1e3:.0f} kPa"
+        for nu, e in at_ratio.items()
+    )
+    young, nu = reported.young_modulus, reported.poisson_ratio
+    claimed = (
+        f"reported: E {young.value / 1e3:.1f} kPa, 95 % {young.ci95[0] / 1e3:.1f} to"
+        f" {young.ci95[1] / 1e3:.1f}; nu {nu.ci95[0]:.2f} to {nu.ci95[1]:.2f}; status"
+        f" {reported.status.value}"
+    )
+    return [
+        Figure(
+            ESTIMATION,
+            "beam, 0.510 N: E against linear finite elements at the same nu",
+            max(errors.values()),
+            "%",
+            must=2.0,
+            reach=1.0,
+            note=f"the worse of {listed}",
+        ),
+        Figure(
+            ESTIMATION,
+            "beam, 0.510 N: reported E against the authors' 264 kPa",
+            100 * abs(young.value / AUTHORS - 1),
+            "%",
+            must=12.0,
+            note=claimed,
+        ),
+    ]
+
+
+def _young_modulus_at(session: Session, poisson_ratio: float) -> float:
+    """E [Pa] where Poisson's ratio is known: its range is as narrow as a range can be."""
+    near = (poisson_ratio - 1e-4, poisson_ratio + 1e-4)
+    settings = replace(FitSettings(), poisson_range=near)
+    return fit_session(session, settings=settings).estimate.young_modulus.value

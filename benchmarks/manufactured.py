@@ -1,0 +1,148 @@
+"""Boundary value problems whose solution is known everywhere: what the solver makes of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.bem import (
+    BoundarySurface,
+    Quadrature,
+    assemble_system,
+    factorise,
+    solve,
+    support_columns,
+    traction_column,
+)
+from palpate.bem.kelvin import kelvin_displacement, kelvin_traction
+from palpate.geometry import TriangleMesh
+
+__all__ = ["Field", "Outcome", "flat_normals", "kelvin_field", "linear_field", "solved"]
+
+Normals = Callable[[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]], Float[np.ndarray, "k 3"]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """An exact solution of elasticity without body forces.
+
+    Parameters
+    ----------
+    displacement : position (k, 3) -> (k, 3) [m]
+    traction : position (k, 3), normal (k, 3) -> (k, 3) [Pa]
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]
+    """
+
+    displacement: Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, "k 3"]]
+    traction: Callable[
+        [Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]], Float[np.ndarray, "k 3"]
+    ]
+    poisson_ratio: float
+    shear_modulus: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """Found and exact values of the unknowns of one problem.
+
+    Parameters
+    ----------
+    displacement, exact_displacement : (f, 3) float [m]     free vertices
+    traction, exact_traction : (s, 3) float [Pa]            sides of the support
+    """
+
+    displacement: Float[np.ndarray, "f 3"]
+    exact_displacement: Float[np.ndarray, "f 3"]
+    traction: Float[np.ndarray, "s 3"]
+    exact_traction: Float[np.ndarray, "s 3"]
+
+    @property
+    def relative(self) -> float:
+        """Relative L2 error of the displacement over the free vertices."""
+        exact = self.exact_displacement
+        return float(np.linalg.norm(self.displacement - exact) / np.linalg.norm(exact))
+
+
+def linear_field(
+    strain: Float[np.ndarray, "3 3"], poisson_ratio: float, shear_modulus: float
+) -> Field:
+    """Homogeneous strain."""
+    lame = 2 * shear_modulus * poisson_ratio / (1 - 2 * poisson_ratio)
+    stress = 2 * shear_modulus * strain + lame * np.trace(strain) * np.eye(3)
+    return Field(
+        lambda position: position @ strain,
+        lambda position, normal: normal @ stress,
+        poisson_ratio,
+        shear_modulus,
+    )
+
+
+def kelvin_field(
+    source: Float[np.ndarray, "3"],
+    force: Float[np.ndarray, "3"],
+    poisson_ratio: float,
+    shear_modulus: float,
+) -> Field:
+    """Point force at a place outside the object, in unbounded space."""
+
+    def displacement(position):
+        kernel = kelvin_displacement(position - source, shear_modulus, poisson_ratio)
+        return np.einsum("i,nij->nj", force, kernel)
+
+    def traction(position, normal):
+        kernel = kelvin_traction(position - source, normal, poisson_ratio)
+        return np.einsum("i,nij->nj", force, kernel)
+
+    return Field(displacement, traction, poisson_ratio, shear_modulus)
+
+
+def flat_normals(mesh: TriangleMesh) -> Normals:
+    """Unit normals of the facets themselves, as `solved` asks for them."""
+    corner = mesh.vertices[mesh.triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return lambda triangle, position: normal[triangle]
+
+
+def solved(
+    surface: BoundarySurface,
+    field: Field,
+    normals: Normals,
+    *,
+    quadrature: Quadrature,
+) -> Outcome:
+    """Prescribe the exact displacement on the support, the exact traction elsewhere, and solve.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    field : Field
+    normals : triangle (k,), position (k, 3) -> (k, 3)      outward unit normals of the true object
+    quadrature : Quadrature
+
+    Returns
+    -------
+    Outcome
+    """
+    system = assemble_system(surface, quadrature=quadrature)
+    known = field.displacement(surface.mesh.vertices)
+    free = np.flatnonzero(~surface.held)
+    place = surface.element_nodes[free].reshape(-1, 3)
+    given = field.traction(place, normals(np.repeat(free, 6), place)).reshape(-1, 6, 3)
+    right = traction_column(system, free, given / field.shear_modulus, quadrature=quadrature)
+    right = right + support_columns(system, known)
+    nu = field.poisson_ratio
+    found = solve(factorise(system, nu), right.at(nu))[:, 0]
+    vertices, sides = system.unknowns.free_vertices, system.unknowns.held_sides
+    split = 3 * vertices.size
+    of_side = np.zeros(surface.traction.n_nodes, dtype=np.int64)
+    of_side[surface.sides.corner.ravel()] = np.repeat(np.arange(surface.held.size), 3)
+    at_side = surface.mesh.vertices[surface.sides.vertex[sides]]
+    return Outcome(
+        displacement=found[:split].reshape(-1, 3),
+        exact_displacement=known[vertices],
+        traction=found[split:].reshape(-1, 3) * field.shear_modulus / system.traction_length,
+        exact_traction=field.traction(at_side, normals(of_side[sides], at_side)),
+    )

@@ -1,0 +1,63 @@
+"""What a session's probings contribute to the estimation, without the estimation itself."""
+
+from dataclasses import replace
+
+from palpate import pipeline
+from palpate.estimation import ProbeObservations
+from palpate.records import Session
+
+__all__ = ["exact", "session_observations", "thinned"]
+
+
+def session_observations(session: Session) -> list[ProbeObservations]:
+    """Measured displacements of every probing with the model's response."""
+    # The pipeline's own steps between the model and the fit; it has no public name for them.
+    model = pipeline.make_object_model(session, session.probings)
+    responses = pipeline._responses(model, session, session.probings, "reduced")
+    return [
+        pipeline._observations(probing, response)
+        for probing, response in zip(session.probings, responses, strict=True)
+    ]
+
+
+def exact(
+    probe: ProbeObservations, *, poisson_ratio: float, shear_modulus: float
+) -> ProbeObservations:
+    """The same probing as the model sees it: no noise, no error of the model.
+
+    Parameters
+    ----------
+    probe : ProbeObservations
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]
+    """
+    response = probe.response.value(poisson_ratio)
+    moved = ((response[:, :3] @ probe.force + response[:, 3]) / shear_modulus).reshape(-1, 3)
+    count = len(probe.position)
+    tip = None if probe.tip_displacement is None else moved[count]
+    return replace(probe, displacement=moved[:count], tip_displacement=tip)
+
+
+def thinned(session: Session, step: int) -> Session:
+    """The session with every `step`-th observed point."""
+    probings = []
+    for probing in session.probings:
+        field = probing.displacement
+        kept = slice(None, None, step)
+        surface = replace(
+            field.surface,
+            triangle=field.surface.triangle[kept],
+            barycentric=field.surface.barycentric[kept],
+            position=field.surface.position[kept],
+            distance=field.surface.distance[kept],
+        )
+        fewer = replace(
+            field,
+            points=field.points[kept],
+            displacement=field.displacement[kept],
+            std=None if field.std is None else field.std[kept],
+            vertex=None if field.vertex is None else field.vertex[kept],
+            surface=surface,
+        )
+        probings.append(replace(probing, displacement=fewer))
+    return replace(session, probings=tuple(probings))
