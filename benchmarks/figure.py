@@ -37,14 +37,16 @@ class Figure:
 
     @property
     def verdict(self) -> str:
-        """What is met: "reach", else "must", else "missed"; "" where nothing is asked."""
+        """What is kept: "reach", else "must", else "missed"; "" where nothing is asked."""
         if self.must is None and self.reach is None:
             return ""
         if self.reached is None:
             return "not measured"
         if self.reach is not None and self._keeps(self.reach):
             return "reach"
-        return "must" if self.must is not None and self._keeps(self.must) else "missed"
+        if self.must is None:
+            return "not reached"
+        return "must" if self._keeps(self.must) else "missed"
 
     def _keeps(self, limit: float | tuple[float, float]) -> bool:
         if isinstance(limit, tuple):

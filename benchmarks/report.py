@@ -8,8 +8,8 @@ __all__ = ["as_markdown", "as_text", "number"]
 
 HEAD = "| what | unit | must | reach for | reached | kept | how |"
 KEPT = (
-    '"kept" says which demand is met: "reach", "must" or "missed"; rows without a demand stand'
-    " beside the others for comparison. x = times."
+    '"kept" says which demand is met: "reach", "must", or "missed"; "not reached" where only "reach'
+    ' for" is asked. Rows without a demand stand beside the others for comparison. x = times.'
 )
 RULE = "| --- | --- | --- | --- | --- | --- | --- |"
 

@@ -42,7 +42,7 @@ from palpate.estimation import (
 )
 from palpate.geometry import interpolation_matrix
 from palpate.probe import ContactPatch, find_contact_patch
-from palpate.records import Probing, Session
+from palpate.records import DisplacementField, Probing, Session
 
 Progress = Callable[[str, float], None]
 FIT_STARTS = 0.8
@@ -239,7 +239,7 @@ def _rows(model: ObjectModel, session: Session, probing: Probing, patch: int) ->
     columns = 3 * patch + np.arange(3)
     if model.body is not None:
         columns = np.concatenate([columns, 3 * len(model.patches) + np.arange(2)])
-    place = probing.displacement.surface
+    place = _measured(probing).surface
     nodes = model.system.surface.displacement
     at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
     particular = np.zeros(3 * place.triangle.size)
@@ -271,7 +271,7 @@ def _tip_rows(model: ObjectModel, patch: int, columns: Int[np.ndarray, " c"]) ->
 
 
 def _observations(probing: Probing, response: ResponseModel) -> ProbeObservations:
-    field = probing.displacement
+    field = _measured(probing)
     return ProbeObservations(
         name=probing.name,
         position=field.points,
@@ -283,6 +283,13 @@ def _observations(probing: Probing, response: ResponseModel) -> ProbeObservation
         tip_displacement_std=probing.tip_displacement_std,
         response=response,
     )
+
+
+def _measured(probing: Probing) -> DisplacementField:
+    """The displacements of a probing that `_chosen` has let through."""
+    if probing.displacement is None:
+        raise InputError(f"probing '{probing.name}' has no measured displacement; it cannot be fit")
+    return probing.displacement
 
 
 def _or_zero(std: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:

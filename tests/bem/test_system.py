@@ -5,7 +5,7 @@ import pytest
 from elastic_bodies import Material, cube_with_faces, held_part, linear_field, solve_known
 from surfaces import box, joined
 
-from palpate.bem import Quadrature, apply_slope, factorise, make_surface
+from palpate.bem import Quadrature, factorise, make_surface, system_slope
 from palpate.bem.boundary import find_unknowns
 from palpate.bem.system import (
     assemble_system,
@@ -45,15 +45,16 @@ def test_linear_fields_on_a_cube(held_cube, kind, nu):
     )
     vertices = system.surface.mesh.vertices
     exact = field.displacement(vertices)
-    # The elements hold a linear field exactly: what is left is the quadrature's 1e-9, times the size of the pressure
-    # that belongs to it (lame is 500 G at nu 0.499).
-    assert np.abs(found - exact).max() < 1e-8 * np.abs(exact).max()
+    # The elements hold a linear field exactly and the quadrature outdoes its 1e-9: round-off is left, times the
+    # pressure that belongs to the field (lame is 500 G at nu 0.499). The issue asks for 1e-6.
+    assert np.abs(found - exact).max() < 1e-11 * np.abs(exact).max()
     side_face = np.zeros(system.surface.traction.n_nodes, dtype=np.int64)
     side_face[system.surface.sides.corner.ravel()] = np.repeat(face, 3)
     sigma = field.stress(np.zeros((1, 3)))[0]
     expected = (NORMALS @ sigma)[side_face[system.unknowns.held_sides]]
-    # Tractions differentiate displacements over an element: an order or two are lost. Edges and corners count too.
-    assert np.abs(traction - expected).max() < 2e-7 * np.abs(sigma).max()
+    # Tractions differentiate displacements over an element: an order is lost. Edges and corners count too; the issue
+    # asks for 1e-4.
+    assert np.abs(traction - expected).max() < 1e-10 * np.abs(sigma).max()
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +76,7 @@ def test_slope_is_the_difference_of_matrices(cube_system):
     x = np.random.default_rng(0).normal(size=(cube_system.size, 2))
     difference = system_matrix(cube_system, 1.3) - system_matrix(cube_system, 0.3)
     # Round-off of sums of 100 entries of order one.
-    np.testing.assert_allclose(apply_slope(cube_system, x), difference @ x, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(system_slope(cube_system).apply(x), difference @ x, rtol=0, atol=1e-11)
 
 
 def test_matrix_is_linear_in_poisson_ratio(cube_system):
@@ -92,7 +93,7 @@ def test_the_matrix_is_square_and_as_large_as_its_unknowns(cube_system):
 def test_an_object_that_is_not_held_is_singular():
     loose = joined(box(cells=1), box(cells=1, origin=(3.0, 0.0, 0.0)))
     system = assemble_system(make_surface(loose, np.arange(2)))
-    with pytest.raises(SingularSystemError, match="is singular .* palpate check"):
+    with pytest.raises(SingularSystemError, match=r"is singular \(.*palpate check"):
         factorise(system, 0.3)
 
 

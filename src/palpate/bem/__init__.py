@@ -27,11 +27,11 @@ from palpate.bem.surface_point import PointEquations, point_equations
 from palpate.bem.system import (
     BoundarySystem,
     FactorisedSystem,
-    apply_slope,
     assemble_system,
     factorise,
     solve,
 )
+from palpate.bem.system_slope import SystemSlope, system_slope
 
 __all__ = [
     "BodyForce",
@@ -47,7 +47,7 @@ __all__ = [
     "RightHand",
     "SurfaceLoad",
     "SurfaceSettings",
-    "apply_slope",
+    "SystemSlope",
     "assemble_system",
     "body_force_columns",
     "dilation_factor",
@@ -60,5 +60,6 @@ __all__ = [
     "point_equations",
     "solve",
     "support_columns",
+    "system_slope",
     "traction_column",
 ]

@@ -99,6 +99,8 @@ def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
         triangle, corners = _divided(triangle, corners)
     positions, weights, owners = [], [], []
     for level in range(RIM_LEVELS + 1):
+        if not triangle.size:
+            break
         barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
         position, area = _points_of(nodes, triangle, barycentric)
         size = np.abs(np.linalg.det(corners))
@@ -210,7 +212,8 @@ def _touching_parts(
         point = collocation.barycentric[row]
         around = np.stack([np.stack([point, unit[k], unit[(k + 1) % 3]]) for k in range(3)])
         parts.append((np.full(3, place_of[row]), np.full(3, collocation.triangle[row]), around))
-    return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
+    place, triangle, corners = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return place, triangle, corners
 
 
 def _polar_panels() -> tuple[Float[np.ndarray, " p"], ...]:

@@ -133,9 +133,7 @@ def integral_equations(
     return BoundarySystem(surface, unknowns, collocation, h, g, length)
 
 
-def restrict_collocation(
-    collocation: Collocation, kept: Bool[np.ndarray, " m"]
-) -> Collocation:
+def restrict_collocation(collocation: Collocation, kept: Bool[np.ndarray, " m"]) -> Collocation:
     """The same points, their triangles renumbered among the kept ones.
 
     Parameters
@@ -251,41 +249,6 @@ def solve(
     (k, c) float [m]
     """
     return lu_solve((factorised.lu, factorised.pivots), right, check_finite=False)
-
-
-def apply_slope(
-    system: BoundarySystem, unknowns: Float[np.ndarray, "k c"]
-) -> Float[np.ndarray, "k c"]:
-    """Product of the derivative of the matrix with respect to Poisson's ratio and some vectors.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    unknowns : (k, c) float
-
-    Returns
-    -------
-    (k, c) float              the matrix is linear in nu, so this is matrix(nu + 1) - matrix(nu)
-    """
-    n_free, c = system.unknowns.free_vertices.size, unknowns.shape[1]
-    u = np.zeros((system.surface.mesh.vertices.shape[0], 3 * c))
-    u[system.unknowns.free_vertices] = unknowns[: 3 * n_free].reshape(n_free, 3 * c)
-    q = 2 / system.traction_length * unknowns[3 * n_free : -3].reshape(-1, 3 * c)
-    n_rows = system.collocation.point.shape[0]
-    out = np.empty((3, n_rows, c))
-    h, g = system.traction_kernel.values, system.displacement_kernel.values
-    for b in range(h.shape[0]):
-        rows = slice(b * LANES, min((b + 1) * LANES, n_rows))
-        lanes = rows.stop - rows.start
-        fields = h[b].reshape(u.shape[0], -1)
-        x, y, z = (fields[:, : 3 * LANES].T @ u).reshape(3, LANES, 3, c)[:, :lanes]
-        flux = (2 / 3) * h[b, :, 3:6].sum(axis=1)
-        trace = g[b, :, :3].sum(axis=1)
-        value = (flux.T @ u + trace.T @ q).reshape(LANES, 3, c)[:lanes]
-        out[0, rows] = value[:, 0] - 2 * (z[:, 1] - y[:, 2])
-        out[1, rows] = value[:, 1] - 2 * (x[:, 2] - z[:, 0])
-        out[2, rows] = value[:, 2] - 2 * (y[:, 0] - x[:, 1])
-    return np.concatenate([out.reshape(3 * n_rows, c), np.zeros((3, c))])
 
 
 @numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem import BoundarySystem, RightHand, apply_slope, factorise, solve
+from palpate.bem import BoundarySystem, RightHand, factorise, solve, system_slope
 
 CENTRE = 0.3
 DIRECTIONS = 9
@@ -34,7 +34,7 @@ class ReducedModel:
 
     centre: float
     directions: Float[np.ndarray, "terms k c"]
-    triangular: Float[np.ndarray, "c terms terms"]
+    triangular: Float[np.ndarray, "c rank rank"]
     scale: Float[np.ndarray, " c"]
 
     def coefficients(
@@ -95,13 +95,15 @@ def make_reduced_model(
     SingularSystemError               the support does not hold the object
     """
     factorised = factorise(system, centre)
+    matrix_slope = system_slope(system)
     terms = [solve(factorised, right.at(centre))]
     slope = right.slope + 2 * centre * right.curvature
-    terms.append(solve(factorised, slope - apply_slope(system, terms[0])))
-    terms.append(solve(factorised, right.curvature - apply_slope(system, terms[1])))
+    terms.append(solve(factorised, slope - matrix_slope.apply(terms[0])))
+    terms.append(solve(factorised, right.curvature - matrix_slope.apply(terms[1])))
     for _ in range(directions - 2):
-        terms.append(solve(factorised, -apply_slope(system, terms[-1])))
+        terms.append(solve(factorised, -matrix_slope.apply(terms[-1])))
     stacked = np.stack(terms)
     series = stacked[2:].transpose(2, 1, 0)
     scale = np.linalg.norm(terms[0], axis=0)
-    return ReducedModel(centre, stacked, np.linalg.qr(series, mode="r"), scale)
+    triangular = np.array(np.linalg.qr(series, mode="r"))
+    return ReducedModel(centre, stacked, triangular, scale)

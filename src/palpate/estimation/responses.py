@@ -6,6 +6,7 @@ contact point. Two models give them: `ReducedResponse` from one factorisation fo
 ratios, `FullResponse` from a new factorisation at each, the plain way and the reference.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from palpate.bem import BoundarySystem, RightHand, dilation_factor, factorise, s
 from palpate.estimation.reduced_model import ReducedModel
 
 SLOPE_STEP = 1e-4
+Value = Callable[[float], Float[np.ndarray, "n_rows 4"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,5 +195,5 @@ def _response(
     return out
 
 
-def _slope(value, nu: float) -> Float[np.ndarray, "n_rows 4"]:
+def _slope(value: Value, nu: float) -> Float[np.ndarray, "n_rows 4"]:
     return (value(nu + SLOPE_STEP) - value(nu - SLOPE_STEP)) / (2 * SLOPE_STEP)

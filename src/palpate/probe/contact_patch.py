@@ -53,7 +53,7 @@ class ContactPatch:
                                   distance from the contact point over the radius; or the linear hat
                                   function of the nearest vertex
         """
-        if self.contact.profile is ContactProfile.VERTEX:
+        if self.contact.radius is None:
             return (barycentric * (self.corners[triangle] == self.vertex)).sum(axis=1)
         distance = np.linalg.norm(position - self.contact.point, axis=1)
         return self.pressure(distance / self.contact.radius)
@@ -101,7 +101,7 @@ def find_contact_patch(
     first = int(place.triangle[0])
     barycentric = place.barycentric[0]
     vertex = int(mesh.triangles[first][np.argmax(barycentric)])
-    if contact.profile is ContactProfile.VERTEX:
+    if contact.radius is None:
         vertex = int(np.argmin(np.linalg.norm(mesh.vertices - contact.point, axis=1)))
         triangles = np.flatnonzero((mesh.triangles == vertex).any(axis=1))
     else:
