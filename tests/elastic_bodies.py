@@ -22,6 +22,8 @@ from palpate.bem import (
 from palpate.bem.quadrature import ELEMENT_NODES, element_points
 from palpate.geometry import TriangleMesh, unit_normals
 
+DEFAULT = Quadrature()
+
 
 @dataclass(frozen=True)
 class Material:
@@ -94,9 +96,10 @@ def solve_known(
     field: KnownField,
     material: Material,
     *,
-    quadrature: Quadrature = Quadrature(),
+    quadrature: Quadrature = DEFAULT,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement of every vertex and traction at the held sides, from a field's own boundary data."""
+    """Displacement of every vertex and traction at the held sides, from a field's own boundary
+    data."""
     surface = system.surface
     vertices = surface.mesh.vertices
     free = np.flatnonzero(~surface.held)

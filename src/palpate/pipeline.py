@@ -158,7 +158,7 @@ def make_object_model(
     system = assemble_system(boundary)
     place = np.array([patch.triangle for patch in patches])
     tips = point_equations(system, place, np.array([patch.barycentric for patch in patches]))
-    loads = [_surface_load(patch) for patch in patches]
+    loads = [surface_load(patch) for patch in patches]
     shapes = [load_shape(boundary, load) for load in loads]
     pairs = list(zip(loads, shapes, strict=True))
     right = [load_right_hand(system, load, shape) for load, shape in pairs]
@@ -175,7 +175,17 @@ def make_object_model(
     )
 
 
-def _surface_load(patch: ContactPatch) -> SurfaceLoad:
+def surface_load(patch: ContactPatch) -> SurfaceLoad:
+    """A contact patch as a load of the boundary element model.
+
+    Parameters
+    ----------
+    patch : ContactPatch
+
+    Returns
+    -------
+    SurfaceLoad
+    """
     disc = None
     if patch.contact.radius is not None:
         disc = PressureDisc(patch.contact.point, patch.contact.radius, patch.pressure)

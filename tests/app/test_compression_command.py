@@ -31,7 +31,7 @@ def test_several_files_give_their_mean(palpate, record, tmp_path):
     assert code == 0
     assert "mean and spread of 2" in " ".join(out.split())
     # Mean of 100 and 120, standard deviation 20 / sqrt(2).
-    assert "110 +- 14" in out
+    assert "110 ± 14" in out
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def calls(monkeypatch):
 def test_constants_are_printed_and_the_folder_is_written(palpate, calls, cube_session, tmp_path):
     code, out, err = palpate("fit", cube_session)
     assert (code, err) == (0, "")
-    for text in ("21.00 +- 0.15", "20.70 to 21.30", "0.2100 +- 0.0060", "51.00 +- 0.30", "kPa"):
+    for text in ("21.00 ± 0.15", "20.70 to 21.30", "0.2100 ± 0.0060", "51.00 ± 0.30", "kPa"):
         assert text in out
     assert "Note: Told by the estimation." in out
     folder = tmp_path / "cube-result"

@@ -10,6 +10,7 @@ from palpate.bem.assembly import Collocation, assemble, with_rigid_body_sum
 from palpate.bem.kelvin import DISPLACEMENT_FIELDS, LANES, TRACTION_FIELDS
 from palpate.bem.quadrature import Quadrature, element_points, quadratic_shapes, triangle_rule
 
+DEFAULT = Quadrature()
 INSIDE = np.array([[0.2, 0.3, 0.5], [0.8, 0.1, 0.1]])
 
 
@@ -35,7 +36,7 @@ def collocation(surface):
     )
 
 
-def assembled(surface, collocation, n_fields, quadrature=Quadrature()):
+def assembled(surface, collocation, n_fields, quadrature=DEFAULT):
     return assemble(
         collocation, surface.mesh.triangles, surface.element_nodes, surface.displacement,
         n_fields=n_fields, quadrature=quadrature,
@@ -58,14 +59,15 @@ def test_a_translation_gives_no_traction(surface, collocation):
 
 
 def test_the_sum_puts_the_solid_angle_on_the_diagonal(surface, collocation):
-    # 3 r.n / r^3 integrates to 3 * 2 pi over a smooth surface seen from itself, with opposite sign on the diagonal.
+    # 3 r.n / r^3 integrates to 3 * 2 pi over a smooth surface seen from itself, with opposite sign
+    # on the diagonal.
     quadrature = Quadrature(tolerance=1e-8)
     blocks = assembled(surface, collocation, TRACTION_FIELDS, quadrature)
     raw = by_row(blocks)
     own = np.arange(66)
     flux = raw[:66, :, 3:6].sum(axis=2).sum(axis=1)
-    # The value at the point itself is left out in its own triangles, which see it at nearly zero angle:
-    # what is missing of 2 pi is their flux, of the order of their size over the radius.
+    # The value at the point itself is left out in its own triangles, which see it at nearly zero
+    # angle: what is missing of 2 pi is their flux, of the order of their size over the radius.
     assert np.abs(flux / (6 * np.pi) - 1).max() < 0.35
     whole = by_row(with_rigid_body_sum(blocks, collocation, surface.displacement))
     np.testing.assert_allclose(
@@ -95,7 +97,7 @@ def test_blocks_hold_every_row_and_pad_with_the_last(surface, collocation):
     assert np.array_equal(padded, np.repeat(blocks.values[-1][:, :, 3:4], LANES - 4, axis=2))
 
 
-@pytest.mark.parametrize("n_fields", (TRACTION_FIELDS, DISPLACEMENT_FIELDS))
+@pytest.mark.parametrize("n_fields", [TRACTION_FIELDS, DISPLACEMENT_FIELDS])
 def test_a_row_does_not_depend_on_its_block(surface, collocation, n_fields):
     together = by_row(assembled(surface, collocation, n_fields))
     for row in (0, 31, 66, 67):
@@ -105,11 +107,12 @@ def test_a_row_does_not_depend_on_its_block(surface, collocation, n_fields):
             ))
         )  # fmt: skip
         single = by_row(assembled(surface, alone, n_fields))[0]
-        # Alone a point gets the coarsest rule that meets the tolerance of 1e-6, in a block a finer one.
+        # Alone a point gets the coarsest rule that meets the tolerance of 1e-6, in a block a finer
+        # one.
         assert np.abs(single - together[row]).max() < 2e-5 * np.abs(together[row]).max()
 
 
-@pytest.mark.parametrize("n_fields", (TRACTION_FIELDS, DISPLACEMENT_FIELDS))
+@pytest.mark.parametrize("n_fields", [TRACTION_FIELDS, DISPLACEMENT_FIELDS])
 def test_a_far_row_is_a_plain_sum(surface, n_fields):
     point = np.array([[0.3, -2.0, 1.5]])
     off = Collocation(point, np.array([-1]), np.array([-1]), np.zeros((1, 3)))
@@ -125,7 +128,9 @@ def test_a_far_row_is_a_plain_sum(surface, n_fields):
         fields = pairs * np.linalg.norm(normal, axis=2)[..., None]
     else:
         flux = 3 * (r * normal).sum(axis=2) / d**2
-        fields = np.concatenate([np.cross(r, normal) / d[..., None] ** 3, pairs * flux[..., None]], 2)
+        fields = np.concatenate(
+            [np.cross(r, normal) / d[..., None] ** 3, pairs * flux[..., None]], 2
+        )
     local = np.einsum("q,aq,mqf->maf", rule.weight, quadratic_shapes(rule.barycentric), fields)
     nodes = surface.displacement
     at_nodes = np.zeros((nodes.n_nodes + nodes.weights.shape[0], n_fields))

@@ -31,7 +31,7 @@ def standing_block(x, weight, material):
     return weight / young * np.column_stack([side, down])
 
 
-@pytest.mark.parametrize("nu", (0.0, 0.3, 0.499))
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.499])
 def test_a_block_that_stands_under_its_weight(block, nu):
     material = Material(40.0, nu)
     weight = 7.0
@@ -43,7 +43,8 @@ def test_a_block_that_stands_under_its_weight(block, nu):
     count = 3 * block.unknowns.free_vertices.size
     free = (x[:count, 0] + factor * x[:count, 1] + x[:count, 2]).reshape(-1, 3)
     free += factor * body.particular[block.unknowns.free_vertices]
-    # The displacement is quadratic and so are the elements: the tolerance of the integrals is what is left.
+    # The displacement is quadratic and so are the elements: the tolerance of the integrals is what
+    # is left.
     error = np.abs(free / material.shear - exact[block.unknowns.free_vertices]).max()
     assert error < 3e-7 * np.abs(exact).max()
     traction = x[count:-3] @ [1.0, factor, 1.0] / block.traction_length
@@ -59,7 +60,8 @@ def test_a_glued_block_hands_its_weight_to_the_support(block):
     weights = integral_weights(block.surface, np.flatnonzero(block.surface.held))
     traction = x[3 * block.unknowns.free_vertices.size : -3].reshape(-1, 3) / block.traction_length
     reaction = weights[block.unknowns.held_sides] @ traction
-    # Particular traction -(b.y) n over the flat support: zero in sum, for y counts from its middle. Volume 1.
+    # Particular traction -(b.y) n over the flat support: zero in sum, for y counts from its middle.
+    # Volume 1.
     np.testing.assert_allclose(reaction, -force, rtol=1e-6, atol=1e-6)
 
 
@@ -76,7 +78,8 @@ def test_twice_the_force_is_twice_the_columns(block):
 
 
 def test_particular_displacement_balances_the_force(block):
-    # Hooke and equilibrium by second differences: (lambda + 2 G) grad div u = -b for this curl-free field.
+    # Hooke and equilibrium by second differences: (lambda + 2 G) grad div u = -b for this curl-free
+    # field.
     force = np.array([1.0, -2.0, -7.0])
     particular = body_force_columns(block, force).particular
     vertices = block.surface.mesh.vertices

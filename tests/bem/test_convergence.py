@@ -29,7 +29,8 @@ def error(system, nu):
 def test_displacement_converges_faster_than_second_order(balls):
     errors = [error(system, 0.3) for system in balls]
     order = -np.polyfit(LEVELS, np.log2(errors), 1)[0]
-    # Quadratic elements of fitted midpoints: third order expected (3.4 to 3.6 here); linear elements reach two.
+    # Quadratic elements of fitted midpoints: third order expected (3.4 to 3.6 here); linear
+    # elements reach two.
     assert order > 3
     # 66 to 1026 vertices; the finest was at 5e-5.
     assert errors[-1] < 1e-4

@@ -78,8 +78,8 @@ def test_a_support_that_moves_rigidly_takes_the_object_along(system):
     nu = 0.45
     x = solve(factorise(system, nu), support_columns(system, rigid).at(nu))[:, 0]
     count = 3 * system.unknowns.free_vertices.size
-    # Translations are exact by the rigid-body sum; a rotation is linear, held by the curved elements as well as
-    # their positions are: what is left is the integrals' tolerance.
+    # Translations are exact by the rigid-body sum; a rotation is linear, held by the curved
+    # elements as well as their positions are: what is left is the integrals' tolerance.
     free = rigid[system.unknowns.free_vertices]
     np.testing.assert_allclose(x[:count].reshape(-1, 3), free, atol=1e-8)
     assert np.abs(x[count:-3]).max() < 1e-7
@@ -90,9 +90,7 @@ def test_the_frame_does_not_matter(elastic_map):
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
     q *= np.sign(np.linalg.det(q))
     turned = TriangleMesh(surface.mesh.vertices @ q.T + 2.0, surface.mesh.triangles)
-    other = make_elastic_map(
-        held_part(turned, surface.held), shear_modulus=50.0, poisson_ratio=0.4
-    )
+    other = make_elastic_map(held_part(turned, surface.held), shear_modulus=50.0, poisson_ratio=0.4)
     force = np.array([0.3, -0.2, -1.0])
     (here,) = elastic_map.respond([bump_load(surface.mesh, SIDE, 0.5)], force[None])
     (there,) = other.respond([bump_load(turned, q @ SIDE + 2.0, 0.5)], (q @ force)[None])
@@ -101,7 +99,7 @@ def test_the_frame_does_not_matter(elastic_map):
     np.testing.assert_allclose(there.displacement, here.displacement @ q.T, atol=1e-4 * scale)
 
 
-@pytest.mark.parametrize(("shear", "nu"), ((-1.0, 0.3), (1.0, 0.6)))
+@pytest.mark.parametrize(("shear", "nu"), [(-1.0, 0.3), (1.0, 0.6)])
 def test_impossible_constants_are_refused(system, shear, nu):
     with pytest.raises(InputError, match="must be"):
         make_elastic_map(system, shear_modulus=shear, poisson_ratio=nu)

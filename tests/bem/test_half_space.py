@@ -23,7 +23,8 @@ def plane_axes():
 
 
 def tensor(profile, s, angle, nu):
-    """Displacement times shear modulus per newton at distance s radii, in axes (radial 0 angle, second, outward)."""
+    """Displacement times shear modulus per newton at distance s radii, in axes (radial 0 angle,
+    second, outward)."""
     e1, e2 = plane_axes()
     s, angle = np.broadcast_arrays(np.asarray(s, dtype=float), angle)
     place = RADIUS * s[:, None] * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
@@ -34,15 +35,15 @@ def tensor(profile, s, angle, nu):
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("nu", (0.0, 0.3, 0.5))
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
 def test_far_away_it_is_boussinesq_and_cerruti(profile, nu):
     s, angle = np.array([60.0]), 0.7
     r = RADIUS * s[0]
     x, y = np.cos(angle), np.sin(angle)
     found = tensor(profile, s, angle, nu)[0] * 2 * np.pi * r
     half = 0.5 * (1 - 2 * nu)
-    # Johnson, eq. 3.18, 3.19 and 3.77 at the surface; the outward axis points away from the solid: pushed along x, the
-    # ground ahead rises, and pulled outward it draws away.
+    # Johnson, eq. 3.18, 3.19 and 3.77 at the surface; the outward axis points away from the solid:
+    # pushed along x, the ground ahead rises, and pulled outward it draws away.
     expected = [
         [1 - nu + nu * x * x, nu * x * y, half * x],
         [nu * x * y, 1 - nu + nu * y * y, half * y],
@@ -52,7 +53,7 @@ def test_far_away_it_is_boussinesq_and_cerruti(profile, nu):
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("nu", (0.0, 0.3, 0.5))
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
 def test_uniform_disc_settles_by_an_elliptic_integral(nu):
     s = np.linspace(0, 0.95, 8)
     found = tensor("uniform", s, 0.3, nu)[:, 2, 2]
@@ -71,7 +72,8 @@ def test_hertz_disc_settles_by_a_parabola():
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_radial_pull_of_a_normal_load(profile):
-    # By symmetry the load inside s pulls as if at the centre: u_r = (1 - 2 nu) / (4 pi r) * share within.
+    # By symmetry the load inside s pulls as if at the centre: u_r = (1 - 2 nu) / (4 pi r) * share
+    # within.
     s = np.array([0.3, 0.6, 0.9, 1.5, 3.0])
     share = {
         "uniform": np.minimum(s, 1) ** 2,
@@ -80,9 +82,7 @@ def test_radial_pull_of_a_normal_load(profile):
     }[profile]
     nu = 0.2
     found = tensor(profile, s, 0.0, nu)[:, 0, 2]
-    np.testing.assert_allclose(
-        found, (1 - 2 * nu) / (4 * np.pi * RADIUS * s) * share, rtol=2e-3
-    )
+    np.testing.assert_allclose(found, (1 - 2 * nu) / (4 * np.pi * RADIUS * s) * share, rtol=2e-3)
 
 
 def test_reciprocity_across_the_disc():

@@ -33,7 +33,9 @@ def kernel_fields(r, area_normal, n_fields):
     if n_fields == DISPLACEMENT_FIELDS:
         return pairs * (np.linalg.norm(area_normal, axis=1) / d**3)[:, None]
     flux = 3 * (r * area_normal).sum(axis=1) / d**5
-    return np.concatenate([np.cross(r, area_normal) / d[:, None] ** 3, pairs * flux[:, None]], axis=1)
+    return np.concatenate(
+        [np.cross(r, area_normal) / d[:, None] ** 3, pairs * flux[:, None]], axis=1
+    )
 
 
 def integral_over(corners, nodes, point, own, n_fields):
@@ -62,7 +64,8 @@ def brute_force(corners, nodes, point, own, n_fields, levels):
 
 
 def fine_polar(corners, nodes, point, own, n_fields, strips=300):
-    """Plain polar coordinates around the first corner, in very many narrow strips: slow, and sure to 1e-10."""
+    """Plain polar coordinates around the first corner, in very many narrow strips: slow, and sure
+    to 1e-10."""
     s, w_s = unit_gauss(16)
     x, w_x = unit_gauss(4)
     t = ((np.arange(strips)[:, None] + x) / strips).ravel()
@@ -80,7 +83,7 @@ def near_rule():
     return np.concatenate([rule.barycentric, rule.weight[:, None]], axis=1)
 
 
-@pytest.mark.parametrize("n_fields", (TRACTION_FIELDS, DISPLACEMENT_FIELDS))
+@pytest.mark.parametrize("n_fields", [TRACTION_FIELDS, DISPLACEMENT_FIELDS])
 def test_regular_integral_in_lanes(n_fields):
     rule = triangle_rule(5)
     source = element_points(CURVED[None], rule.barycentric)[0]
@@ -107,8 +110,8 @@ def test_surface_point_is_that_of_the_arrays():
     np.testing.assert_allclose(source, element_points(CURVED[None], b[None])[0, 0], rtol=1e-13)
 
 
-@pytest.mark.parametrize("n_fields", (TRACTION_FIELDS, DISPLACEMENT_FIELDS))
-@pytest.mark.parametrize("height", (0.5, 0.06))
+@pytest.mark.parametrize("n_fields", [TRACTION_FIELDS, DISPLACEMENT_FIELDS])
+@pytest.mark.parametrize("height", [0.5, 0.06])
 def test_near_integral(n_fields, height):
     place = element_points(CURVED[None], np.array([[0.3, 0.5, 0.2]]))[0, 0]
     point = place[:3] + height * place[3:] / np.linalg.norm(place[3:])
@@ -117,21 +120,23 @@ def test_near_integral(n_fields, height):
     add_near(point, CURVED, near_rule(), ratio, n_fields, found)
     expected = brute_force(np.eye(3), CURVED, point, np.zeros(6), n_fields, 5)
     error = np.abs(found[:, :n_fields] - expected).max() / np.abs(expected).max()
-    # Parts are within the default tolerance of 1e-6 by a bound; their errors come out smaller and cancel.
+    # Parts are within the default tolerance of 1e-6 by a bound; their errors come out smaller and
+    # cancel.
     assert error < 1e-8
 
 
 ACCURACY = (
     # With many points nothing is left but round-off and the reference.
     ((12, 40), 1e-12),
-    # The default's 4 x 12 points on an element that is bent by a tenth of its size, far more than a mesh's.
+    # The default's 4 x 12 points on an element that is bent by a tenth of its size, far more than a
+    # mesh's.
     (Quadrature().polar_points, 1e-4),
 )
 
 
-@pytest.mark.parametrize("n_fields", (TRACTION_FIELDS, DISPLACEMENT_FIELDS))
-@pytest.mark.parametrize("corner", (0, 1, 2))
-@pytest.mark.parametrize("nodes", (FLAT, CURVED), ids=("flat", "curved"))
+@pytest.mark.parametrize("n_fields", [TRACTION_FIELDS, DISPLACEMENT_FIELDS])
+@pytest.mark.parametrize("corner", [0, 1, 2])
+@pytest.mark.parametrize("nodes", [FLAT, CURVED], ids=("flat", "curved"))
 @pytest.mark.parametrize(("polar_points", "tolerance"), ACCURACY)
 def test_singular_integral_at_a_corner(n_fields, corner, nodes, polar_points, tolerance):
     corners = np.roll(np.eye(3), -corner, axis=0)
@@ -144,8 +149,8 @@ def test_singular_integral_at_a_corner(n_fields, corner, nodes, polar_points, to
     assert np.abs(found[:, :n_fields] - expected).max() < tolerance * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("n_fields", (TRACTION_FIELDS, DISPLACEMENT_FIELDS))
-@pytest.mark.parametrize("place", ((0.8, 0.1, 0.1), (0.3, 0.3, 0.4), (0.02, 0.58, 0.4)))
+@pytest.mark.parametrize("n_fields", [TRACTION_FIELDS, DISPLACEMENT_FIELDS])
+@pytest.mark.parametrize("place", [(0.8, 0.1, 0.1), (0.3, 0.3, 0.4), (0.02, 0.58, 0.4)])
 @pytest.mark.parametrize(("polar_points", "tolerance"), ACCURACY)
 def test_singular_integral_around_a_shifted_point(n_fields, place, polar_points, tolerance):
     place = np.array(place)
@@ -163,23 +168,32 @@ def test_singular_integral_around_a_shifted_point(n_fields, place, polar_points,
 
 
 def test_potential_of_a_flat_triangle_seen_from_its_corner():
-    # Closed form: int 1 / r = h (asinh(b / h) - asinh(a / h)) with the opposite edge from a to b at distance h.
+    # Closed form: int 1 / r = h (asinh(b / h) - asinh(a / h)) with the opposite edge from a to b at
+    # distance h.
     found = np.zeros((6, 9))
     add_singular(
-        FLAT[0], FLAT, np.eye(3), _polar_rule(Quadrature()), np.eye(6)[0], DISPLACEMENT_FIELDS, found
+        FLAT[0],
+        FLAT,
+        np.eye(3),
+        _polar_rule(Quadrature()),
+        np.eye(6)[0],
+        DISPLACEMENT_FIELDS,
+        found,
     )
     edge = FLAT[2] - FLAT[1]
     length = np.linalg.norm(edge)
     along = (FLAT[1] - FLAT[0]) @ edge / length
     height = np.linalg.norm(FLAT[1] - FLAT[0] - along * edge / length)
     exact = height * (np.arcsinh((along + length) / height) - np.arcsinh(along / height))
-    # The trace of r_i r_j / r^3 is 1 / r and the shapes sum to one; 12 Gauss points resolve the smooth angle.
+    # The trace of r_i r_j / r^3 is 1 / r and the shapes sum to one; 12 Gauss points resolve the
+    # smooth angle.
     np.testing.assert_allclose(found[:, :3].sum(), exact, rtol=1e-9)
 
 
-@pytest.mark.parametrize("thinness", (0.1, 0.01))
+@pytest.mark.parametrize("thinness", [0.1, 0.01])
 def test_potential_of_a_thin_triangle(thinness):
-    # The hyperbolic angle keeps its accuracy however flat the triangle is; plain polar coordinates would not.
+    # The hyperbolic angle keeps its accuracy however flat the triangle is; plain polar coordinates
+    # would not.
     nodes = ELEMENT_NODES @ np.array([[0.0, 0, 0], [-1, thinness, 0], [1.5, thinness, 0]])
     found = np.zeros((6, 9))
     polar = _polar_rule(Quadrature())

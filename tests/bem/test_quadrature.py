@@ -38,7 +38,7 @@ def test_rule_is_exact_up_to_its_degree_and_not_beyond(degree):
     assert monomial_error(rule, rule.degree + 1) > 1e-9
 
 
-@pytest.mark.parametrize("degree", (2, 4, 5, 7, 11))
+@pytest.mark.parametrize("degree", [2, 4, 5, 7, 11])
 def test_rule_has_positive_weights_and_inner_points(degree):
     rule = triangle_rule(degree)
     assert (rule.weight > 0).all()
@@ -84,7 +84,8 @@ def test_element_points_follow_a_parabolic_cap():
     places = some_places()
     x, y, z, nx, ny, nz = element_points(nodes[None], places)[0].T
     np.testing.assert_allclose(z, 0.3 * x**2 - 0.1 * x * y, atol=1e-15)
-    # Normal of z = f(x, y) is (-f_x, -f_y, 1); its z part is the area of the projection, twice 0.45.
+    # Normal of z = f(x, y) is (-f_x, -f_y, 1); its z part is the area of the projection, twice
+    # 0.45.
     np.testing.assert_allclose(nz, 0.9, rtol=1e-14)
     np.testing.assert_allclose(nx / nz, -(0.6 * x - 0.1 * y), atol=1e-14)
     np.testing.assert_allclose(ny / nz, 0.1 * x, atol=1e-14)

@@ -37,7 +37,9 @@ def test_at_is_the_polynomial_and_sums_add(ball):
     a, _ = columns(ball)
     b, _ = columns(ball, 1)
     nu = 0.37
-    np.testing.assert_allclose(a.at(nu), a.constant + nu * a.slope + nu**2 * a.curvature, rtol=1e-14)
+    np.testing.assert_allclose(
+        a.at(nu), a.constant + nu * a.slope + nu**2 * a.curvature, rtol=1e-14
+    )
     np.testing.assert_allclose((a + b).at(nu), a.at(nu) + b.at(nu), rtol=0, atol=1e-14)
 
 
@@ -59,9 +61,10 @@ def test_load_columns_are_kelvins_tensor():
     assert np.array_equal(found[15:], balance)
 
 
-@pytest.mark.parametrize("nu", (0.0, 0.3, 0.5))
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
 def test_a_moved_support_is_what_the_matrix_would_take_away(ball, nu):
-    # Seen from a support elsewhere the same vertices are free: their columns times the motion, other sign.
+    # Seen from a support elsewhere the same vertices are free: their columns times the motion,
+    # other sign.
     surface = ball.surface
     motion = np.random.default_rng(3).normal(size=surface.mesh.vertices.shape)
     held = ball.unknowns.held_vertices
@@ -78,7 +81,8 @@ def test_a_moved_support_is_what_the_matrix_would_take_away(ball, nu):
 
 
 def test_a_traction_over_triangles_is_that_load(ball):
-    """A uniform traction by elements and the same as a load of its own: two ways to integrate, one answer."""
+    """A uniform traction by elements and the same as a load of its own: two ways to integrate, one
+    answer."""
     surface = ball.surface
     triangles = np.flatnonzero(~surface.held)[5:9]
     load = SurfaceLoad(triangles, lambda triangle, barycentric, position: np.ones(triangle.size))
@@ -87,7 +91,8 @@ def test_a_traction_over_triangles_is_that_load(ball):
     uniform = np.broadcast_to(direction, (triangles.size, 6, 3)).copy()
     area = element_area(surface.element_nodes[triangles])
     from_elements = traction_column(ball, triangles, uniform).at(0.3)[:, 0] / area
-    # The load's cells are a quarter of an element with a rule of degree 5; its own points see it through 3 panels.
+    # The load's cells are a quarter of an element with a rule of degree 5; its own points see it
+    # through 3 panels.
     error = np.abs(from_load - from_elements).max() / np.abs(from_elements).max()
     assert error < 2e-4
 
@@ -106,11 +111,13 @@ def test_total_of_a_quadratic_traction():
     traction = np.stack([x * x, x * y, 1 + y], axis=2)
     # Exact for quadratics on flat ground.
     np.testing.assert_allclose(
-        total_traction(surface.element_nodes[triangles], traction), [1 / 3, 1 / 4, 3 / 2], rtol=1e-13
+        total_traction(surface.element_nodes[triangles], traction),
+        [1 / 3, 1 / 4, 3 / 2],
+        rtol=1e-13,
     )
 
 
-@pytest.mark.parametrize("nu", (0.0, 0.3, 0.499))
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.499])
 def test_the_last_rows_balance_the_load(ball, nu):
     mesh = ball.surface.mesh
     load = bump_load(mesh, np.array([0.0, 0.0, 1.0]), 0.6)

@@ -14,7 +14,7 @@ def low_cap(mesh):
     return np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.5)
 
 
-@pytest.mark.parametrize("held", ([], range(12)))
+@pytest.mark.parametrize("held", [[], range(12)])
 def test_a_support_of_nothing_or_everything_is_refused(held):
     mesh, _ = cube_with_faces(1)
     with pytest.raises(InputError, match="must hold a part of the surface and leave a part free"):
@@ -24,7 +24,9 @@ def test_a_support_of_nothing_or_everything_is_refused(held):
 def test_smooth_midpoints_lie_on_the_sphere():
     mesh = sphere(3)
     smooth = make_surface(mesh, low_cap(mesh)).element_nodes[:, 3:]
-    flat = make_surface(mesh, low_cap(mesh), settings=SurfaceSettings(smooth=False)).element_nodes[:, 3:]
+    flat = make_surface(mesh, low_cap(mesh), settings=SurfaceSettings(smooth=False)).element_nodes[
+        :, 3:
+    ]
     off_smooth = np.abs(np.linalg.norm(smooth, axis=2) - 1)
     off_flat = np.abs(np.linalg.norm(flat, axis=2) - 1)
     # Chords sag by h^2 / 8; the fit is two orders better away from the cut of the support.

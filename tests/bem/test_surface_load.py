@@ -16,7 +16,8 @@ RADIUS = 0.3
 # Integral of the pressure over the patch, and of pressure over distance from its centre.
 TOTAL = {"smooth": np.pi / 3, "uniform": np.pi, "hertz": 2 * np.pi / 3}
 AT_CENTRE = {"smooth": 16 * np.pi / 15, "uniform": 2 * np.pi, "hertz": np.pi**2 / 2}
-# Smooth pressures converge fast; jumps and square roots at the rim are caught by cells of 1/32 of a triangle.
+# Smooth pressures converge fast; jumps and square roots at the rim are caught by cells of 1/32 of a
+# triangle.
 TOLERANCE = {"smooth": 1e-4, "uniform": 3e-3, "hertz": 1e-3}
 
 
@@ -103,7 +104,9 @@ def test_far_away_a_patch_is_a_point(cube):
     d = np.linalg.norm(r, axis=1)
     far = d > 4 * RADIUS
     np.testing.assert_allclose(
-        fields[far, :3].sum(axis=1), 1 / d[far], rtol=0.02  # second moment over distance squared
+        fields[far, :3].sum(axis=1),
+        1 / d[far],
+        rtol=0.02,  # second moment over distance squared
     )
     assert far.any()
 

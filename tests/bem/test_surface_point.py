@@ -92,7 +92,7 @@ def test_it_runs_smoothly_across_the_patch(ball, pressed):
     assert (np.diff(down) < 0).all()
 
 
-@pytest.mark.parametrize("barycentric", ([0.2, 0.3, 0.5], [0.98, 0.01, 0.01], [0.5, 0.5, 0.0]))
+@pytest.mark.parametrize("barycentric", [[0.2, 0.3, 0.5], [0.98, 0.01, 0.01], [0.5, 0.5, 0.0]])
 def test_a_linear_field_is_exact_at_every_point(barycentric):
     mesh, face = cube_with_faces(2)
     system = held_part(mesh, face == 4, quadrature=FINE)

@@ -34,26 +34,25 @@ def gradient_of(kind, nu):
     return {"tension": np.diag([-nu, -nu, 1.0]), "shear": SHEAR, "general": TURNED}[kind]
 
 
-@pytest.mark.parametrize("kind", ("tension", "shear", "general"))
-@pytest.mark.parametrize("nu", (0.0, 0.25, 0.45, 0.499))
+@pytest.mark.parametrize("kind", ["tension", "shear", "general"])
+@pytest.mark.parametrize("nu", [0.0, 0.25, 0.45, 0.499])
 def test_linear_fields_on_a_cube(held_cube, kind, nu):
     system, face = held_cube
     material = Material(2.5, nu)
     field = linear_field(gradient_of(kind, nu), material)
-    found, traction = solve_known(
-        system, field, material, quadrature=Quadrature(tolerance=1e-9)
-    )
+    found, traction = solve_known(system, field, material, quadrature=Quadrature(tolerance=1e-9))
     vertices = system.surface.mesh.vertices
     exact = field.displacement(vertices)
-    # The elements hold a linear field exactly and the quadrature outdoes its 1e-9: round-off is left, times the
-    # pressure that belongs to the field (lame is 500 G at nu 0.499). The issue asks for 1e-6.
+    # The elements hold a linear field exactly and the quadrature outdoes its 1e-9: round-off is
+    # left, times the pressure that belongs to the field (lame is 500 G at nu 0.499). The issue asks
+    # for 1e-6.
     assert np.abs(found - exact).max() < 1e-11 * np.abs(exact).max()
     side_face = np.zeros(system.surface.traction.n_nodes, dtype=np.int64)
     side_face[system.surface.sides.corner.ravel()] = np.repeat(face, 3)
     sigma = field.stress(np.zeros((1, 3)))[0]
     expected = (NORMALS @ sigma)[side_face[system.unknowns.held_sides]]
-    # Tractions differentiate displacements over an element: an order is lost. Edges and corners count too; the issue
-    # asks for 1e-4.
+    # Tractions differentiate displacements over an element: an order is lost. Edges and corners
+    # count too; the issue asks for 1e-4.
     assert np.abs(traction - expected).max() < 1e-10 * np.abs(sigma).max()
 
 
@@ -76,7 +75,9 @@ def test_slope_is_the_difference_of_matrices(cube_system):
     x = np.random.default_rng(0).normal(size=(cube_system.size, 2))
     difference = system_matrix(cube_system, 1.3) - system_matrix(cube_system, 0.3)
     # Round-off of sums of 100 entries of order one.
-    np.testing.assert_allclose(system_slope(cube_system).apply(x), difference @ x, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        system_slope(cube_system).apply(x), difference @ x, rtol=0, atol=1e-11
+    )
 
 
 def test_matrix_is_linear_in_poisson_ratio(cube_system):
@@ -99,7 +100,10 @@ def test_an_object_that_is_not_held_is_singular():
 
 def test_size_scales_nothing_but_lengths():
     mesh, face = cube_with_faces(1)
-    field_of = [held_part(type(mesh)(scale * mesh.vertices, mesh.triangles), face == 4) for scale in (1, 1e-3)]
+    field_of = [
+        held_part(type(mesh)(scale * mesh.vertices, mesh.triangles), face == 4)
+        for scale in (1, 1e-3)
+    ]
     large, small = (system_matrix(system, 0.3) for system in field_of)
     # The traction kernel has no unit, and the unknown traction comes times the object's length.
     np.testing.assert_allclose(large, small, rtol=0, atol=1e-12)

@@ -22,6 +22,11 @@ def test_fit_session():
     assert ran("01_fit_session.py") == pytest.approx(60e3, rel=0.015)
 
 
+def test_poke_the_model():
+    # The example's own number; a change of the mesh or the elements may move it by some 0.1 %.
+    assert ran("02_poke_the_model.py") == pytest.approx(2.25e-3, rel=0.01)
+
+
 def test_compression():
     # Whole records over 2-10 % strain give 116.3, 116.4 and 110.7 kPa (a plain line fit).
     assert ran("03_compression_test.py") == pytest.approx(114.5e3, rel=0.005)

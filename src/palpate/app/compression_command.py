@@ -162,7 +162,7 @@ def _table(results: list[CompressionResult]) -> Table:
     factor, unit = modulus_unit(series.young_modulus)
     table = Table(title="Compression tests", box=SIMPLE_HEAD)
     table.add_column("file")
-    table.add_column(f"E +- 1 sigma ({unit})", justify="right")
+    table.add_column(f"E ± 1 sigma ({unit})", justify="right")
     table.add_column(f"95 % interval ({unit})", justify="right")
     table.add_column("readings", justify="right")
     table.add_column("off the line", justify="right")

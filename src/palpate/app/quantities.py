@@ -4,7 +4,7 @@ import math
 
 from palpate.records import Constant
 
-__all__ = ["constant_text", "interval_text", "modulus_unit"]
+__all__ = ["constant_text", "interval_text", "modulus_unit", "value_text"]
 
 
 def modulus_unit(modulus: float) -> tuple[float, str]:
@@ -24,7 +24,13 @@ def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
     places = _places(std, value)
     if not math.isfinite(std):
         return f"{value:.{places}f}"
-    return f"{value:.{places}f} +- {std:.{places}f}"
+    return f"{value:.{places}f} ± {std:.{places}f}"
+
+
+def value_text(constant: Constant, *, factor: float = 1.0) -> str:
+    """Value alone, to two digits of its standard deviation."""
+    value, std = constant.value / factor, constant.std / factor
+    return f"{value:.{_places(std, value)}f}" if math.isfinite(value) else "unknown"
 
 
 def interval_text(constant: Constant, *, factor: float = 1.0) -> str:

@@ -19,6 +19,7 @@ from palpate.bem.elastic_map import (
     make_elastic_map,
 )
 from palpate.bem.half_space import PressureDisc
+from palpate.bem.interior import InteriorState, interior_state
 from palpate.bem.quadrature import Quadrature
 from palpate.bem.right_hand import RightHand, joined, support_columns, traction_column
 from palpate.bem.surface import BoundarySurface, SurfaceSettings, make_surface
@@ -41,6 +42,7 @@ __all__ = [
     "ElasticMap",
     "ElasticState",
     "FactorisedSystem",
+    "InteriorState",
     "PointEquations",
     "PressureDisc",
     "Quadrature",
@@ -52,6 +54,7 @@ __all__ = [
     "body_force_columns",
     "dilation_factor",
     "factorise",
+    "interior_state",
     "joined",
     "load_right_hand",
     "load_shape",

@@ -225,11 +225,11 @@ def _slopes_at(a, b0, b1, b2):
 
 @numba.njit(error_model="numpy", cache=True)
 def _foot_and_height(nodes, corners):
-    """Where the perpendicular from the first corner meets the line of the other two, and its length.
+    """Where the perpendicular from the first corner meets the line of the others, and its length.
 
-    Both over the distance of these two; the foot is 0 at the second corner, 1 at the third. Measured
-    in the tangent plane at the first corner: there the integrand is large, and a bent element's
-    corners may lie elsewhere.
+    Both over the distance of these two; the foot is 0 at the second corner, 1 at the third.
+    Measured in the tangent plane at the first corner: there the integrand is large, and a bent
+    element's corners may lie elsewhere.
     """
     place = np.zeros((3, 3))
     b0, b1, b2 = corners[0]

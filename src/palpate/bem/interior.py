@@ -1,7 +1,8 @@
 """Displacement and stress inside a loaded object: where it strains.
 
-The solved surface says everything about the inside (Somigliana's identity, `somigliana.py`). Points may come within 5 %
-of a triangle's radius of the surface; closer than that, and outside, they are refused.
+The solved surface says everything about the inside (Somigliana's identity, `somigliana.py`). Points
+may come within 5 % of a triangle's radius of the surface; closer than that, and outside, they are
+refused.
 """
 
 from dataclasses import dataclass
@@ -33,7 +34,8 @@ class InteriorState:
     Attributes
     ----------
     displacement : (n, 3) float [m]
-    stress : (n, 3, 3) float [Pa]         symmetric; [i, j]: along j on a plane of normal i, tension positive
+    stress : (n, 3, 3) float [Pa]         symmetric; [i, j]: along j on a plane of normal i,
+                                          tension positive
     """
 
     displacement: Float[np.ndarray, "n 3"]
@@ -57,7 +59,7 @@ def interior_state(
     elastic_map : ElasticMap
     load : SurfaceLoad
     force : (3,) float [N]            total force of the load on the object
-    points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius away from the surface
+    points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius from the surface
     quadrature : Quadrature
 
     Returns
@@ -100,7 +102,7 @@ def interior_values(
     Parameters
     ----------
     fields : BoundaryFields
-    points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius away from the surface
+    points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius from the surface
     shear_modulus : float [Pa]
     poisson_ratio : float [-]         -1 < nu <= 0.5
     quadrature : Quadrature
@@ -170,7 +172,7 @@ def _with_midpoints(
 def _load_points_near(
     surface: BoundarySurface, load: SurfaceLoad, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
-    """Places and shares of a load, in cells as small as the distance of the nearest point asks for."""
+    """Places and shares of a load, in cells as small as the nearest point asks for."""
     rule = triangle_rule(LOAD_DEGREE)
     coarsest, rim_finest, finest = LOAD_LEVELS
     tree = cKDTree(points)
@@ -181,7 +183,9 @@ def _load_points_near(
         barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
         position, area = _places(surface, triangle, barycentric)
         density = load.density(
-            np.repeat(triangle, rule.weight.size), barycentric.reshape(-1, 3), position.reshape(-1, 3)
+            np.repeat(triangle, rule.weight.size),
+            barycentric.reshape(-1, 3),
+            position.reshape(-1, 3),
         ).reshape(area.shape)
         centre = position.mean(axis=1)
         size = np.linalg.norm(position - centre[:, None], axis=2).max(axis=1)
@@ -199,7 +203,9 @@ def _load_points_near(
 
 
 def _places(
-    surface: BoundarySurface, triangle: Int[np.ndarray, " c"], barycentric: Float[np.ndarray, "c q 3"]
+    surface: BoundarySurface,
+    triangle: Int[np.ndarray, " c"],
+    barycentric: Float[np.ndarray, "c q 3"],
 ) -> tuple[Float[np.ndarray, "c q 3"], Float[np.ndarray, "c q"]]:
     flat = barycentric.reshape(-1, 3)
     parts = np.stack([quadratic_shapes(flat), *quadratic_slopes(flat)])

@@ -1,13 +1,14 @@
-"""Somigliana's identity: displacement and stress inside an object from displacement and traction of its surface.
+"""Somigliana's identity: displacement and stress inside an object from those of its surface.
 
-With r = x - y from the inner point y to the surface point x, e = r / |r|, n the outward normal at x, t and u traction and
-displacement there, multiplied by 8 pi (1 - nu):
+With r = x - y from the inner point y to the surface point x, e = r / |r|, n the outward normal at
+x, t and u traction and displacement there, a = 1 - 2 nu, multiplied by 8 pi (1 - nu):
 
-    displacement   u_i = int [(3 - 4 nu) t_i + e_i e.t] / (2 G r) - int T_ij u_j          (T as in `kelvin`)
-    stress         s_ij = int [(1 - 2 nu) (t_i e_j + t_j e_i - delta_ij e.t) + 3 e_i e_j e.t] / r^2 - int S
-                   S = 2 G / r^3 { 3 e.n [(1 - 2 nu) delta_ij e.u + nu (u_i e_j + u_j e_i) - 5 e_i e_j e.u]
-                       + 3 nu (n_i e_j + n_j e_i) e.u + (1 - 2 nu) (3 u.n e_i e_j + n_i u_j + n_j u_i)
-                       - (1 - 4 nu) u.n delta_ij }
+    displacement   int [(3 - 4 nu) t_i + e_i e.t] / (2 G r) - int T_ij u_j     (T as in `kelvin`)
+    stress         int [a (t_i e_j + t_j e_i - delta_ij e.t) + 3 e_i e_j e.t] / r^2 - int S_ij
+                   S_ij = 2 G / r^3 { 3 e.n [a delta_ij e.u + nu (u_i e_j + u_j e_i)
+                                             - 5 e_i e_j e.u] + 3 nu (n_i e_j + n_j e_i) e.u
+                                      + a (3 u.n e_i e_j + n_i u_j + n_j u_i)
+                                      - (1 - 4 nu) u.n delta_ij }
 
 Source: Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), eq. 5.4.5, 5.6.4 to 5.6.6.
 """
@@ -34,7 +35,9 @@ LARGEST_STACK = 3 * DEEPEST + 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundaryFields:
-    """Displacement and traction of a closed surface, quadratic on each triangle; the traction may jump between them.
+    """Displacement and traction of a closed surface, quadratic on each triangle.
+
+    The traction may jump between triangles.
 
     Attributes
     ----------
@@ -57,8 +60,8 @@ class InnerValues:
     displacement : (n, 3) float [m]
     stress : (n, 3, 3) float [Pa]
     solid_angle : (n,) float [-]          over 4 pi: 1 inside, 0 outside
-    clearance : (n,) float [-]            distance from the surface over the radius of the nearest triangle, to about
-                                          a tenth; infinite where no triangle is near
+    clearance : (n,) float [-]            distance from the surface over the radius of the nearest
+                                          triangle, to about a tenth; infinite where none is near
     """
 
     displacement: Float[np.ndarray, "n 3"]
@@ -83,7 +86,8 @@ def integrate_surface(
     points : (n, 3) float [m]
     shear_modulus : float [Pa]
     poisson_ratio : float [-]             -1 < nu <= 0.5
-    quadrature : Quadrature               a triangle that is too close for its last rule is divided, up to 8 times
+    quadrature : Quadrature               a triangle too close for its last rule is divided, up to
+                                          8 times
 
     Returns
     -------
@@ -119,7 +123,9 @@ def integrate_forces(
     shear_modulus: float,
     poisson_ratio: float,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-    """Displacement and stress of point forces in unbounded elastic space: the share of a load given by its points.
+    """Displacement and stress of point forces in unbounded elastic space.
+
+    A load given by its points adds these to what the rest of the surface does.
 
     Parameters
     ----------
@@ -156,7 +162,8 @@ def add_traction(point, source, t, shear_modulus, nu, out):
     source : (3,) or longer float           place of the force [m] first
     t : (3,) float [N]                      traction times area
     shear_modulus, nu : float
-    out : (10,) float                       added to: displacement (3), stress xx yy zz yz zx xy, unused
+    out : (10,) float                       added to: displacement (3), stress xx yy zz yz zx xy;
+                                            the last stays
     """
     x, y, z = source[0] - point[0], source[1] - point[1], source[2] - point[2]
     s = 1.0 / np.sqrt(x * x + y * y + z * z)
@@ -186,7 +193,8 @@ def subtract_displacement(point, source, u, shear_modulus, nu, out):
     source : (6,) float                     place [m], outward normal times area [m^2]
     u : (3,) float [m]
     shear_modulus, nu : float
-    out : (10,) float                       changed: displacement (3), stress xx yy zz yz zx xy, solid angle
+    out : (10,) float                       changed: displacement (3), stress xx yy zz yz zx xy,
+                                            solid angle
     """
     x, y, z = source[0] - point[0], source[1] - point[1], source[2] - point[2]
     n0, n1, n2 = source[3], source[4], source[5]
@@ -210,19 +218,29 @@ def subtract_displacement(point, source, u, shear_modulus, nu, out):
     out[4] -= c * (same + pair * y * y + 2 * (p * u[1] * y + q * n1 * y + a * n1 * u[1]))
     out[5] -= c * (same + pair * z * z + 2 * (p * u[2] * z + q * n2 * z + a * n2 * u[2]))
     out[6] -= c * (
-        pair * y * z + p * (u[1] * z + u[2] * y) + q * (n1 * z + n2 * y) + a * (n1 * u[2] + n2 * u[1])
+        pair * y * z
+        + p * (u[1] * z + u[2] * y)
+        + q * (n1 * z + n2 * y)
+        + a * (n1 * u[2] + n2 * u[1])
     )
     out[7] -= c * (
-        pair * z * x + p * (u[2] * x + u[0] * z) + q * (n2 * x + n0 * z) + a * (n2 * u[0] + n0 * u[2])
+        pair * z * x
+        + p * (u[2] * x + u[0] * z)
+        + q * (n2 * x + n0 * z)
+        + a * (n2 * u[0] + n0 * u[2])
     )
     out[8] -= c * (
-        pair * x * y + p * (u[0] * y + u[1] * x) + q * (n0 * y + n1 * x) + a * (n0 * u[1] + n1 * u[0])
+        pair * x * y
+        + p * (u[0] * y + u[1] * x)
+        + q * (n0 * y + n1 * x)
+        + a * (n0 * u[1] + n1 * u[0])
     )
 
 
 @numba.njit(error_model="numpy", cache=True)
 def _add_surface_point(point, source, value, shear_modulus, nu, scaled, out):
-    """Both kernels at one surface point whose normal carries its weight; value is displacement, then traction."""
+    """Both kernels at one surface point whose normal carries its weight; value is displacement,
+    then traction."""
     subtract_displacement(point, source, value[:3], shear_modulus, nu, out)
     if value[3] != 0 or value[4] != 0 or value[5] != 0:
         area = np.sqrt(source[3] ** 2 + source[4] ** 2 + source[5] ** 2)
@@ -261,7 +279,8 @@ def _integrate(
 
 @numba.njit(error_model="numpy", cache=True)
 def _add_divided(point, nodes, values, rule, ratio, shear_modulus, nu, out):
-    """Divide a triangle until the rule may be used on each part; returns the distance of the nearest part's centre."""
+    """Divide a triangle until the rule may be used on each part; returns the distance of the
+    nearest part's centre."""
     shape, source, value, scaled = np.empty(6), np.empty(6), np.empty(6), np.empty(3)
     stack = np.empty((LARGEST_STACK, 10))
     stack[0] = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0.0])
