@@ -33,7 +33,7 @@ def measure(options: Options) -> list[Figure]:
         how = (
             f"ball, {size} vertices, {len(mesh.triangles)} triangles, {CORES} cores; nine fields"
             f" {traction:.2f} s, six fields {displacement:.2f} s, that is"
-            f" {1e-6 * pairs / (traction + displacement):.1f} million pairs a second, 15 fields each"
+            f" {1e-6 * pairs / (traction + displacement):.1f} million pairs a second in all"
         )
         figures += [
             Figure(

@@ -29,7 +29,8 @@ def _figure(level: int) -> Figure:
     # In turns: whatever else the machine does then disturbs both sides of the ratio alike.
     rounds = [_round(session, surface, size) for _ in range(3)]
     stages = min((found for found, _, _ in rounds), key=lambda seconds: seconds["total"])
-    assembly, factorisation = (min(one[k] for one in rounds) for k in (1, 2))
+    assembly = min(seconds for _, seconds, _ in rounds)
+    factorisation = min(seconds for _, _, seconds in rounds)
     parts = ", ".join(f"{name} {value:.2f} s" for name, value in stages.items())
     return Figure(
         ESTIMATION,

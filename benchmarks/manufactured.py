@@ -15,6 +15,7 @@ from palpate.bem import (
     support_columns,
     traction_column,
 )
+from palpate.bem.elastic_map import sorted_state
 from palpate.bem.kelvin import kelvin_displacement, kelvin_traction
 from palpate.geometry import TriangleMesh
 
@@ -135,14 +136,14 @@ def solved(
     right = right + support_columns(system, known)
     nu = field.poisson_ratio
     found = solve(factorise(system, nu), right.at(nu))[:, 0]
+    state = sorted_state(system, found, field.shear_modulus)
     vertices, sides = system.unknowns.free_vertices, system.unknowns.held_sides
-    split = 3 * vertices.size
     of_side = np.zeros(surface.traction.n_nodes, dtype=np.int64)
     of_side[surface.sides.corner.ravel()] = np.repeat(np.arange(surface.held.size), 3)
     at_side = surface.mesh.vertices[surface.sides.vertex[sides]]
     return Outcome(
-        displacement=found[:split].reshape(-1, 3),
+        displacement=state.displacement[vertices],
         exact_displacement=known[vertices],
-        traction=found[split:].reshape(-1, 3) * field.shear_modulus / system.traction_length,
+        traction=state.support_traction,
         exact_traction=field.traction(at_side, normals(of_side[sides], at_side)),
     )

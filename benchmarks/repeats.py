@@ -11,7 +11,7 @@ from benchmarks.figure import ESTIMATION, Figure
 from benchmarks.machine import CORES, SHARED
 from benchmarks.options import Options
 from benchmarks.session_observations import exact, session_observations, thinned
-from palpate.estimation import FitSettings
+from palpate.estimation import FitSettings, IntervalMethod
 from palpate.records import read_session
 
 __all__ = ["measure"]
@@ -49,7 +49,7 @@ def _outcome(repeats: int, disturbance: Disturbance) -> Coverage:
 
 
 def _covered(name: str, outcome: Coverage) -> list[Figure]:
-    reported = FitSettings().interval.value
+    reported = IntervalMethod(FitSettings().interval).value
     figures = []
     for constant, symbol in SYMBOLS.items():
         share = 100 * outcome.covered[reported][constant]

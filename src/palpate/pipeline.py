@@ -3,7 +3,7 @@ estimation meet."""
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -113,7 +113,7 @@ def fit_session(
     model = make_object_model(session, probings, surface=surface)
     assembled = time.perf_counter()
     say("factorisation", 0.5)
-    responses = _responses(model, session, probings, method)
+    responses = _responses(model, session, probings, settings)
     factorised = time.perf_counter()
     observations = [
         _observations(probing, response)
@@ -132,7 +132,8 @@ def fit_session(
         "fit": done - factorised,
         "total": done - start,
     }
-    return replace(result, estimate=replace(result.estimate, seconds=seconds))
+    kept = {**result.estimate.settings, "surface": asdict(surface)}
+    return replace(result, estimate=replace(result.estimate, seconds=seconds, settings=kept))
 
 
 def make_object_model(
@@ -232,16 +233,16 @@ def _distinct_patches(
 
 
 def _responses(
-    model: ObjectModel, session: Session, probings: Sequence[Probing], method: str
+    model: ObjectModel, session: Session, probings: Sequence[Probing], settings: FitSettings
 ) -> list[ResponseModel]:
     rows = [
         _rows(model, session, probing, int(patch))
         for probing, patch in zip(probings, model.patch_of, strict=True)
     ]
-    if method == FitMethod.NELDER_MEAD:
+    if settings.method == FitMethod.NELDER_MEAD:
         full = FullModel(model.system, model.right)
         return [FullResponse(full, row) for row in rows]
-    reduced = make_reduced_model(model.system, model.right)
+    reduced = make_reduced_model(model.system, model.right, poisson_range=settings.poisson_range)
     return [reduced_response(reduced, row) for row in rows]
 
 

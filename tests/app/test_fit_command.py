@@ -56,8 +56,8 @@ def calls(monkeypatch):
     """The estimation and the plots replaced; what they were asked for is collected."""
     asked = []
 
-    def fit_session(session, *, probes=None, method="reduced", progress=None):
-        asked.append((session, method))
+    def fit_session(session, *, method, settings, surface, progress):
+        asked.append((session, method, settings, surface))
         if progress is not None:
             progress("fit", 1.0)
         return _result(session)
@@ -93,10 +93,19 @@ def test_residuals_are_written_with_their_points(palpate, calls, cube_session, t
 
 def test_options_reach_the_estimation(palpate, calls, cube_session, tmp_path):
     options = ("--out", tmp_path / "mine", "--method", "nelder-mead", "--probe", "n01")
-    assert palpate("fit", cube_session, *options)[0] == 0
-    session, method = calls[0]
+    more = ("--poisson-range", "-0.5", "0.4", "--surface", "flat")
+    assert palpate("fit", cube_session, *options, *more)[0] == 0
+    session, method, settings, surface = calls[0]
     assert ([p.name for p in session.probings], method) == (["n01"], "nelder-mead")
+    assert (settings.poisson_range, surface.smooth) == ((-0.5, 0.4), False)
     assert json.loads((tmp_path / "mine" / "estimate.json").read_text())["status"] == "ok"
+
+
+def test_a_ratio_out_of_range_is_said(palpate, calls, cube_session):
+    code, _, err = palpate("fit", cube_session, "--poisson-range", "0", "0.7")
+    assert code == 2
+    assert "poisson_range is (0.0, 0.7)" in err
+    assert not calls
 
 
 def test_status_that_is_not_ok_ends_with_three_and_its_cure(

@@ -12,8 +12,9 @@ from palpate.app.progress import progress_bar
 from palpate.app.residual_files import write_residuals
 from palpate.app.result_folder import result_folder
 from palpate.app.tables import constants_table, probes_table
+from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
-from palpate.estimation import FitResult
+from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import fit_session
 from palpate.records import Session, Status, read_session, write_estimate
 
@@ -29,6 +30,8 @@ def fit(
     out: Path | None = None,
     probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
     method: Literal["reduced", "nelder-mead"] = "reduced",
+    poisson_range: tuple[float, float] = (0.0, 0.4999),
+    surface: Literal["smooth", "flat"] = "smooth",
 ) -> int:
     """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
 
@@ -45,6 +48,11 @@ def fit(
         Use these probings only.
     method
         How the constants are searched: over the reduced model, or by Nelder-Mead on the full one.
+    poisson_range
+        Poisson's ratios that are possible; -0.99 0.4999 for auxetic foams.
+    surface
+        What the mesh means: points of a smooth object (with edges where triangles turn by more than
+        40 degrees), or flat facets.
 
     Returns
     -------
@@ -57,7 +65,13 @@ def fit(
         given = read_session(session, probes=probe)
         _print_notes(given)
         with progress_bar() as progress:
-            result = fit_session(given, probes=None, method=method, progress=progress)
+            result = fit_session(
+                given,
+                method=method,
+                settings=FitSettings(poisson_range=poisson_range),
+                surface=SurfaceSettings(smooth=surface == "smooth"),
+                progress=progress,
+            )
             progress("tables and plots", 1.0)
             _write(folder, given, result)
     estimate = result.estimate

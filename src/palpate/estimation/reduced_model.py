@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.bem import BoundarySystem, RightHand, factorise, solve, system_slope
+from palpate.errors import NotConvergedError
 
 CENTRE = 0.3
-DIRECTIONS = 9
+FEWEST_DIRECTIONS = 9
+MOST_DIRECTIONS = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,17 +76,17 @@ def make_reduced_model(
     system: BoundarySystem,
     right: RightHand,
     *,
-    centre: float = CENTRE,
-    directions: int = DIRECTIONS,
+    poisson_range: tuple[float, float] = (0.0, 0.4999),
+    tolerance: float = 1e-6,
 ) -> ReducedModel:
-    """Factorise once and gather the directions.
+    """Factorise once and gather directions until they serve the whole range.
 
     Parameters
     ----------
     system : BoundarySystem
     right : RightHand                 c columns
-    centre : float                    Poisson's ratio of the factorisation
-    directions : int                  number of terms kept
+    poisson_range : (float, float)    Poisson's ratios that will be asked for
+    tolerance : float                 largest relative residual at both ends, where it is largest
 
     Returns
     -------
@@ -93,17 +95,30 @@ def make_reduced_model(
     Raises
     ------
     SingularSystemError               the support does not hold the object
+    NotConvergedError                 the tolerance is not met with `MOST_DIRECTIONS`
     """
-    factorised = factorise(system, centre)
+    factorised = factorise(system, CENTRE)
     matrix_slope = system_slope(system)
-    terms = [solve(factorised, right.at(centre))]
-    slope = right.slope + 2 * centre * right.curvature
+    terms = [solve(factorised, right.at(CENTRE))]
+    slope = right.slope + 2 * CENTRE * right.curvature
     terms.append(solve(factorised, slope - matrix_slope.apply(terms[0])))
     terms.append(solve(factorised, right.curvature - matrix_slope.apply(terms[1])))
-    for _ in range(directions - 2):
+    residual = np.inf
+    while len(terms) <= MOST_DIRECTIONS:
         terms.append(solve(factorised, -matrix_slope.apply(terms[-1])))
-    stacked = np.stack(terms)
-    series = stacked[2:].transpose(2, 1, 0)
-    scale = np.linalg.norm(terms[0], axis=0)
-    triangular = np.array(np.linalg.qr(series, mode="r"))
-    return ReducedModel(centre, stacked, triangular, scale)
+        if len(terms) >= FEWEST_DIRECTIONS:
+            model = _model_of(terms)
+            residual = max(model.coefficients(nu)[1] for nu in poisson_range)
+            if residual <= tolerance:
+                return model
+    raise NotConvergedError(
+        f"the reduced model leaves a residual of {residual:.1e} over Poisson's ratios "
+        f"{poisson_range[0]} to {poisson_range[1]}, at most {tolerance:.0e} is allowed; narrow the "
+        "range, or use the method nelder-mead"
+    )
+
+
+def _model_of(terms: list[Float[np.ndarray, "k c"]]) -> ReducedModel:
+    directions = np.stack(terms)
+    triangular = np.array(np.linalg.qr(directions[2:].transpose(2, 1, 0), mode="r"))
+    return ReducedModel(CENTRE, directions, triangular, np.linalg.norm(terms[0], axis=0))
