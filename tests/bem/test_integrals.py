@@ -78,9 +78,11 @@ def fine_polar(corners, nodes, point, own, n_fields, strips=300):
     return np.einsum("q,aq,qf->af", weight, quadratic_shapes(barycentric) - own[:, None], fields)
 
 
-def near_rule():
-    rule = triangle_rule(11)
-    return np.concatenate([rule.barycentric, rule.weight[:, None]], axis=1)
+def near_rules():
+    rules = [triangle_rule(degree) for degree in Quadrature().degrees]
+    start = np.cumsum([0] + [rule.weight.size for rule in rules])
+    points = [np.concatenate([rule.barycentric, rule.weight[:, None]], axis=1) for rule in rules]
+    return np.concatenate(points), start, Quadrature().ratios()
 
 
 @pytest.mark.parametrize("n_fields", [TRACTION_FIELDS, DISPLACEMENT_FIELDS])
@@ -116,8 +118,7 @@ def test_near_integral(n_fields, height):
     place = element_points(CURVED[None], np.array([[0.3, 0.5, 0.2]]))[0, 0]
     point = place[:3] + height * place[3:] / np.linalg.norm(place[3:])
     found = np.zeros((6, 9))
-    ratio = Quadrature().ratios()[-1]
-    add_near(point, CURVED, near_rule(), ratio, n_fields, found)
+    add_near(point, CURVED, *near_rules(), n_fields, found)
     expected = brute_force(np.eye(3), CURVED, point, np.zeros(6), n_fields, 5)
     error = np.abs(found[:, :n_fields] - expected).max() / np.abs(expected).max()
     # Parts are within the default tolerance of 1e-6 by a bound; their errors come out smaller and

@@ -136,7 +136,7 @@ def test_stress_is_hookes_of_the_displacement(pressed):
     np.testing.assert_allclose(found, found.transpose(0, 2, 1), atol=1e-12)
 
 
-@pytest.mark.parametrize("depth", [0.02, 0.06, 0.1])
+@pytest.mark.parametrize("depth", [0.006, 0.02, 0.06, 0.1])
 def test_under_the_patch_the_pressure_spreads_as_in_a_half_space(depth):
     mesh, face = cube_with_faces(8)
     elastic_map = make_elastic_map(

@@ -69,6 +69,15 @@ def test_the_other_side_of_a_thin_plate_is_not_pressed():
     assert (plate.vertices[plate.triangles[patch.triangles]][:, :, 2] == 0.05).all()
 
 
+def test_round_the_rim_of_a_thin_plate_the_patch_ends_before_the_other_side():
+    plate = box(size=(1.0, 1.0, 0.05), cells=8)
+    at_rim = contact(point=[0.95, 0.5, 0.05])
+    patch = find_contact_patch(plate, at_rim, NOBODY, name="poke")
+    heights = plate.vertices[plate.triangles[patch.triangles]][:, :, 2]
+    # Triangles of the rim may be reached, of the bottom not.
+    assert (heights.max(axis=1) > 0).all()
+
+
 def test_a_neighbouring_part_within_reach_is_not_pressed():
     two = joined(box(cells=4), box(cells=4, origin=(1.05, 0.0, 0.0)))
     at_edge = contact(point=[0.9, 0.5, 1.0], radius=0.25)

@@ -104,7 +104,7 @@ def assemble(
     start = np.cumsum([0] + [rule.weight.size for rule in rules])
     centre, radius = element_spheres(element_nodes)
     values = np.zeros((rows.shape[0], nodes.n_nodes * n_fields * LANES))
-    near = np.concatenate([rules[-1].barycentric, rules[-1].weight[:, None]], axis=1)
+    near = np.concatenate([barycentric, weight[:, None]], axis=1)
     element, weights = _numbered_midpoints(nodes)
     _integrate_blocks(
         lanes, rows, collocation.point, collocation.vertex, collocation.triangle,
@@ -218,7 +218,7 @@ def _integrate_blocks(
                         local = _single(
                             points[row], row_vertex[row], row_triangle[row] == e,
                             row_barycentric[row], triangles[e], element_nodes[e], near,
-                            ratios[-1], polar, n_fields,
+                            start, ratios, polar, n_fields,
                         )  # fmt: skip
                         for a in range(SHAPES):
                             node = nodes[e, a]
@@ -271,7 +271,7 @@ def _clear_near_lanes(ratio, limit, n_points, n_fields, block):
 
 @numba.njit(error_model="numpy", cache=True)
 def _single(
-    point, vertex, inside, barycentric, triangle, nodes, near, ratio, polar, n_fields
+    point, vertex, inside, barycentric, triangle, nodes, near, start, ratios, polar, n_fields
 ):  # fmt: skip
     """Near or singular integrals of one load point over one triangle, (6, 9)."""
     out = np.zeros((SHAPES, 9))
@@ -293,5 +293,5 @@ def _single(
                 corners[j, (k + j) % 3] = 1.0
             add_singular(point, nodes, corners, polar, own, n_fields, out)
             return out
-    add_near(point, nodes, near, ratio, n_fields, out)
+    add_near(point, nodes, near, start, ratios, n_fields, out)
     return out

@@ -250,69 +250,79 @@ def _foot_and_height(nodes, corners):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def add_near(point, nodes, rule, ratio, n_fields, out):
+def add_near(point, nodes, rules, start, ratios, n_fields, out):
     """Add the integrals over a triangle that does not hold the load point but is close to it.
 
-    The triangle is divided into four, and these again, until the load point is `ratio` radii away
-    from each part.
+    The triangle is divided into four, and these again, until the load point is far enough from each
+    part for one of the rules.
 
     Parameters
     ----------
     point : (3,) float [m]                  load point
     nodes : (6, 3) float [m]                six-node triangle
-    rule : (q, 4) float                     barycentric points and weights
-    ratio : float                           distance over radius from which the rule may be used
+    rules : (q, 4) float                    barycentric points and weights of all rules
+    start : (k + 1,) int                    where each rule starts
+    ratios : (k,) float                     distance over radius from which each may be used
     n_fields : int                          9 for traction, 6 for displacement
     out : (6, 9) float                      added to
     """
     shape, source, own = np.empty(6), np.empty(6), np.zeros(6)
-    stack = np.empty((MAX_PARTS, 10))
-    part = np.zeros(10)
-    for k in range(9):
-        stack[0, k] = 1.0 if k % 4 == 0 else 0.0
+    stack = np.zeros((MAX_PARTS, 10))
+    for k in range(3):
+        stack[0, 4 * k] = 1.0
     stack[0, 9] = 1.0
     top = 1
-    middle = np.empty((3, 3))
-    corner = np.empty((3, 3))
+    part = np.empty(10)
     while top > 0:
         top -= 1
         for k in range(10):
             part[k] = stack[top, k]
-        size = part[9]
-        for k in range(3):
-            surface_point(nodes, part[3 * k], part[3 * k + 1], part[3 * k + 2], shape, source)
-            for i in range(3):
-                corner[k, i] = source[i]
-        distance2, radius2 = 0.0, 0.0
-        for i in range(3):
-            centre = (corner[0, i] + corner[1, i] + corner[2, i]) / 3
-            distance2 += (point[i] - centre) ** 2
-        for k in range(3):
-            square = 0.0
-            for i in range(3):
-                square += (corner[k, i] - (corner[0, i] + corner[1, i] + corner[2, i]) / 3) ** 2
-            radius2 = max(radius2, square)
-        if distance2 >= ratio * ratio * radius2 or size < SMALLEST_PART or top + 4 > MAX_PARTS:
-            for q in range(rule.shape[0]):
-                b0 = rule[q, 0] * part[0] + rule[q, 1] * part[3] + rule[q, 2] * part[6]
-                b1 = rule[q, 0] * part[1] + rule[q, 1] * part[4] + rule[q, 2] * part[7]
-                b2 = 1 - b0 - b1
-                surface_point(nodes, b0, b1, b2, shape, source)
-                add_point(point, source, rule[q, 3] * size, shape, own, n_fields, out)
+        ratio = _ratio(point, nodes, part)
+        if ratio < ratios[-1] and part[9] > SMALLEST_PART and top + 4 <= MAX_PARTS:
+            _divide(part, stack[top : top + 4])
+            top += 4
             continue
-        for k in range(3):
-            for i in range(3):
-                middle[k, i] = 0.5 * (part[3 * k + i] + part[3 * ((k + 1) % 3) + i])
-        for k in range(3):
-            for i in range(3):
-                stack[top, i] = part[3 * k + i]
-                stack[top, 3 + i] = middle[k, i]
-                stack[top, 6 + i] = middle[(k + 2) % 3, i]
-            stack[top, 9] = 0.25 * size
-            top += 1
+        rule = 0
+        while rule < ratios.size - 1 and ratio < ratios[rule]:
+            rule += 1
+        for q in range(start[rule], start[rule + 1]):
+            b0 = rules[q, 0] * part[0] + rules[q, 1] * part[3] + rules[q, 2] * part[6]
+            b1 = rules[q, 0] * part[1] + rules[q, 1] * part[4] + rules[q, 2] * part[7]
+            surface_point(nodes, b0, b1, 1 - b0 - b1, shape, source)
+            add_point(point, source, rules[q, 3] * part[9], shape, own, n_fields, out)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _ratio(point, nodes, part):
+    """Distance of a point from the centre of a part of a triangle, over the part's radius."""
+    shape, source = np.empty(6), np.empty(6)
+    corner = np.empty((3, 3))
+    for k in range(3):
+        surface_point(nodes, part[3 * k], part[3 * k + 1], part[3 * k + 2], shape, source)
         for i in range(3):
-            stack[top, i] = middle[0, i]
-            stack[top, 3 + i] = middle[1, i]
-            stack[top, 6 + i] = middle[2, i]
-        stack[top, 9] = 0.25 * size
-        top += 1
+            corner[k, i] = source[i]
+    distance2 = 0.0
+    for i in range(3):
+        centre = (corner[0, i] + corner[1, i] + corner[2, i]) / 3
+        distance2 += (point[i] - centre) ** 2
+        for k in range(3):
+            corner[k, i] -= centre
+    radius2 = 0.0
+    for k in range(3):
+        radius2 = max(radius2, corner[k, 0] ** 2 + corner[k, 1] ** 2 + corner[k, 2] ** 2)
+    return np.sqrt(distance2 / radius2)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _divide(part, children):
+    """The four quarters of a part (barycentric corners, then its share of the area)."""
+    for k in range(3):
+        after, before = (k + 1) % 3, (k + 2) % 3
+        for i in range(3):
+            own = part[3 * k + i]
+            children[k, i] = own
+            children[k, 3 + i] = 0.5 * (own + part[3 * after + i])
+            children[k, 6 + i] = 0.5 * (own + part[3 * before + i])
+            children[3, 3 * k + i] = 0.5 * (own + part[3 * after + i])
+    for k in range(4):
+        children[k, 9] = 0.25 * part[9]
