@@ -4,13 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint format contract types tests lock clean
+.PHONY: demo test benchmark lint format contract types tests lock clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
 help:
 	@echo "make demo   set up, then estimate the shipped beam's elastic constants"
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
+	@echo "make benchmark  measure every figure, write BENCHMARK.md (about 15 minutes)"
 	@echo "make lock   choose new pinned versions"
 	@echo "make clean  remove the environment and every cache"
 
@@ -31,9 +32,9 @@ demo: $(VENV)/run.stamp
 test: lint contract types tests
 
 lint: $(VENV)/dev.stamp
-	$(BIN)/ruff check src tests
-	$(BIN)/ruff format --check src tests
-	$(BIN)/codespell src tests docs README.md CHANGELOG.md CONTRIBUTING.md
+	$(BIN)/ruff check src tests benchmarks examples
+	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/codespell src tests benchmarks docs README.md CHANGELOG.md CONTRIBUTING.md
 
 contract: $(VENV)/dev.stamp
 	$(BIN)/lint-imports
@@ -45,8 +46,8 @@ tests: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest
 
 format: $(VENV)/dev.stamp
-	$(BIN)/ruff check --fix src tests
-	$(BIN)/ruff format src tests
+	$(BIN)/ruff check --fix src tests benchmarks examples
+	$(BIN)/ruff format src tests benchmarks examples
 
 PIN := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-annotate \
     --no-emit-index-url --no-emit-trusted-host --no-emit-find-links --no-emit-options
@@ -60,6 +61,9 @@ lock:
 	$(BIN)/python -c "$(DEV_GROUP)" > $(VENV)/dev.in
 	$(PIN) --constraint requirements.lock --output-file requirements-dev.lock $(VENV)/dev.in
 
+benchmark: $(VENV)/run.stamp
+	$(BIN)/python -m benchmarks.run --peers
+
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
-	find src tests -name __pycache__ -type d -exec rm -rf {} +
+	find src tests benchmarks -name __pycache__ -type d -exec rm -rf {} +

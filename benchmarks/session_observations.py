@@ -11,13 +11,8 @@ __all__ = ["exact", "session_observations", "thinned"]
 
 def session_observations(session: Session) -> list[ProbeObservations]:
     """Measured displacements of every probing with the model's response."""
-    # The pipeline's own steps between the model and the fit; it has no public name for them.
     model = pipeline.make_object_model(session, session.probings)
-    responses = pipeline._responses(model, session, session.probings, "reduced")
-    return [
-        pipeline._observations(probing, response)
-        for probing, response in zip(session.probings, responses, strict=True)
-    ]
+    return pipeline.session_observations(session, session.probings, model)
 
 
 def exact(

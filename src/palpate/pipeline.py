@@ -12,6 +12,7 @@ from scipy.sparse import csr_array, hstack, kron
 from palpate.bem import (
     BodyForce,
     BoundarySystem,
+    ContactShape,
     PointEquations,
     PressureDisc,
     RightHand,
@@ -49,19 +50,33 @@ FIT_STARTS = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ContactPoints:
+    """Integral equations at the contact points whose own displacement was measured.
+
+    Attributes
+    ----------
+    place : (p,) int                      row of each patch among them, -1 where not measured
+    equations : PointEquations
+    right : RightHand                     the same columns as those of the system
+    """
+
+    place: Int[np.ndarray, " p"]
+    equations: PointEquations
+    right: RightHand
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ObjectModel:
     """Boundary element model of a session's object with the loads of its probings.
 
     Attributes
     ----------
     system : BoundarySystem
-    patches : tuple of ContactPatch       distinct contacts
+    patches : tuple of p ContactPatch     distinct contacts
     patch_of : (k,) int                   which of them each probing has
     right : RightHand                     three columns a contact, then two of gravity, if any
     body : BodyForce or None
-    tips : PointEquations                 at the point of each contact
-    tip_right : RightHand                 the same columns for these points
-    tip_body : BodyForce or None
+    tips : ContactPoints or None
     """
 
     system: BoundarySystem
@@ -69,9 +84,7 @@ class ObjectModel:
     patch_of: Int[np.ndarray, " k"]
     right: RightHand
     body: BodyForce | None
-    tips: PointEquations
-    tip_right: RightHand
-    tip_body: BodyForce | None
+    tips: ContactPoints | None
 
 
 def fit_session(
@@ -113,12 +126,8 @@ def fit_session(
     model = make_object_model(session, probings, surface=surface)
     assembled = time.perf_counter()
     say("factorisation", 0.5)
-    responses = _responses(model, session, probings, settings)
+    observations = session_observations(session, probings, model, settings=settings)
     factorised = time.perf_counter()
-    observations = [
-        _observations(probing, response)
-        for probing, response in zip(probings, responses, strict=True)
-    ]
     result = fit(
         observations,
         settings=settings,
@@ -157,23 +166,71 @@ def make_object_model(
     patches, patch_of = _distinct_patches(session, probings)
     boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
     system = assemble_system(boundary)
-    place = np.array([patch.triangle for patch in patches])
-    tips = point_equations(system, place, np.array([patch.barycentric for patch in patches]))
     loads = [surface_load(patch) for patch in patches]
     shapes = [load_shape(boundary, load) for load in loads]
-    pairs = list(zip(loads, shapes, strict=True))
-    right = [load_right_hand(system, load, shape) for load, shape in pairs]
-    tip_right = [load_right_hand(tips.system, load, shape) for load, shape in pairs]
-    body = tip_body = None
+    weight = None
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
-        body = body_force_columns(system, weight)
-        tip_body = body_force_columns(tips.system, weight)
-        right.append(body.right)
-        tip_right.append(tip_body.right)
-    return ObjectModel(
-        system, patches, patch_of, joined(right), body, tips, joined(tip_right), tip_body
-    )
+    right, body = _right_hand(system, loads, shapes, weight)
+    measured = np.zeros(len(patches), dtype=bool)
+    measured[patch_of[[probing.tip_displacement is not None for probing in probings]]] = True
+    tips = None
+    if measured.any():
+        at = [patch for patch, seen in zip(patches, measured, strict=True) if seen]
+        equations = point_equations(
+            system,
+            np.array([patch.triangle for patch in at]),
+            np.array([patch.barycentric for patch in at]),
+        )
+        place = np.where(measured, np.cumsum(measured) - 1, -1)
+        tip_right, _ = _right_hand(equations.system, loads, shapes, weight)
+        tips = ContactPoints(place, equations, tip_right)
+    return ObjectModel(system, patches, patch_of, right, body, tips)
+
+
+def _right_hand(
+    system: BoundarySystem,
+    loads: Sequence[SurfaceLoad],
+    shapes: Sequence[ContactShape | None],
+    weight: Float[np.ndarray, "3"] | None,
+) -> tuple[RightHand, BodyForce | None]:
+    """Columns of all loads and of the weight [N/m^3], if any."""
+    right = load_right_hand(system, loads, shapes)
+    if weight is None:
+        return right, None
+    body = body_force_columns(system, weight)
+    return joined([right, body.right]), body
+
+
+def session_observations(
+    session: Session,
+    probings: Sequence[Probing],
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+) -> list[ProbeObservations]:
+    """What each probing saw, with what the model says it should have seen.
+
+    Parameters
+    ----------
+    session : Session
+    probings : sequence of k Probing      each with displacements
+    model : ObjectModel                   of these probings
+    settings : FitSettings                method and range of Poisson's ratio
+
+    Returns
+    -------
+    list of k ProbeObservations
+
+    Raises
+    ------
+    SingularSystemError                   the support does not hold the object
+    """
+    responses = _responses(model, session, probings, settings)
+    return [
+        _observations(probing, response)
+        for probing, response in zip(probings, responses, strict=True)
+    ]
 
 
 def surface_load(patch: ContactPatch) -> SurfaceLoad:
@@ -259,14 +316,19 @@ def _rows(model: ObjectModel, session: Session, probing: Probing, patch: int) ->
     free = at_points[:, model.system.unknowns.free_vertices]
     rest = csr_array((particular.size, model.system.size - 3 * free.shape[1]))
     surface = csr_array(hstack([kron(free, np.eye(3)), rest]))
-    tip = None if probing.tip_displacement is None else _tip_rows(model, patch, columns)
+    tip = None
+    if probing.tip_displacement is not None and model.tips is not None:
+        tip = _tip_rows(model, model.tips, patch, columns)
     return ProbeRows(columns, surface, particular, tip)
 
 
-def _tip_rows(model: ObjectModel, patch: int, columns: Int[np.ndarray, " c"]) -> PointRows:
+def _tip_rows(
+    model: ObjectModel, tips: ContactPoints, patch: int, columns: Int[np.ndarray, " c"]
+) -> PointRows:
+    row = tips.place[patch]
     right = [
-        model.tips.by_point(part)[patch][:, columns]
-        for part in (model.tip_right.constant, model.tip_right.slope, model.tip_right.curvature)
+        tips.equations.by_point(part)[row][:, columns]
+        for part in (tips.right.constant, tips.right.slope, tips.right.curvature)
     ]
     particular = np.zeros(3)
     if model.body is not None:
@@ -277,7 +339,7 @@ def _tip_rows(model: ObjectModel, patch: int, columns: Int[np.ndarray, " c"]) ->
         )
         particular = (at_tip @ model.body.particular)[0]
     return PointRows(
-        model.tips.matrix[:, patch], model.tips.own[:, patch], np.stack(right), particular
+        tips.equations.matrix[:, row], tips.equations.own[:, row], np.stack(right), particular
     )
 
 

@@ -44,7 +44,7 @@ def ball(subdivisions, **options):
 def pressed(system, *, shaped):
     load = top_load(system.surface.mesh)
     shape = load_shape(system.surface, load) if shaped else None
-    right = load_right_hand(system, load, shape)
+    right = load_right_hand(system, [load], [shape])
     x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.3, 0.0, -1.0])
     return sorted_state(system, x, 1.0).displacement
 
@@ -112,7 +112,7 @@ def test_what_midpoints_miss_is_what_the_matrix_would_have_with_them(coarse, nu)
     change = coarse.surface.displacement.weights - linear.surface.displacement.weights
     missing = np.zeros((2, change.shape[0], 3, 3))
     missing[..., 1] = np.stack([change @ field for field in fields])
-    columns = shape_columns(linear, ContactShape(np.arange(change.shape[0]), missing)).at(nu)
+    columns = shape_columns(linear, [ContactShape(np.arange(change.shape[0]), missing)]).at(nu)
     assert not columns[:, [0, 2]].any()
     count = 3 * coarse.unknowns.free_vertices.size
     field = (fields[0] + nu * fields[1])[coarse.unknowns.free_vertices].ravel()

@@ -87,7 +87,7 @@ def test_a_traction_over_triangles_is_that_load(ball):
     triangles = np.flatnonzero(~surface.held)[5:9]
     load = SurfaceLoad(triangles, lambda triangle, barycentric, position: np.ones(triangle.size))
     direction = np.array([0.3, -0.5, 0.8])
-    from_load = load_right_hand(ball, load).at(0.3) @ direction
+    from_load = load_right_hand(ball, [load]).at(0.3) @ direction
     uniform = np.broadcast_to(direction, (triangles.size, 6, 3)).copy()
     area = element_area(surface.element_nodes[triangles])
     from_elements = traction_column(ball, triangles, uniform).at(0.3)[:, 0] / area
@@ -121,7 +121,7 @@ def test_total_of_a_quadratic_traction():
 def test_the_last_rows_balance_the_load(ball, nu):
     mesh = ball.surface.mesh
     load = bump_load(mesh, np.array([0.0, 0.0, 1.0]), 0.6)
-    x = solve(factorise(ball, nu), load_right_hand(ball, load).at(nu))
+    x = solve(factorise(ball, nu), load_right_hand(ball, [load]).at(nu))
     weights = integral_weights(ball.surface, np.flatnonzero(ball.surface.held))
     traction = x[3 * ball.unknowns.free_vertices.size : -3].reshape(-1, 3, 3) / ball.traction_length
     reaction = np.einsum("s,sij->ij", weights[ball.unknowns.held_sides], traction)

@@ -37,13 +37,13 @@ def ball():
 @pytest.fixture(scope="module")
 def pressed(ball):
     load = bump_load(ball.surface.mesh, np.array([0.0, 0.0, 1.0]), 0.5)
-    x = solve(factorise(ball, NU), load_right_hand(ball, load).at(NU))
+    x = solve(factorise(ball, NU), load_right_hand(ball, [load]).at(NU))
     return load, x
 
 
 def displacement_at(system, load, x, triangle, barycentric):
     equations = point_equations(system, triangle, barycentric)
-    right = equations.by_point(load_right_hand(equations.system, load).at(NU))
+    right = equations.by_point(load_right_hand(equations.system, [load]).at(NU))
     left = (equations.matrix[0] + NU * equations.matrix[1]) @ x - right
     return np.linalg.solve(equations.own[0] + NU * equations.own[1], left)
 

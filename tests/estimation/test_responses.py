@@ -37,7 +37,7 @@ def setting():
     system = held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3)
     loads = [bump_load(mesh, np.array([0.6, 0.0, 0.8]), 0.5), bump_load(mesh, TOP, 0.5)]
     body = body_force_columns(system, GRAVITY)
-    right = joined([*(load_right_hand(system, load) for load in loads), body.right])
+    right = joined([load_right_hand(system, loads), body.right])
     columns = np.array([3, 4, 5, 6, 7])
     free = system.unknowns.free_vertices
     triangle = np.flatnonzero(np.isin(mesh.triangles, free).all(axis=1))[[2, 9, 20, 33, 40]]
@@ -48,7 +48,7 @@ def setting():
     top = int(np.argmax(mesh.vertices[:, 2]))
     at_top = np.flatnonzero((mesh.triangles == top).any(axis=1))[:1]
     tips = point_equations(system, at_top, (mesh.triangles[at_top] == top).astype(float))
-    tip_load = load_right_hand(tips.system, loads[1])
+    tip_load = load_right_hand(tips.system, loads[1:2])
     tip_right = joined([tip_load, body_force_columns(tips.system, GRAVITY).right])
     by_point = [
         tips.by_point(part)[0]

@@ -78,7 +78,7 @@ def test_midpoints_of_a_sphere_approach_it():
     order = np.polyfit(np.log(size), np.log(worst), 1)[0]
     # A quadratic over the tangent plane misses the fourth power of the distance on a sphere.
     assert order > 3.3
-    # 1.8e-5 at 1026 vertices; chords would be 1e-3 off, unweighted fits 2e-4.
+    # 1.8e-5 at 1026 vertices, where chords would be 1e-3 off.
     assert worst[-1] < 2.5e-5
 
 

@@ -22,9 +22,10 @@ def compared(shared_data):
     probings = [probing for probing in session.probings if probing.name in PROBES]
     model = make_object_model(session, probings)
     x = solve(factorise(model.system, POISSON), model.right.at(POISSON)) / SHEAR
-    own = model.tips.own[0] + POISSON * model.tips.own[1]
-    matrix = model.tips.matrix[0] + POISSON * model.tips.matrix[1]
-    right = model.tips.by_point(model.tip_right.at(POISSON)) / SHEAR
+    equations = model.tips.equations
+    own = equations.own[0] + POISSON * equations.own[1]
+    matrix = equations.matrix[0] + POISSON * equations.matrix[1]
+    right = equations.by_point(model.tips.right.at(POISSON)) / SHEAR
     fields, tips = [], []
     for probing, patch in zip(probings, model.patch_of, strict=True):
         columns = slice(3 * patch, 3 * patch + 3)

@@ -6,6 +6,7 @@ what the fit of the dip misses, which goes to the right-hand side. No unknown is
 is linear in Poisson's ratio like the system.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,46 +78,63 @@ def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -
 
 
 def shape_columns(
-    system: BoundarySystem, shape: ContactShape, *, quadrature: Quadrature = Quadrature()
+    system: BoundarySystem,
+    shapes: Sequence[ContactShape],
+    *,
+    quadrature: Quadrature = Quadrature(),
 ) -> RightHand:
-    """Right-hand sides of what the midpoints miss, to be added to those of the load itself.
+    """Right-hand sides of what the midpoints miss, to be added to those of the loads themselves.
 
     Parameters
     ----------
     system : BoundarySystem
-    shape : ContactShape
+    shapes : sequence of k ContactShape
     quadrature : Quadrature
 
     Returns
     -------
-    RightHand                         three columns, quadratic in Poisson's ratio
+    RightHand                         three columns a shape, quadratic in Poisson's ratio
     """
     surface = system.surface
-    nodes = surface.displacement
-    number = np.full(nodes.weights.shape[0], -1)
-    number[shape.midpoints] = np.arange(shape.midpoints.size)
-    local = number[nodes.element[:, 3:] - nodes.n_nodes]
-    triangles = np.flatnonzero((local >= 0).any(axis=1))
-    # 18 nodes, one for each entry of `missing`, whose shape functions carry these entries; one more
-    # row of zeros.
-    values = np.concatenate(
-        [shape.missing.transpose(1, 0, 2, 3).reshape(-1, 18), np.zeros((1, 18))]
-    )
-    element = np.full((triangles.size, 6), 18 + shape.midpoints.size)
-    found = local[triangles]
-    element[:, 3:] = np.where(found >= 0, 18 + found, element[:, 3:])
+    nodes, triangles = _shape_nodes(surface.displacement, shapes)
     chosen = np.zeros(surface.held.size, dtype=bool)
     chosen[triangles] = True
     blocks = assemble(
         restrict_collocation(system.collocation, chosen), surface.mesh.triangles[triangles],
-        surface.element_nodes[triangles], QuadraticNodes(element, 18, csr_array(values)),
-        n_fields=TRACTION_FIELDS, quadrature=quadrature,
+        surface.element_nodes[triangles], nodes, n_fields=TRACTION_FIELDS, quadrature=quadrature,
     )  # fmt: skip
-    fields = blocks.values.transpose(0, 3, 1, 2).reshape(-1, 2, 3, 3, 9)[: blocks.n_rows]
+    fields = blocks.values.transpose(0, 3, 1, 2).reshape(-1, len(shapes), 2, 3, 3, 9)
+    fields = fields[: blocks.n_rows]
     flux = fields[..., 3:6].sum(axis=-1) / 3
-    part_a = np.einsum("rsjck,ijk->isrc", fields[..., :3], SKEW) - flux.transpose(2, 1, 0, 3)
-    part_b = -np.einsum("rsjcij->isrc", fields[..., 3 + np.array(PAIRS)])
+    skew = np.einsum("rnsjck,ijk->isrnc", fields[..., :3], SKEW, optimize=True)
+    part_a = skew - flux.transpose(3, 2, 0, 1, 4)
+    part_b = -np.einsum("rnsjcij->isrnc", fields[..., 3 + np.array(PAIRS)])
     zero, one = part_a + part_b, -2 * part_a
-    constant, slope = -zero[:, 0], -(zero[:, 1] + one[:, 0])
-    parts = (constant, slope, -one[:, 1])
-    return RightHand(*(np.concatenate([p.reshape(-1, 3), np.zeros((3, 3))]) for p in parts))
+    parts = (-zero[:, 0], -(zero[:, 1] + one[:, 0]), -one[:, 1])
+    balance = np.zeros((3, 3 * len(shapes)))
+    return RightHand(*(np.concatenate([p.reshape(-1, balance.shape[1]), balance]) for p in parts))
+
+
+def _shape_nodes(
+    nodes: QuadraticNodes, shapes: Sequence[ContactShape]
+) -> tuple[QuadraticNodes, Int[np.ndarray, " t"]]:
+    """18 nodes a shape, one for each entry of its `missing`, whose shape functions carry these
+    entries; and the triangles on which they do."""
+    used = np.unique(np.concatenate([shape.midpoints for shape in shapes]))
+    number = np.full(nodes.weights.shape[0], -1)
+    number[used] = np.arange(used.size)
+    parts = []
+    for k, shape in enumerate(shapes):
+        values = shape.missing.transpose(1, 0, 2, 3).reshape(-1, 18)
+        row = np.repeat(number[shape.midpoints], 18)
+        column = np.tile(18 * k + np.arange(18), shape.midpoints.size)
+        parts.append((row, column, values.ravel()))
+    row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    # One more row of zeros, for corners and for midpoints that miss nothing.
+    count = 18 * len(shapes)
+    weights = csr_array((value, (row, column)), shape=(used.size + 1, count))
+    local = number[nodes.element[:, 3:] - nodes.n_nodes]
+    triangles = np.flatnonzero((local >= 0).any(axis=1))
+    element = np.full((triangles.size, 6), count + used.size)
+    element[:, 3:] = count + np.where(local[triangles] >= 0, local[triangles], used.size)
+    return QuadraticNodes(element, count, weights), triangles

@@ -13,7 +13,7 @@ from palpate.bem.contact_shape import ContactShape, contact_shape, shape_columns
 from palpate.bem.kelvin import check_material
 from palpate.bem.right_hand import RightHand, joined, load_columns
 from palpate.bem.surface import BoundarySurface, integral_weights
-from palpate.bem.surface_load import SurfaceLoad, integrate_load, load_points
+from palpate.bem.surface_load import SurfaceLoad, integrate_load, loaded_triangles
 from palpate.bem.system import BoundarySystem, FactorisedSystem, factorise, solve
 
 
@@ -66,9 +66,8 @@ class ElasticMap:
         list of k ElasticState
         """
         surface = self.system.surface
-        right = joined(
-            [load_right_hand(self.system, load, load_shape(surface, load)) for load in loads]
-        )
+        shapes = [load_shape(surface, load) for load in loads]
+        right = load_right_hand(self.system, loads, shapes)
         unit = solve(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
         unit = unit.reshape(-1, len(loads), 3)
         return [self.state(unit[:, k] @ force) for k, force in enumerate(forces)]
@@ -113,23 +112,35 @@ def make_elastic_map(
 
 
 def load_right_hand(
-    system: BoundarySystem, load: SurfaceLoad, shape: ContactShape | None = None
+    system: BoundarySystem,
+    loads: Sequence[SurfaceLoad],
+    shapes: Sequence[ContactShape | None] | None = None,
 ) -> RightHand:
-    """Right-hand sides of a load of one newton along each axis.
+    """Right-hand sides of loads of one newton along each axis.
 
     Parameters
     ----------
     system : BoundarySystem
-    load : SurfaceLoad
-    shape : ContactShape or None      how the elements around it dip (`load_shape`)
+    loads : sequence of k SurfaceLoad
+    shapes : sequence of k ContactShape or None   how the elements around each dip (`load_shape`)
 
     Returns
     -------
-    RightHand                         three columns
+    RightHand                         three columns a load
     """
-    fields = integrate_load(system.surface, load, system.collocation, system.traction_kernel)
-    right = load_columns(fields, -np.eye(3) / system.traction_length)
-    return right if shape is None else right + shape_columns(system, shape)
+    balance = -np.eye(3) / system.traction_length
+    kernel = system.traction_kernel
+    right = joined(
+        [
+            load_columns(integrate_load(system.surface, load, system.collocation, kernel), balance)
+            for load in loads
+        ]
+    )
+    dips = [(k, shape) for k, shape in enumerate(shapes or ()) if shape is not None]
+    if dips:
+        columns = (3 * np.array([k for k, _ in dips])[:, None] + np.arange(3)).ravel()
+        right = right.plus(shape_columns(system, [shape for _, shape in dips]), columns)
+    return right
 
 
 def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | None:
@@ -155,8 +166,7 @@ def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | No
 
 def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad) -> bool:
     """Whether an edge of the object or the rim of its support runs through a load."""
-    triangle = load_points(surface, load).triangle
-    return bool(surface.sides.cut[surface.sides.edge[np.unique(triangle)]].any())
+    return bool(surface.sides.cut[surface.sides.edge[loaded_triangles(surface, load)]].any())
 
 
 def sorted_state(

@@ -9,6 +9,7 @@ Source: Johnson, Contact Mechanics (1985), eq. 3.18, 3.19 and 3.77, at the surfa
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +21,9 @@ FAR = 8.0
 GRID = 120
 ANGLES = 96
 RADII = 16
+
+
+Profile = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +40,7 @@ class PressureDisc:
 
     centre: Float[np.ndarray, "3"]
     radius: float
-    profile: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
+    profile: Profile
 
 
 def disc_displacement(
@@ -78,15 +82,21 @@ def disc_displacement(
 def _radial(disc: PressureDisc, s: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], ...]:
     """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle seen
     from radius s."""
-    grid = FAR * (np.arange(GRID) / (GRID - 1)) ** 2
-    near = CubicSpline(grid, np.stack(_polar_integrals(disc, grid), axis=1))(np.minimum(s, FAR))
+    near = _radial_table(disc.profile)(np.minimum(s, FAR))
     far = (s > FAR)[:, None]
     values = np.where(far, 1.0 / np.maximum(s, FAR)[:, None], near)
     return values[:, 0], values[:, 1], values[:, 2]
 
 
+@cache
+def _radial_table(profile: Profile) -> CubicSpline:
+    """The same for s from 0 to `FAR`, computed once a profile."""
+    grid = FAR * (np.arange(GRID) / (GRID - 1)) ** 2
+    return CubicSpline(grid, np.stack(_polar_integrals(profile, grid), axis=1))
+
+
 def _polar_integrals(
-    disc: PressureDisc, s: Float[np.ndarray, " n"]
+    profile: Profile, s: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], ...]:
     x, w = unit_gauss(ANGLES)
     widest = np.where(s > 1, np.arcsin(np.minimum(1.0, 1.0 / np.maximum(s, 1.0))), np.pi)
@@ -100,9 +110,9 @@ def _polar_integrals(
     reach = first[:, :, None] + (last - first)[:, :, None] * t
     square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
     inside = np.sqrt(np.clip(square, 0, None))
-    pressure = disc.profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
+    pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
     line = 2 * weight * ((last - first) * (pressure @ w_t))
     r, w_r = unit_gauss(64)
-    total = 2 * np.pi * np.sum(w_r * r * disc.profile(r))
+    total = 2 * np.pi * np.sum(w_r * r * profile(r))
     cosine = np.cos(angle)
     return tuple((line * cosine**k).sum(axis=1) / total for k in range(3))

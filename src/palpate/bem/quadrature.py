@@ -2,6 +2,7 @@
 near ones."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -57,6 +58,7 @@ class Quadrature:
         return np.array([self.tolerance ** (-1.0 / (degree + 1)) for degree in self.degrees])
 
 
+@cache
 def triangle_rule(degree: int) -> TriangleRule:
     """A rule with positive weights that is exact up to at least the given degree.
 
@@ -114,6 +116,7 @@ def _conical(n: int) -> TriangleRule:
     return TriangleRule(2 * n - 1, barycentric, np.outer(w_s, w_t).ravel())
 
 
+@cache
 def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Gauss-Legendre points and weights on [0, 1].
 
@@ -126,7 +129,10 @@ def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]
     (n,) float, (n,) float    points; weights that sum to 1
     """
     x, w = roots_legendre(n)
-    return 0.5 * (x + 1), 0.5 * w
+    points, weights = 0.5 * (x + 1), 0.5 * w
+    points.setflags(write=False)
+    weights.setflags(write=False)
+    return points, weights
 
 
 def quadratic_shapes(barycentric: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, "6 q"]:

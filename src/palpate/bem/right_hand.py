@@ -48,11 +48,26 @@ class RightHand:
 
     def __add__(self, other: "RightHand") -> "RightHand":
         """Sum of two sets of as many columns."""
-        return RightHand(
-            self.constant + other.constant,
-            self.slope + other.slope,
-            self.curvature + other.curvature,
-        )
+        return self.plus(other, np.arange(self.constant.shape[1]))
+
+    def plus(self, other: "RightHand", columns: Int[np.ndarray, " c"]) -> "RightHand":
+        """These columns with others added to some of them.
+
+        Parameters
+        ----------
+        other : RightHand         c columns
+        columns : (c,) int        distinct columns to which they are added
+
+        Returns
+        -------
+        RightHand
+        """
+        parts = []
+        for name in ("constant", "slope", "curvature"):
+            part = getattr(self, name).copy()
+            part[:, columns] += getattr(other, name)
+            parts.append(part)
+        return RightHand(*parts)
 
 
 def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3 3"]) -> RightHand:

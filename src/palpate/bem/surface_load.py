@@ -124,6 +124,27 @@ def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
     return LoadPoints(np.concatenate(positions), weight / total, np.concatenate(owners), total)
 
 
+def loaded_triangles(surface: BoundarySurface, load: SurfaceLoad) -> Int[np.ndarray, " k"]:
+    """Those of a load's triangles on which it does not vanish, by a few points of each.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    load : SurfaceLoad
+
+    Returns
+    -------
+    (k,) int
+    """
+    rule = triangle_rule(7)
+    triangle = np.asarray(load.triangles, dtype=np.int64)
+    barycentric = np.tile(rule.barycentric, (triangle.size, 1, 1))
+    position, _ = _points_of(surface.element_nodes, triangle, barycentric)
+    repeated = np.repeat(triangle, rule.weight.size)
+    density = load.density(repeated, barycentric.reshape(-1, 3), position)
+    return triangle[(density.reshape(triangle.size, -1) > 0).any(axis=1)]
+
+
 def integrate_load(
     surface: BoundarySurface, load: SurfaceLoad, collocation: Collocation, blocks: FieldBlocks
 ) -> Float[np.ndarray, "r 6"]:

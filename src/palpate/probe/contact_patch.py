@@ -1,5 +1,6 @@
 """The part of the surface that a tool presses on, and how its pressure is spread there."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, triangle_distances, unit_normals
 from palpate.records import Contact, ContactProfile
+
+Pressure = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,23 +61,29 @@ class ContactPatch:
         distance = np.linalg.norm(position - self.contact.point, axis=1)
         return self.pressure(distance / self.contact.radius)
 
-    def pressure(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Pressure of a round patch, up to a factor.
+    @property
+    def pressure(self) -> Pressure:
+        """Pressure at a distance over the radius, up to a factor; zero from 1 on."""
+        return _PRESSURES[self.contact.profile]
 
-        Parameters
-        ----------
-        s : (n,) float [-]        distance from the contact point over the radius
 
-        Returns
-        -------
-        (n,) float [-]            zero from s = 1 on
-        """
-        inside = np.clip(1 - s**2, 0, None)
-        if self.contact.profile is ContactProfile.SMOOTH:
-            return inside**2
-        if self.contact.profile is ContactProfile.HERTZ:
-            return np.sqrt(inside)
-        return (s < 1).astype(np.float64)
+def _smooth(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    return np.clip(1 - s**2, 0, None) ** 2
+
+
+def _uniform(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    return (s < 1).astype(np.float64)
+
+
+def _hertz(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    return np.sqrt(np.clip(1 - s**2, 0, None))
+
+
+_PRESSURES = {
+    ContactProfile.SMOOTH: _smooth,
+    ContactProfile.UNIFORM: _uniform,
+    ContactProfile.HERTZ: _hertz,
+}
 
 
 def find_contact_patch(
