@@ -24,6 +24,7 @@ from palpate.geometry import QuadraticNodes, unit_normals
 
 REACH = 2.5
 SMALLEST_COSINE = 0.7
+NEGLIGIBLE = 2e-3
 SKEW = np.array([[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
                  [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]])  # fmt: skip
 
@@ -34,7 +35,8 @@ class ContactShape:
 
     Attributes
     ----------
-    midpoints : (p,) int              rows of `QuadraticNodes.weights`
+    midpoints : (p,) int              rows of `QuadraticNodes.weights` where more than 2e-3 of the
+                                      dip is missed; none where the mesh is fine enough
     missing : (2, p, 3, 3) float      displacement times shear modulus per newton, constant and
                                       slope in nu [1/m]; [.., i, j]: component i, force along j
     """
@@ -74,7 +76,10 @@ def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -
     vertices = np.unique(weights.indices)
     at_vertices = disc_displacement(disc, normal, mesh.vertices[vertices])
     fitted = np.einsum("pv,svij->spij", weights[:, vertices].toarray(), at_vertices)
-    return ContactShape(midpoints, disc_displacement(disc, normal, position) - fitted)
+    dip = disc_displacement(disc, normal, position)
+    missing = dip - fitted
+    counts = np.abs(missing).max(axis=(0, 2, 3)) > NEGLIGIBLE * np.abs(dip).max(initial=0.0)
+    return ContactShape(midpoints[counts], missing[:, counts])
 
 
 def shape_columns(

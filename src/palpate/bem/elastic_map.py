@@ -136,7 +136,8 @@ def load_right_hand(
             for load in loads
         ]
     )
-    dips = [(k, shape) for k, shape in enumerate(shapes or ()) if shape is not None]
+    given = enumerate(shapes or ())
+    dips = [(k, shape) for k, shape in given if shape is not None and shape.midpoints.size]
     if dips:
         columns = (3 * np.array([k for k, _ in dips])[:, None] + np.arange(3)).ravel()
         right = right.plus(shape_columns(system, [shape for _, shape in dips]), columns)

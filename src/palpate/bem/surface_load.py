@@ -30,7 +30,7 @@ Density = Callable[
     Float[np.ndarray, " n"],
 ]
 
-BASE_LEVEL = 2
+MOST_LEVELS = 2
 RIM_LEVELS = 3
 CELL_DEGREE = 5
 POLAR_PANELS = 3
@@ -95,7 +95,7 @@ def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
     rule = triangle_rule(CELL_DEGREE)
     corners = np.tile(np.eye(3), (load.triangles.size, 1, 1))
     triangle = np.asarray(load.triangles, dtype=np.int64)
-    for _ in range(BASE_LEVEL):
+    for _ in range(_cell_level(surface, load)):
         triangle, corners = _divided(triangle, corners)
     positions, weights, owners = [], [], []
     for level in range(RIM_LEVELS + 1):
@@ -122,6 +122,15 @@ def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
             "its radius"
         )
     return LoadPoints(np.concatenate(positions), weight / total, np.concatenate(owners), total)
+
+
+def _cell_level(surface: BoundarySurface, load: SurfaceLoad) -> int:
+    """How often triangles are divided: cells of at most a quarter of the patch's radius."""
+    if load.disc is None:
+        return MOST_LEVELS
+    corner = surface.element_nodes[load.triangles, :3]
+    edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max()
+    return int(np.clip(np.ceil(np.log2(4 * edge / load.disc.radius)), 1, MOST_LEVELS))
 
 
 def loaded_triangles(surface: BoundarySurface, load: SurfaceLoad) -> Int[np.ndarray, " k"]:

@@ -15,7 +15,7 @@ from palpate.bem import BoundarySystem, RightHand, factorise, solve, system_slop
 from palpate.errors import NotConvergedError
 
 CENTRE = 0.3
-FEWEST_DIRECTIONS = 9
+FEWEST_DIRECTIONS = 10
 MOST_DIRECTIONS = 40
 SAMPLED_ROWS = 500
 
@@ -79,7 +79,7 @@ def make_reduced_model(
     right: RightHand,
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-6,
 ) -> ReducedModel:
     """Factorise once and gather directions until they serve the whole range.
 
