@@ -4,6 +4,7 @@ estimation meet."""
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,6 +21,7 @@ from palpate.bem import (
     SurfaceSettings,
     assemble_system,
     body_force_columns,
+    cached_system,
     joined,
     load_right_hand,
     load_shape,
@@ -94,6 +96,7 @@ def fit_session(
     method: str = "reduced",
     settings: FitSettings = FitSettings(),
     surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
     progress: Progress | None = None,
 ) -> FitResult:
     """Estimate the elastic constants of a session's object.
@@ -106,6 +109,8 @@ def fit_session(
                                       (the paper's search)
     settings : FitSettings
     surface : SurfaceSettings         how the surface between the vertices is understood
+    cache : Path                      folder that keeps the integrals for the next time; none unless
+                                      told
     progress : callable               told what is done (text) and how far it is (0 to 1)
 
     Returns
@@ -123,7 +128,7 @@ def fit_session(
     start = time.perf_counter()
     probings = _chosen(session, probes)
     say("integrals over the surface", 0.0)
-    model = make_object_model(session, probings, surface=surface)
+    model = make_object_model(session, probings, surface=surface, cache=cache)
     assembled = time.perf_counter()
     say("factorisation", 0.5)
     observations = session_observations(session, probings, model, settings=settings)
@@ -150,6 +155,7 @@ def make_object_model(
     probings: Sequence[Probing],
     *,
     surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
 ) -> ObjectModel:
     """Compute all integrals of a session's object, its contacts and its weight.
 
@@ -158,6 +164,7 @@ def make_object_model(
     session : Session
     probings : sequence of k Probing
     surface : SurfaceSettings
+    cache : Path                      folder that keeps the integrals; none unless told
 
     Returns
     -------
@@ -165,7 +172,7 @@ def make_object_model(
     """
     patches, patch_of = _distinct_patches(session, probings)
     boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
-    system = assemble_system(boundary)
+    system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
     loads = [surface_load(patch) for patch in patches]
     shapes = [load_shape(boundary, load) for load in loads]
     weight = None

@@ -56,7 +56,7 @@ def calls(monkeypatch):
     """The estimation and the plots replaced; what they were asked for is collected."""
     asked = []
 
-    def fit_session(session, *, method, settings, surface, progress):
+    def fit_session(session, *, method, settings, surface, cache, progress):
         asked.append((session, method, settings, surface))
         if progress is not None:
             progress("fit", 1.0)

@@ -32,6 +32,7 @@ def fit(
     method: Literal["reduced", "nelder-mead"] = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
+    cache: Path | None = None,
 ) -> int:
     """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
 
@@ -53,6 +54,8 @@ def fit(
     surface
         What the mesh means: points of a smooth object (with edges where triangles turn by more than
         40 degrees), or flat facets.
+    cache
+        Folder that keeps the surface integrals of this object for the next fit.
 
     Returns
     -------
@@ -70,6 +73,7 @@ def fit(
                 method=method,
                 settings=FitSettings(poisson_range=poisson_range),
                 surface=SurfaceSettings(smooth=surface == "smooth"),
+                cache=cache,
                 progress=progress,
             )
             progress("tables and plots", 1.0)

@@ -32,6 +32,7 @@ from palpate.bem.system import (
     factorise,
     solve,
 )
+from palpate.bem.system_cache import cached_system
 from palpate.bem.system_slope import SystemSlope, system_slope
 
 __all__ = [
@@ -52,6 +53,7 @@ __all__ = [
     "SystemSlope",
     "assemble_system",
     "body_force_columns",
+    "cached_system",
     "dilation_factor",
     "factorise",
     "interior_state",
