@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test benchmark lint format contract types tests lock clean
+.PHONY: demo test benchmark lint format contract types tests lock clean clean-cache
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -42,7 +42,7 @@ contract: $(VENV)/dev.stamp
 types: $(VENV)/dev.stamp
 	$(BIN)/mypy
 
-tests: $(VENV)/dev.stamp
+tests: $(VENV)/dev.stamp clean-cache
 	$(BIN)/python -m pytest
 
 format: $(VENV)/dev.stamp
@@ -61,9 +61,12 @@ lock:
 	$(BIN)/python -c "$(DEV_GROUP)" > $(VENV)/dev.in
 	$(PIN) --constraint requirements.lock --output-file requirements-dev.lock $(VENV)/dev.in
 
-benchmark: $(VENV)/run.stamp
+benchmark: $(VENV)/dev.stamp
 	$(BIN)/python -m benchmarks.run --peers
 
-clean:
+clean-cache:
+	find src -name '*.nb[ic]' -delete
+
+clean: clean-cache
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
 	find src tests benchmarks -name __pycache__ -type d -exec rm -rf {} +

@@ -22,6 +22,7 @@ from palpate.bem import (
     assemble_system,
     body_force_columns,
     cached_system,
+    check_memory,
     joined,
     load_right_hand,
     load_shape,
@@ -169,7 +170,12 @@ def make_object_model(
     Returns
     -------
     ObjectModel
+
+    Raises
+    ------
+    InputError                        the model does not fit into memory, a bad contact
     """
+    check_memory(len(session.mesh.vertices))
     patches, patch_of = _distinct_patches(session, probings)
     boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
     system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)

@@ -20,6 +20,7 @@ from palpate.bem.elastic_map import (
 )
 from palpate.bem.half_space import PressureDisc
 from palpate.bem.interior import InteriorState, interior_state
+from palpate.bem.memory import check_memory
 from palpate.bem.quadrature import Quadrature
 from palpate.bem.right_hand import RightHand, joined, support_columns, traction_column
 from palpate.bem.surface import BoundarySurface, SurfaceSettings, make_surface
@@ -54,6 +55,7 @@ __all__ = [
     "assemble_system",
     "body_force_columns",
     "cached_system",
+    "check_memory",
     "dilation_factor",
     "factorise",
     "interior_state",

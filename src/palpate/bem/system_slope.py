@@ -7,6 +7,7 @@ is a few large matrix products.
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -71,18 +72,30 @@ def system_slope(system: BoundarySystem) -> SystemSlope:
     free = system.unknowns.free_vertices
     traction, displacement = system.traction_kernel, system.displacement_kernel
     sides = np.arange(displacement.values.shape[1])
-    skew = np.stack([_rows(traction, free, slice(k, k + 1), 2.0) for k in range(3)])
-    flux = _rows(traction, free, slice(3, 6), 2.0 / 3)
-    trace = _rows(displacement, sides, slice(0, 3), 2.0 / system.traction_length)
+    skew = np.stack([_rows(traction, free, (k,), 2.0) for k in range(3)])
+    flux = _rows(traction, free, (3, 4, 5), 2.0 / 3)
+    trace = _rows(displacement, sides, (0, 1, 2), 2.0 / system.traction_length)
     return SystemSlope(skew, flux, trace)
 
 
 def _rows(
-    blocks: FieldBlocks, nodes: Int[np.ndarray, " n"], fields: slice, scale: float
+    blocks: FieldBlocks, nodes: Int[np.ndarray, " n"], fields: tuple[int, ...], scale: float
 ) -> Float[np.ndarray, "r n"]:
-    """Sum of some fields against some nodes, one row a collocation point."""
+    """Scaled sum of some fields against some nodes, one row a collocation point."""
     lanes = blocks.rows.shape[1]
     out = np.empty((blocks.values.shape[0] * lanes, nodes.size))
-    for b, values in enumerate(blocks.values):
-        out[b * lanes : (b + 1) * lanes] = scale * values[nodes, fields].sum(axis=1).T
+    _gather(blocks.values, nodes, np.array(fields), scale, out)
     return out[: blocks.n_rows]
+
+
+@numba.njit(parallel=True, cache=True)
+def _gather(values, nodes, fields, scale, out):
+    lanes = values.shape[3]
+    for b in numba.prange(values.shape[0]):
+        for i in range(lanes):
+            row = out[b * lanes + i]
+            for n in range(nodes.size):
+                total = 0.0
+                for k in fields:
+                    total += values[b, nodes[n], k, i]
+                row[n] = scale * total
