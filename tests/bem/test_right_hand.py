@@ -72,7 +72,6 @@ def test_a_moved_support_is_what_the_matrix_would_take_away(ball, nu):
     free = type(ball.unknowns)(held, ball.unknowns.free_vertices, ball.unknowns.held_sides)
     swapped = type(ball)(
         surface, free, ball.collocation, ball.traction_kernel, ball.displacement_kernel,
-        ball.traction_length,
     )  # fmt: skip
     matrix = system_matrix(swapped, nu)
     np.testing.assert_allclose(

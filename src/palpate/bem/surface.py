@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from palpate.bem.quadrature import element_points, quadratic_shapes, triangle_rule
 from palpate.errors import InputError
 from palpate.geometry import (
+    CREASE_ANGLE,
     QuadraticNodes,
     Sides,
     TriangleMesh,
@@ -36,7 +37,7 @@ class SurfaceSettings:
 
     smooth: bool = True
     quadratic: bool = True
-    crease_angle: float = np.radians(40.0)
+    crease_angle: float = CREASE_ANGLE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -48,7 +48,11 @@ class BoundarySystem:
     collocation: Collocation
     traction_kernel: FieldBlocks
     displacement_kernel: FieldBlocks
-    traction_length: float
+
+    @property
+    def traction_length(self) -> float:
+        """Size of the object [m]: scales tractions to displacements, so that columns are alike."""
+        return float(np.ptp(self.surface.mesh.vertices, axis=0).max())
 
     @property
     def size(self) -> int:
@@ -129,8 +133,7 @@ def integral_equations(
         surface.element_nodes[held], restricted_nodes(surface.traction, held, index),
         n_fields=DISPLACEMENT_FIELDS, quadrature=quadrature,
     )  # fmt: skip
-    length = float(np.ptp(surface.mesh.vertices, axis=0).max())
-    return BoundarySystem(surface, unknowns, collocation, h, g, length)
+    return BoundarySystem(surface, unknowns, collocation, h, g)
 
 
 def restrict_collocation(collocation: Collocation, kept: Bool[np.ndarray, " m"]) -> Collocation:

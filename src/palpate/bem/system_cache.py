@@ -93,9 +93,8 @@ def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
     count = collocation.point.shape[0]
-    length = float(np.ptp(surface.mesh.vertices, axis=0).max())
     traction, displacement = (FieldBlocks(values, rows, count) for values, rows in kernels)
-    return BoundarySystem(surface, unknowns, collocation, traction, displacement, length)
+    return BoundarySystem(surface, unknowns, collocation, traction, displacement)
 
 
 def _write(path: Path, system: BoundarySystem) -> None:

@@ -20,7 +20,7 @@ from palpate.geometry.midpoints import (
     side_nodes,
 )
 from palpate.geometry.self_intersection import intersecting_pairs
-from palpate.geometry.sides import Sides, split_sides
+from palpate.geometry.sides import CREASE_ANGLE, Sides, split_sides
 from palpate.geometry.triangle_mesh import (
     TriangleMesh,
     area_vectors,
@@ -31,6 +31,7 @@ from palpate.geometry.triangle_mesh import (
 )
 
 __all__ = [
+    "CREASE_ANGLE",
     "MESH_SUFFIXES",
     "MeshQuality",
     "QuadraticNodes",

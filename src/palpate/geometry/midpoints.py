@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 
-from palpate.geometry.sides import Sides
+from palpate.geometry.sides import CREASE_ANGLE, Sides
 from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors
 
-SMOOTH_TURN = np.cos(np.radians(40.0))
+SMOOTH_TURN = np.cos(CREASE_ANGLE)
 LARGEST_WEIGHT_SUM = 4.0
 
 
