@@ -15,10 +15,13 @@ from palpate.records import (
     ContactProfile,
     DisplacementField,
     Estimate,
+    Images,
     Probing,
     Session,
     Status,
 )
+from palpate.records.session import require_probings
+from palpate.records.step import Step
 
 CUBE = box(cells=2)
 
@@ -65,6 +68,36 @@ def _session(**changes):
     return Session(**(values | changes))
 
 
+def _of_steps(**changes):
+    values = {
+        "held_triangles": np.zeros(0, dtype=np.int64),
+        "probings": (),
+        "rig": Path("rig.toml"),
+        "steps": (Step("s0", "s0_{camera}.png"), Step("s1", "s1_{camera}.png")),
+    }
+    return _session(**(values | changes))
+
+
+def _with_images(**changes):
+    images = Images("r_{camera}.png", ("a_{camera}.png",))
+    return _probing(**({"images": images, "displacement": None} | changes))
+
+
+def test_a_session_has_probings_or_steps():
+    require_probings(_session())
+    assert _session().steps == ()
+    assert [step.name for step in _of_steps().steps] == ["s0", "s1"]
+    assert _of_steps(held_triangles=np.array([3, 1])).held_triangles.tolist() == [1, 3]
+    with pytest.raises(InputError, match=r"rigid-motion sequence .*, so nothing about stiffness"):
+        require_probings(_of_steps())
+
+
+def test_pictures_need_a_rig_where_nothing_else_tells_the_displacement():
+    assert _session(probings=(_with_images(displacement=_field()),)).rig is None
+    assert _session(probings=(_with_images(),), rig=Path("rig.toml")).probings[0].images
+    assert _session(probings=(_probing(displacement=None),)).rig is None
+
+
 def test_a_partly_measured_row_is_not_measured():
     moved = np.array([[0.0, np.nan, 1.0], [0.0, 0.0, 1.0]])
     assert np.isnan(_field(displacement=moved).displacement).tolist() == [[True] * 3, [False] * 3]
@@ -105,6 +138,19 @@ def test_records_cannot_be_changed():
         (_session, {"held_triangles": np.arange(48)}, "the whole surface"),
         (_session, {"probings": ()}, "no probings"),
         (_session, {"probings": (_probing(), _probing())}, r"share the names \['a'\]"),
+        (_session, {"probings": (_with_images(),)}, "probing 'a' has images, but no rig is given"),
+        (_of_steps, {"rig": None}, "the steps have images, but no rig is given"),
+        (_of_steps, {"steps": ()}, "no probings; at least one is needed"),
+        (_of_steps, {"steps": (Step("s0", "a"),)}, "has one step, 's0', alone; motion needs"),
+        (_of_steps, {"steps": (Step("b", "x"), Step("b", "y"))}, r"steps share the names \['b'\]"),
+        (
+            _of_steps,
+            {"probings": (_probing(),)},
+            "has 1 probings and 2 steps; it must have one kin",
+        ),
+        (_of_steps, {"held_triangles": np.array([48])}, "names triangles 48 to 48"),
+        (Step, {"name": " ", "images": "a"}, "name of a step is blank"),
+        (Step, {"name": "a", "images": ""}, "images of a step is blank"),
         (_session, {"density": -1.0}, "density is -1.0"),
         (_session, {"gravity": np.array([0.0, 0.0, -9.81])}, "gravity is given without a density"),
     ],

@@ -19,6 +19,7 @@ from palpate.geometry.midpoints import (
     linear_nodes,
     side_nodes,
 )
+from palpate.geometry.refinement import refined_surface
 from palpate.geometry.self_intersection import intersecting_pairs
 from palpate.geometry.sides import CREASE_ANGLE, Sides, split_sides
 from palpate.geometry.triangle_mesh import (
@@ -51,6 +52,7 @@ __all__ = [
     "linear_nodes",
     "mesh_quality",
     "read_mesh",
+    "refined_surface",
     "side_nodes",
     "split_sides",
     "triangle_areas",

@@ -1,8 +1,8 @@
 """Records that cross rooms, and their files.
 
 Purpose    : frozen dataclasses for what was measured and what was estimated; read and write them.
-Takes      : session folders, displacement CSVs, estimate.json.
-Gives      : `Session`, `Probing`, `DisplacementField`, `Estimate`.
+Takes      : session folders, displacement files, camera calibrations, estimate.json.
+Gives      : `Session`, `Probing`, `DisplacementField`, `Rig`, `Estimate`.
 Depends on : `geometry`, `errors`, `shapes`.
 Read first : `probing.py`, `session.py`, then `session_files.py`.
 """
@@ -18,13 +18,18 @@ from palpate.records.probing import (
     Probing,
     observed_rows,
 )
-from palpate.records.session import Session
+from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
+from palpate.records.rig_files import read_rig, rig_to_toml, write_rig
+from palpate.records.session import Session, require_probings
 from palpate.records.session_files import SESSION_FORMAT, read_session
+from palpate.records.step import Step
 
 __all__ = [
     "CONSTANT_NAMES",
+    "DISTORTION_TERMS",
     "ESTIMATE_FORMAT",
     "SESSION_FORMAT",
+    "Camera",
     "Constant",
     "Contact",
     "ContactProfile",
@@ -33,12 +38,18 @@ __all__ = [
     "Images",
     "ProbeEstimate",
     "Probing",
+    "Rig",
     "Session",
     "Status",
+    "Step",
     "observed_rows",
     "read_displacement",
     "read_estimate",
+    "read_rig",
     "read_session",
+    "require_probings",
+    "rig_to_toml",
     "write_displacement",
     "write_estimate",
+    "write_rig",
 ]

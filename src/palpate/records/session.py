@@ -1,4 +1,4 @@
-"""A session: one object, one support, any number of probings."""
+"""A session: one object, one support, any number of probings; or one object that moves rigidly."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,9 +8,10 @@ import numpy as np
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, fixed_array
 from palpate.records.probing import Probing
+from palpate.records.step import Step
 from palpate.shapes import Indices, Vector3
 
-__all__ = ["Session"]
+__all__ = ["Session", "require_probings"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,17 +23,22 @@ class Session:
     name : str
     path : Path                     the session.toml it was read from
     mesh : TriangleMesh             closed, outward
-    held_triangles : (k,) int       sorted, distinct indices of the triangles that do not move
-    probings : tuple of Probing     at least one, names distinct
+    held_triangles : (k,) int       sorted, distinct indices of the triangles that do not move; may
+                                    be empty where there are steps, and means nothing there
+    probings : tuple of Probing     at least one, names distinct; none where there are steps
     density : float [kg/m^3] or None
     gravity : (3,) float [m/s^2] or None    only where it acts in the loaded state alone
     rig : Path or None              the camera file, where there are pictures
     notes : tuple of str            what was mended, converted or looks implausible, in sentences
+    steps : tuple of Step           of a rigid-motion sequence, in time, at least two, names
+                                    distinct, the first is the initial one; none where there are
+                                    probings
 
     Raises
     ------
-    InputError                      support empty or the whole surface, no or twin probings,
-                                    gravity without density
+    InputError                      neither probings nor steps, or both; twin names; one step alone;
+                                    a support that is empty or the whole surface; pictures that are
+                                    needed without a rig; gravity without density
     """
 
     name: str
@@ -44,19 +50,16 @@ class Session:
     gravity: Vector3 | None
     rig: Path | None
     notes: tuple[str, ...]
+    steps: tuple[Step, ...] = ()
 
     def __post_init__(self) -> None:
         held = fixed_array(self.held_triangles, name="held_triangles", shape=(None,), integer=True)
-        _check_support(held, len(self.mesh.triangles))
+        _check_contents(self)
+        if self.probings or len(held):
+            _check_support(held, len(self.mesh.triangles))
         held = np.unique(held)
         held.setflags(write=False)
         object.__setattr__(self, "held_triangles", held)
-        names = [probing.name for probing in self.probings]
-        if not names:
-            raise InputError("the session has no probings; at least one is needed")
-        if len(set(names)) < len(names):
-            twins = sorted({name for name in names if names.count(name) > 1})
-            raise InputError(f"probings share the names {twins}; names must be distinct")
         if self.density is not None and not (np.isfinite(self.density) and self.density > 0.0):
             raise InputError(f"density is {self.density}; must be positive, in kg/m^3")
         if self.gravity is not None:
@@ -64,6 +67,52 @@ class Session:
             object.__setattr__(self, "gravity", gravity)
             if self.density is None:
                 raise InputError("gravity is given without a density; give it in kg/m^3")
+
+
+def require_probings(session: Session) -> None:
+    """Refuse a rigid-motion sequence where probings are needed.
+
+    Parameters
+    ----------
+    session : Session
+
+    Raises
+    ------
+    InputError                      the session has steps in place of probings
+    """
+    if not session.probings:
+        raise InputError(
+            f"{session.path}: this is a rigid-motion sequence ([[step]] tables): no force, no"
+            " probing, so nothing about stiffness; give a session with [[probe]] tables"
+        )
+
+
+def _check_contents(session: Session) -> None:
+    """Refuse a session of nothing, of two kinds, with twin names, or without its cameras."""
+    probings, steps = session.probings, session.steps
+    if probings and steps:
+        raise InputError(
+            f"the session has {len(probings)} probings and {len(steps)} steps; it must have one"
+            " kind only: make two sessions of it"
+        )
+    if not (probings or steps):
+        raise InputError("the session has no probings; at least one is needed (or two steps)")
+    if len(steps) == 1:
+        raise InputError(
+            f"the session has one step, '{steps[0].name}', alone; motion needs at least two"
+        )
+    names = [item.name for item in probings] or [item.name for item in steps]
+    if len(set(names)) < len(names):
+        twins = sorted({name for name in names if names.count(name) > 1})
+        kind = "probings" if probings else "steps"
+        raise InputError(f"{kind} share the names {twins}; names must be distinct")
+    blind = [item.name for item in probings if item.images and item.displacement is None]
+    if session.rig is None and (steps or blind):
+        whose = f"probing '{blind[0]}' has" if blind else "the steps have"
+        raise InputError(
+            f"{whose} images, but no rig is given: the cameras must be known; name their file in a"
+            ' [rig] table, e.g. cameras = "rig.toml"'
+        )
 
 
 def _check_support(held: Indices, triangle_count: int) -> None:

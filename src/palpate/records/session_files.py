@@ -8,13 +8,20 @@ import numpy as np
 from palpate.errors import InputError, MeshError, RecordError
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.displacement_files import read_displacement
-from palpate.records.probing import Contact, ContactProfile, Images, Probing
+from palpate.records.probing import (
+    Contact,
+    ContactProfile,
+    DisplacementField,
+    Images,
+    Probing,
+)
 from palpate.records.session import Session
 from palpate.records.session_checks import (
     check_contact,
     check_observed_points,
     plausibility_notes,
 )
+from palpate.records.step import Step
 from palpate.records.support import read_support
 from palpate.records.toml_table import TomlTable, nearest_word, read_toml
 from palpate.shapes import Indices, Vector3
@@ -22,8 +29,14 @@ from palpate.shapes import Indices, Vector3
 __all__ = ["SESSION_FORMAT", "read_session"]
 
 SESSION_FORMAT = "palpate-session/1"
+_CAMERA_FIELD = "{camera}"
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _ROOT_KEYS = ("format", "name", "object", "support", "gravity", "rig", "probe", "step")
+_STEP_KEYS = ("name", "images")
+_NO_RIG = (
+    "the pictures need their cameras: add a [rig] table with the camera file, e.g."
+    ' cameras = "rig.toml"'
+)
 _PROBE_KEYS = (
     "name",
     "contact",
@@ -46,7 +59,8 @@ def read_session(path: Path | str, *, probes: Sequence[str] | None = None) -> Se
 
     Returns
     -------
-    Session                         mesh closed and outward, every observed point on the surface
+    Session                         mesh closed and outward, every observed point on the surface;
+                                    with probings, or with the steps of a rigid-motion sequence
 
     Raises
     ------
@@ -60,12 +74,17 @@ def read_session(path: Path | str, *, probes: Sequence[str] | None = None) -> Se
     body.check_keys(("mesh", "length_unit", "density"))
     metres_per_unit = _METRES[body.choice("length_unit", tuple(_METRES))]
     mesh, notes = _mesh(body, metres_per_unit)
-    held = read_support(root.table("support", "[support]"), mesh, metres_per_unit=metres_per_unit)
     density = _density(body)
-    tables = _chosen(root, probes)
-    probings = []
-    for table in tables:
+    rig = _rig(root)
+    held: Indices = np.zeros(0, dtype=np.int64)
+    if "support" in root.values or root.values.get("probe"):
+        support = root.table("support", "[support]")
+        held = read_support(support, mesh, metres_per_unit=metres_per_unit)
+    probings: list[Probing] = []
+    for table in _chosen(root, probes):
         probing, probing_notes = _probing(table, mesh, held, metres_per_unit)
+        if probing.displacement is None and rig is None:
+            table.fail("images", _NO_RIG)
         probings.append(probing)
         notes += probing_notes
     return Session(
@@ -76,8 +95,9 @@ def read_session(path: Path | str, *, probes: Sequence[str] | None = None) -> Se
         probings=tuple(probings),
         density=density,
         gravity=_gravity(root, density),
-        rig=_rig(root),
+        rig=rig,
         notes=notes + plausibility_notes(mesh, tuple(probings)),
+        steps=_steps(root, rig),
     )
 
 
@@ -100,19 +120,23 @@ def _session_file(path: Path) -> Path:
 
 
 def _check_root(root: TomlTable) -> None:
-    """Refuse another format, unknown tables, and sessions without probings."""
+    """Refuse another format, unknown tables, and sessions of nothing or of two kinds."""
     root.check_keys(_ROOT_KEYS)
     found = root.get("format")
     if found != SESSION_FORMAT:
         root.fail("format", f"is {found!r}; this version reads '{SESSION_FORMAT}'")
-    if "step" in root.values:
+    if root.values.get("probe") and root.values.get("step"):
         root.fail(
-            "[[step]]",
-            "this is a rigid-motion sequence: no force, no probing, so nothing about stiffness;"
-            " give a session with [[probe]] tables",
+            "",
+            "has [[probe]] and [[step]] tables; a session is either of probings or a rigid-motion"
+            " sequence: make two files of it (both may use the same mesh, rig and images)",
         )
-    if not root.values.get("probe"):
-        root.fail("", "has no [[probe]] table; at least one probing is needed")
+    if not (root.values.get("probe") or root.values.get("step")):
+        root.fail(
+            "",
+            "has no [[probe]] table; at least one probing is needed (or two [[step]] tables of a"
+            " rigid motion)",
+        )
 
 
 def _mesh(body: TomlTable, metres_per_unit: float) -> tuple[TriangleMesh, tuple[str, ...]]:
@@ -159,19 +183,12 @@ def _rig(root: TomlTable) -> Path | None:
 
 
 def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
-    """The probe tables that were asked for, under distinct names."""
-    numbered = root.tables("probe", "[[probe]]")
-    tables, names = [], []
-    for number, table in enumerate(numbered, start=1):
-        plain = TomlTable(table.file, f"[[probe]] number {number}", table.values)
-        plain.check_keys(_PROBE_KEYS)
-        name = plain.text("name")
-        if name in names:
-            plain.fail("name", f"'{name}' is taken by an earlier probing; names must be distinct")
-        names.append(name)
-        tables.append(TomlTable(table.file, f"[[probe]] '{name}'", table.values))
+    """The probe tables that were asked for, under distinct names; none in a session of steps."""
+    tables, names = _named_tables(root, "probe", "probing", _PROBE_KEYS)
     if probes is None:
         return tables
+    if not names:
+        root.fail("[[step]]", f"a rigid-motion sequence has no probings; asked for: {list(probes)}")
     for name in probes:
         if name not in names:
             raise RecordError(
@@ -181,17 +198,46 @@ def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
     return [table for table, name in zip(tables, names, strict=True) if name in probes]
 
 
+def _named_tables(
+    root: TomlTable, key: str, kind: str, allowed: Sequence[str]
+) -> tuple[list[TomlTable], list[str]]:
+    """Tables of one kind, known to the reader by their distinct names."""
+    tables: list[TomlTable] = []
+    names: list[str] = []
+    if key not in root.values:
+        return tables, names
+    for number, table in enumerate(root.tables(key, f"[[{key}]]"), start=1):
+        plain = TomlTable(table.file, f"[[{key}]] number {number}", table.values)
+        plain.check_keys(allowed)
+        name = plain.text("name")
+        if name in names:
+            plain.fail("name", f"'{name}' is taken by an earlier {kind}; names must be distinct")
+        names.append(name)
+        tables.append(TomlTable(table.file, f"[[{key}]] '{name}'", table.values))
+    return tables, names
+
+
+def _steps(root: TomlTable, rig: Path | None) -> tuple[Step, ...]:
+    """The steps of a rigid-motion sequence, if it is one."""
+    tables, names = _named_tables(root, "step", "step", _STEP_KEYS)
+    if not tables:
+        return ()
+    if rig is None:
+        root.fail("[[step]]", _NO_RIG)
+    if len(tables) == 1:
+        tables[0].fail("", "is the only step; motion needs at least two, the first is the initial")
+    patterns: list[str] = []
+    for table in tables:
+        patterns.append(_pattern(table, "images", patterns))
+    return tuple(Step(name, pattern) for name, pattern in zip(names, patterns, strict=True))
+
+
 def _probing(
     table: TomlTable, mesh: TriangleMesh, held: Indices, metres_per_unit: float
 ) -> tuple[Probing, tuple[str, ...]]:
     """One probing, in SI units, checked against the surface and the support."""
     images = _images(table)
-    if "displacement" not in table.values:
-        why = "has images only; they are not evaluated yet" if images else "the key is missing"
-        table.fail("displacement", f"{why}: give the measured displacements as a CSV file")
-    field, notes = read_displacement(
-        table.existing_file("displacement"), mesh, metres_per_unit=metres_per_unit
-    )
+    field, notes = _displacement(table, images, mesh, metres_per_unit)
     tip = _scaled(table, "tip_displacement", metres_per_unit)
     tip_std = _positive(table, "tip_displacement_std", metres_per_unit)
     if tip is None and tip_std is not None:
@@ -208,12 +254,29 @@ def _probing(
             images=images,
         )
         check_contact(mesh, held, probing.contact)
-        check_observed_points(mesh, held, field)
+        if field is not None:
+            check_observed_points(mesh, held, field)
     except RecordError:
         raise
     except InputError as error:
         raise RecordError(f"{table.file}: {table.name}: {error}") from error
     return probing, notes
+
+
+def _displacement(
+    table: TomlTable, images: Images | None, mesh: TriangleMesh, metres_per_unit: float
+) -> tuple[DisplacementField | None, tuple[str, ...]]:
+    """What was measured of the surface; None where pictures are to tell it."""
+    if "displacement" in table.values:
+        file = table.existing_file("displacement")
+        return read_displacement(file, mesh, metres_per_unit=metres_per_unit)
+    if images is None:
+        table.fail(
+            "displacement",
+            "the key is missing: give the measured displacements as a CSV file, or the pictures"
+            " they are to come from as images",
+        )
+    return None, ()
 
 
 def _contact(table: TomlTable, metres_per_unit: float) -> Contact:
@@ -253,4 +316,25 @@ def _images(table: TomlTable) -> Images | None:
     loaded = images.get("loaded")
     if not (isinstance(loaded, list) and loaded and all(isinstance(x, str) for x in loaded)):
         images.fail("loaded", f"is {loaded!r}; must be a list of file patterns in quotes")
-    return Images(rest=images.text("rest"), loaded=tuple(loaded))
+    patterns = [_pattern(images, "rest", ())]
+    for number in range(len(loaded)):
+        single = TomlTable(images.file, images.name, {"loaded": loaded[number]})
+        patterns.append(_pattern(single, "loaded", patterns))
+    return Images(rest=patterns[0], loaded=tuple(patterns[1:]))
+
+
+def _pattern(table: TomlTable, key: str, earlier: Sequence[str]) -> str:
+    """A file pattern that has a place for the camera's name and was not used before."""
+    pattern = table.text(key)
+    if _CAMERA_FIELD not in pattern:
+        table.fail(
+            key,
+            f"'{pattern}' has no {_CAMERA_FIELD}, so all cameras would read the same file; write it"
+            f" in place of the camera's name, e.g. 'images/s0_{_CAMERA_FIELD}.png'",
+        )
+    if pattern in earlier:
+        table.fail(
+            key,
+            f"'{pattern}' is named before; the same pictures again would show that nothing moved",
+        )
+    return pattern

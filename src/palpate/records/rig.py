@@ -1,0 +1,120 @@
+"""Calibrated cameras around the object."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import CalibrationError
+from palpate.geometry import fixed_array
+from palpate.shapes import Matrix3
+
+__all__ = ["DISTORTION_TERMS", "Camera", "Rig"]
+
+DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_ROTATION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A pinhole camera with lens distortion, OpenCV's model; the first pixel's centre is (0, 0).
+
+    Parameters
+    ----------
+    name : str                      fills `{camera}` in the patterns of image files
+    size : (columns, rows) or None  of its pictures [px]; None where the calibration does not say
+    matrix : (3, 3) float [px]      [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0
+    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6; shorter ones are filled with zeros
+    T_camera_object : (4, 4) float [m]  x_camera = T_camera_object x_object, a rigid motion
+
+    Raises
+    ------
+    CalibrationError                focal lengths, a rotation that is none, wrong shapes
+    """
+
+    name: str
+    size: tuple[int, int] | None
+    matrix: Matrix3
+    distortion: Float[np.ndarray, "8"]
+    T_camera_object: Float[np.ndarray, "4 4"]
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.distortion, dtype=np.float64).ravel()
+        if given.size > len(DISTORTION_TERMS):
+            raise CalibrationError(
+                f"camera '{self.name}': distortion has {given.size} terms; at most 8 are known"
+                f" ({' '.join(DISTORTION_TERMS)})"
+            )
+        terms = np.zeros(len(DISTORTION_TERMS))
+        terms[: given.size] = given
+        arrays = {
+            "matrix": (self.matrix, (3, 3)),
+            "distortion": (terms, (8,)),
+            "T_camera_object": (self.T_camera_object, (4, 4)),
+        }
+        for name, (value, shape) in arrays.items():
+            object.__setattr__(self, name, fixed_array(value, name=name, shape=shape))
+        _check_matrix(self.name, self.matrix)
+        _check_pose(self.name, self.T_camera_object)
+        if self.size is not None and min(self.size) < 1:
+            raise CalibrationError(f"camera '{self.name}': size is {self.size}; must be positive")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Two or more cameras in the object frame.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera       names distinct
+    reference : int                 index of the reference camera: range flow is given at its pixels
+    source : str                    file they came from, for messages
+
+    Raises
+    ------
+    CalibrationError                fewer than two cameras, twin names, no such reference
+    """
+
+    cameras: tuple[Camera, ...]
+    reference: int
+    source: str
+
+    def __post_init__(self) -> None:
+        names = [camera.name for camera in self.cameras]
+        if len(names) < 2:
+            raise CalibrationError(
+                f"{self.source}: has {len(names)} camera; depth needs at least two"
+            )
+        if len(set(names)) < len(names):
+            raise CalibrationError(f"{self.source}: cameras share a name: {', '.join(names)}")
+        if not 0 <= self.reference < len(names):
+            raise CalibrationError(
+                f"{self.source}: reference is camera {self.reference} of {len(names)}"
+            )
+
+
+def _check_matrix(name: str, matrix: Matrix3) -> None:
+    if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+        raise CalibrationError(
+            f"camera '{name}': focal lengths are {matrix[0, 0]:g} and {matrix[1, 1]:g};"
+            " must be positive, in pixels"
+        )
+    below = (matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1.0)
+    if np.any(np.abs(below) > 1e-9):
+        raise CalibrationError(
+            f"camera '{name}': K is {matrix.tolist()}; must be [[fx, skew, cx], [0, fy, cy],"
+            " [0, 0, 1]]"
+        )
+
+
+def _check_pose(name: str, pose: Float[np.ndarray, "4 4"]) -> None:
+    rotation = pose[:3, :3]
+    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if error > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+        raise CalibrationError(
+            f"camera '{name}': R is not a rotation (R R^T is {error:.1g} off the identity,"
+            f" determinant {np.linalg.det(rotation):.3g}); give it with more digits, rows x, y, z"
+            " of the camera"
+        )
+    if not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
+        raise CalibrationError(f"camera '{name}': last row of the pose must be 0 0 0 1")
