@@ -1,0 +1,311 @@
+"""A smooth field from scattered displacements of the surface: robust local polynomials.
+
+Around every place a polynomial in two tangent coordinates is fitted to the displacements nearby,
+weighted by their variances and by a smooth window, and made robust by Student weights. The result is
+a weighted sum of the displacements, so its covariance follows from theirs, and from how much their
+windows in the picture overlap: windows that share pixels share noise. What lies above or below the
+tangent plane turns with the normal, so a rigid motion is exact on curved and creased surfaces too.
+
+Source: Cleveland and Devlin, Locally weighted regression, Journal of the American Statistical
+Association 83 (1988).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit, prange
+from scipy.spatial import cKDTree
+
+from palpate.shapes import PointIndices, Points, PointScalars
+from palpate.vision.small_systems import cholesky_kernel, cholesky_solve_kernel
+
+__all__ = ["LocalField", "Scatter", "local_field"]
+
+_TERMS = {1: 3, 2: 6}
+# Degrees of freedom of the Student weights: outliers at ten sigma count 1/20.
+_FREEDOM = 4.0
+_ROUNDS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scatter:
+    """Displacements at points of the surface.
+
+    Attributes
+    ----------
+    point : (n, 3) float [m]
+    pixel : (n, 2) float [px]           of the point in the reference camera
+    displacement : (n, 3) float [m]     all of them finite
+    covariance : (n, 3, 3) float [m^2]  noise and bias
+    bias : (n, 3, 3) float [m^2]        part of it that they all share
+    subset : int [px]                   side of the windows that they come from
+    """
+
+    point: Points
+    pixel: Float[np.ndarray, "n 2"]
+    displacement: Points
+    covariance: Float[np.ndarray, "n 3 3"]
+    bias: Float[np.ndarray, "n 3 3"]
+    subset: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalField:
+    """The field and its derivatives along two tangents at some places; NaN where undetermined.
+
+    Attributes
+    ----------
+    displacement : (t, 3) float [m]
+    gradient : (t, 2, 3) float [-]      along the first and the second tangent
+    curvature : (t, 3, 3) float [1/m]   coefficients of xi^2, xi eta, eta^2; zero for order 1
+    covariance : (t, 3, 3) float [m^2]
+    count : (t,) int                    displacements within reach
+    misfit : (t,) float [-]             rms of what is left over what the covariances let expect
+    """
+
+    displacement: Float[np.ndarray, "t 3"]
+    gradient: Float[np.ndarray, "t 2 3"]
+    curvature: Float[np.ndarray, "t 3 3"]
+    covariance: Float[np.ndarray, "t 3 3"]
+    count: Int[np.ndarray, " t"]
+    misfit: Float[np.ndarray, " t"]
+
+
+def local_field(
+    scatter: Scatter,
+    place: Float[np.ndarray, "t 3"],
+    tangent: Float[np.ndarray, "t 2 3"],
+    *,
+    reach: float,
+    order: int = 2,
+    most: int = 48,
+) -> LocalField:
+    """Displacement of the surface at given places.
+
+    Parameters
+    ----------
+    scatter : Scatter
+    place : (t, 3) float [m]        on the surface
+    tangent : (t, 2, 3) float       orthonormal tangents there
+    reach : float [m]               displacements farther away have no weight
+    order : 1 or 2                  degree of the polynomial
+    most : int                      at most so many displacements, the nearest
+
+    Returns
+    -------
+    LocalField                      NaN where there are too few displacements around
+    """
+    terms = _TERMS[order]
+    nearest = np.full((len(place), most), -1)
+    if len(scatter.point) > 0:
+        tree = cKDTree(scatter.point)
+        many = min(most, len(scatter.point))
+        _, found = tree.query(place, k=many, distance_upper_bound=reach)
+        found = found.reshape(len(place), many)
+        nearest[:, :many] = np.where(found < len(scatter.point), found, -1)
+    noise = scatter.covariance - scatter.bias
+    trace = np.trace(noise, axis1=1, axis2=2)
+    return LocalField(
+        *_fit_all(
+            np.ascontiguousarray(place, dtype=np.float64),
+            np.ascontiguousarray(tangent, dtype=np.float64),
+            nearest,
+            scatter.point,
+            scatter.pixel,
+            scatter.displacement,
+            noise,
+            scatter.bias,
+            trace,
+            float(scatter.subset),
+            reach,
+            terms,
+        )
+    )
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _fit_all(
+    place, tangent, nearest, point, pixel, displacement, covariance, bias, trace, subset, reach,
+    terms,
+):  # fmt: skip
+    count = len(place)
+    value = np.full((count, 3), np.nan)
+    gradient = np.full((count, 2, 3), np.nan)
+    curvature = np.full((count, 3, 3), np.nan)
+    spread = np.full((count, 3, 3), np.nan)
+    number = np.zeros(count, dtype=np.int64)
+    misfit = np.full(count, np.nan)
+    most = nearest.shape[1]
+    for i in prange(count):
+        design = np.empty((most, terms))
+        weight = np.empty(most)
+        robust = np.ones(most)
+        height = np.empty(most)
+        turn = np.zeros(3)
+        normal = np.empty((terms, terms))
+        solution = np.zeros((3, terms))
+        row = np.empty(terms)
+        m = 0
+        while m < most and nearest[i, m] >= 0:
+            height[m] = _design_kernel(
+                place[i], tangent[i], point[nearest[i, m]], reach, terms, design[m]
+            )
+            distance = 0.0
+            for a in range(3):
+                distance += (point[nearest[i, m], a] - place[i, a]) ** 2
+            near = 1.0 - distance / (reach * reach)
+            weight[m] = max(near, 0.0) ** 2 / trace[nearest[i, m]]
+            m += 1
+        number[i] = m
+        # One more than the unknowns, or nothing would be left to tell an outlier from.
+        if m <= terms:
+            continue
+        good = False
+        left = 0.0
+        for _ in range(_ROUNDS):
+            good = _solve_kernel(
+                design, weight, robust, displacement, height, turn, nearest[i], m, normal, solution
+            )
+            if not good:
+                break
+            left = _reweigh_kernel(
+                design, weight, robust, displacement, height, turn, trace, nearest[i], m, solution
+            )
+            normal_turn_kernel(tangent[i], solution[:, 1] / reach, solution[:, 2] / reach, turn)
+        if not good:
+            continue
+        for a in range(3):
+            value[i, a] = solution[a, 0]
+            gradient[i, 0, a] = solution[a, 1] / reach
+            gradient[i, 1, a] = solution[a, 2] / reach
+            for k in range(3):
+                curvature[i, k, a] = solution[a, 3 + k] / reach**2 if terms == 6 else 0.0
+        misfit[i] = left
+        row[:] = 0.0
+        row[0] = 1.0
+        cholesky_solve_kernel(normal, row)
+        _covariance_kernel(
+            design, weight, robust, row, covariance, trace, pixel, subset, nearest[i], m, spread[i]
+        )
+        spread[i] *= max(1.0, left * left)
+        spread[i] += bias[nearest[i, 0]]
+    return value, gradient, curvature, spread, number, misfit
+
+
+@njit(cache=True, error_model="numpy")
+def normal_turn_kernel(tangent, along, across, turn):
+    """Change of the unit normal of a surface whose tangents change by `along` and `across`."""
+    t, s = tangent[0], tangent[1]
+    a0, a1, a2 = t[0] + along[0], t[1] + along[1], t[2] + along[2]
+    b0, b1, b2 = s[0] + across[0], s[1] + across[1], s[2] + across[2]
+    n0 = a1 * b2 - a2 * b1
+    n1 = a2 * b0 - a0 * b2
+    n2 = a0 * b1 - a1 * b0
+    length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    turn[0] = n0 / length - (t[1] * s[2] - t[2] * s[1])
+    turn[1] = n1 / length - (t[2] * s[0] - t[0] * s[2])
+    turn[2] = n2 / length - (t[0] * s[1] - t[1] * s[0])
+
+
+@njit(cache=True, error_model="numpy")
+def _design_kernel(place, tangent, point, reach, terms, out):
+    """Polynomial terms of one displacement, in units of the reach; returns its height [m]."""
+    t, s = tangent[0], tangent[1]
+    d0, d1, d2 = point[0] - place[0], point[1] - place[1], point[2] - place[2]
+    xi = (d0 * t[0] + d1 * t[1] + d2 * t[2]) / reach
+    eta = (d0 * s[0] + d1 * s[1] + d2 * s[2]) / reach
+    out[0] = 1.0
+    out[1] = xi
+    out[2] = eta
+    if terms == 6:
+        out[3] = xi * xi
+        out[4] = xi * eta
+        out[5] = eta * eta
+    return (
+        d0 * (t[1] * s[2] - t[2] * s[1])
+        + d1 * (t[2] * s[0] - t[0] * s[2])
+        + d2 * (t[0] * s[1] - t[1] * s[0])
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _solve_kernel(design, weight, robust, displacement, height, turn, nearest, m, normal, solution):
+    """Weighted least squares; leaves the Cholesky factor in `normal`."""
+    terms = design.shape[1]
+    normal[:] = 0.0
+    solution[:] = 0.0
+    for j in range(m):
+        w = weight[j] * robust[j]
+        for k in range(terms):
+            for n in range(k + 1):
+                normal[k, n] += w * design[j, k] * design[j, n]
+            for a in range(3):
+                solution[a, k] += (
+                    w * design[j, k] * (displacement[nearest[j], a] - height[j] * turn[a])
+                )
+    if not cholesky_kernel(normal):
+        return False
+    for a in range(3):
+        cholesky_solve_kernel(normal, solution[a])
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _reweigh_kernel(
+    design, weight, robust, displacement, height, turn, trace, nearest, m, solution
+):
+    """Student weights from what is left; returns its weighted rms in units of sigma."""
+    terms = design.shape[1]
+    ratio = np.empty(m)
+    for j in range(m):
+        square = 0.0
+        for a in range(3):
+            rest = displacement[nearest[j], a] - height[j] * turn[a]
+            for k in range(terms):
+                rest -= design[j, k] * solution[a, k]
+            square += rest * rest
+        ratio[j] = square / trace[nearest[j]]
+    # A field that is rougher than its noise is not an outlier everywhere.
+    scale = max(1.0, np.median(ratio))
+    total = 0.0
+    squares = 0.0
+    for j in range(m):
+        robust[j] = (_FREEDOM + 3.0) / (_FREEDOM + 3.0 * ratio[j] / scale)
+        total += weight[j] * robust[j]
+        squares += weight[j] * robust[j] * ratio[j]
+    return np.sqrt(squares / total * m / (m - terms))
+
+
+@njit(cache=True, error_model="numpy")
+def _covariance_kernel(
+    design, weight, robust, row, covariance, trace, pixel, subset, nearest, m, spread
+):
+    """Covariance of the value: each displacement's share, and the noise that windows have in common."""
+    terms = design.shape[1]
+    share = np.empty(m)
+    mean = np.zeros((3, 3))
+    for j in range(m):
+        value = 0.0
+        for k in range(terms):
+            value += row[k] * design[j, k]
+        share[j] = value * weight[j] * robust[j]
+    total = 0.0
+    for j in range(m):
+        n = nearest[j]
+        for a in range(3):
+            for b in range(3):
+                mean[a, b] += abs(share[j]) * covariance[n, a, b] / trace[n]
+        total += abs(share[j])
+    factor = 0.0
+    for j in range(m):
+        for k in range(j + 1):
+            p, q = nearest[j], nearest[k]
+            common = max(0.0, 1.0 - abs(pixel[p, 0] - pixel[q, 0]) / subset) * max(
+                0.0, 1.0 - abs(pixel[p, 1] - pixel[q, 1]) / subset
+            )
+            term = share[j] * share[k] * common * np.sqrt(trace[p] * trace[q])
+            factor += term if j == k else 2.0 * term
+    for a in range(3):
+        for b in range(3):
+            spread[a, b] = factor * mean[a, b] / total

@@ -1,0 +1,55 @@
+"""Symmetric positive definite systems of up to some twenty unknowns, for use within kernels."""
+
+import numpy as np
+from numba import njit
+
+__all__ = ["cholesky_inverse_kernel", "cholesky_kernel", "cholesky_solve_kernel"]
+
+# A pivot below this share of its diagonal is rounding: the unknowns are not determined.
+_SMALLEST_PIVOT = 1e-9
+
+
+@njit(cache=True, error_model="numpy")
+def cholesky_kernel(a):
+    """Replace the lower triangle by the Cholesky factor; False where not positive definite."""
+    n = len(a)
+    for j in range(n):
+        pivot = a[j, j]
+        for k in range(j):
+            pivot -= a[j, k] * a[j, k]
+        if not pivot > _SMALLEST_PIVOT * a[j, j]:
+            return False
+        root = np.sqrt(pivot)
+        a[j, j] = root
+        for i in range(j + 1, n):
+            total = a[i, j]
+            for k in range(j):
+                total -= a[i, k] * a[j, k]
+            a[i, j] = total / root
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def cholesky_solve_kernel(factor, right):
+    """Replace the right-hand side by the solution, `factor` from `cholesky_kernel`."""
+    n = len(right)
+    for i in range(n):
+        total = right[i]
+        for k in range(i):
+            total -= factor[i, k] * right[k]
+        right[i] = total / factor[i, i]
+    for i in range(n - 1, -1, -1):
+        total = right[i]
+        for k in range(i + 1, n):
+            total -= factor[k, i] * right[k]
+        right[i] = total / factor[i, i]
+
+
+@njit(cache=True, error_model="numpy")
+def cholesky_inverse_kernel(factor, inverse):
+    """Inverse of the matrix whose Cholesky factor is given, written into `inverse`."""
+    n = len(factor)
+    for j in range(n):
+        inverse[j, :] = 0.0
+        inverse[j, j] = 1.0
+        cholesky_solve_kernel(factor, inverse[j])
