@@ -16,7 +16,7 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records import Probing, Session, observed_rows, read_session
+from palpate.records import Probing, Session, observed_rows, read_session, require_probings
 
 __all__ = ["ProbingFigures", "check", "expectation", "probing_figures"]
 
@@ -62,6 +62,7 @@ def check(session: Path, /) -> int:
         Folder of the session, or a session file in it.
     """
     given = read_session(session)
+    require_probings(given)
     console = Console()
     console.print(f"{given.name} ({given.path})", markup=False, highlight=False)
     console.print(_mesh_table(given, mesh_quality(given.mesh)))

@@ -37,6 +37,16 @@ def make_app() -> App:
         help="Say everything about a session that can be said without solving.",
     )
     app.command(
+        "palpate.app.flow_command:flow",
+        name="flow",
+        help="Measure how the surface moved, from the pictures of calibrated cameras.",
+    )
+    app.command(
+        "palpate.app.import_command:import_displacements",
+        name="import",
+        help="Take displacements measured by another program into a session.",
+    )
+    app.command(
         "palpate.app.compression_command:compression",
         name="compression",
         help="Young's modulus from compression tests of cylinders.",

@@ -8,15 +8,15 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from palpate.app.plots import write_plots
-from palpate.app.progress import progress_bar
+from palpate.app.progress import ProgressCallback, progress_bar
 from palpate.app.residual_files import write_residuals
 from palpate.app.result_folder import result_folder
 from palpate.app.tables import constants_table, probes_table
 from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
-from palpate.pipeline import fit_session
-from palpate.records import Session, Status, read_session, write_estimate
+from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
+from palpate.records import Session, Status, read_session, require_probings, write_estimate
 
 __all__ = ["fit"]
 
@@ -66,8 +66,10 @@ def fit(
     # The target is tried first: no one should wait for a result that cannot be kept.
     with result_folder(out or _default_folder(session)) as folder:
         given = read_session(session, probes=probe)
+        require_probings(given)
         _print_notes(given)
         with progress_bar() as progress:
+            given = _with_motion(given, progress)
             result = fit_session(
                 given,
                 method=method,
@@ -95,6 +97,17 @@ def fit(
         print(f"palpate: {estimate.status.value}: {estimate.status.advice}", file=sys.stderr)
         return _NOT_OK
     return 0
+
+
+def _with_motion(session: Session, progress: ProgressCallback) -> Session:
+    """The session with displacements measured from the pictures where there is no file of them."""
+    blind = [one.name for one in session.probings if one.displacement is None and one.images]
+    if not blind:
+        return session
+    flow = measure_motion(session, probes=blind, progress=progress)
+    for note in flow.notes:
+        print(f"palpate: note: {note}", file=sys.stderr)
+    return with_measured_displacement(session, flow)
 
 
 def _write(folder: Path, session: Session, result: FitResult) -> None:

@@ -46,7 +46,7 @@ from palpate.estimation import (
 )
 from palpate.geometry import interpolation_matrix
 from palpate.probe import ContactPatch, find_contact_patch
-from palpate.records import DisplacementField, Probing, Session
+from palpate.records import DisplacementField, Probing, Session, require_probings
 
 Progress = Callable[[str, float], None]
 FIT_STARTS = 0.8
@@ -268,6 +268,7 @@ def _silent(_text: str, _share: float) -> None:
 
 
 def _chosen(session: Session, names: Sequence[str] | None) -> list[Probing]:
+    require_probings(session)
     known = {probing.name: probing for probing in session.probings}
     wanted = list(known) if names is None else list(dict.fromkeys(names))
     missing = [name for name in wanted if name not in known]
@@ -280,7 +281,7 @@ def _chosen(session: Session, names: Sequence[str] | None) -> list[Probing]:
     if blind:
         raise InputError(
             f"probing {', '.join(map(repr, blind))} in {session.path} has no measured "
-            "displacement; give its `displacement` file, or leave it out with --probe"
+            "displacement and no images; give one of them, or leave it out with --probe"
         )
     return [known[name] for name in wanted]
 

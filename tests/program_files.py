@@ -1,0 +1,102 @@
+"""Small result files in the layouts of the programs, made by hand from known points."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+from scipy.io import netcdf_file, savemat
+
+# Four points at rest and their displacements [mm]; the last one failed.
+PLACE = np.array([[1.0, 2.0, 300.0], [4.0, 5.0, 301.0], [7.0, 8.0, 302.5], [3.0, 3.0, 299.0]])
+MOVE = np.array([[0.01, -0.02, 0.03], [0.04, 0.05, -0.06], [0.0, 0.08, 0.09], [0.0, 0.0, 0.0]])
+GOOD = np.array([True, True, True, False])
+
+DICE_NAMES = [
+    *(f"MODEL_COORDINATES_{axis}" for axis in "XYZ"),
+    "COORDINATE_X",
+    *(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ"),
+    "SIGMA",
+    "MATCH",
+]
+
+
+def write_table(path: Path, header: str, rows: np.ndarray, *, delimiter=",", end="") -> Path:
+    """A header and rows of numbers that keep every digit."""
+    lines = [delimiter.join(repr(float(x)) for x in row) + end for row in rows]
+    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def vic3d_rows() -> np.ndarray:
+    """x, y, u, v [px], sigma, X, Y, Z, U, V, W; the failed point has sigma -1 and zeros."""
+    pixels = np.arange(16.0).reshape(4, 4)
+    sigma = np.where(GOOD, 0.012, -1.0)
+    place = np.where(GOOD[:, None], PLACE, 0.0)
+    return np.column_stack([pixels, sigma, place, MOVE])
+
+
+def dice_values() -> np.ndarray:
+    """Columns of DICE_NAMES; the failed point has MATCH = SIGMA = -1."""
+    sigma, match = np.where(GOOD, 0.015, -1.0), np.where(GOOD, 0.0, -1.0)
+    return np.column_stack([PLACE, np.arange(4.0), MOVE, sigma, match])
+
+
+def dice_states() -> np.ndarray:
+    """States of an Exodus file (t, variables, n): rest, half and full displacement."""
+    full = dice_values().T
+    states = np.stack([full, full, full])
+    states[:, 4:7] *= np.array([0.0, 0.5, 1.0])[:, None, None]
+    return states
+
+
+def write_exodus(path: Path, states: np.ndarray, *, form: str) -> Path:
+    """Exodus: `large` (a variable each), `small` (one for all) in NetCDF classic, or `hdf5`."""
+    letters = np.array([list(name.ljust(33, "\0")) for name in DICE_NAMES], dtype="S1")
+    if form == "hdf5":
+        with h5py.File(path, "w") as file:
+            file["name_nod_var"] = letters
+            for k in range(states.shape[1]):
+                file[f"vals_nod_var{k + 1}"] = states[:, k].astype("<f4")
+        return path
+    with netcdf_file(path, "w", version=2) as file:
+        sizes = {"time_step": None, "num_nodes": 4, "num_nod_var": len(DICE_NAMES), "len_name": 33}
+        for name, size in sizes.items():
+            file.createDimension(name, size)
+        file.createVariable("name_nod_var", "S1", ("num_nod_var", "len_name"))[:] = letters
+        if form == "small":
+            shape = ("time_step", "num_nod_var", "num_nodes")
+            file.createVariable("vals_nod_var", "f8", shape)[: len(states)] = states
+            return path
+        for k in range(states.shape[1]):
+            name = f"vals_nod_var{k + 1}"
+            variable = file.createVariable(name, "f8", ("time_step", "num_nodes"))
+            variable[: len(states)] = states[:, k]
+    return path
+
+
+def multidic_states() -> list[np.ndarray]:
+    """Points3D of rest, half and full load; the failed point is NaN under load, and at rest."""
+    states = [PLACE + share * MOVE for share in (0.0, 0.5, 1.0)]
+    for state in states:
+        state[~GOOD] = np.nan
+    return states
+
+
+def write_mat(path: Path, name: str, states: list[np.ndarray], *, version: str) -> Path:
+    """A struct with Points3D as MultiDIC saves it (version 5), or DuoDIC (version 7.3)."""
+    if version == "5":
+        cell = np.empty((len(states), 1), dtype=object)
+        cell[:, 0] = states
+        savemat(path, {name: {"Faces": np.eye(3), "Points3D": cell}, "other": 1.0})
+        return path
+    # MATLAB puts 512 bytes of its own before the HDF5 part.
+    with h5py.File(path, "w", userblock_size=512) as file:
+        links = np.empty((len(states), 1), dtype=h5py.ref_dtype)
+        for i, state in enumerate(states):
+            links[i, 0] = file.create_dataset(f"#refs#/{i}", data=state.T).ref
+        cell = file.create_dataset(f"{name}/Points3D", data=links, dtype=h5py.ref_dtype)
+        cell.attrs["MATLAB_class"] = b"cell"
+        file[f"{name}/Faces"] = np.eye(3)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" "))
+    return path
