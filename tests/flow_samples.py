@@ -8,8 +8,7 @@ from surfaces import box
 
 from palpate.geometry import closest_points
 from palpate.records import Camera, Rig
-from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement
-from palpate.vision.surface_map import SurfaceMap
+from palpate.vision import Outcome, RangeFlow, SurfaceMap, VertexDisplacement
 
 SIDE = 0.04  # m
 ABOVE = 0.4  # of the cameras over the upper face [m]
@@ -65,6 +64,8 @@ def sample(*, reject=None, along=(1.0, 0.0, 0.0)):
         reprojection=np.where(bad, np.nan, np.linspace(0.01, 0.03, len(point))),
         cameras=np.where(bad, 1, 2),
         outcome=outcome,
+        through_last=np.arange(len(point)) == 0,
+        drift=3e-6,
         noise=np.array([1.5, 1.75]),
         subset=SUBSET,
         step=STEP,

@@ -6,6 +6,8 @@ import h5py
 import numpy as np
 from scipy.io import netcdf_file, savemat
 
+from palpate.records.measured_points import MeasuredPoints, measured_rows
+
 # Four points at rest and their displacements [mm]; the last one failed.
 PLACE = np.array([[1.0, 2.0, 300.0], [4.0, 5.0, 301.0], [7.0, 8.0, 302.5], [3.0, 3.0, 299.0]])
 MOVE = np.array([[0.01, -0.02, 0.03], [0.04, 0.05, -0.06], [0.0, 0.08, 0.09], [0.0, 0.0, 0.0]])
@@ -100,3 +102,13 @@ def write_mat(path: Path, name: str, states: list[np.ndarray], *, version: str) 
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" "))
     return path
+
+
+def check_four_points(measured: MeasuredPoints, *, nowhere=False) -> None:
+    """The four points in metres; the failed one as NaN, with or without its place."""
+    # The largest number is 302.5 mm; one rounding of the sum of place and displacement.
+    exact = {"rtol": 0.0, "atol": 1e-16}
+    assert list(measured_rows(measured)) == list(GOOD)
+    np.testing.assert_allclose(measured.displacement[GOOD], 1e-3 * MOVE[GOOD], **exact)
+    place = np.where((GOOD | (not nowhere))[:, None], 1e-3 * PLACE, np.nan)
+    np.testing.assert_allclose(measured.points, place, **exact)

@@ -15,7 +15,7 @@ from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, write_mesh
 from palpate.pipeline import MeasuredMotion, SessionFlow
 from palpate.records import read_displacement, read_session
-from palpate.vision.range_flow import Outcome
+from palpate.vision import Outcome
 
 SESSION = """\
 format = "palpate-session/1"
@@ -99,6 +99,7 @@ def measured(monkeypatch):
 def test_the_table_is_printed_and_the_folder_written(palpate, measured, session, tmp_path):
     code, out, err = palpate("flow", session)
     assert (code, err) == (0, f"palpate: note: {measured.notes[0]}\n")
+    assert "n01: points followed through the instant before: 1, drift 3 µm" in out
     for word in ("n01_1", "score:2", "25/49", "1.5 1.8", "points/s", "Result in cube-flow"):
         assert word in out
     folder = tmp_path / "cube-flow"

@@ -4,6 +4,7 @@ import base64
 import json
 import math
 import zlib
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -28,8 +29,7 @@ from palpate.app.flow_tables import (
 )
 from palpate.errors import RecordError
 from palpate.records import observed_rows, read_displacement
-from palpate.vision.range_flow import Outcome, is_valid
-from palpate.vision.surface_map import SurfaceMap
+from palpate.vision import Outcome, SurfaceMap, is_valid
 
 REJECT = {Outcome.SCORE: [0, 1, 2], Outcome.LOST: [7]}
 
@@ -134,6 +134,8 @@ def test_the_npz_holds_all_of_the_range_flow(cube, tmp_path):
         for key in ("pixel", "point", "displacement", "gradient", "covariance", "bias", "score",
                     "reprojection", "cameras", "outcome", "noise", "tangent"):  # fmt: skip
             np.testing.assert_array_equal(stored[key], getattr(cube.flow, key), err_msg=key)
+        np.testing.assert_array_equal(stored["through_last"], cube.flow.through_last)
+        assert stored["drift"] == cube.flow.drift
         assert (stored["subset"], stored["step"]) == (cube.flow.subset, cube.flow.step)
         assert tuple(stored["shape"]) == cube.flow.shape
         assert (stored["format"], stored["name"]) == ("palpate-range-flow/1", "n01")
@@ -192,9 +194,11 @@ def test_a_flow_without_points_can_be_written(cube, tmp_path):
     away = {
         name: getattr(cube.flow, name)[:0]
         for name in ("pixel", "point", "tangent", "displacement", "gradient", "covariance", "bias",
-                     "score", "reprojection", "cameras", "outcome")
+                     "score", "reprojection", "cameras", "outcome", "through_last")
     }  # fmt: skip
-    rest = {name: getattr(cube.flow, name) for name in ("noise", "subset", "step", "shape")}
+    rest = {
+        name: getattr(cube.flow, name) for name in ("drift", "noise", "subset", "step", "shape")
+    }
     empty = type(cube.flow)(**away, **rest)
     write_flow_vtp(tmp_path / "a.vtp", empty, camera())
     piece, found = vtp_arrays(tmp_path / "a.vtp")
@@ -229,6 +233,8 @@ def test_figures_count_and_take_medians(cube, seen):
     assert f.displacement == pytest.approx(np.median(motion(cube.flow.point[valid])[:, 0]))
     assert f.reprojection == pytest.approx(np.median(cube.flow.reprojection[valid]))
     assert f.noise == (1.5, 1.75)
+    # The one point that went through the instant before was rejected.
+    assert (f.through_last, f.drift) == (0, 3e-6)
 
 
 def test_figures_of_nothing_are_unknown(seen):
@@ -255,7 +261,7 @@ def test_the_table_shows_causes_that_occur_and_failures(cube, seen):
     second = next(line for line in lines if line.startswith(" n02")).split()
     share = f"{100.0 * (good.points - 4) / good.points:.1f}"
     assert first[1:] == [
-        str(good.points), share, "score:3", "lost:1", "1.5", "1.8", "3.54,", "20", "0.02", "25/49"
+        str(good.points), share, "score:3", "lost:1", "1.5", "1.8", "3.5,", "20", "0.02", "25/49"
     ]  # fmt: skip
     assert second[1:4] == ["-", "-", "failed"]
     assert "texture" not in text
@@ -266,13 +272,17 @@ def test_the_table_shows_causes_that_occur_and_failures(cube, seen):
 def test_a_narrow_terminal_shows_every_cause_and_cuts_no_number(cube, seen):
     every = sample(reject={cause: [int(cause)] for cause in list(Outcome)[1:]})
     f = motion_figures("n05_12", every.flow, every.vertices, seen=seen, camera=camera())
+    counts = dict.fromkeys(f.rejected, 12345)
+    f = replace(f, points=98765, rejected=counts, noise=(1.5, 1.5, 12.5), vertices=1049)
     text = shown(flow_table([f], cube.rig), width=80)
     assert max(len(line) for line in text.splitlines()) <= 80
     assert "…" not in text
     row = next(line for line in text.splitlines() if line.startswith(" n05_12")).split()
-    assert row[1] == str(f.points)
-    assert row[-2:] == ["0.02", "25/49"]
-    assert all(cause.name.lower() in text for cause in list(Outcome)[1:])
+    assert row[1] == "98765"
+    assert row[-2:] == ["0.02", "25/1049"]
+    assert all(f"{cause.name.lower()[:6]}" in text for cause in list(Outcome)[1:])
+    # A count is never broken.
+    assert text.count(":12345") == 7
 
 
 def test_the_document_is_plain_json_with_null_for_what_is_not_known(cube, seen, tmp_path):
@@ -289,6 +299,7 @@ def test_the_document_is_plain_json_with_null_for_what_is_not_known(cube, seen, 
     assert first["noise"] == {"c0": 1.5, "c1": 1.75}
     assert first["median_sigma"]["depth"] == pytest.approx(2e-5)
     assert first["rejected"]["score"] == 3
+    assert (first["through_last"], first["drift"]) == (0, 3e-6)
     assert first["files"] == {"vertices": "s1.csv"}
     assert (second["failure"], second["points"]) == ("nothing was measured", 0)
     assert second["median_sigma"] == {"lateral": None, "depth": None}

@@ -20,8 +20,7 @@ from palpate.app.flow_view import (
     tinted,
     vertex_layer,
 )
-from palpate.vision.range_flow import Outcome
-from palpate.vision.surface_map import SurfaceMap
+from palpate.vision import Outcome, SurfaceMap
 
 REJECT = {Outcome.SCORE: [100, 101, 102], Outcome.TEXTURE: [7]}
 

@@ -11,8 +11,10 @@ from program_files import (
     write_mat,
     write_table,
 )
+from surfaces import box
 
-from palpate.records import observed_rows, read_session
+from palpate.geometry import write_mesh
+from palpate.records import observed_rows, read_displacement, read_session
 
 VIC3D = "x,y,sigma,X,Y,Z,U,V,W"
 # The frame of the program: 300 mm below the cube's origin, turned by 90 degrees about z.
@@ -257,3 +259,20 @@ def test_dice_text_and_exodus_agree(palpate, bare, tmp_path):
     fields = [p.displacement for p in read_session(bare, probes=["n01", "n02"]).probings]
     np.testing.assert_array_equal(fields[0].displacement, fields[1].displacement)
     assert list(observed_rows(fields[0])) == [True, True, True, False]
+
+
+def test_real_results_of_dice(palpate, bare, shared_data, tmp_path):
+    """A flat specimen in DICe's own plane frame: the top of a block below z = 0."""
+    # Points from -25 to 69 mm, -25 to 25 mm; DICe's plane is z = 0.
+    block = box(size=(0.12, 0.08, 0.02), cells=6, origin=(-0.04, -0.04, -0.02))
+    write_mesh(bare / "mesh.ply", block)
+    gold = shared_data / "real" / "gt4_dspec" / "dice_gold" / "DICe_solution.e"
+    code, out, _ = palpate("import", "dice", gold, bare, "--probe", "n01", "--out", "found")
+    assert code == 0
+    row = next(x.split() for x in out.splitlines() if x.split()[:1] == ["n01"])
+    # Its README: four of the 123 subsets failed; they have a place.
+    assert row[2:6] == ["123", "119", "4", "0"]
+    # The specimen is flat to 28 um.
+    assert float(row[6]) < 0.028
+    field, _ = read_displacement(tmp_path / "found" / "n01.csv", block)
+    assert observed_rows(field).sum() == 119

@@ -310,7 +310,7 @@ def test_matchid_calibration_fits_dices_matches(shared_data, tmp_path):
     [
         ("Cam1_Fx", "Cam2_Fx", "'Cam1_Fx' is missing"),
         ("Phi [deg];-19", "Phi [deg];x", "Phi is 'x.*must be numbers"),
-        ("Theta [deg]", "Thta [deg]", "'Theta' is missing"),
+        ("Theta [deg]", "Other [deg]", "'Theta' is missing"),
     ],
 )
 def test_matchid_contradictions(tmp_path, old, new, message):

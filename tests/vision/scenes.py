@@ -1,12 +1,13 @@
-"""Analytic scenes: a textured surface seen by several cameras, at rest and after any smooth motion.
+"""Analytic scenes: a textured surface seen by several cameras, at rest and after a smooth motion.
 
-The surface is z = h(x, y) with a texture given in (x, y). What a pixel of the moved picture shows is
-found by Newton's method on the exact projection, written out here, so that nothing of the package has
-a part in the truth.
+The surface is z = h(x, y) with a texture given in (x, y). What a pixel of the moved picture shows
+is found by Newton's method on the exact projection, written out here, so that nothing of the
+package has a part in the truth.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from palpate.records import Camera, Rig
 __all__ = [
     "DISTANCE",
     "LENS",
+    "MOTIONS",
     "PITCH",
     "SHAPE",
     "STILL",
@@ -25,9 +27,12 @@ __all__ = [
     "Stage",
     "bump",
     "dome",
+    "example",
+    "example_views",
     "make_rig",
     "moved_frame",
     "noisy_views",
+    "projected",
     "rigid",
     "strain",
     "tilted",
@@ -45,7 +50,7 @@ _PLACES = ((0.0, 0.0), (-20.0, 0.0), (0.0, -18.0), (16.0, 14.0))
 Motion = Callable[[np.ndarray], np.ndarray]
 
 
-def STILL(points: np.ndarray) -> np.ndarray:  # noqa: N802
+def STILL(points: np.ndarray) -> np.ndarray:
     """No motion."""
     return np.zeros_like(points)
 
@@ -237,3 +242,28 @@ def noisy_views(views: list[np.ndarray], sigma: float, seed: int) -> list[np.nda
     """Pictures with white noise [grey levels], another in each."""
     rng = np.random.default_rng(seed)
     return [(view + rng.normal(0.0, sigma, view.shape)).astype(np.float32) for view in views]
+
+
+# Motions of two to seven pixels; the bump bends by 0.05 px over half a window.
+MOTIONS = {
+    "still": STILL,
+    "shift": rigid((0.0, 0.0, 0.0), (4e-4, 3e-4, -5e-4)),
+    "turn": rigid((0.02, -0.03, 0.04), (1e-3, -5e-4, 8e-4)),
+    "strain": strain(
+        np.array([[0.02, 0.01, 0.0], [-0.005, -0.015, 0.0], [0.01, 0.02, 0.01]]),
+        (3e-4, 2e-4, -4e-4),
+    ),
+    "bump": bump((2e-4, -1e-4, -1.5e-3), 0.012),
+}
+
+
+@cache
+def example(count: int = 3, lens: tuple[float, ...] = ()) -> Stage:
+    """A dome with a radius of 60 mm before 2, 3 or 4 cameras."""
+    return Stage(make_rig(count, lens=lens), dome(0.06), seed=count)
+
+
+@cache
+def example_views(name: str, count: int = 3, lens: tuple[float, ...] = ()) -> list[np.ndarray]:
+    """Pictures of the example after one of `MOTIONS`, without noise; made once a run."""
+    return example(count, lens).views(MOTIONS[name])

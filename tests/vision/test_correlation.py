@@ -1,4 +1,4 @@
-"""Normalised cross-correlation between whole pixels, against equation 6 and interpolated windows."""
+"""Correlation between whole pixels, against equation 6 and against interpolated windows."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def _corr(one, column_a, row_a, two, column_b, row_b):
 
 
 def _equation_6(one, two, a, p, b, q, *, printed=False):
-    """The paper's equation, mixed from correlations at whole pixels; `printed`: with its misprint."""
+    """The paper's equation, from correlations at whole pixels; `printed`: with its misprint."""
     (ca, ra), (cb, rb) = a, b
     second = cb if printed else cb + 1
     cross = (

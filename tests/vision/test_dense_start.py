@@ -8,7 +8,8 @@ import pytest
 from vision.textures import STILL, Speckle, affine, inverse_quadratic, noisy, pixel_grid, turned
 
 from palpate.errors import InputError
-from palpate.vision.dense_start import dense_start
+from palpate.vision.dense_start import _finished, dense_start
+from palpate.vision.even_picture import make_even_picture
 
 SHAPE = (255, 301)
 CENTRE = (150.0, 127.0)
@@ -74,15 +75,41 @@ def test_small_motions_are_not_hurt_by_the_search_for_large_ones():
     assert np.percentile(wrong, 99) < 0.1
 
 
-def test_a_hundred_pixels_with_a_turn_and_a_strain():
+@pytest.mark.parametrize("sigma", [1.7, 5.0])
+def test_a_hundred_pixels_with_a_turn_and_a_strain(sigma):
     shape = (400, 480)
     warp = affine(turned(10.0, 0.1), (-80.0, 60.0), (240.0, 200.0))
-    start = dense_start(*_pair(warp, shape=shape))
+    start = dense_start(*_pair(warp, shape=shape, sigma=sigma))
     truth = warp.flow(shape)
     wrong = _error(start, truth)[start.trusted]
-    assert np.percentile(wrong, 95) < 0.6
-    assert np.percentile(wrong, 99) < 1.0
-    assert start.trusted[_in_picture(truth)].mean() > 0.9
+    scale = 1.0 if sigma < 3.0 else 2.0
+    assert np.percentile(wrong, 95) < 0.6 * scale
+    assert np.percentile(wrong, 99) < 1.0 * scale
+    assert start.trusted[_in_picture(truth)].mean() > 0.85
+
+
+@pytest.mark.parametrize("name", ["still", "little", "shift", "noise", "bent", "stretched"])
+def test_features_are_not_needed_for_motions_that_a_search_explains(name, monkeypatch):
+    """They cost more than all the rest."""
+
+    def refuse(*_):
+        pytest.fail("features were looked for")
+
+    monkeypatch.setattr("palpate.vision.dense_start.feature_matches", refuse)
+    start = dense_start(*_pair(**CASES[name]))
+    assert start.trusted.mean() > 0.8
+
+
+def test_the_last_search_makes_up_for_a_start_that_is_off():
+    """A pixel and a half off, in a turn and a strain: the start is taken from where it applies."""
+    warp = affine(turned(10.0, 0.1), (4.0, 2.0), CENTRE)
+    a, b = (make_even_picture(grey) for grey in _pair(warp))
+    truth = warp.flow(SHAPE)
+    off = (truth + np.array([1.2, -0.9])).astype(np.float32)
+    flow, trusted = _finished(a, b, off)
+    wrong = np.hypot(*np.moveaxis(flow - truth, -1, 0))[trusted]
+    # Taken from the pixel itself it would be wrong by slope times change, 0.2 x 1.5 px.
+    assert np.median(wrong) < 0.15
 
 
 def _ball(place):
@@ -147,6 +174,23 @@ def test_a_mask_holds_the_object_against_a_textured_ground():
     assert (wrong > 1.0).mean() < 0.02
     # Half a window inside the outline the ball's circle keeps (70 / 80)^2 = 77 % of its area.
     assert start.trusted[ball].mean() > 0.75
+
+
+def test_a_masked_object_may_be_small_in_a_large_textured_picture():
+    """Less than a hundredth of the picture, but all that is wanted."""
+    shape, centre = (400, 480), np.array([240.0, 200.0])
+    texture, ground = Speckle(shape, 5), Speckle(shape, 6).image()
+    warp = affine(WHOLE, (40.0, -30.0), tuple(centre))
+    inside = np.linalg.norm(pixel_grid(shape) - centre, axis=2) < 24.0
+    moved_inside = np.linalg.norm(warp.source(shape) - centre, axis=2) < 24.0
+    rest = noisy(np.where(inside, texture.image(), ground), 1.5, 1)
+    moved = noisy(np.where(moved_inside, texture.image(warp), ground), 1.5, 2)
+    start = dense_start(rest, moved, mask=inside)
+    assert inside.mean() < 0.01
+    # Half a window inside the outline (13.5 / 24)^2 = 32 % of its area are left, along the
+    # window's diagonal (9.2 / 24)^2 = 15 %.
+    assert start.trusted[inside].mean() > 0.1
+    assert np.percentile(_error(start, warp.flow(shape))[start.trusted], 95) < 1.0
 
 
 def test_the_same_for_any_number_of_threads():

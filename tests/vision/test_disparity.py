@@ -20,14 +20,15 @@ INNER = (slice(3, -14), slice(10, -14))
 
 
 def _views(disparity, views=TRIPLE, *, noise=0.0, seed=1):
-    """Pictures of a surface painted with a speckle; its disparity is a function of reference pixels.
+    """Pictures of a speckled surface; its disparity is a function of the reference's pixels.
 
     The pixel of another camera shows the reference's x with x + shift(x) there: solved by fixed
     point, for shifts that change slowly.
     """
     texture = Speckle(SHAPE, seed)
     pictures = [texture.image()]
-    for along, ratio, offset in zip(*(a[1:] for a in (views.along, views.ratio, views.offset))):
+    for k in range(1, len(views.along)):
+        along, ratio, offset = views.along[k], views.ratio[k], views.offset[k]
 
         def inverse(place, along=along, ratio=ratio, offset=offset):
             rest = place.copy()
@@ -93,7 +94,7 @@ def test_it_is_the_best_sum_of_correlations_and_its_parabola():
 
 
 def test_a_whole_pixel_between_all_cameras_is_found_as_such():
-    """The windows are the same then; what is left is the parabola's, for texture is not symmetric."""
+    """The windows are the same then; what is left is the parabola's: texture is not symmetric."""
     views = Views(TRIPLE.along, np.array([0.0, -1.0, 0.5]), np.array([0.0, 5.0, -2.0]))
     found = disparity_map(_views(lambda p: np.full(len(p), 8.0), views), views, (5.0, 11.0))
     off = found[INNER] - 8.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from vision.textures import Speckle
 
 from palpate.vision.interpolation import (
@@ -83,6 +84,18 @@ def test_the_picture_is_mirrored_beyond_its_edge():
             interpolate(picture, np.stack(inside, axis=1)),
             atol=ROUNDING,
         )
+
+
+def test_smoothing_is_a_gaussian_before_anything_else():
+    """SciPy's, cut off at the same four standard deviations, mirrored at the edge."""
+    grey = Speckle(SHAPE, 8).image()
+    smooth = gaussian_filter(grey.astype(float), 0.8, mode="mirror", truncate=4.0)
+    found = make_spline_picture(grey, smoothing=0.8)
+    np.testing.assert_allclose(found.grey, smooth, atol=ROUNDING)
+    again = make_spline_picture(found.grey)
+    np.testing.assert_array_equal(found.coefficients, again.coefficients)
+    np.testing.assert_array_equal(found.along_column, again.along_column)
+    np.testing.assert_array_equal(make_spline_picture(grey).grey, grey)
 
 
 @pytest.mark.parametrize("far", [1e3, 1e9, np.inf])

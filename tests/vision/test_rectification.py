@@ -79,6 +79,9 @@ def test_rectified_cameras_are_turned_and_not_moved():
         origin = np.zeros((1, 2))
         for before, after in zip(given, rectified.cameras, strict=True):
             np.testing.assert_allclose(rays(before, origin)[0], rays(after, origin)[0], atol=1e-15)
+            # By less than 37 degrees about each axis: not upside down, not mirrored.
+            both = before.T_camera_object[:3, :3] @ after.T_camera_object[:3, :3].T
+            assert (np.diag(both) > 0.8).all()
             assert not after.distortion.any()
             assert after.name == before.name
             np.testing.assert_array_equal(after.matrix[:2, :2], rectified.cameras[0].matrix[:2, :2])

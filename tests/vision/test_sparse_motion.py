@@ -105,7 +105,11 @@ def test_few_samples_give_their_shift(count):
 
 def test_there_and_back_are_the_same_samples():
     samples = _scattered(20, 1)
-    again = samples.reversed().reversed()
+    back = samples.reversed()
+    # Where the points went, the inverse of the warp leads back.
+    np.testing.assert_allclose(back.point + back.displacement, samples.point, atol=1e-12)
+    np.testing.assert_allclose(WARP.inverse(back.point), samples.point, atol=1e-10)
+    again = back.reversed()
     np.testing.assert_allclose(again.point, samples.point, atol=1e-12)
     np.testing.assert_allclose(again.displacement, samples.displacement)
     both = samples.joined(again)

@@ -8,7 +8,7 @@ from vision_cameras import BARREL, RATIONAL, make_camera, moved
 
 from palpate.errors import InputError
 from palpate.records import Rig
-from palpate.vision.camera import project
+from palpate.vision.camera import project, project_jacobian
 from palpate.vision.triangulation import triangulate
 
 POSES = (
@@ -65,6 +65,20 @@ def test_noisy_pixels_give_opencvs_optimal_points():
     np.testing.assert_allclose(found.point, theirs, rtol=0.0, atol=2e-7)
     left = ((_seen(rig, theirs) - pixels) ** 2).sum(axis=(0, 2))
     assert (4.0 * found.residual**2 <= left * (1.0 + 1e-12)).all()
+
+
+def test_point_is_the_minimum_of_the_weighted_distances():
+    """There the gradient vanishes: one more Gauss-Newton step is rounding."""
+    rig, sigma = _rig(3), 2.0
+    pixels = _seen(rig, _points()) + np.random.default_rng(9).normal(0.0, sigma, (3, 100, 2))
+    found = triangulate(rig, pixels, sigma)
+    gradient = np.zeros((100, 3))
+    for camera, seen in zip(rig.cameras, pixels, strict=True):
+        place, jacobian = project_jacobian(camera, found.point)
+        gradient += np.einsum("nij,ni->nj", jacobian, seen - place) / sigma**2
+    step = np.einsum("nij,nj->ni", found.covariance, gradient)
+    # The stop, 1e-12 of 0.6 m, times the slow rate of convergence at this much noise.
+    np.testing.assert_allclose(step, 0.0, atol=2e-12)
 
 
 def test_covariance_of_parallel_cameras_is_the_closed_form():

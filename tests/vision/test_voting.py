@@ -112,7 +112,7 @@ def test_the_eight_pixels_around_the_best_count_as_agreement(camera, extra):
 
 
 def test_it_is_the_vote_that_plain_loops_hold():
-    """Bad pictures, so that every outcome of a vote occurs; disparity differs from pixel to pixel."""
+    """Bad pictures, so that every outcome of a vote occurs; disparity differs between pixels."""
     rng = np.random.default_rng(2)
     before = _instant((0, 0), REST, noise=12.0)
     after = _instant((2.4, -1.3), LOADED, noise=60.0, seed=7)

@@ -1,5 +1,6 @@
 """`palpate flow`: the pictures of a session in, the motion of its surface out."""
 
+import math
 import sys
 import time
 import tomllib
@@ -34,7 +35,7 @@ from palpate.app.result_folder import result_folder
 from palpate.errors import InputError
 from palpate.pipeline import MeasuredMotion, MotionSettings, SessionFlow, measure_motion
 from palpate.records import Session, read_session
-from palpate.vision.surface_map import SurfaceMap, surface_map
+from palpate.vision import SurfaceMap, surface_map
 
 __all__ = ["flow"]
 
@@ -213,10 +214,18 @@ def _placed(figures: MotionFigures, motion: MeasuredMotion, failure: str | None)
 
 
 def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
-    """How much was measured, and how fast."""
+    """Which motions went through the instant before; how much was measured, and how fast."""
+    lines = [
+        f"{f.name}: points followed through the instant before: {f.through_last}"
+        + (f", drift {1e6 * f.drift:.2g} µm" if math.isfinite(f.drift) else "")
+        for f in figures
+        if f.through_last
+    ]
     points = sum(f.points for f in figures)
-    rate = f"{points / max(seconds, 1e-9):.3g} points/s"
-    return f"{len(figures)} motions, {points} points in {seconds:.1f} s ({rate})"
+    rate = f"{points / max(seconds, 1e-9):,.0f} points/s"
+    return "\n".join(
+        [*lines, f"{len(figures)} motions, {points} points in {seconds:.1f} s ({rate})"]
+    )
 
 
 def _complaints(figures: Sequence[MotionFigures]) -> int:

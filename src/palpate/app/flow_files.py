@@ -14,8 +14,7 @@ from palpate.app.flow_tables import camera_sigma, measured_vertices
 from palpate.geometry import SurfacePoints, TriangleMesh
 from palpate.records import Camera, DisplacementField, write_displacement
 from palpate.shapes import Flags
-from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, is_valid
-from palpate.vision.surface_map import SurfaceMap
+from palpate.vision import Outcome, RangeFlow, SurfaceMap, VertexDisplacement, is_valid
 
 __all__ = [
     "RANGE_FLOW_FORMAT",
@@ -169,6 +168,7 @@ def write_flow_vtp(path: Path, flow: RangeFlow, camera: Camera) -> None:
         "reprojection": flow.reprojection.astype(np.float32),
         "cameras": flow.cameras.astype(np.int32),
         "outcome": flow.outcome.astype(np.int32),
+        "through_last": flow.through_last.astype(np.int32),
         "pixel": flow.pixel.astype(np.float32),
     }
     path.write_text(_polydata(flow.point, arrays), encoding="ascii")

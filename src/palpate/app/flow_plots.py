@@ -30,8 +30,7 @@ from palpate.app.flow_view import (
 )
 from palpate.app.plots import STYLE
 from palpate.shapes import Points, PointScalars
-from palpate.vision.camera import project
-from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, is_valid
+from palpate.vision import Outcome, RangeFlow, VertexDisplacement, is_valid, project
 
 __all__ = ["flow_figure", "quality_figure", "write_flow_pictures"]
 

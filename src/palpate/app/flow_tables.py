@@ -15,7 +15,7 @@ from rich.table import Table
 
 from palpate.records import Camera, Rig
 from palpate.shapes import Flags, PointScalars
-from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, is_valid
+from palpate.vision import Outcome, RangeFlow, VertexDisplacement, is_valid
 
 __all__ = [
     "FLOW_FORMAT",
@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 FLOW_FORMAT = "palpate-flow/1"
+_SHORT = {"reprojection": "reproj.", "neighbours": "neighb."}
 CAUSES = tuple(outcome for outcome in Outcome if outcome is not Outcome.VALID)
 
 
@@ -52,6 +53,8 @@ class MotionFigures:
     vertex_lateral, vertex_depth : float [m]    the same of the measured vertices
     displacement : float [m]        median length over the valid points; NaN: none
     reprojection : float [px]       median over the valid points; NaN: none
+    through_last : int              valid points followed through the instant before
+    drift : float [m]               rms difference between that way and the direct one; NaN: unknown
     noise : tuple of c float [grey levels]      of each camera, in the rig's order
     """
 
@@ -70,6 +73,8 @@ class MotionFigures:
     vertex_depth: float
     displacement: float
     reprojection: float
+    through_last: int
+    drift: float
     noise: tuple[float, ...]
 
 
@@ -146,6 +151,8 @@ def motion_figures(
         vertex_depth=_median(vertex_depth),
         displacement=_median(np.linalg.norm(flow.displacement[valid], axis=1)),
         reprojection=_median(flow.reprojection[valid]),
+        through_last=int(flow.through_last[valid].sum()),
+        drift=float(flow.drift),
         noise=tuple(float(level) for level in flow.noise),
     )
 
@@ -169,6 +176,8 @@ def failed_figures(name: str, cameras: int) -> MotionFigures:
         vertex_depth=blank,
         displacement=blank,
         reprojection=blank,
+        through_last=0,
+        drift=blank,
         noise=(blank,) * cameras,
     )
 
@@ -189,8 +198,8 @@ def flow_table(figures: Sequence[MotionFigures], rig: Rig) -> Table:
     table.add_column("name", no_wrap=True, min_width=4)
     table.add_column("points", justify="right", no_wrap=True)
     table.add_column("valid\n%", justify="right", no_wrap=True)
-    # On a narrow terminal these two take several lines; no cause is longer than this.
-    table.add_column("rejected", overflow="fold", min_width=14)
+    # On a narrow terminal these two take several lines; no cause with its count is longer.
+    table.add_column("rejected", overflow="fold", min_width=13)
     table.add_column("noise\ngrey", overflow="fold", min_width=5)
     for heading in (f"1 sigma\n{unit}", "reproj.\npx", "vertices"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -203,8 +212,8 @@ def flow_table(figures: Sequence[MotionFigures], rig: Rig) -> Table:
             str(f.points),
             f"{100.0 * f.valid / f.points:.1f}",
             _causes(f),
-            " ".join(_number(level, 2) for level in f.noise),
-            f"{_number(f.lateral / factor)}, {_number(f.depth / factor)}",
+            " ".join(f"{level:.1f}" if math.isfinite(level) else "-" for level in f.noise),
+            f"{_number(f.lateral / factor, 2)}, {_number(f.depth / factor, 2)}",
             _number(f.reprojection, 2),
             f"{f.measured}/{f.vertices}",
         )
@@ -212,7 +221,7 @@ def flow_table(figures: Sequence[MotionFigures], rig: Rig) -> Table:
     table.caption = (
         f"noise: of a pixel in {cameras}; 1 sigma: median over the valid points, across and along"
         " the axis of the reference camera; reproj.: median over them; vertices: with a"
-        " displacement, of those that camera sees"
+        " displacement, of those looked at"
     )
     return table
 
@@ -267,6 +276,8 @@ def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, A
             "depth": _known(f.vertex_depth),
         },
         "median_reprojection": _known(f.reprojection),
+        "through_last": f.through_last,
+        "drift": _known(f.drift),
         "noise": noise,
         "files": dict(files),
     }
@@ -277,7 +288,7 @@ def _causes(f: MotionFigures) -> str:
     found = [(count, cause) for cause, count in f.rejected.items() if count]
     found.sort(key=lambda item: -item[0])
     # Without a space, lest a line be broken between a cause and its count.
-    return " ".join(f"{cause}:{count}" for count, cause in found) or "none"
+    return " ".join(f"{_SHORT.get(cause, cause)}:{count}" for count, cause in found) or "none"
 
 
 def _median(values: Float[np.ndarray, " k"]) -> float:
@@ -290,5 +301,5 @@ def _known(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _number(value: float, digits: int = 3) -> str:
+def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}g}" if math.isfinite(value) else "-"

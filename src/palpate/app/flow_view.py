@@ -12,8 +12,7 @@ from palpate.app.flow_tables import measured_vertices
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.records import Camera
 from palpate.shapes import Indices, PointScalars
-from palpate.vision.range_flow import RangeFlow, VertexDisplacement
-from palpate.vision.surface_map import SurfaceMap
+from palpate.vision import RangeFlow, SurfaceMap, VertexDisplacement
 
 __all__ = [
     "FlowView",

@@ -5,14 +5,14 @@ spread over the range of the guess, all at once; the pose whose points lie neare
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from palpate.geometry.closest_point import closest_points
 from palpate.geometry.surface_fit import Pose, motion_pose, motion_scale, placed
 from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors, bounding_diagonal
-from palpate.shapes import PointIndices, Points, Vector3
+from palpate.shapes import Indices, PointIndices, Points, Vector3
 
 __all__ = ["coarse_pose", "compact_groups", "even_sample", "facing_surface"]
 
@@ -57,7 +57,7 @@ def compact_groups(points: Points, count: int) -> PointIndices:
     return label
 
 
-def even_sample(points: Points, count: int) -> PointIndices:
+def even_sample(points: Points, count: int) -> Indices:
     """Indices of points spread evenly: of each compact group the one nearest to its mean."""
     if len(points) <= count:
         return np.arange(len(points))
@@ -106,7 +106,8 @@ def coarse_pose(
 
     Returns
     -------
-    (4, 4) float                    good to a fraction of a hundredth of the mesh's diagonal
+    (4, 4) float                    good to a fraction of a hundredth of the mesh's diagonal; the
+                                    start itself where the guess is better than a fiftieth
 
     Source
     ------
@@ -114,6 +115,8 @@ def coarse_pose(
     distance from tangent planes; the robust weight is Geman and McClure's.
     """
     spacing = _SPACING * bounding_diagonal(mesh)
+    if distance + 0.5 * angle * bounding_diagonal(mesh) < spacing:
+        return start
     sample, normal = _surface_samples(mesh, spacing)
     tree = cKDTree(sample)
     first = placed(start, points)
@@ -129,7 +132,7 @@ def coarse_pose(
 
 
 def _surface_samples(mesh: TriangleMesh, spacing: float) -> tuple[Points, Points]:
-    """Points of the surface no farther apart than `spacing`, and the normals there."""
+    """Points of the surface about `spacing` apart, and the normals there."""
     corner = mesh.vertices[mesh.triangles]
     area = area_vectors(mesh)
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
@@ -137,7 +140,7 @@ def _surface_samples(mesh: TriangleMesh, spacing: float) -> tuple[Points, Points
     while len(corner):
         edge = corner[:, [1, 2, 0]] - corner
         length = np.linalg.norm(edge, axis=2)
-        long = length.max(axis=1) > spacing
+        long = length.max(axis=1) > 1.5 * spacing
         done.append((corner[~long].mean(axis=1), normal[~long]))
         corner, normal = corner[long], normal[long]
         row, k = np.arange(len(corner)), length[long].argmax(axis=1)
@@ -158,7 +161,11 @@ def _spread_starts(offset: Points, angle: float, distance: float) -> Float[np.nd
 
 
 def _stepped(
-    place: Float[np.ndarray, "s n 3"], tree: cKDTree, sample: Points, normal: Points, width: float
+    place: Float[np.ndarray, "s n 3"],
+    tree: cKDTree,
+    sample: Float[np.ndarray, "p 3"],
+    normal: Float[np.ndarray, "p 3"],
+    width: float,
 ) -> Float[np.ndarray, "s n 3"]:
     """One robust step of every try towards the tangent planes of the nearest samples."""
     distance, index = tree.query(place)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.geometry.closest_point import closest_points
 from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal, unit_normals
-from palpate.shapes import Points, PointIndices, PointScalars, Vector3
+from palpate.shapes import Indices, PointIndices, Points, PointScalars, Vector3
 
 __all__ = [
     "TUKEY",
@@ -52,7 +52,7 @@ class MeasuredPoints:
     point: Points
     covariance: Float[np.ndarray, "n 3 3"]
 
-    def chosen(self, rows: PointIndices) -> "MeasuredPoints":
+    def chosen(self, rows: Indices) -> "MeasuredPoints":
         """Some of the points."""
         return MeasuredPoints(self.point[rows], self.covariance[rows])
 

@@ -18,14 +18,14 @@ from palpate.records.calibration_parts import (
 )
 from palpate.records.rig import Camera, Rig
 
-__all__ = ["is_opencv", "opencv_entries", "read_opencv", "read_opencv_cameras"]
+__all__ = ["counterpart", "is_opencv", "opencv_entries", "read_opencv", "read_opencv_cameras"]
 
-# A camera's letter or word, then its number or side; both words and both places of the number are
-# in use. Rectification matrices (R1, R2, P1, P2) are left alone.
+# The letter or word of a quantity, then the number or side of its camera. Beside R and T the
+# rotations R1 and R2 are those of a rectification; they are left alone.
 _WHICH = r"_?(\d+|[Ll]eft|[Rr]ight|[LR])?$"
 _MATRIX = re.compile(r"(?:K|M|[Cc]amera_?[Mm]atrix|[Cc]amera_?[Mm]at|[Ii]ntrinsics?)" + _WHICH)
-_LENS = re.compile(r"(?:D|[Dd]ist(?:ortion)?_?(?:[Cc]oeff?(?:icient)?s?)?)" + _WHICH)
-_TURN = re.compile(r"(?:R|[Rr]vec|[Rr]otation(?:_?[Mm]atrix)?)" + _WHICH)
+_LENS = re.compile(r"(?:D|(?:dist|Dist)(?:ortion)?_?(?:[Cc]oeff?(?:icient)?s?)?)" + _WHICH)
+_TURN = re.compile(r"(?:R|[Rr]vec|(?:rotation|Rotation)(?:_?[Mm]atrix)?)" + _WHICH)
 _SHIFT = re.compile(r"(?:T|t|[Tt]vec|[Tt]ranslation(?:_?[Vv]ector)?)" + _WHICH)
 _SIZE = re.compile(r"(?:[Ii]ma?ge?_?)?[Ss]ize" + _WHICH)
 _SHAPES = frozenset({"rows", "sizes"})

@@ -1,13 +1,13 @@
 """Normalised cross-correlation of windows between whole pixels: equation 6 of Lang and Pai.
 
-A window between two pixels is the linear mixture of the windows at both. Mean, products and sums are
-linear in it, so correlating mixed windows gives the same number as the paper's mixture of the
+A window between two pixels is the linear mixture of the windows at both. Mean, products and sums
+are linear in it, so correlating mixed windows gives the same number as the paper's mixture of the
 correlations at whole pixels, and costs less where one window meets many others.
 
-Two places of the printed equation cannot be meant. Its second line weights (1 - p) q with the pixel b
-at column c_b; it must be c_b + 1 (and subscripts such as c_{a+1} mean c_a + 1). Its last line takes
-the square root of the squared correlation, which would let a negative print match its positive; here
-the correlation keeps its sign.
+Two places of the printed equation cannot be meant. Its second line weights (1 - p) q with the pixel
+b at column c_b; it must be c_b + 1 (and subscripts such as c_{a+1} mean c_a + 1). Its last line
+takes the square root of the squared correlation, which would let a negative print match its
+positive; here the correlation keeps its sign.
 
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """

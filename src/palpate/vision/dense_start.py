@@ -338,8 +338,7 @@ def _repaired(
     ):
         start = np.where(known[..., None], before, interpolated(given, a.grey.shape))
         inside.append(_inside(grid + start))
-        change = _search(one.even, _brought_back(other, start), _FAST)
-        motions.append(change + _sampled(start, grid + change))
+        motions.append(start + _search(one.even, _brought_back(other, start), _FAST))
     return _Motion(*motions), _Flags(*inside)
 
 

@@ -1,4 +1,4 @@
-"""Disparity of every pixel of a rectified reference picture, by area matching in all cameras at once.
+"""Disparity of every pixel of a rectified reference picture, by area matching in all cameras.
 
 For each trial disparity, the windows of all other cameras are correlated with the reference's and
 the correlations added; the best sum is refined by a parabola. A pixel without texture, without an
@@ -25,8 +25,8 @@ _BAND = 16
 # Trial disparities beside the best one that belong to the same maximum: texture is matched within
 # about its own size, and a parabola takes one on either side.
 _SAME = 2
-# Sum of squares of a window that is all alike, with rounding [grey levels^2]: greys to 1e3 in double
-# precision leave 1e-8, contrast of a hundredth of a grey level 5e-3.
+# Sum of squares of a window that is all alike, with rounding [grey levels^2]: greys to 1e3 in
+# double precision leave 1e-8, contrast of a hundredth of a grey level 5e-3.
 _ALIKE = 1e-6
 
 
@@ -40,7 +40,8 @@ class Views:
     Attributes
     ----------
     along : (c,) int                `COLUMNS` or `ROWS`
-    ratio : (c,) float [-]          shift for one pixel of disparity, 1 or -1 for the longest baseline
+    ratio : (c,) float [-]          shift for one pixel of disparity, 1 or -1 for the longest
+                                    baseline
     offset : (c,) float [px]        shift at no disparity
     """
 
@@ -254,9 +255,9 @@ def _lone_maximum(score, uniqueness):
     top = -1
     for t in range(1, len(score) - 1):
         # Comparisons with NaN are false.
-        if score[t] > score[t - 1] and score[t] >= score[t + 1] and score[t] > 0.0:
-            if top < 0 or score[t] > score[top]:
-                top = t
+        inner = score[t] > score[t - 1] and score[t] >= score[t + 1] and score[t] > 0.0
+        if inner and (top < 0 or score[t] > score[top]):
+            top = t
     if top < 0:
         return -1
     for t in range(len(score)):

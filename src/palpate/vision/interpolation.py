@@ -6,6 +6,7 @@ sub-pixel matching small (Unser, Splines: a perfect fit for signal and image pro
 Processing Magazine 16(6), 1999).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -21,6 +22,8 @@ __all__ = [
     "make_spline_picture",
     "noise_share_kernel",
     "sample_kernel",
+    "smoothing_gain",
+    "spline_pictures",
 ]
 
 # Coefficients are mirrored this far beyond the picture, so that a window may touch its edge.
@@ -79,6 +82,22 @@ def make_spline_picture(
         correlate1d(inner, slope, axis=0, mode="mirror"), blur, axis=1, mode="mirror"
     )
     return SplinePicture(grey, along_column, along_row, np.pad(inner, PADDING, mode="reflect"))
+
+
+def spline_pictures(
+    pictures: Sequence[Float[np.ndarray, "_ _"]], smoothing: float
+) -> tuple[SplinePicture, ...]:
+    """`make_spline_picture` of every camera's picture."""
+    return tuple(make_spline_picture(picture, smoothing=smoothing) for picture in pictures)
+
+
+def smoothing_gain(smoothing: float) -> float:
+    """Standard deviation that the low-pass leaves of white noise, as a share of what it was."""
+    if smoothing <= 0.0:
+        return 1.0
+    reach = int(np.ceil(4.0 * smoothing))
+    weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / smoothing) ** 2)
+    return float((weight**2).sum() / weight.sum() ** 2)
 
 
 def interpolate(

@@ -1,117 +1,30 @@
 """Range flow by matching the windows of all cameras jointly: the method `joint`.
 
-For every later instant: a dense start from whole pictures, the joint refinement against the first
-instant, cameras and points that contradict the rest dropped, those that were lost tried again from
-their neighbours' motion, and a last refinement in which the second derivatives of the motion are
-known from the neighbours, so that a window sees no bias where the surface bends.
+Every later instant is matched with the first one, so nothing accumulates; the motion found last is
+where the search starts. Where the first picture has become too different, the way through the
+instant before is taken instead.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from palpate.vision.flow_start import flow_start
-from palpate.vision.interpolation import SplinePicture, make_spline_picture
-from palpate.vision.joint_refinement import (
-    CONVERGED,
-    FEW_CAMERAS,
-    LEFT,
-    NO_TEXTURE,
-    NOT_CONVERGED,
-    First,
-    Limits,
-    Points,
-    refine_joint,
-)
+from palpate.vision.interpolation import spline_pictures
+from palpate.vision.joint_judgement import judged
+from palpate.vision.joint_match import match_scene
 from palpate.vision.joint_settings import JointSettings
-from palpate.vision.local_regression import Scatter, local_field
-from palpate.vision.neighbours import median_around, predicted
-from palpate.vision.range_flow import Outcome, RangeFlow
-from palpate.vision.scene import Scene, jacobians
+from palpate.vision.range_flow import RangeFlow, is_valid
+from palpate.vision.scene import Scene, scene_rows
+from palpate.vision.tracking import advanced_scene, composed_motion
 
-__all__ = ["Match", "joint_flow", "match_scene"]
+__all__ = ["joint_flow"]
 
-_OUTCOMES = {
-    CONVERGED: Outcome.VALID,
-    FEW_CAMERAS: Outcome.HIDDEN,
-    NO_TEXTURE: Outcome.TEXTURE,
-    LEFT: Outcome.OUTSIDE,
-    NOT_CONVERGED: Outcome.LOST,
-}
-# Rounds of second tries: the front of found points moves a few windows each.
-_RETRIES = 3
-# Neighbours within this many half windows have a say; their windows overlap but are not the same.
-_AROUND = 2.0
-# A displacement known no better than this is not known: sub-pixel matching is ten times better [px].
-_TEXTURE_LIMIT = 0.1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Match:
-    """Raw result of the joint refinement of n points.
-
-    Attributes
-    ----------
-    motion : (n, 6, 3) float [m]        see `refine_joint`
-    covariance : (n, 3, 3) float [m^2]
-    score, left, own_variance : (n, c)
-    own : (n, c, 2) float [px]
-    rough : (n,) float [-]              covariance of what is left over that of white noise as strong
-    use : (n, c) bool                   cameras that took part
-    outcome : (n,) int
-    """
-
-    motion: Float[np.ndarray, "n 6 3"]
-    covariance: Float[np.ndarray, "n 3 3"]
-    score: Float[np.ndarray, "n c"]
-    left: Float[np.ndarray, "n c"]
-    own: Float[np.ndarray, "n c 2"]
-    own_variance: Float[np.ndarray, "n c"]
-    rough: Float[np.ndarray, " n"]
-    use: Bool[np.ndarray, "n c"]
-    outcome: Int[np.ndarray, " n"]
-
-
-def match_scene(
-    scene: Scene,
-    moved: Sequence[SplinePicture],
-    start: Float[np.ndarray, "n 6 3"],
-    *,
-    settings: JointSettings,
-) -> tuple[Match, Float[np.ndarray, " c"]]:
-    """Follow all points of a scene into later pictures.
-
-    Parameters
-    ----------
-    scene : Scene
-    moved : sequence of c SplinePicture
-    start : (n, 6, 3) float [m]         motion to start from; NaN where there is none
-    settings : JointSettings
-
-    Returns
-    -------
-    match : Match
-    noise : (c,) float [grey levels]    standard deviation that a match leaves in each camera
-    """
-    whole = np.arange(len(scene.point))
-    noise = np.ones(len(moved))
-    match = _refined(scene, moved, start, scene.seen, whole, noise, settings)
-    noise = _noise(match)
-    match = _without_bad_cameras(scene, moved, match, noise, settings)
-    for _ in range(_RETRIES):
-        again, restart = _second_tries(scene, match, noise, settings)
-        if len(again) == 0:
-            break
-        tried = _refined(scene, moved, restart, scene.seen[again], again, noise, settings)
-        tried = _without_bad_cameras(scene, moved, tried, noise, settings, rows=again)
-        match = _replaced(match, tried, again)
-    known = _with_curvature(scene, match, settings)
-    rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
-    last = _refined(scene, moved, known[rows], match.use[rows], rows, noise, settings)
-    match = _replaced(match, last, rows)
-    return match, _noise(match)
+# Of the points that need no way through the instant before, one in so many takes it all the same:
+# they measure the drift.
+_DRIFT_SAMPLE = 8
 
 
 def joint_flow(
@@ -121,9 +34,6 @@ def joint_flow(
     settings: JointSettings = JointSettings(),
 ) -> Iterator[RangeFlow]:
     """Range flow from the first instant to each later one, as the pictures come.
-
-    Every instant is matched with the first, so nothing accumulates; the motion found last is where
-    the search starts.
 
     Parameters
     ----------
@@ -135,287 +45,126 @@ def joint_flow(
     ------
     RangeFlow                           for each later instant, against the first
     """
-    before: Sequence[Float[np.ndarray, "_ _"]] = [picture.grey for picture in scene.pictures]
+    before = scene.grey
     motion = np.zeros((len(scene.point), 6, 3))
+    last: RangeFlow | None = None
     for pictures in later:
-        start = flow_start(scene, motion, before, pictures)
-        moved = [make_spline_picture(picture, smoothing=settings.smoothing) for picture in pictures]
-        match, noise = match_scene(scene, moved, start, settings=settings)
-        flow = _judged(scene, match, noise, settings)
+        now = tuple(pictures)
+        start = flow_start(scene, motion, before, now)
+        first, used = _smoothed_as_fits(scene, start, settings)
+        match, noise = match_scene(
+            first, spline_pictures(now, used.smoothing), start, settings=used
+        )
+        flow = judged(first, match, noise, used)
+        motion = np.where(is_valid(flow)[:, None, None], match.motion, start)
+        if last is not None:
+            flow, motion = _through_last(scene, flow, motion, last, before, now, start, settings)
         yield flow
-        before = pictures
-        found = flow.outcome == Outcome.VALID
-        motion = np.where(found[:, None, None], match.motion, start)
+        before, last = now, flow
 
 
-def _refined(
+def _smoothed_as_fits(
+    scene: Scene, start: Float[np.ndarray, "n 6 3"], settings: JointSettings
+) -> tuple[Scene, JointSettings]:
+    """The scene with its pictures unsmoothed where the surface turns or stretches much."""
+    gradient = np.linalg.norm(start[:, 1:3] / scene.extent[:, None, None], axis=(1, 2))
+    gradient = gradient[np.isfinite(gradient)]
+    if len(gradient) == 0 or np.median(gradient) <= settings.turning:
+        return scene, settings
+    return replace(scene, pictures=spline_pictures(scene.grey, 0.0)), replace(
+        settings, smoothing=0.0
+    )
+
+
+def _through_last(
     scene: Scene,
-    moved: Sequence[SplinePicture],
-    start: Float[np.ndarray, "k 6 3"],
-    use: Bool[np.ndarray, "k c"],
-    rows: Int[np.ndarray, " k"],
-    noise: Float[np.ndarray, " c"],
+    direct: RangeFlow,
+    motion: Float[np.ndarray, "n 6 3"],
+    last: RangeFlow,
+    before: tuple[Float[np.ndarray, "_ _"], ...],
+    now: tuple[Float[np.ndarray, "_ _"], ...],
+    start: Float[np.ndarray, "n 6 3"],
     settings: JointSettings,
-) -> Match:
-    """Joint refinement of some points of the scene from given motions."""
-    pictures = scene.pictures
-    motion, covariance, score, left, own, own_variance, rough, state = refine_joint(
-        First(
-            scene.packed,
-            tuple(picture.grey for picture in pictures),
-            tuple(picture.along_column for picture in pictures),
-            tuple(picture.along_row for picture in pictures),
-            scene.surface,
-            scene.inner,
-        ),
-        tuple(picture.coefficients for picture in moved),
-        Points(scene.point[rows], scene.tangent[rows], scene.extent[rows]),
-        np.ascontiguousarray(use),
-        np.ascontiguousarray(start),
-        noise,
-        Limits(
-            settings.subset // 2,
-            3,
-            settings.tolerance,
-            settings.reach,
-            settings.iterations,
-            settings.least_share,
-            settings.shading,
-        ),
-    )
-    # The noise is that of the whole picture; a window with more of it knows its motion less.
-    excess = _mean_over(left / noise**2, use & np.isfinite(left))
-    outcome = np.array([_OUTCOMES[code] for code in range(len(_OUTCOMES))])[state]
-    return Match(
-        motion,
-        covariance * excess[:, None, None],
-        score,
-        left,
-        own,
-        own_variance,
-        rough,
-        use,
-        outcome,
-    )
+) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
+    """The direct flow, with the way through the last instant where that is better known.
 
+    Parameters
+    ----------
+    scene : Scene
+    direct, last : RangeFlow            from the first instant to now, and to the last instant
+    motion, start : (n, 6, 3) float [m] found directly, and where the search began
+    before, now : tuples of c (rows, columns) float     pictures of the last instant, and of now
 
-def _mean_over(
-    value: Float[np.ndarray, "n c"], used: Bool[np.ndarray, "n c"]
-) -> Float[np.ndarray, " n"]:
-    """Mean over the cameras used, NaN where there are none."""
-    total = np.where(used, value, 0.0).sum(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return total / used.sum(axis=1)
-
-
-def _noise(match: Match) -> Float[np.ndarray, " c"]:
-    """What a match leaves in each camera, the median over the points [grey levels]."""
-    found = match.outcome == Outcome.VALID
-    noise = np.ones(match.left.shape[1])
-    for c in range(len(noise)):
-        left = match.left[found & np.isfinite(match.left[:, c]), c]
-        if len(left) > 0:
-            # A picture without noise, or rounded to it, still has its rounding.
-            noise[c] = np.sqrt(max(float(np.median(left)), 1.0 / 6.0))
-    return noise
-
-
-def _bad_cameras(
-    match: Match, noise: Float[np.ndarray, " c"], excess: float
-) -> Bool[np.ndarray, "n c"]:
-    """Cameras whose window looks different when loaded: covered, shadowed, a highlight."""
-    with np.errstate(invalid="ignore"):
-        return match.use & (match.left > (excess * noise) ** 2)
-
-
-def _without_bad_cameras(
-    scene: Scene,
-    moved: Sequence[SplinePicture],
-    match: Match,
-    noise: Float[np.ndarray, " c"],
-    settings: JointSettings,
-    *,
-    rows: Int[np.ndarray, " n"] | None = None,
-) -> Match:
-    """Match once more without the cameras that contradict, where two are left."""
-    bad = _bad_cameras(match, noise, settings.excess)
-    some = (match.outcome == Outcome.VALID) & bad.any(axis=1)
-    use = match.use & ~bad
-    again = np.flatnonzero(some & (use.sum(axis=1) >= 2))
-    if len(again) == 0:
-        return match
-    whole = again if rows is None else rows[again]
-    tried = _refined(scene, moved, match.motion[again], use[again], whole, noise, settings)
-    return _replaced(match, tried, again)
-
-
-def _replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
-    """A match whose rows are replaced where the other one found something."""
-    good = other.outcome == Outcome.VALID
-    arrays = {}
-    for name in (
-        "motion",
-        "covariance",
-        "score",
-        "left",
-        "own",
-        "own_variance",
-        "rough",
-        "use",
-        "outcome",
-    ):
-        value = getattr(match, name).copy()
-        value[rows[good]] = getattr(other, name)[good]
-        arrays[name] = value
-    return Match(**arrays)
-
-
-def _fits(
-    match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
-) -> Bool[np.ndarray, " n"]:
-    """Points that were found and whose cameras all show the same surface as at first."""
-    bad = _bad_cameras(match, noise, settings.excess).any(axis=1)
-    return (match.outcome == Outcome.VALID) & ~bad
-
-
-def _second_tries(
-    scene: Scene, match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 6 3"]]:
-    """Points that were lost or fit badly, with their neighbours' motion to start from."""
-    fits = _fits(match, noise, settings)
-    reach = _AROUND * float(np.median(scene.extent)) if len(scene.extent) else 1.0
-    guess = predicted(
-        scene.point,
-        scene.tangent,
-        match.motion[:, 0],
-        match.motion[:, 1:3] / scene.extent[:, None, None],
-        fits,
-        reach=reach,
-    )
-    may = np.isin(match.outcome, (Outcome.LOST, Outcome.VALID, Outcome.OUTSIDE))
-    known = np.isfinite(guess.displacement).all(axis=1)
-    with np.errstate(invalid="ignore"):
-        away = np.linalg.norm(match.motion[:, 0] - guess.displacement, axis=1)
-        far = ~(away < _pixel_size(scene))
-    rows = np.flatnonzero(may & ~fits & known & far)
-    restart = np.zeros((len(rows), 6, 3))
-    restart[:, 0] = guess.displacement[rows]
-    restart[:, 1:3] = guess.gradient[rows] * scene.extent[rows, None, None]
-    return rows, restart
-
-
-def _pixel_size(scene: Scene) -> Float[np.ndarray, " n"]:
-    """Side of a pixel of the reference camera on the surface [m]."""
-    camera = scene.rig.cameras[scene.rig.reference]
-    pose = camera.T_camera_object
-    return (scene.point @ pose[2, :3] + pose[2, 3]) / camera.matrix[0, 0]
-
-
-def _with_curvature(
-    scene: Scene, match: Match, settings: JointSettings
-) -> Float[np.ndarray, "n 6 3"]:
-    """The motion found, with second derivatives from the motion around each point."""
-    motion = match.motion.copy()
-    good = match.outcome == Outcome.VALID
-    if good.any():
-        field = local_field(
-            Scatter(
-                scene.point[good],
-                scene.pixel[good],
-                match.motion[good, 0],
-                match.covariance[good],
-                np.zeros((int(good.sum()), 3, 3)),
-                settings.subset,
-            ),
-            scene.point,
-            scene.tangent,
-            reach=_AROUND * float(np.median(scene.extent)),
-        )
-        size = scene.extent[:, None, None]
-        known = np.isfinite(field.curvature).all(axis=(1, 2))
-        motion[known, 3:] = field.curvature[known] * size[known] ** 2
-    motion[~good] = np.nan
-    return motion
-
-
-def _judged(
-    scene: Scene, match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
-) -> RangeFlow:
-    """Range flow with every point accepted or rejected for one reason."""
-    found = match.outcome == Outcome.VALID
-    used = match.use & np.isfinite(match.left)
-    outcome = match.outcome.copy()
-    bias = _bias_covariance(scene, match.use, settings.bias)
-    reach = _AROUND * float(np.median(scene.extent)) if len(scene.extent) else 1.0
-    # One window's estimate of its roughness is itself rough: 27 blocks.
-    rough = median_around(scene.point, match.rough, found, reach=reach)
-    covariance = match.covariance * np.maximum(rough, 1.0)[:, None, None] + bias
-    outcome[found & _bad_cameras(match, noise, settings.excess).any(axis=1)] = Outcome.SCORE
-    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    ok = outcome == Outcome.VALID
-    own = np.sqrt(_mean_over((match.own**2).sum(axis=2), used))
-    limit = settings.disagreement * np.sqrt(match.own_variance + settings.bias**2)
-    with np.errstate(invalid="ignore"):
-        apart = (used & (np.abs(match.own).max(axis=2) > limit)).any(axis=1)
-        outcome[ok & apart] = Outcome.REPROJECTION
-        gradient = match.motion[:, 1:3] / scene.extent[:, None, None]
-        ok = outcome == Outcome.VALID
-        blurred = _lateral(scene, covariance) > _TEXTURE_LIMIT * _pixel_size(scene)
-        outcome[ok & blurred] = Outcome.TEXTURE
-        ok = outcome == Outcome.VALID
-        around = predicted(
-            scene.point, scene.tangent, match.motion[:, 0], gradient, ok,
-            reach=reach,
-        )  # fmt: skip
-        away = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
-        outcome[ok & (away > settings.disagreement * np.hypot(around.scatter, sigma))] = (
-            Outcome.NEIGHBOURS
-        )
-    valid = outcome == Outcome.VALID
-    score = np.nanmin(np.where(used, match.score, np.inf), axis=1)
-    return RangeFlow(
-        pixel=scene.pixel,
-        point=scene.point,
-        tangent=scene.tangent,
-        displacement=np.where(valid[:, None], match.motion[:, 0], np.nan),
-        gradient=np.where(valid[:, None, None], gradient, np.nan),
-        covariance=np.where(valid[:, None, None], covariance, np.nan),
-        bias=np.where(valid[:, None, None], bias, np.nan),
-        score=np.where(np.isfinite(score), score, np.nan),
-        reprojection=own,
-        cameras=np.where(valid, used.sum(axis=1), 0),
-        outcome=outcome.astype(np.int64),
-        noise=noise / np.sqrt(2.0),
-        subset=settings.subset,
-        step=settings.step,
-        shape=scene.pictures[scene.rig.reference].grey.shape,
-    )
-
-
-def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Standard deviation across the reference camera's axis, the worse direction of two [m]."""
-    turn = scene.rig.cameras[scene.rig.reference].T_camera_object[:2, :3]
-    across = np.einsum("ai,nij,bj->nab", turn, covariance, turn)
-    return np.sqrt(np.maximum(across[:, 0, 0], across[:, 1, 1]))
-
-
-def _bias_covariance(
-    scene: Scene, use: Bool[np.ndarray, "n c"], bias: float
-) -> Float[np.ndarray, "n 3 3"]:
-    """Covariance of the displacement if every camera's match were off by `bias` pixels.
-
-    Half of the errors differ from camera to camera; the other half are the same in all of them, for
-    cameras that look the same way see the same fraction of a pixel, and move the point sideways.
+    Returns
+    -------
+    flow : RangeFlow
+    motion : (n, 6, 3) float [m]
     """
-    slope = jacobians(scene.rig, scene.point)
-    information = np.einsum("nc,cnai,cnaj->nij", use.astype(np.float64), slope, slope)
-    few = use.sum(axis=1) < 2
-    information[few] = np.eye(3)
-    pose = scene.rig.cameras[scene.rig.reference].T_camera_object
-    ray = scene.point + pose[:3, :3].T @ pose[:3, 3]
-    ray /= np.linalg.norm(ray, axis=1)[:, None]
-    sideways = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-    common = _pixel_size(scene)[:, None, None] ** 2 * sideways
-    covariance = bias**2 * (np.linalg.inv(information) + common)
-    covariance[few] = np.nan
-    return covariance
+    was, found_now = is_valid(last), is_valid(direct)
+    sample = np.zeros(len(was), dtype=bool)
+    sample[::_DRIFT_SAMPLE] = True
+    rows = np.flatnonzero(was & (~found_now | sample))
+    if not (was & ~found_now).any():
+        return direct, motion
+    earlier = _motion_of(last, scene)
+    there = advanced_scene(scene, before, earlier, was, settings=settings)
+    part = scene_rows(there, rows)
+    ahead = np.zeros((len(rows), 6, 3))
+    ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
+    moved = spline_pictures(now, settings.smoothing)
+    match, noise = match_scene(part, moved, ahead, settings=settings)
+    found = judged(part, match, noise, settings)
+    return _merged(scene, direct, motion, last, found, match.motion, there, rows)
+
+
+def _merged(
+    scene: Scene,
+    direct: RangeFlow,
+    motion: Float[np.ndarray, "n 6 3"],
+    last: RangeFlow,
+    found: RangeFlow,
+    step: Float[np.ndarray, "k 6 3"],
+    there: Scene,
+    rows: Int[np.ndarray, " k"],
+) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
+    """Take the sum of two motions where the direct one is missing; measure the drift."""
+    whole = composed_motion(
+        _motion_of(last, scene)[rows], step, scene.tangent[rows], there.tangent[rows],
+        scene.extent[rows],
+    )  # fmt: skip
+    covariance = last.covariance[rows] + found.covariance
+    good = is_valid(found)
+    both = good & is_valid(direct)[rows]
+    drift = np.nan
+    if both.any():
+        apart = whole[both, 0] - direct.displacement[rows[both]]
+        drift = float(np.sqrt((apart**2).sum(axis=1).mean()))
+    new = rows[good & ~is_valid(direct)[rows]]
+    take = good & ~is_valid(direct)[rows]
+    changed = {
+        "displacement": (whole[:, 0], direct.displacement),
+        "gradient": (whole[:, 1:3] / scene.extent[rows, None, None], direct.gradient),
+        "covariance": (covariance, direct.covariance),
+        "bias": (last.bias[rows] + found.bias, direct.bias),
+        "score": (found.score, direct.score),
+        "reprojection": (found.reprojection, direct.reprojection),
+        "cameras": (found.cameras, direct.cameras),
+        "outcome": (found.outcome, direct.outcome),
+    }
+    arrays = {}
+    for name, (value, old) in changed.items():
+        arrays[name] = old.copy()
+        arrays[name][new] = value[take]
+    motion = motion.copy()
+    motion[new] = whole[take]
+    through = direct.through_last.copy()
+    through[new] = True
+    return replace(direct, **arrays, through_last=through, drift=drift), motion
+
+
+def _motion_of(flow: RangeFlow, scene: Scene) -> Float[np.ndarray, "n 6 3"]:
+    """Displacement and gradient of a range flow the way the refinement takes them."""
+    motion = np.zeros((len(flow.point), 6, 3))
+    motion[:, 0] = flow.displacement
+    motion[:, 1:3] = flow.gradient * scene.extent[:, None, None]
+    return motion

@@ -17,6 +17,9 @@ class JointSettings:
     step : int [px]                 spacing of the points in the reference camera
     smoothing : float [px]          Gaussian low-pass of every picture before it is matched, against
                                     the bias of structure finer than the pixels
+    turning : float                 median derivative of the motion above which pictures are matched
+                                    unsmoothed: the low-pass is tied to the pixels and does not turn
+                                    and stretch with the surface; 0.03 is a turn of 1.7 degrees
     tolerance : float [px]          a step shorter than this ends the iteration; far below the noise
     iterations : int                at most so many
     reach : float [px]              a window that leaves its start by more than this is lost
@@ -40,6 +43,7 @@ class JointSettings:
     subset: int = 21
     step: int = 5
     smoothing: float = 1.0
+    turning: float = 0.03
     tolerance: float = 1e-3
     iterations: int = 25
     reach: float = 6.0

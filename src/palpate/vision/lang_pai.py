@@ -277,6 +277,8 @@ def _range_flow(
         reprojection=track.apart,
         cameras=track.agreed,
         outcome=track.outcome,
+        through_last=np.zeros(len(rest.point), dtype=bool),
+        drift=np.nan,
         noise=np.full(len(rest.rig.cameras), np.nan),
         subset=settings.subset,
         step=settings.step,

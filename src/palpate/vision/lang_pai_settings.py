@@ -15,16 +15,16 @@ class LangPaiSettings:
     Parameters
     ----------
     subset : int [px]               side of the window of the optical flow, odd; the paper's 7
-    search : int [px]               side of the square that is searched at the next instant, odd; the
-                                    paper's 13, for motions of up to 6 px from one instant to the next
+    search : int [px]               side of the square that is searched at the next instant, odd;
+                                    the paper's 13, for motions of up to 6 px between instants
     step : int [px]                 spacing of the points in the reference camera; the paper tracks
                                     every pixel
-    least_score : float [-]         mean correlation below which nothing is matched; the paper has no
-                                    such limit, 0 refuses only what looks like a negative
+    least_score : float [-]         mean correlation below which nothing is matched; the paper has
+                                    no such limit, 0 refuses only what looks like a negative
     surface_tolerance : float [px]  disparity by which a pixel may miss that of the mesh and still
                                     show it; matching by whole pixels errs by less than one
-    travel : float [-]              share of the mesh's bounding diagonal by which the surface may be
-                                    nearer or farther than the mesh, for the range of disparities
+    travel : float [-]              share of the mesh's bounding diagonal by which the surface may
+                                    be nearer or farther, for the range of disparities
     stereo : StereoSettings
     reach : float [m]               flow no farther from a vertex speaks for it; the paper's 1 cm
     distance_unit : float [m]       unit of d in the weight 1 / (1 + d); lengths are in cm in the

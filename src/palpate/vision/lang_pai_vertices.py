@@ -42,10 +42,10 @@ def lang_pai_vertices(
 
     Returns
     -------
-    VertexDisplacement              NaN at vertices of no triangle, or with fewer than 4 motions left.
-                                    The covariance is that of the mean, from the scatter of what
-                                    remains; motions count as one where their windows overlap, and
-                                    the rounding that they share is not averaged away
+    VertexDisplacement              NaN at vertices of no triangle, or with fewer than 4 motions
+                                    left. The covariance is that of the mean, from the scatter of
+                                    what remains; motions count as one where their windows overlap,
+                                    and the rounding that they share is not averaged away
 
     Source
     ------
@@ -121,7 +121,7 @@ def _vertex_means(point, motion, bias, place, first, near, unit, outlier, trials
 
 @njit(cache=True, error_model="numpy")
 def least_median_kernel(motion, rows, trials):
-    """Index into `rows` of the motion with the least median square distance to all, and that median.
+    """Index into `rows` of the motion with the least median square distance, and that median.
 
     At most `trials` of them, evenly spread, are tried: with 100 all are outliers where half of the
     motions are with a chance of 1e-30. For an even number of motions the median is the upper one,

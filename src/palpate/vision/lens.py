@@ -189,7 +189,7 @@ def _undistort(c, reach, x, y):
             break
     u, v, xa, xb, yb = distort_kernel(c, a, b)
     left = np.hypot(x - u, y - v)
-    if left <= _LEFT_OVER * (1.0 + distorted) and a * a + b * b < limit and xa * yb > xb * xb:
+    if left <= _LEFT_OVER * (1.0 + distorted) and xa * yb > xb * xb:
         return a, b
     return np.nan, np.nan
 

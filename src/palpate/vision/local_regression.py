@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from numba import njit, prange
 from scipy.spatial import cKDTree
 
-from palpate.shapes import PointIndices, Points, PointScalars
+from palpate.shapes import Points
 from palpate.vision.small_systems import cholesky_kernel, cholesky_solve_kernel
 
 __all__ = ["LocalField", "Scatter", "local_field"]

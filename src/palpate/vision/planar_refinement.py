@@ -44,7 +44,8 @@ class PlanarSettings:
     Parameters
     ----------
     subset : int [px]               side of the window, odd, at least 5
-    shape : "affine" or "quadratic" how the displacement may vary within the window
+    shape : "shift", "affine" or "quadratic"    how the displacement may vary within the window, beyond
+                                    the gradient that it starts with
     tolerance : float [px]          a step shorter than this ends the iteration; far below the noise
     iterations : int                at most so many
     reach : float [px]              a window that leaves its start by more than this is lost
@@ -56,7 +57,7 @@ class PlanarSettings:
     """
 
     subset: int = 21
-    shape: Literal["affine", "quadratic"] = "affine"
+    shape: Literal["shift", "affine", "quadratic"] = "affine"
     tolerance: float = 5e-4
     iterations: int = 30
     reach: float = 8.0

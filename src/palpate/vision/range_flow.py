@@ -44,6 +44,10 @@ class RangeFlow:
                                         camera and what that camera alone would say
     cameras : (n,) int                  how many cameras agreed
     outcome : (n,) int                  an `Outcome`
+    through_last : (n,) bool            followed through the instant before, because the first picture
+                                        has become too different there
+    drift : float [m]                   rms difference between the two ways, where both were gone;
+                                        NaN where none was
     noise : (c,) float [grey levels]    standard deviation of each camera's pixel noise
     subset : int [px]                   side of the window
     step : int [px]                     spacing of the points in the reference camera
@@ -61,6 +65,8 @@ class RangeFlow:
     reprojection: PointScalars
     cameras: PointIndices
     outcome: PointIndices
+    through_last: Flags
+    drift: float
     noise: Float[np.ndarray, " c"]
     subset: int
     step: int

@@ -1,20 +1,29 @@
 """The first instant: what every camera sees of the surface, and the points that will be followed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
 from palpate.vision.camera import packed_rig, project, project_jacobian
-from palpate.vision.interpolation import SplinePicture, make_spline_picture
+from palpate.vision.interpolation import SplinePicture, spline_pictures
 from palpate.vision.joint_settings import JointSettings
 from palpate.vision.surface_map import SurfaceMap, surface_map, visible
 
-__all__ = ["Scene", "jacobians", "make_scene", "pixels", "window_extent"]
+__all__ = [
+    "Scene",
+    "inner_pixels",
+    "jacobians",
+    "make_scene",
+    "pixel_size",
+    "pixels",
+    "scene_rows",
+    "window_extent",
+]
 
 # A pixel this close to an outline mixes object and ground: its response, and the spline's, reach so
 # far.
@@ -32,7 +41,8 @@ class Scene:
     ----------
     rig : Rig
     packed : (c, 25) float              the cameras for the kernels
-    pictures : tuple of c SplinePicture
+    grey : tuple of c (rows, columns) float [grey levels]   the pictures as they are
+    pictures : tuple of c SplinePicture     the same, smoothed, ready to be matched
     surface : tuple of c (rows, columns, 3) float32 [m]     point behind each pixel, NaN where none
     inner : tuple of c (rows, columns) float32      1 where a pixel surely shows the surface, else 0
     pixel : (n, 2) float [px]           of the points, in the reference camera
@@ -44,6 +54,7 @@ class Scene:
 
     rig: Rig
     packed: Float[np.ndarray, "c 25"]
+    grey: tuple[Float[np.ndarray, "_ _"], ...]
     pictures: tuple[SplinePicture, ...]
     surface: tuple[Float[np.ndarray, "_ _ 3"], ...]
     inner: tuple[Float[np.ndarray, "_ _"], ...]
@@ -79,7 +90,7 @@ def make_scene(
         surface_map(camera, picture.shape, vertices, triangles)
         for camera, picture in zip(rig.cameras, pictures, strict=True)
     )
-    inner = tuple(_inner(one, camera) for one, camera in zip(maps, rig.cameras, strict=True))
+    inner = tuple(inner_pixels(one, camera) for one, camera in zip(maps, rig.cameras, strict=True))
     first = maps[rig.reference]
     start = settings.step // 2
     row, column = np.nonzero(inner[rig.reference][start :: settings.step, start :: settings.step])
@@ -100,9 +111,8 @@ def make_scene(
     return Scene(
         rig=rig,
         packed=packed_rig(rig),
-        pictures=tuple(
-            make_spline_picture(picture, smoothing=settings.smoothing) for picture in pictures
-        ),
+        grey=tuple(pictures),
+        pictures=spline_pictures(pictures, settings.smoothing),
         surface=tuple(np.ascontiguousarray(one.point, dtype=np.float32) for one in maps),
         inner=inner,
         pixel=np.stack([column, row], axis=1).astype(np.float64),
@@ -121,6 +131,25 @@ def window_extent(rig: Rig, point: Points, subset: int) -> PointScalars:
     return (subset // 2) * depth / camera.matrix[0, 0]
 
 
+def pixel_size(scene: Scene) -> Float[np.ndarray, " n"]:
+    """Side of a pixel of the reference camera on the surface [m]."""
+    camera = scene.rig.cameras[scene.rig.reference]
+    pose = camera.T_camera_object
+    return (scene.point @ pose[2, :3] + pose[2, 3]) / camera.matrix[0, 0]
+
+
+def scene_rows(scene: Scene, rows: Int[np.ndarray, " k"]) -> Scene:
+    """The scene with some of its points."""
+    return replace(
+        scene,
+        pixel=scene.pixel[rows],
+        point=scene.point[rows],
+        tangent=scene.tangent[rows],
+        extent=scene.extent[rows],
+        seen=scene.seen[rows],
+    )
+
+
 def jacobians(rig: Rig, point: Points) -> Float[np.ndarray, "c n 2 3"]:
     """Derivative of every camera's pixel by the point [px/m]."""
     return np.stack([project_jacobian(camera, point)[1] for camera in rig.cameras])
@@ -131,7 +160,7 @@ def pixels(rig: Rig, point: Points) -> Float[np.ndarray, "c n 2"]:
     return np.stack([project(camera, point) for camera in rig.cameras])
 
 
-def _inner(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows columns"]:
+def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows columns"]:
     """1 where one unbroken part of the surface is seen at a pixel and all around it, else 0."""
     pose = camera.T_camera_object
     depth = surface.point @ pose[2, :3] + pose[2, 3]

@@ -76,9 +76,9 @@ def make_head(rig: Rig, shape: tuple[int, int]) -> StereoHead:
     order = (rig.reference, *_partners(rig))
     used = [rig.cameras[i] for i in order]
     if len(used) == 2:
-        rectified = rectify_pair(*used, shape)
+        rectified = rectify_pair(used[0], used[1], shape)
     else:
-        rectified = rectify_triple(*used, shape)
+        rectified = rectify_triple(used[0], used[1], used[2], shape)
     reference = rectified.cameras[0]
     slope, offset = np.zeros(len(used)), np.zeros(len(used))
     for i, axis in enumerate(rectified.axis, start=1):
@@ -113,7 +113,9 @@ def make_instant(
     Instant
     """
     flat = [remapped(head.rectified, k, pictures[i]) for k, i in enumerate(head.order)]
-    return Instant(np.stack(flat), disparity_map(flat, head.views, limits, settings=settings))
+    disparity = disparity_map(flat, head.views, limits, settings=settings)
+    # At zero lies infinity; trials end a pixel or two beyond the limits.
+    return Instant(np.stack(flat), np.where(disparity > 0.0, disparity, np.nan))
 
 
 def head_points(head: StereoHead, pixel: Int[np.ndarray, "n 2"], disparity: PointScalars) -> Points:

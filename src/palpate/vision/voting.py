@@ -57,8 +57,8 @@ class VoteSettings:
     ----------
     window : int [px]               side, odd
     search : int [px]               side of the square of candidates around a pixel, odd
-    least_score : float [-]         a mean correlation below this is no match; the source has no such
-                                    limit, 0 refuses only what looks like a negative
+    least_score : float [-]         a mean correlation below this is no match; the source has no
+                                    such limit, 0 refuses only what looks like a negative
 
     Raises
     ------
@@ -86,9 +86,9 @@ class Vote:
     score : (n,) float [-]          lowest correlation over the cameras at that pixel
     apart : (n,) float [px]         rms distance of the cameras' own maxima from it
     agreed : (n,) int               cameras whose own maximum is it or one of the eight around it
-    outcome : (n,) int              an `Outcome`: VALID; OUTSIDE: window or disparity reach beyond the
-                                    pictures; TEXTURE; LOST: no candidate has a disparity;
-                                    SCORE; REPROJECTION: the vote was lost
+    outcome : (n,) int              an `Outcome`: VALID; HIDDEN: no disparity before; TEXTURE;
+                                    OUTSIDE: windows reach beyond the pictures; LOST: no candidate
+                                    has a disparity; SCORE; REPROJECTION: the vote was lost
     """
 
     pixel: Int[np.ndarray, "n 2"]
@@ -171,9 +171,9 @@ def _vote(before, after, near, far, along, ratio, offset, pixel, half, reach, le
             continue
         found[i, 0] = column + x - reach
         found[i, 1] = row + y - reach
-        score[i] = table[:, y, x].min()
+        score[i], mean = _lowest_and_mean(table, y, x)
         agreed[i], apart[i] = _agreement(table, y, x)
-        if not table[:, y, x].mean() >= least_score:
+        if mean < least_score:
             outcome[i] = _SCORE
         elif agreed[i] < cameras:
             outcome[i] = _REPROJECTION
@@ -237,11 +237,24 @@ def _highest_sum(table):
     top, left = -1, -1
     for y in range(table.shape[1]):
         for x in range(table.shape[2]):
-            total = table[:, y, x].sum()
+            total = 0.0
+            for c in range(len(table)):
+                total += table[c, y, x]
             if total > best:
                 best = total
                 top, left = y, x
     return top, left
+
+
+@njit(cache=True, error_model="numpy")
+def _lowest_and_mean(table, y, x):
+    """Lowest and mean correlation over the cameras at a candidate."""
+    lowest = np.inf
+    total = 0.0
+    for c in range(len(table)):
+        lowest = min(lowest, table[c, y, x])
+        total += table[c, y, x]
+    return lowest, total / len(table)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,0 +1,101 @@
+"""Which points of a match are believed, and how well their displacement is known."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from palpate.vision.interpolation import smoothing_gain
+from palpate.vision.joint_match import Match, bad_cameras, mean_over, neighbourhood
+from palpate.vision.joint_settings import JointSettings
+from palpate.vision.neighbours import median_around, predicted
+from palpate.vision.range_flow import Outcome, RangeFlow
+from palpate.vision.scene import Scene, jacobians, pixel_size
+
+__all__ = ["judged"]
+
+# A displacement known no better than this is not known: sub-pixel matching is ten times better [px].
+_TEXTURE_LIMIT = 0.1
+
+
+def judged(
+    scene: Scene, match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
+) -> RangeFlow:
+    """Range flow with every point accepted or rejected for one reason."""
+    found = match.outcome == Outcome.VALID
+    used = match.use & np.isfinite(match.left)
+    outcome = match.outcome.copy()
+    bias = _bias_covariance(scene, match.use, settings.bias)
+    reach = neighbourhood(scene)
+    # One window's estimate of its roughness is itself rough: 27 blocks.
+    rough = median_around(scene.point, match.rough, found, reach=reach)
+    covariance = match.covariance * np.maximum(rough, 1.0)[:, None, None] + bias
+    outcome[found & bad_cameras(match, noise, settings.excess).any(axis=1)] = Outcome.SCORE
+    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    ok = outcome == Outcome.VALID
+    own = np.sqrt(mean_over((match.own**2).sum(axis=2), used))
+    limit = settings.disagreement * np.sqrt(match.own_variance + settings.bias**2)
+    with np.errstate(invalid="ignore"):
+        apart = (used & (np.abs(match.own).max(axis=2) > limit)).any(axis=1)
+        outcome[ok & apart] = Outcome.REPROJECTION
+        gradient = match.motion[:, 1:3] / scene.extent[:, None, None]
+        ok = outcome == Outcome.VALID
+        blurred = _lateral(scene, covariance) > _TEXTURE_LIMIT * pixel_size(scene)
+        outcome[ok & blurred] = Outcome.TEXTURE
+        ok = outcome == Outcome.VALID
+        around = predicted(
+            scene.point, scene.tangent, match.motion[:, 0], gradient, ok,
+            reach=reach,
+        )  # fmt: skip
+        away = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
+        outcome[ok & (away > settings.disagreement * np.hypot(around.scatter, sigma))] = (
+            Outcome.NEIGHBOURS
+        )
+    valid = outcome == Outcome.VALID
+    score = np.nanmin(np.where(used, match.score, np.inf), axis=1)
+    return RangeFlow(
+        pixel=scene.pixel,
+        point=scene.point,
+        tangent=scene.tangent,
+        displacement=np.where(valid[:, None], match.motion[:, 0], np.nan),
+        gradient=np.where(valid[:, None, None], gradient, np.nan),
+        covariance=np.where(valid[:, None, None], covariance, np.nan),
+        bias=np.where(valid[:, None, None], bias, np.nan),
+        score=np.where(np.isfinite(score), score, np.nan),
+        reprojection=own,
+        cameras=np.where(valid, used.sum(axis=1), 0),
+        outcome=outcome.astype(np.int64),
+        through_last=np.zeros(len(outcome), dtype=bool),
+        drift=np.nan,
+        noise=noise / (np.sqrt(2.0) * smoothing_gain(settings.smoothing)),
+        subset=settings.subset,
+        step=settings.step,
+        shape=scene.pictures[scene.rig.reference].grey.shape,
+    )
+
+
+def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
+    """Standard deviation across the reference camera's axis, the worse direction of two [m]."""
+    turn = scene.rig.cameras[scene.rig.reference].T_camera_object[:2, :3]
+    across = np.einsum("ai,nij,bj->nab", turn, covariance, turn)
+    return np.sqrt(np.maximum(across[:, 0, 0], across[:, 1, 1]))
+
+
+def _bias_covariance(
+    scene: Scene, use: Bool[np.ndarray, "n c"], bias: float
+) -> Float[np.ndarray, "n 3 3"]:
+    """Covariance of the displacement if every camera's match were off by `bias` pixels.
+
+    Half of the errors differ from camera to camera; the other half are the same in all of them, for
+    cameras that look the same way see the same fraction of a pixel, and move the point sideways.
+    """
+    slope = jacobians(scene.rig, scene.point)
+    information = np.einsum("nc,cnai,cnaj->nij", use.astype(np.float64), slope, slope)
+    few = use.sum(axis=1) < 2
+    information[few] = np.eye(3)
+    pose = scene.rig.cameras[scene.rig.reference].T_camera_object
+    ray = scene.point + pose[:3, :3].T @ pose[:3, 3]
+    ray /= np.linalg.norm(ray, axis=1)[:, None]
+    sideways = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+    common = pixel_size(scene)[:, None, None] ** 2 * sideways
+    covariance = bias**2 * (np.linalg.inv(information) + common)
+    covariance[few] = np.nan
+    return covariance
