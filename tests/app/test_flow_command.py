@@ -140,6 +140,18 @@ def test_the_document_holds_settings_figures_and_files(palpate, measured, sessio
     assert len(second["files"]) == 5
 
 
+def test_the_range_flow_is_there_at_every_pixel_too(palpate, measured, session, tmp_path):
+    palpate("flow", session, "--no-pictures")
+    flow = measured.motions[1].flow
+    with np.load(tmp_path / "cube-flow" / "n01_flow.npz") as stored:
+        dense = stored["dense_displacement"]
+    assert dense.shape == (*SHAPE, 3)
+    column, row = flow.pixel[[200, 5]].astype(int).T
+    # Single precision; the second point was rejected.
+    np.testing.assert_allclose(dense[row[0], column[0]], flow.displacement[200], rtol=1e-6)
+    assert np.isnan(dense[row[1], column[1]]).all()
+
+
 def test_options_reach_the_measurement(palpate, measured, session, tmp_path):
     options = ("--out", tmp_path / "mine", "--method", "joint", "--pose", "given", "--probe", "n01")
     options += ("--no-pictures",)

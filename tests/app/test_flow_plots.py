@@ -270,15 +270,6 @@ def test_the_colour_bar_ends_where_all_but_one_in_hundred_are(cube, view):
     assert figure.axes[-1].get_xlim() == pytest.approx((0.0, 1e3 * top))
 
 
-def test_dense_maps_take_the_place_of_interpolation(cube, view):
-    moved = np.full((*SHAPE, 3), np.nan)
-    moved[60, 80] = [2e-4, 0.0, 0.0]
-    figure = flow_figure("n01", cube.flow, None, view, dense=(moved, moved[..., 0]))
-    colours = np.asarray(figure.axes[1].images[0].get_array()).astype(int)
-    coloured = np.argwhere(np.ptp(colours, axis=2) > 0)
-    np.testing.assert_array_equal(coloured, [[60 - view.low[1], 80 - view.low[0]]])
-
-
 def test_both_pictures_are_written(cube, view, tmp_path):
     names = write_flow_pictures(tmp_path, "n01", "n01", cube.flow, cube.vertices, view)
     assert names == ("n01.png", "n01_quality.png")

@@ -137,7 +137,7 @@ def test_two_calibrations_of_one_rig_agree_on_dices_matches(shared_data):
     a, b = shapes[0] - shapes[0].mean(axis=0), model - model.mean(axis=0)
     u, s, v = np.linalg.svd(a.T @ b)
     assert s.sum() / np.sum(a**2) == pytest.approx(1.0, abs=1e-4)
-    # What DICe's other lens factor and its linear triangulation make.
+    # DICe triangulates linearly: 2 um here.
     assert (b - a @ u @ v).std(axis=0).max() < 3e-6
 
 
@@ -153,8 +153,8 @@ def test_vic3d_object_frame_is_dices(shared_data):
     )
     model = 1e-3 * _columns(gold, *(f"MODEL_COORDINATES_{axis}" for axis in "XYZ"))
     found = triangulate(read_rig(folder / "cal.xml"), matches, 1.0)
-    # The rays pass each other by 17 px here (the cameras were moved after this calibration), and
-    # DICe weighs that otherwise: 0.4 mm of 0.38 m.
+    # These pictures are of another state of the rig: the rays pass each other by 17 px, which DICe
+    # weighs otherwise and without the lens: 0.4 mm of 0.38 m.
     np.testing.assert_allclose(found.point, model, rtol=0.0, atol=1e-3)
 
 

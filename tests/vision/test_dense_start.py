@@ -10,6 +10,7 @@ from vision.textures import STILL, Speckle, affine, inverse_quadratic, noisy, pi
 from palpate.errors import InputError
 from palpate.vision.dense_start import _finished, dense_start
 from palpate.vision.even_picture import make_even_picture
+from palpate.vision.sparse_motion import Samples
 
 SHAPE = (255, 301)
 CENTRE = (150.0, 127.0)
@@ -88,16 +89,21 @@ def test_a_hundred_pixels_with_a_turn_and_a_strain(sigma):
     assert start.trusted[_in_picture(truth)].mean() > 0.85
 
 
-@pytest.mark.parametrize("name", ["still", "little", "shift", "noise", "bent", "stretched"])
-def test_features_are_not_needed_for_motions_that_a_search_explains(name, monkeypatch):
-    """They cost more than all the rest."""
+@pytest.mark.parametrize("name", [*CASES, "swung"])
+def test_features_are_only_needed_where_a_search_explains_next_to_nothing(name, monkeypatch):
+    """They cost more than all the rest; where some of the motion is found, it is continued."""
+    looked_for = []
 
-    def refuse(*_):
-        pytest.fail("features were looked for")
+    def count(*_):
+        looked_for.append(1)
+        return Samples(np.zeros((0, 2)), np.zeros((0, 2)))
 
-    monkeypatch.setattr("palpate.vision.dense_start.feature_matches", refuse)
-    start = dense_start(*_pair(**CASES[name]))
-    assert start.trusted.mean() > 0.8
+    monkeypatch.setattr("palpate.vision.dense_start.feature_matches", count)
+    swung = {"warp": affine(turned(5.0, 0.05), (25.0, 0.0), (240.0, 200.0)), "shape": (400, 480)}
+    start = dense_start(*_pair(**CASES.get(name, swung)))
+    assert bool(looked_for) == (name in ("far", "turned", "all"))
+    if not looked_for:
+        assert start.trusted.mean() > 0.8
 
 
 def test_the_last_search_makes_up_for_a_start_that_is_off():

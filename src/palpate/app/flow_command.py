@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -36,6 +36,7 @@ from palpate.errors import InputError
 from palpate.pipeline import MeasuredMotion, MotionSettings, SessionFlow, measure_motion
 from palpate.records import Session, read_session
 from palpate.vision import SurfaceMap, surface_map
+from palpate.vision.dense_maps import dense_maps
 
 __all__ = ["flow"]
 
@@ -126,7 +127,7 @@ def flow(
 def _settings(settings: MotionSettings, subset: int | None, step: int | None) -> MotionSettings:
     """Settings with the window and the spacing that were asked for, for the chosen method."""
     asked = {"subset": subset, "step": step}
-    changes = {name: value for name, value in asked.items() if value is not None}
+    changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if settings.method == "joint":
         return replace(settings, joint=replace(settings.joint, **changes))
     return replace(settings, lang_pai=replace(settings.lang_pai, **changes))
@@ -188,7 +189,10 @@ def _write_motion(
     camera, names = rig.cameras[rig.reference], [camera.name for camera in rig.cameras]
     seen = seen_vertices(surface, mesh)
     files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
-    write_flow_npz(folder / files["range_flow"], motion.flow, name=motion.name, cameras=names)
+    write_flow_npz(
+        folder / files["range_flow"], motion.flow, name=motion.name, cameras=names,
+        dense=dense_maps(motion.flow),
+    )  # fmt: skip
     write_flow_vtp(folder / files["points"], motion.flow, camera)
     if motion.vertices is not None:
         files["vertices"] = f"{stem}.csv"

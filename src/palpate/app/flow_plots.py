@@ -17,12 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from palpate.app.flow_files import DenseFlow
 from palpate.app.flow_tables import camera_sigma, cause_counts, length_unit, measured_vertices
 from palpate.app.flow_view import (
     FlowView,
     cause_layer,
-    cropped_length,
     in_view,
     interpolated,
     tinted,
@@ -61,8 +59,6 @@ def write_flow_pictures(
     flow: RangeFlow,
     vertices: VertexDisplacement | None,
     view: FlowView,
-    *,
-    dense: DenseFlow | None = None,
 ) -> tuple[str, str]:
     """Write STEM.png and STEM_quality.png.
 
@@ -70,7 +66,7 @@ def write_flow_pictures(
     ----------
     folder : Path                   exists
     stem : str                      file name without ending
-    name, flow, vertices, view, dense    see `flow_figure`
+    name, flow, vertices, view      see `flow_figure`
 
     Returns
     -------
@@ -83,7 +79,7 @@ def write_flow_pictures(
     names = (f"{stem}.png", f"{stem}_quality.png")
     with mpl.rc_context(STYLE):
         figures = (
-            flow_figure(name, flow, vertices, view, dense=dense),
+            flow_figure(name, flow, vertices, view),
             quality_figure(name, flow, view),
         )
         for file, figure in zip(names, figures, strict=True):
@@ -97,8 +93,6 @@ def flow_figure(
     flow: RangeFlow,
     vertices: VertexDisplacement | None,
     view: FlowView,
-    *,
-    dense: DenseFlow | None = None,
 ) -> Figure:
     """Optical flow, range flow and displacement of the vertices, side by side.
 
@@ -111,19 +105,21 @@ def flow_figure(
     flow : RangeFlow
     vertices : VertexDisplacement or None
     view : FlowView
-    dense : DenseFlow or None       displacement at every pixel; without it the points of the range
-                                    flow are interpolated between
     """
     optical = project(view.camera, flow.point + flow.displacement) - project(
         view.camera, flow.point
     )
     shift, length = (np.linalg.norm(moved, axis=1) for moved in (optical, flow.displacement))
     pixels, metres = _quantile(shift, 0.99), _quantile(length, 0.99)
-    shown = interpolated(flow, length, view) if dense is None else cropped_length(dense[0], view)
     figure, panels = _layout(view)
     _image(panels[0], view, f"2-D optical flow in {view.camera.name}",
            tinted(interpolated(flow, shift, view), view, _OPTICAL, _root(pixels)))  # fmt: skip
-    _image(panels[1], view, "range flow", tinted(shown, view, _LENGTH, _root(metres)))
+    _image(
+        panels[1],
+        view,
+        "range flow",
+        tinted(interpolated(flow, length, view), view, _LENGTH, _root(metres)),
+    )
     _image(panels[2], view, "displacement of the vertices",
            vertex_layer(vertices, view, _LENGTH, _root(metres)))  # fmt: skip
     across = float((view.high - view.low).max()) * _stretch(shift)

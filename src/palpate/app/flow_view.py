@@ -17,7 +17,6 @@ from palpate.vision import RangeFlow, SurfaceMap, VertexDisplacement
 __all__ = [
     "FlowView",
     "cause_layer",
-    "cropped_length",
     "in_view",
     "interpolated",
     "make_flow_view",
@@ -95,14 +94,6 @@ def make_flow_view(
 def in_view(view: FlowView) -> Indices:
     """Vertices of the triangles that are seen, (k,) int."""
     return np.unique(view.mesh.triangles[view.triangle[view.triangle >= 0]])
-
-
-def cropped_length(
-    values: Float[np.ndarray, "height width 3"], view: FlowView
-) -> Float[np.ndarray, "rows columns"]:
-    """Lengths of the vectors of a whole picture at the pixels that a view shows."""
-    low, high, step = view.low, view.high, view.stride
-    return np.linalg.norm(values[low[1] : high[1] : step, low[0] : high[0] : step], axis=2)
 
 
 def interpolated(flow: RangeFlow, values: PointScalars, view: FlowView) -> Image:

@@ -4,8 +4,7 @@ Conventions, found with the picture pairs and the matches that such files hold (
 distance from epipolar lines is 0.05 px): a camera is `cx cy fx fy skew k1 k2 k3`, all in pixels but
 the radial terms, which act as OpenCV's; `orientation` is the angles about x, y, z in degrees and
 the translation in mm of x_camera = Rz Ry Rx x_world + t. The world frame has its z axis towards the
-cameras, its x axis along the baseline. DICe 1.0 takes `k1 + k2 r` for the radial factor in place of
-`k1 r^2 + k2 r^4`: its lengths differ by k1.
+cameras and its x axis along the baseline; DICe writes its model coordinates in it too.
 """
 
 from pathlib import Path

@@ -41,7 +41,9 @@ _FIRST_ROUGH, _LAST_ROUGH = 2.0, 1.0
 _LEFT_OVER = 0.01
 # Where less than this share is explained it may be by chance, and is not continued.
 _WORTH_CONTINUING = 0.1
-# One round continues, the next brings in features, the last continues from where these led.
+# Features come in, once, when a round of continuing the motion leaves more than this share of what
+# was lost before. Two rounds take the motion to where a feature or two leads, a third is spare.
+_PROGRESS = 0.7
 _ROUNDS = 3
 # Nobody follows a motion on fewer pixels: two windows.
 _SMALLEST = 2 * WINDOW
@@ -252,21 +254,23 @@ def _square(vectors: Float[np.ndarray, "rows columns 2"]) -> Float[np.ndarray, "
 def _motion(a: EvenPicture, b: EvenPicture, textured: _Flags) -> _Motion:
     """Both motions to within the reach of the last search, wherever they can be found."""
     motion = _Motion(_search(a.even, b.even, _FAST), _search(b.even, a.even, _FAST))
-    features, staying = Samples(np.zeros((0, 2)), np.zeros((0, 2))), textured
-    for attempt in range(_ROUNDS):
+    features: Samples | None = None
+    staying, before = textured, np.inf
+    for _ in range(_ROUNDS):
         explained = _explained(a, b, motion)
         lost, share = _lost(staying, explained, textured)
         # What is lost in one picture only is hidden in the other.
         if share < _LEFT_OVER:
             break
-        if attempt == 0 and explained.rest[textured.rest].mean() < _WORTH_CONTINUING:
-            continue
-        if attempt == 1:
+        samples = _known(motion, explained, textured.rest)
+        chance = explained.rest[textured.rest].mean() < _WORTH_CONTINUING
+        if features is None and (chance or share > _PROGRESS * before):
             areas = _feature_areas(textured, lost, share)
             features = feature_matches(a.even, b.even, areas.rest, areas.moved)
-        samples = _known(motion, explained, textured.rest).joined(features)
+        samples = samples if features is None else samples.joined(features)
         if not len(samples.point):
-            continue
+            break
+        before = share
         motion, inside = _repaired(a, b, motion, explained, samples)
         staying = _Flags(textured.rest & inside.rest, textured.moved & inside.moved)
     return motion
@@ -338,7 +342,8 @@ def _repaired(
     ):
         start = np.where(known[..., None], before, interpolated(given, a.grey.shape))
         inside.append(_inside(grid + start))
-        motions.append(start + _search(one.even, _brought_back(other, start), _FAST))
+        change = _search(one.even, _brought_back(other, start), _FAST)
+        motions.append(change + _sampled(start, grid + change))
     return _Motion(*motions), _Flags(*inside)
 
 

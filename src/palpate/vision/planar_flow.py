@@ -9,15 +9,13 @@ from jaxtyping import Float
 from palpate.shapes import Flags, PointScalars
 from palpate.vision.dense_start import dense_start
 from palpate.vision.interpolation import make_spline_picture
-from palpate.vision.local_regression import Scatter, local_field
+from palpate.vision.planar_field import planar_field
 from palpate.vision.planar_refinement import PlanarMatch, PlanarSettings, refine_planar
 
 __all__ = ["PlanarFlow", "planar_flow"]
 
 # The gradient of the motion needs a window of this size; a smaller one takes it as known.
 _GRADIENT_SUBSET = 21
-# Radius of the field that carries gradients and fills gaps, in half windows.
-_REACH = 3.0
 _RETRIES = 2
 # Standard deviations between a point and the field around it that are no chance.
 _DISAGREEMENT = 6.0
@@ -90,20 +88,9 @@ def _field(
     match: PlanarMatch, pixel: Float[np.ndarray, "n 2"], subset: int
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
     """Smooth displacement and its gradient at every point, from the points that were found."""
-    good = match.converged
-    flat = np.pad(pixel, ((0, 0), (0, 1)))
-    spread = np.pad(match.covariance[good], ((0, 0), (0, 1), (0, 1)))
-    scatter = Scatter(
-        flat[good],
-        pixel[good],
-        np.pad(match.displacement[good], ((0, 0), (0, 1))),
-        spread,
-        0.0 * spread,
-        subset,
+    return planar_field(
+        pixel, match.displacement, match.converged, subset, covariance=match.covariance
     )
-    tangent = np.broadcast_to(np.eye(3)[:2], (len(pixel), 2, 3))
-    field = local_field(scatter, flat, tangent, reach=_REACH * (subset // 2), order=1)
-    return field.displacement[:, :2], np.swapaxes(field.gradient[:, :, :2], 1, 2)
 
 
 def _replaced(match: PlanarMatch, other: PlanarMatch, rows: np.ndarray) -> PlanarMatch:
