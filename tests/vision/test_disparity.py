@@ -7,7 +7,7 @@ from vision.textures import Speckle, Warp, noisy
 
 from palpate.errors import InputError
 from palpate.vision.correlation import COLUMNS, ROWS, correlation
-from palpate.vision.disparity import StereoSettings, Views, disparity_map
+from palpate.vision.disparity import DisparitySettings, Views, disparity_map
 
 SHAPE = (60, 90)
 # Left of the reference and above it, as in the paper: the one sees a point to the right of where
@@ -132,7 +132,7 @@ def test_where_there_is_no_texture_there_is_no_disparity():
     assert np.isnan(found[23:37, 33:57]).all()
     # A window of 7 x 7 reaches three pixels out.
     assert np.isfinite(found[5:16, 30:60]).mean() > 0.95
-    less = StereoSettings(contrast=0.1, uniqueness=1.0)
+    less = DisparitySettings(contrast=0.1, uniqueness=1.0)
     anything = disparity_map(pictures, TRIPLE, (3.0, 14.0), settings=less)
     assert np.isfinite(anything[23:37, 33:57]).any()
 
@@ -191,4 +191,4 @@ def test_bad_options_are_refused():
     with pytest.raises(InputError, match="disparities from 4 to 4; must be rising"):
         disparity_map(pictures, TRIPLE, (4.0, 4.0))
     with pytest.raises(InputError, match="stereo window is 6; must be an odd number"):
-        StereoSettings(window=6)
+        DisparitySettings(window=6)

@@ -30,13 +30,13 @@ NOISE = 1.5
 LOUD = 4.0
 
 
-def _scene(views, stage=None, *, settings=JointSettings(), mesh=None):
+def _scene(views, stage=None, *, mesh=None):
     stage = stage or example()
-    return make_scene(stage.rig, views, *(mesh or stage.mesh()), settings=settings)
+    return make_scene(stage.rig, views, *(mesh or stage.mesh()))
 
 
-def _flow(scene, views, settings=JointSettings()):
-    return next(joint_flow(scene, [views], settings=settings))
+def _flow(scene, views):
+    return next(joint_flow(scene, [views]))
 
 
 def _flows(name, count=3, lens=(), noise=NOISE, seed=1):

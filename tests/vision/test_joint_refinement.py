@@ -210,8 +210,8 @@ def test_noise_left_over_is_that_of_the_pixels_and_white(repeated):
         for _, _, found in draws[:2]:
             left = found.left[found.good][:, cameras]
             np.testing.assert_allclose(left.mean(axis=0), 2.0 * NOISE**2, rtol=0.03)
-            # From 18 or 27 blocks a window; the correction for so few overdoes it by up to a quarter.
-            assert 0.9 < found.rough[found.good].mean() < 1.3
+            # From 18 or 27 blocks a window; the correction for so few overdoes it by up to a third.
+            assert 0.9 < found.rough[found.good].mean() < 1.4
             other = [c for c in range(3) if c not in cameras]
             assert np.isnan(found.score[:, other]).all()
             assert np.isnan(found.own[:, other]).all()

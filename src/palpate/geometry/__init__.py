@@ -20,6 +20,12 @@ from palpate.geometry.midpoints import (
     side_nodes,
 )
 from palpate.geometry.refinement import refined_surface
+from palpate.geometry.registration import (
+    Registration,
+    RegistrationSettings,
+    check_registration,
+    register,
+)
 from palpate.geometry.self_intersection import intersecting_pairs
 from palpate.geometry.sides import CREASE_ANGLE, Sides, split_sides
 from palpate.geometry.triangle_mesh import (
@@ -36,11 +42,14 @@ __all__ = [
     "MESH_SUFFIXES",
     "MeshQuality",
     "QuadraticNodes",
+    "Registration",
+    "RegistrationSettings",
     "Sides",
     "SurfacePoints",
     "TriangleMesh",
     "area_vectors",
     "bounding_diagonal",
+    "check_registration",
     "checked_mesh",
     "closest_points",
     "displacement_nodes",
@@ -53,6 +62,7 @@ __all__ = [
     "mesh_quality",
     "read_mesh",
     "refined_surface",
+    "register",
     "side_nodes",
     "split_sides",
     "triangle_areas",

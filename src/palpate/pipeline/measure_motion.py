@@ -14,6 +14,7 @@ from palpate.records import DisplacementField, Probing, Rig, Session, read_rig
 from palpate.vision import (
     JointSettings,
     LangPaiSettings,
+    Outcome,
     Pictures,
     RangeFlow,
     Scene,
@@ -34,6 +35,8 @@ __all__ = [
     "with_measured_displacement",
 ]
 
+# Points without texture are an outline or a blot; this share of them is a surface without paint.
+_MUCH = 0.1
 Progress = Callable[[str, float], None]
 Grey = tuple[Float[np.ndarray, "_ _"], ...]
 
@@ -163,7 +166,8 @@ def measure_motion(
             motions.append(motion)
             notes += remarks
             say(f"{motion.name}, {len(motions)} of {total} instants", len(motions) / total)
-    return SessionFlow(rig, tuple(motions), tuple(dict.fromkeys(notes)) + _order_notes(motions))
+    notes += _texture_notes(motions) + _order_notes(motions)
+    return SessionFlow(rig, tuple(motions), tuple(dict.fromkeys(notes)))
 
 
 def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
@@ -362,6 +366,26 @@ def _order_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
                     " right?"
                 )
     return tuple(notes)
+
+
+def _texture_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
+    """Where the surface has too little texture to be followed, and how much it needs."""
+    for motion in motions:
+        if motion.flow is None:
+            continue
+        poor = motion.flow.outcome == Outcome.TEXTURE
+        if len(poor) > 0 and poor.mean() > _MUCH:
+            column, row = np.median(motion.flow.pixel[poor], axis=0)
+            needed = 3.0 * float(np.max(motion.flow.noise))
+            return (
+                (
+                    f"'{motion.name}': {100 * poor.mean():.0f} % of the points have too little"
+                    f" texture to be followed (around column {column:.0f}, row {row:.0f} of the reference"
+                    f" camera); a window of {motion.flow.subset} px needs grey levels that vary by"
+                    f" {needed:.1f} or more (1 sigma): speckle the surface, or light it better"
+                ),
+            )
+    return ()
 
 
 def _typical_motion(flow: RangeFlow) -> float:

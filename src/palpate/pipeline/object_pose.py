@@ -1,17 +1,42 @@
 """Where the object is in front of the cameras: believed, or registered from the first pictures."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from palpate.geometry import TriangleMesh
+from palpate.errors import CalibrationError
+from palpate.geometry import (
+    Registration,
+    TriangleMesh,
+    bounding_diagonal,
+    check_registration,
+    closest_points,
+    refined_surface,
+    register,
+)
 from palpate.records import Rig
+from palpate.vision import StereoPoints, check_rig, project, rays, stereo_points
 
 __all__ = ["PoseChoice", "posed_rig"]
 
 PoseChoice = Literal["auto", "given", "register"]
+
+# Where the shape does not fix the pose, stereo points must lie this close to the mesh, in
+# diagonals: what the reader of displacement files allows too.
+_CLOSE = 0.02
+# A registration that moves the points by less than three of its standard deviations, or by less
+# than 0.2 % of the diagonal, says that the given pose is right.
+_SIGNIFICANT = 3.0
+_SMALL = 0.002
+# Parts of an edge of the mesh: its smooth surface, not its facets, is what the cameras see.
+_PIECES = 2
+# Points this far from the mesh, in diagonals, belong to the table or the wall behind.
+_NEAR = 0.6
+# Fewer points say nothing about a pose.
+_FEWEST = 50
 
 
 def posed_rig(
@@ -20,5 +45,127 @@ def posed_rig(
     mesh: TriangleMesh,
     choice: PoseChoice,
 ) -> tuple[Rig, tuple[str, ...]]:
-    """The rig with the object's pose settled."""
-    return rig, ()
+    """The rig with the object's pose settled.
+
+    Parameters
+    ----------
+    rig : Rig                       with the pose that is given
+    pictures : sequence of c (rows, columns) float [grey levels]    first instant
+    mesh : TriangleMesh
+    choice : "auto", "given" or "register"      "auto" registers only where the stereo points of the
+                                    pictures contradict the given pose
+
+    Returns
+    -------
+    rig : Rig
+    notes : tuple of str
+
+    Raises
+    ------
+    CalibrationError                the rig does not fit the pictures, the object is not in view,
+                                    the pose is far off, or the shape does not fix it
+    """
+    checked = check_rig(rig, pictures)
+    _check_view(rig, pictures, mesh)
+    if choice == "given":
+        return rig, checked.notes
+    stereo = stereo_points(rig, pictures)
+    near, distance = _near_points(stereo, mesh)
+    if near.sum() < _FEWEST:
+        if choice == "auto":
+            return rig, (*checked.notes, _unchecked(int(near.sum())))
+        raise CalibrationError(
+            f"{rig.source}: only {int(near.sum())} stereo points lie near the object, too few to"
+            " register it; is the object in view of two cameras, and the guess of its pose within"
+            " 5 degrees and 20 mm?"
+        )
+    eye, _ = rays(rig.cameras[rig.reference], np.zeros((1, 2)))
+    found = register(
+        stereo.point[near],
+        stereo.covariance[near],
+        TriangleMesh(*refined_surface(mesh, pieces=_PIECES)),
+        eye=eye,
+    )
+    if choice == "auto" and _agrees(found, float(np.median(distance[near])), mesh):
+        return rig, checked.notes
+    return _registered(rig, found, checked.notes)
+
+
+def _agrees(found: Registration, distance: float, mesh: TriangleMesh) -> bool:
+    """True where the given pose explains the stereo points as well as the registered one.
+
+    Where the shape does not fix the pose, the points only have to lie close to the mesh.
+    """
+    diagonal = bounding_diagonal(mesh)
+    if len(found.free):
+        return distance < _CLOSE * diagonal
+    middle = found.T_mesh_points @ np.append(found.centre, 1.0)
+    shift = float(np.linalg.norm(middle[:3] - found.centre))
+    moved = np.hypot(shift, _turn(found.T_mesh_points) * found.size)
+    return bool(moved < max(_SIGNIFICANT * found.weakest_std, _SMALL * diagonal))
+
+
+def _turn(pose: Float[np.ndarray, "4 4"]) -> float:
+    """Angle of a rigid motion [rad]."""
+    return float(np.arccos(np.clip((np.trace(pose[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def _registered(
+    rig: Rig, found: Registration, notes: tuple[str, ...]
+) -> tuple[Rig, tuple[str, ...]]:
+    """The rig with the object where the stereo points say."""
+    try:
+        check_registration(found)
+    except CalibrationError as error:
+        raise CalibrationError(
+            f"{rig.source}: {error} (`--pose given` takes the rig's pose as it is)"
+        ) from error
+    # x_camera = T_camera_object x_object, and what the rig calls object is what was measured.
+    back = np.linalg.inv(found.T_mesh_points)
+    cameras = tuple(
+        replace(camera, T_camera_object=camera.T_camera_object @ back) for camera in rig.cameras
+    )
+    middle = found.centre - (back @ np.append(found.centre, 1.0))[:3]
+    note = (
+        f"the object was registered: turned by {np.degrees(_turn(back)):.2f} degrees and shifted by"
+        f" {1e3 * np.linalg.norm(middle):.2f} mm from where the rig has it; stereo points lie"
+        f" {1e3 * found.residual:.2g} mm rms off the mesh, the pose is known to"
+        f" {1e3 * found.weakest_std:.2g} mm in its weakest direction"
+    )
+    return replace(rig, cameras=cameras), (*notes, note)
+
+
+def _near_points(
+    stereo: StereoPoints, mesh: TriangleMesh
+) -> tuple[np.ndarray, Float[np.ndarray, " n"]]:
+    """Stereo points that may belong to the object, and their distance from the mesh [m]."""
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    away = np.linalg.norm(stereo.point - middle, axis=1)
+    near = away < _NEAR * bounding_diagonal(mesh)
+    distance = np.full(len(near), np.nan)
+    if near.any():
+        distance[near] = closest_points(mesh, stereo.point[near]).distance
+    return near, distance
+
+
+def _check_view(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], mesh: TriangleMesh) -> None:
+    """Refuse a pose in which a camera sees nothing of the object."""
+    for camera, picture in zip(rig.cameras, pictures, strict=True):
+        pixel = project(camera, mesh.vertices)
+        rows, columns = picture.shape
+        with np.errstate(invalid="ignore"):
+            inside = ((pixel >= 0.0) & (pixel <= [columns - 1, rows - 1])).all(axis=1)
+        if not inside.any():
+            seen = np.nanmedian(pixel, axis=0) if np.isfinite(pixel).any() else [np.nan, np.nan]
+            raise CalibrationError(
+                f"{rig.source}: camera '{camera.name}' does not see the object: none of its"
+                f" {len(pixel)} vertices is in the picture of {columns} x {rows} pixels (their"
+                f" middle is at {seen[0]:.0f}, {seen[1]:.0f}); check R, t and the length units"
+            )
+
+
+def _unchecked(count: int) -> str:
+    return (
+        f"only {count} stereo points of the first pictures lie near the object; the given pose was"
+        " believed without a check"
+    )

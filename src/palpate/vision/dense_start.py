@@ -23,10 +23,11 @@ from palpate.vision.sparse_motion import Samples, feature_matches, interpolated,
 
 __all__ = ["DenseStart", "dense_start"]
 
-# Correlation from which two windows count as the same: the texture has then at least twice the
-# variance of the noise, and windows with a dozen independent speckles, which correlate by chance
-# with a standard deviation of 1 / sqrt(12) = 0.3, reach it in one of a hundred places.
-_SAME = 0.7
+# Correlation from which two windows count as the same: the texture has then three times the
+# variance of the noise, what `textured` asks for too, and windows with a dozen independent
+# speckles, which correlate by chance with a standard deviation of 1 / sqrt(12) = 0.3, reach it in
+# one of a hundred places.
+_SAME = 0.75
 # Texture wider than this [px, sigma of Gaussian speckles] leaves fewer than a dozen independent
 # speckles in a window: the pictures are halved then.
 _WIDE = 3.0
@@ -47,8 +48,8 @@ _PROGRESS = 0.7
 _ROUNDS = 3
 # Nobody follows a motion on fewer pixels: two windows.
 _SMALLEST = 2 * WINDOW
-# OpenCV's presets for rough searches (a quarter of the resolution) and the last one (half).
-_FAST, _FINE = cv2.DISOPTICAL_FLOW_PRESET_FAST, cv2.DISOPTICAL_FLOW_PRESET_MEDIUM
+# Scales at which searches stop: a quarter of the resolution is quick, half gives the accuracy.
+_ROUGH_SCALE, _FINE_SCALE = 2, 1
 # Stiffness of the last search. OpenCV's 20 is too smooth where faces meet, 5 follows the noise.
 _STIFFNESS = 10.0
 # OpenCV takes None for an array that is not given; its stubs do not say so.
@@ -211,11 +212,12 @@ def _inside(place: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "row
 
 
 def _search(
-    rest: UInt8[np.ndarray, "rows columns"], moved: UInt8[np.ndarray, "rows columns"], preset: int
+    rest: UInt8[np.ndarray, "rows columns"], moved: UInt8[np.ndarray, "rows columns"], scale: int
 ) -> Float[np.ndarray, "rows columns 2"]:
-    """Dense inverse search [px], float32."""
-    search = cv2.DISOpticalFlow.create(preset)
-    if preset == _FINE:
+    """Dense inverse search that stops at a scale [px], float32."""
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    search.setFinestScale(scale)
+    if scale == _FINE_SCALE:
         search.setVariationalRefinementAlpha(_STIFFNESS)
     return search.calc(rest, moved, _NOT_GIVEN)
 
@@ -253,7 +255,7 @@ def _square(vectors: Float[np.ndarray, "rows columns 2"]) -> Float[np.ndarray, "
 
 def _motion(a: EvenPicture, b: EvenPicture, textured: _Flags) -> _Motion:
     """Both motions to within the reach of the last search, wherever they can be found."""
-    motion = _Motion(_search(a.even, b.even, _FAST), _search(b.even, a.even, _FAST))
+    motion = _Motion(_search(a.even, b.even, _ROUGH_SCALE), _search(b.even, a.even, _ROUGH_SCALE))
     features: Samples | None = None
     staying, before = textured, np.inf
     for _ in range(_ROUNDS):
@@ -265,7 +267,7 @@ def _motion(a: EvenPicture, b: EvenPicture, textured: _Flags) -> _Motion:
         samples = _known(motion, explained, textured.rest)
         chance = explained.rest[textured.rest].mean() < _WORTH_CONTINUING
         if features is None and (chance or share > _PROGRESS * before):
-            areas = _feature_areas(textured, lost, share)
+            areas = _feature_areas(textured, lost)
             features = feature_matches(a.even, b.even, areas.rest, areas.moved)
         samples = samples if features is None else samples.joined(features)
         if not len(samples.point):
@@ -301,13 +303,14 @@ def _lost(staying: _Flags, explained: _Flags, textured: _Flags) -> tuple[_Flags,
     return _Flags(*areas), smaller / max(1, int(textured.rest.sum()))
 
 
-def _feature_areas(textured: _Flags, lost: _Flags, share: float) -> _Flags:
+def _feature_areas(textured: _Flags, lost: _Flags) -> _Flags:
     """Where to look for features: around what is lost, or everywhere if that is most of it."""
-    if share > 0.5:
-        return textured
     kernel = np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), dtype=np.uint8)
-    wide = [cv2.dilate(area.astype(np.uint8), kernel) > 0 for area in (lost.rest, lost.moved)]
-    return _Flags(textured.rest & wide[0], textured.moved & wide[1])
+    areas = []
+    for whole, part in ((textured.rest, lost.rest), (textured.moved, lost.moved)):
+        most = int(part.sum()) > 0.5 * int(whole.sum())
+        areas.append(whole if most else whole & (cv2.dilate(part.astype(np.uint8), kernel) > 0))
+    return _Flags(*areas)
 
 
 def _known(motion: _Motion, explained: _Flags, wanted: Bool[np.ndarray, "rows columns"]) -> Samples:
@@ -342,7 +345,7 @@ def _repaired(
     ):
         start = np.where(known[..., None], before, interpolated(given, a.grey.shape))
         inside.append(_inside(grid + start))
-        change = _search(one.even, _brought_back(other, start), _FAST)
+        change = _search(one.even, _brought_back(other, start), _ROUGH_SCALE)
         motions.append(change + _sampled(start, grid + change))
     return _Motion(*motions), _Flags(*inside)
 
@@ -363,9 +366,9 @@ def _finished(
 ) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
     """The last search, there and back, on the picture brought back; flow and trust."""
     moved = _brought_back(b, start)
-    change = _search(a.even, moved, _FINE)
+    change = _search(a.even, moved, _FINE_SCALE)
     place = _grid(a.grey.shape) + change
     flow = change + _sampled(start, place)
-    # The way back is only a check, which the faster search is good enough for.
-    gap = change + _sampled(_search(moved, a.even, _FAST), place)
+    # The way back at another scale: what fits noise at one does not at the other.
+    gap = change + _sampled(_search(moved, a.even, _ROUGH_SCALE), place)
     return flow, _fits(a, b, flow, gap, (_LAST_GAP, _LAST_ROUGH))

@@ -16,7 +16,7 @@ from numba import njit, prange
 from palpate.errors import InputError
 from palpate.vision.correlation import ROWS
 
-__all__ = ["StereoSettings", "Views", "disparity_map"]
+__all__ = ["DisparitySettings", "Views", "disparity_map"]
 
 # NaN marks what no picture shows, so it must stay NaN.
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
@@ -51,7 +51,7 @@ class Views:
 
 
 @dataclass(frozen=True, slots=True)
-class StereoSettings:
+class DisparitySettings:
     """How windows are matched between the cameras.
 
     Parameters
@@ -83,7 +83,7 @@ def disparity_map(
     views: Views,
     limits: tuple[float, float],
     *,
-    settings: StereoSettings = StereoSettings(),
+    settings: DisparitySettings = DisparitySettings(),
 ) -> Float[np.ndarray, "rows columns"]:
     """Match every pixel of the reference in all other cameras.
 
@@ -93,7 +93,7 @@ def disparity_map(
                                     NaN where a camera sees nothing
     views : Views                   of the c cameras
     limits : (least, greatest) [px] disparities to try
-    settings : StereoSettings
+    settings : DisparitySettings
 
     Returns
     -------

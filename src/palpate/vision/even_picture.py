@@ -22,7 +22,7 @@ class EvenPicture:
     grey : (rows, columns) float32          from 0 to 255
     even : (rows, columns) uint8            mean and contrast alike everywhere
     mean, variance : (rows, columns) float32    of the grey levels in the window around
-    textured : (rows, columns) bool         where the window has more variance of signal than noise
+    textured : (rows, columns) bool         signal has three times the variance of noise there
     width : float [px]                      of the texture, as the sigma of Gaussian speckles
     """
 
@@ -54,7 +54,7 @@ def make_even_picture(grey: Float[np.ndarray, "rows columns"]) -> EvenPicture:
     # Four times the noise: where there is nothing else, it is not blown up to look like texture.
     even = (grey - mean) / np.sqrt(variance + np.float32(16.0 * noise**2))
     even = cv2.addWeighted(even, 40.0, even, 0.0, 128.0, dtype=cv2.CV_8U)  # rounds and clips
-    textured = variance > 2.0 * noise**2
+    textured = variance > 4.0 * noise**2
     return EvenPicture(
         grey, even, mean, variance, textured, _width(grey, variance, textured, noise)
     )

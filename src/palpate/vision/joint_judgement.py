@@ -1,7 +1,8 @@
 """Which points of a match are believed, and how well their displacement is known."""
 
+import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from palpate.vision.interpolation import smoothing_gain
 from palpate.vision.joint_match import Match, bad_cameras, mean_over, neighbourhood
@@ -12,55 +13,45 @@ from palpate.vision.scene import Scene, jacobians, pixel_size
 
 __all__ = ["judged"]
 
-# A displacement known no better than this is not known: sub-pixel matching is ten times better [px].
+# A displacement known no better than this is not known; the usual match is ten times better [px].
 _TEXTURE_LIMIT = 0.1
+# A window's contrast in units of the noise; with less, noise is a tenth of the gradients that it is
+# matched by, and more.
+_LEAST_CONTRAST = 3.0
 
 
 def judged(
     scene: Scene, match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
 ) -> RangeFlow:
-    """Range flow with every point accepted or rejected for one reason."""
-    found = match.outcome == Outcome.VALID
-    used = match.use & np.isfinite(match.left)
-    outcome = match.outcome.copy()
+    """Range flow with every point accepted or rejected for one reason.
+
+    Parameters
+    ----------
+    scene : Scene
+    match : Match
+    noise : (c,) float [grey levels]    standard deviation that a match leaves in each camera
+    settings : JointSettings
+
+    Returns
+    -------
+    RangeFlow
+    """
     bias = _bias_covariance(scene, match.use, settings.bias)
-    reach = neighbourhood(scene)
-    # One window's estimate of its roughness is itself rough: 27 blocks.
-    rough = median_around(scene.point, match.rough, found, reach=reach)
-    covariance = match.covariance * np.maximum(rough, 1.0)[:, None, None] + bias
-    outcome[found & bad_cameras(match, noise, settings.excess).any(axis=1)] = Outcome.SCORE
-    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    ok = outcome == Outcome.VALID
-    own = np.sqrt(mean_over((match.own**2).sum(axis=2), used))
-    limit = settings.disagreement * np.sqrt(match.own_variance + settings.bias**2)
-    with np.errstate(invalid="ignore"):
-        apart = (used & (np.abs(match.own).max(axis=2) > limit)).any(axis=1)
-        outcome[ok & apart] = Outcome.REPROJECTION
-        gradient = match.motion[:, 1:3] / scene.extent[:, None, None]
-        ok = outcome == Outcome.VALID
-        blurred = _lateral(scene, covariance) > _TEXTURE_LIMIT * pixel_size(scene)
-        outcome[ok & blurred] = Outcome.TEXTURE
-        ok = outcome == Outcome.VALID
-        around = predicted(
-            scene.point, scene.tangent, match.motion[:, 0], gradient, ok,
-            reach=reach,
-        )  # fmt: skip
-        away = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
-        outcome[ok & (away > settings.disagreement * np.hypot(around.scatter, sigma))] = (
-            Outcome.NEIGHBOURS
-        )
+    covariance = _noise_covariance(scene, match) + bias
+    outcome = _outcome(scene, match, covariance, noise, settings)
+    used = match.use & np.isfinite(match.left)
     valid = outcome == Outcome.VALID
-    score = np.nanmin(np.where(used, match.score, np.inf), axis=1)
+    score = np.where(used, match.score, np.inf).min(axis=1)
     return RangeFlow(
         pixel=scene.pixel,
         point=scene.point,
         tangent=scene.tangent,
         displacement=np.where(valid[:, None], match.motion[:, 0], np.nan),
-        gradient=np.where(valid[:, None, None], gradient, np.nan),
+        gradient=np.where(valid[:, None, None], _gradient(scene, match), np.nan),
         covariance=np.where(valid[:, None, None], covariance, np.nan),
         bias=np.where(valid[:, None, None], bias, np.nan),
         score=np.where(np.isfinite(score), score, np.nan),
-        reprojection=own,
+        reprojection=np.sqrt(mean_over((match.own**2).sum(axis=2), used)),
         cameras=np.where(valid, used.sum(axis=1), 0),
         outcome=outcome.astype(np.int64),
         through_last=np.zeros(len(outcome), dtype=bool),
@@ -70,6 +61,66 @@ def judged(
         step=settings.step,
         shape=scene.pictures[scene.rig.reference].grey.shape,
     )
+
+
+def _outcome(
+    scene: Scene,
+    match: Match,
+    covariance: Float[np.ndarray, "n 3 3"],
+    noise: Float[np.ndarray, " c"],
+    settings: JointSettings,
+) -> Int[np.ndarray, " n"]:
+    """What became of each point; the first reason that applies."""
+    outcome = match.outcome.copy()
+    poor = _contrast(scene, settings) < _LEAST_CONTRAST * noise[scene.rig.reference] / np.sqrt(2.0)
+    outcome[poor & (outcome != Outcome.HIDDEN)] = Outcome.TEXTURE
+    changed = bad_cameras(match, noise, settings.excess).any(axis=1)
+    outcome[(outcome == Outcome.VALID) & changed] = Outcome.SCORE
+    used = match.use & np.isfinite(match.left)
+    limit = settings.disagreement * np.sqrt(match.own_variance + settings.bias**2)
+    with np.errstate(invalid="ignore"):
+        apart = (used & (np.abs(match.own).max(axis=2) > limit)).any(axis=1)
+        outcome[(outcome == Outcome.VALID) & apart] = Outcome.REPROJECTION
+        blurred = _lateral(scene, covariance) > _TEXTURE_LIMIT * pixel_size(scene)
+        outcome[(outcome == Outcome.VALID) & blurred] = Outcome.TEXTURE
+        ok = outcome == Outcome.VALID
+        around = predicted(
+            scene.point,
+            scene.tangent,
+            match.motion[:, 0],
+            _gradient(scene, match),
+            ok,
+            reach=neighbourhood(scene),
+        )
+        away = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
+        sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+        alone = away > settings.disagreement * np.hypot(around.scatter, sigma)
+    outcome[ok & alone] = Outcome.NEIGHBOURS
+    return outcome
+
+
+def _gradient(scene: Scene, match: Match) -> Float[np.ndarray, "n 2 3"]:
+    """Derivative of the displacement along the two tangents."""
+    return match.motion[:, 1:3] / scene.extent[:, None, None]
+
+
+def _noise_covariance(scene: Scene, match: Match) -> Float[np.ndarray, "n 3 3"]:
+    """Covariance from what the match leaves, widened where that is rougher than white noise."""
+    found = match.outcome == Outcome.VALID
+    # One window's estimate of its roughness is itself rough: 27 blocks.
+    rough = median_around(scene.point, match.rough, found, reach=neighbourhood(scene))
+    with np.errstate(invalid="ignore"):
+        return match.covariance * np.maximum(rough, 1.0)[:, None, None]
+
+
+def _contrast(scene: Scene, settings: JointSettings) -> Float[np.ndarray, " n"]:
+    """Standard deviation of the reference camera's window around each point [grey levels]."""
+    grey = scene.pictures[scene.rig.reference].grey.astype(np.float64)
+    size = (settings.subset, settings.subset)
+    mean = cv2.blur(grey, size, borderType=cv2.BORDER_REFLECT_101)
+    square = cv2.blur(grey * grey, size, borderType=cv2.BORDER_REFLECT_101)
+    column, row = scene.pixel.astype(np.int64).T
+    return np.sqrt(np.maximum(square - mean * mean, 0.0))[row, column]
 
 
 def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:

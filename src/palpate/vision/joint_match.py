@@ -62,7 +62,7 @@ class Match:
     covariance : (n, 3, 3) float [m^2]
     score, left, own_variance : (n, c)
     own : (n, c, 2) float [px]
-    rough : (n,) float [-]              covariance of what is left over that of white noise as strong
+    rough : (n,) float [-]              covariance of what is left over that of white noise
     use : (n, c) bool                   cameras that took part
     outcome : (n,) int
     """

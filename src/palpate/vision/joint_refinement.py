@@ -3,11 +3,11 @@
 Every camera's window around the projected point is matched with the same camera's later picture,
 and all cameras share one motion of the surface: the point's displacement u, its derivatives along
 two tangents, and (quadratic) its second-order terms. The normal follows the tangents, so any rigid
-motion is exact. Pixels get their 3-D points from the camera's surface map: creases and curvature are
-no error. Nothing is rectified; each grey level is interpolated once.
+motion is exact. Pixels get their 3-D points from the camera's surface map: creases and curvature
+are no error. Nothing is rectified; each grey level is interpolated once.
 
-Inverse-compositional Gauss-Newton: gradients come from the first picture, so the matrix is made once
-a point. Gain and offset of every camera are eliminated in closed form.
+Inverse-compositional Gauss-Newton: gradients come from the first picture, so the matrix is made
+once a point. Gain and offset of every camera are eliminated in closed form.
 """
 
 from collections import namedtuple
@@ -63,9 +63,9 @@ _BLOCKS = 3
 First = namedtuple("First", "cameras grey along_column along_row surface inner")
 # What is followed: (n, 3), (n, 2, 3) tangents, (n,) half side of a window on the surface [m].
 Points = namedtuple("Points", "point tangent extent")
-# Half side [px], number of polynomials that are free (1, 3 or 6), shortest step and longest way from
-# the start [px], most iterations, least share of a window that shows the surface, whether the gain
-# may vary linearly over a window.
+# Half side [px], number of polynomials that are free (1, 3 or 6), shortest step and longest way
+# from the start [px], most iterations, least share of a window that shows the surface, whether
+# the gain may vary linearly over a window.
 Limits = namedtuple("Limits", "half bases tolerance reach iterations least_share shading")
 # Work arrays of one thread.
 _Work = namedtuple(

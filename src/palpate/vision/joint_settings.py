@@ -29,8 +29,8 @@ class JointSettings:
                                     light, tools cast soft shadows
     excess : float                  a camera is dropped, then the point, where what is left after
                                     the match is more than this many times what it is elsewhere
-    disagreement : float            a point is dropped where the cameras or the neighbours contradict
-                                    it by more than this many standard deviations
+    disagreement : float            a point is dropped where the cameras or the neighbours
+                                    contradict it by more than this many standard deviations
     bias : float [px]               systematic error of one camera's match that no residual shows
                                     (interpolation, response of the pixels), part of every
                                     covariance

@@ -21,7 +21,7 @@ def load_camera_kernel(
     camera, grey, along_column, along_row, surface, inner, point, tangent, extent, half,
     least_share, shading, window, place, centre, ones,
 ):  # fmt: skip
-    """Window of one camera with the surface points of its pixels; False where it sees too little."""
+    """Window of one camera with its pixels' surface points; False where it sees too little."""
     x, y = project_kernel(camera, point[0], point[1], point[2])
     rows, columns = grey.shape
     if not (half <= x < columns - half - 1 and half <= y < rows - half - 1):
@@ -87,8 +87,8 @@ def jacobian_kernel(camera, point, jacobian):
 def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian, mapping):
     """From the surface's motion to the window's polynomial in pixels, (2 bases, 3 bases).
 
-    Within the window the surface coordinates are taken as linear in the pixel; this shapes the steps
-    and the weights, not the solution.
+    Within the window the surface coordinates are taken as linear in the pixel; this shapes the
+    steps and the weights, not the solution.
     """
     b00 = b01 = b10 = b11 = 0.0
     for a in range(3):

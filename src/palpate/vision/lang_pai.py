@@ -109,10 +109,12 @@ def lang_pai_flow(
     Returns
     -------
     list of RangeFlow               one a later instant, at the pixels of the rectified reference
-                                    that see the mesh. `gradient` and `noise` are NaN: the method
-                                    knows neither. `bias` is the rounding to whole pixels, taken to
-                                    be the same in every step since the first instant; `covariance`
-                                    adds the scatter of the first disparities about the mesh
+                                    that see the mesh. `gradient`, `noise` and `drift` are NaN: the
+                                    method knows none. `through_last` is False, although every point
+                                    goes through all instants: it never falls back. `bias` is the
+                                    rounding to whole pixels, taken to be the same in every step
+                                    since the first instant; `covariance` adds the scatter of the
+                                    first disparities about the mesh
 
     Raises
     ------

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from palpate.errors import InputError
-from palpate.vision.disparity import StereoSettings
+from palpate.vision.disparity import DisparitySettings
 
 __all__ = ["LangPaiSettings"]
 
@@ -25,7 +25,7 @@ class LangPaiSettings:
                                     show it; matching by whole pixels errs by less than one
     travel : float [-]              share of the mesh's bounding diagonal by which the surface may
                                     be nearer or farther, for the range of disparities
-    stereo : StereoSettings
+    stereo : DisparitySettings
     reach : float [m]               flow no farther from a vertex speaks for it; the paper's 1 cm
     distance_unit : float [m]       unit of d in the weight 1 / (1 + d); lengths are in cm in the
                                     paper's tables
@@ -43,7 +43,7 @@ class LangPaiSettings:
     least_score: float = 0.0
     surface_tolerance: float = 1.0
     travel: float = 0.5
-    stereo: StereoSettings = field(default_factory=StereoSettings)
+    stereo: DisparitySettings = field(default_factory=DisparitySettings)
     reach: float = 0.01
     distance_unit: float = 0.01
     outlier: float = 3.0

@@ -1,9 +1,9 @@
 """A smooth field from scattered displacements of the surface: robust local polynomials.
 
 Around every place a polynomial in two tangent coordinates is fitted to the displacements nearby,
-weighted by their variances and by a smooth window, and made robust by Student weights. The result is
-a weighted sum of the displacements, so its covariance follows from theirs, and from how much their
-windows in the picture overlap: windows that share pixels share noise. What lies above or below the
+weighted by their variances and by a smooth window, and made robust by Student weights. The result
+is a weighted sum of the displacements, so its covariance follows from theirs, and from how much
+their windows in the picture overlap: windows that share pixels share noise. What lies above or below the
 tangent plane turns with the normal, so a rigid motion is exact on curved and creased surfaces too.
 
 Source: Cleveland and Devlin, Locally weighted regression, Journal of the American Statistical
@@ -80,6 +80,7 @@ def local_field(
     reach: float,
     order: int = 2,
     most: int = 48,
+    fewest: int | None = None,
 ) -> LocalField:
     """Displacement of the surface at given places.
 
@@ -91,6 +92,8 @@ def local_field(
     reach : float [m]               displacements farther away have no weight
     order : 1 or 2                  degree of the polynomial
     most : int                      at most so many displacements, the nearest
+    fewest : int or None            where fewer are within reach, it grows to hold so many, at most
+                                    to the double: surfaces seen at a slant have fewer
 
     Returns
     -------
@@ -98,12 +101,18 @@ def local_field(
     """
     terms = _TERMS[order]
     nearest = np.full((len(place), most), -1)
+    radius = np.full(len(place), reach)
     if len(scatter.point) > 0:
-        tree = cKDTree(scatter.point)
         many = min(most, len(scatter.point))
-        _, found = tree.query(place, k=many, distance_upper_bound=reach)
-        found = found.reshape(len(place), many)
-        nearest[:, :many] = np.where(found < len(scatter.point), found, -1)
+        farthest = reach if fewest is None else 2.0 * reach
+        away, found = cKDTree(scatter.point).query(place, k=many, distance_upper_bound=farthest)
+        away, found = away.reshape(len(place), many), found.reshape(len(place), many)
+        if fewest is not None:
+            last = np.minimum(away[:, min(fewest, many) - 1], farthest)
+            # A little farther, so that the last one has some weight.
+            radius = np.maximum(reach, 1.1 * last)
+        inside = (found < len(scatter.point)) & (away < radius[:, None])
+        nearest[:, :many] = np.where(inside, found, -1)
     noise = scatter.covariance - scatter.bias
     trace = np.trace(noise, axis1=1, axis2=2)
     return LocalField(
@@ -118,7 +127,7 @@ def local_field(
             scatter.bias,
             trace,
             float(scatter.subset),
-            reach,
+            radius,
             terms,
         )
     )
@@ -138,6 +147,7 @@ def _fit_all(
     misfit = np.full(count, np.nan)
     most = nearest.shape[1]
     for i in prange(count):
+        size = reach[i]
         design = np.empty((most, terms))
         weight = np.empty(most)
         robust = np.ones(most)
@@ -149,12 +159,12 @@ def _fit_all(
         m = 0
         while m < most and nearest[i, m] >= 0:
             height[m] = _design_kernel(
-                place[i], tangent[i], point[nearest[i, m]], reach, terms, design[m]
+                place[i], tangent[i], point[nearest[i, m]], size, terms, design[m]
             )
             distance = 0.0
             for a in range(3):
                 distance += (point[nearest[i, m], a] - place[i, a]) ** 2
-            near = 1.0 - distance / (reach * reach)
+            near = 1.0 - distance / (size * size)
             weight[m] = max(near, 0.0) ** 2 / trace[nearest[i, m]]
             m += 1
         number[i] = m
@@ -172,15 +182,15 @@ def _fit_all(
             left = _reweigh_kernel(
                 design, weight, robust, displacement, height, turn, trace, nearest[i], m, solution
             )
-            normal_turn_kernel(tangent[i], solution[:, 1] / reach, solution[:, 2] / reach, turn)
+            normal_turn_kernel(tangent[i], solution[:, 1] / size, solution[:, 2] / size, turn)
         if not good:
             continue
         for a in range(3):
             value[i, a] = solution[a, 0]
-            gradient[i, 0, a] = solution[a, 1] / reach
-            gradient[i, 1, a] = solution[a, 2] / reach
+            gradient[i, 0, a] = solution[a, 1] / size
+            gradient[i, 1, a] = solution[a, 2] / size
             for k in range(3):
-                curvature[i, k, a] = solution[a, 3 + k] / reach**2 if terms == 6 else 0.0
+                curvature[i, k, a] = solution[a, 3 + k] / size**2 if terms == 6 else 0.0
         misfit[i] = left
         row[:] = 0.0
         row[0] = 1.0
@@ -281,7 +291,7 @@ def _reweigh_kernel(
 def _covariance_kernel(
     design, weight, robust, row, covariance, trace, pixel, subset, nearest, m, spread
 ):
-    """Covariance of the value: each displacement's share, and the noise that windows have in common."""
+    """Covariance of the value: each displacement's share, and the noise that windows share."""
     terms = design.shape[1]
     share = np.empty(m)
     mean = np.zeros((3, 3))

@@ -4,8 +4,8 @@ Inverse-compositional Gauss-Newton on a square subset with an affine or a quadra
 the gain and the offset of the second picture are unknowns too, eliminated in closed form.
 
 Source: Baker and Matthews, Lucas-Kanade 20 years on, International Journal of Computer Vision 56
-(2004); Gao et al., High-efficiency and high-accuracy digital image correlation, Optics and Lasers in
-Engineering 65 (2015).
+(2004); Gao et al., High-efficiency and high-accuracy digital image correlation, Optics and Lasers
+in Engineering 65 (2015).
 """
 
 from dataclasses import dataclass
@@ -44,8 +44,8 @@ class PlanarSettings:
     Parameters
     ----------
     subset : int [px]               side of the window, odd, at least 5
-    shape : "shift", "affine" or "quadratic"    how the displacement may vary within the window, beyond
-                                    the gradient that it starts with
+    shape : "shift", "affine" or "quadratic"    how the displacement may vary within the window,
+                                    beyond the gradient that it starts with
     tolerance : float [px]          a step shorter than this ends the iteration; far below the noise
     iterations : int                at most so many
     reach : float [px]              a window that leaves its start by more than this is lost

@@ -44,8 +44,8 @@ class RangeFlow:
                                         camera and what that camera alone would say
     cameras : (n,) int                  how many cameras agreed
     outcome : (n,) int                  an `Outcome`
-    through_last : (n,) bool            followed through the instant before, because the first picture
-                                        has become too different there
+    through_last : (n,) bool            followed through the instant before, because the first
+                                        picture has become too different there
     drift : float [m]                   rms difference between the two ways, where both were gone;
                                         NaN where none was
     noise : (c,) float [grey levels]    standard deviation of each camera's pixel noise

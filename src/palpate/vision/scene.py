@@ -1,4 +1,4 @@
-"""The first instant: what every camera sees of the surface, and the points that will be followed."""
+"""The first instant: what each camera sees of the surface, and the points to be followed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,76 +1,115 @@
-"""Points of a surface from the pictures of one instant, without a mesh and without seeds.
+"""Points of the surface that two or more cameras see, without knowing where the surface is.
 
-The pictures of the reference camera and of each other camera are rectified only to find where a
-window may be; the window itself is matched in the pictures as they are, with the slope that the
-start has, and the matches of a pixel in all cameras are triangulated with their covariances.
+For every camera but the reference: a dense start, then windows matched to a hundredth of a pixel in
+the pictures as they were taken. Where a window shows more than one smooth surface, smaller ones are
+tried. What the cameras say is joined by triangulation; what contradicts its neighbours or the other
+cameras is rejected and counted.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from palpate.errors import CalibrationError
-from palpate.records import Camera, Rig
-from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
-from palpate.vision.camera import project, rays
-from palpate.vision.dense_start import dense_start
+from palpate.errors import InputError
+from palpate.records import Rig
+from palpate.shapes import Flags, PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.even_picture import make_even_picture
-from palpate.vision.interpolation import SplinePicture, spline_pictures
-from palpate.vision.planar_field import planar_field
-from palpate.vision.planar_refinement import PlanarSettings, refine_planar
-from palpate.vision.rectification import rectify_pair, remapped
-from palpate.vision.sparse_motion import feature_matches
+from palpate.vision.features import find_features
+from palpate.vision.interpolation import SplinePicture, make_spline_picture
+from palpate.vision.planar_refinement import PlanarMatch, PlanarSettings, refine_planar
+from palpate.vision.range_flow import Outcome
+from palpate.vision.stereo_judgement import contradicts_neighbours, joined_cameras
+from palpate.vision.stereo_start import StereoStart, make_view, stereo_start
 from palpate.vision.tracking import grid_triangles
-from palpate.vision.triangulation import triangulate
 
 __all__ = ["StereoPoints", "StereoSettings", "stereo_points", "triangulated_surface"]
 
-# A start farther than this from its epipolar line is a mistake of the search, not of the rig [px].
-_OFF_LINE = 3.0
-# Cells whose corners differ in depth by more than this many times their width are a jump.
-_JUMP = 5.0
+# A match known no better than this is not known: sub-pixel matching is ten times better [px].
+_TEXTURE_LIMIT = 0.1
+# Below this correlation a window shows as much noise, or something else, as texture.
+_LEAST_SCORE = 0.7
+# What is left of the best quarter of the windows is noise alone; it differs little among them.
+_BEST = 25.0
+# Sides of the windows as shares of the largest, each with half the pixels of the next; fewer than 9
+# do not fix six coefficients a component.
+_SHARES = (0.43, 0.53, 0.7, 1.0)
+_SMALLEST_WINDOW = 9
+# Half widths of the confidence intervals whose intersection chooses a window, in standard
+# deviations: Katkovnik's figure.
+_INTERVAL = 2.0
+# Systematic error of a match from interpolation and the pixels' response, at best [px].
+_BIAS = 0.005
+# Tangent of 80 degrees: what is seen at a flatter angle shows no texture to be matched.
+_STEEPEST = 5.7
 
 
 @dataclass(frozen=True, slots=True)
 class StereoSettings:
-    """How points of the surface are found.
+    """How surface points are found from one instant's pictures.
 
     Parameters
     ----------
-    subset : int [px]               side of the window, odd; views differ, so more than for motion
+    subset : int [px]               side of the largest window, odd; windows down to 4/10 of it are
+                                    taken where it shows edges of the object
     step : int [px]                 spacing of the points in the reference camera
-    smoothing : float [px]          Gaussian low-pass of the pictures
-    least_score : float             normalised cross-correlation below which a match is none
-    disagreement : float            points whose rays miss each other by more than so many times the
-                                    median are rejected
-    rig_error : float [px]          misses that are the rig's and not the matches', added to them
+    shape : "quadratic" or "affine" how the match may vary within a window; affine ones see a curved
+                                    surface too near or too far
+    excess : float                  a match is rejected where what it leaves is more than so many
+                                    times what good ones leave
+    disagreement : float            a match is rejected where neighbours or cameras contradict it by
+                                    more than so many standard deviations
+    reprojection : float [px]       and where a camera misses the joint point by more than this:
+                                    half a speckle. A rig that fits worse shows different speckles
+                                    in the windows of its cameras
+
+    Raises
+    ------
+    InputError                      an even or tiny subset, a step below one pixel, limits that are
+                                    not positive
     """
 
-    subset: int = 31
+    subset: int = 21
     step: int = 5
-    smoothing: float = 0.8
-    least_score: float = 0.8
+    shape: Literal["affine", "quadratic"] = "quadratic"
+    excess: float = 2.0
     disagreement: float = 5.0
-    rig_error: float = 0.1
+    reprojection: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.subset < _SMALLEST_WINDOW or self.subset % 2 == 0:
+            raise InputError(
+                f"subset is {self.subset}; must be an odd number of pixels, {_SMALLEST_WINDOW} or"
+                " more"
+            )
+        if self.step < 1:
+            raise InputError(f"step is {self.step}; must be 1 pixel or more")
+        for name in ("excess", "disagreement", "reprojection"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name} is {getattr(self, name):g}; must be positive")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoPoints:
-    """Points of the surface that at least two cameras see.
+    """Points of the surface at one instant.
 
     Attributes
     ----------
-    pixel : (n, 2) float [px]       column and row in the reference camera
-    point : (n, 3) float [m]        object frame
-    covariance : (n, 3, 3) float [m^2]
-    score : (n,) float [-]          lowest normalised cross-correlation
-    residual : (n,) float [px]      rms by which the rays miss the pixels
-    cameras : (n,) int              that agree
-    step : int [px]                 spacing of the pixels
-    searched : int                  pixels with texture that were looked at; n of them were found
+    pixel : (n, 2) float [px]           column and row in the reference camera
+    point : (n, 3) float [m]            object frame
+    covariance : (n, 3, 3) float [m^2]  from what the matches leave; the calibration's errors, alike
+                                        for points side by side, are not in it
+    score : (n,) float [-]              lowest normalised cross-correlation over the cameras used
+    residual : (n,) float [px]          rms distance between the point and the matches, over the
+                                        cameras and both coordinates
+    cameras : (n,) int                  how many agree, the reference included
+    window : (n,) int [px]              side of the smallest window used
+    counts : (8,) int                   points of the grid by `Outcome`; the first is n
+    step : int [px]                     spacing of the grid
+    shape : (rows, columns)             of the reference camera's picture
     """
 
     pixel: Float[np.ndarray, "n 2"]
@@ -79,184 +118,333 @@ class StereoPoints:
     score: PointScalars
     residual: PointScalars
     cameras: PointIndices
+    window: PointIndices
+    counts: Int[np.ndarray, "8"]
     step: int
-    searched: int
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Matches:
+    """Points of the reference picture in one other picture; NaN where the outcome is not VALID."""
+
+    displacement: Float[np.ndarray, "n 2"]
+    gradient: Float[np.ndarray, "n 2 2"]
+    covariance: Float[np.ndarray, "n 2 2"]
+    score: PointScalars
+    window: PointIndices
+    outcome: PointIndices
 
 
 def stereo_points(
     rig: Rig,
     pictures: Sequence[Float[np.ndarray, "_ _"]],
     *,
+    mask: Bool[np.ndarray, "rows columns"] | None = None,
+    depth_range: tuple[float, float] | None = None,
     settings: StereoSettings = StereoSettings(),
 ) -> StereoPoints:
-    """Points of the surface on a grid of the reference camera's pixels.
+    """Find the points of the surface that the reference camera and another one see.
 
     Parameters
     ----------
-    rig : Rig
+    rig : Rig                       c cameras, 2 or more
     pictures : sequence of c (rows, columns) float [grey levels]    of one instant
+    mask : (rows, columns) bool or None     pixels of the reference camera that matter; all of them
+                                    unless told
+    depth_range : (near, far) [m] or None   where the object is, along the reference camera's axis;
+                                    found from features of the pictures unless told
     settings : StereoSettings
 
     Returns
     -------
-    StereoPoints
+    StereoPoints                    does not depend on the number of threads
 
     Raises
     ------
-    CalibrationError                no camera shares a view with the reference camera
+    InputError                      another number of pictures, a mask of another size, a depth
+                                    range that is none, too few features in common
+    CalibrationError                two cameras at one place, or looking along the line between
     """
-    pixel = _textured_grid(pictures[rig.reference], settings)
-    splines = spline_pictures(pictures, settings.smoothing)
-    target = np.full((len(rig.cameras), len(pixel), 2), np.nan)
-    covariance = np.full((len(rig.cameras), len(pixel), 2, 2), np.nan)
-    score = np.full((len(rig.cameras), len(pixel)), np.nan)
-    target[rig.reference] = pixel
-    covariance[rig.reference] = settings.rig_error**2 * np.eye(2)
-    for c, picture in enumerate(pictures):
-        if c == rig.reference:
+    _check(rig, pictures, mask, depth_range)
+    even = [make_even_picture(picture) for picture in pictures]
+    views = [
+        make_view(camera, picture, find_features(picture))
+        for camera, picture in zip(rig.cameras, even, strict=True)
+    ]
+    splines = [make_spline_picture(picture) for picture in pictures]
+    reference = rig.reference
+    wanted = even[reference].textured if mask is None else even[reference].textured & mask
+    cell, pixel = _grid(wanted, settings.step)
+    blank = _grid_size(wanted if mask is None else mask, settings.step) - len(pixel)
+    found: dict[int, _Matches] = {}
+    for k, view in enumerate(views):
+        if k == reference:
             continue
-        start = _pair_start(
-            rig.cameras[rig.reference], rig.cameras[c], pictures[rig.reference], picture, pixel
+        start = stereo_start(
+            views[reference], view, pixel, half=settings.subset // 2, depth_range=depth_range
         )
-        match = _matched(splines[rig.reference], splines[c], pixel, start, settings)
-        target[c], covariance[c], score[c] = match
-    return _judged(rig, pixel, target, covariance, score, settings)
+        matches = _matched(splines[reference], splines[k], pixel, start, settings)
+        found[k] = _confirmed(matches, cell, pixel, settings.disagreement)
+    return _joined(rig, found, pixel, blank, settings, pictures[reference].shape)
 
 
-def triangulated_surface(stereo: StereoPoints) -> tuple[Vertices, Triangles]:
-    """Stereo points joined to an open surface, along the grid of their pixels.
+def triangulated_surface(rig: Rig, stereo: StereoPoints) -> tuple[Vertices, Triangles]:
+    """Stereo points joined to an open surface that faces the reference camera.
 
     Parameters
     ----------
-    stereo : StereoPoints
+    rig : Rig
+    stereo : StereoPoints           n points
 
     Returns
     -------
     vertices : (n, 3) float [m]     all points, also those of no triangle
-    triangles : (m, 3) int          two for every cell whose corners are all there and on one part
-                                    of the object
+    triangles : (m, 3) int          two for every cell of the grid whose corners are all there and
+                                    whose sides are no jump: steeper than 80 degrees
     """
+    camera = rig.cameras[rig.reference]
+    pose = camera.T_camera_object
+    depth = stereo.point @ pose[2, :3] + pose[2, 3]
+    width = stereo.step * depth / camera.matrix[0, 0]
     triangles = grid_triangles(stereo.pixel, stereo.step)
-    corner = stereo.point[triangles]
-    side = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
-    usual = np.median(side) if len(side) else 0.0
-    return stereo.point, triangles[side.max(axis=1, initial=0.0) < _JUMP * usual]
+    drop = np.ptp(depth[triangles], axis=1)
+    whole = drop <= _STEEPEST * np.sqrt(2.0) * width[triangles].mean(axis=1)
+    # Both halves of a cell, or none.
+    both = whole.reshape(2, -1).all(axis=0)
+    return stereo.point, triangles.reshape(2, -1, 3)[:, both].reshape(-1, 3)
 
 
-def _textured_grid(
-    picture: Float[np.ndarray, "rows columns"], settings: StereoSettings
-) -> Float[np.ndarray, "n 2"]:
-    """Pixels of the grid whose window has texture and lies in the picture."""
-    rows, columns = picture.shape
-    edge = settings.subset // 2 + 1
-    row, column = np.meshgrid(
-        np.arange(edge, rows - edge, settings.step),
-        np.arange(edge, columns - edge, settings.step),
-        indexing="ij",
-    )
-    some = make_even_picture(picture).textured[row, column]
-    return np.stack([column[some], row[some]], axis=1).astype(np.float64)
+def _check(
+    rig: Rig,
+    pictures: Sequence[Float[np.ndarray, "_ _"]],
+    mask: Bool[np.ndarray, "rows columns"] | None,
+    depth_range: tuple[float, float] | None,
+) -> None:
+    if len(pictures) != len(rig.cameras):
+        raise InputError(f"{len(pictures)} pictures for {len(rig.cameras)} cameras; give one each")
+    shape = pictures[rig.reference].shape
+    if mask is not None and mask.shape != shape:
+        raise InputError(f"mask is of {mask.shape} pixels; the reference picture of {shape}")
+    if depth_range is not None and not 0.0 < depth_range[0] < depth_range[1]:
+        raise InputError(
+            f"depth_range is {depth_range}; must be two distances from the reference camera in"
+            " metres, near and far"
+        )
 
 
-def _pair_start(
-    reference: Camera,
-    other: Camera,
-    first: Float[np.ndarray, "_ _"],
-    second: Float[np.ndarray, "_ _"],
-    pixel: Float[np.ndarray, "n 2"],
-) -> Float[np.ndarray, "n 2"]:
-    """Where pixels of the reference picture may be in another camera's; NaN where nowhere."""
-    pair = rectify_pair(reference, other, first.shape)
-    left, right = (np.nan_to_num(remapped(pair, k, one)) for k, one in ((0, first), (1, second)))
-    area = [np.isfinite(remapped(pair, k, one)) for k, one in ((0, first), (1, second))]
-    found = feature_matches(
-        make_even_picture(left).even, make_even_picture(right).even, area[0], area[1]
-    )
-    if len(found.point) == 0:
-        return np.full(pixel.shape, np.nan)
-    shift = np.rint(np.median(found.displacement, axis=0))
-    size = left.shape[::-1]
-    moved = cv2.warpAffine(right, np.array([[1.0, 0.0, -shift[0]], [0.0, 1.0, -shift[1]]]), size)
-    start = dense_start(left, moved, mask=area[0])
-    at = _seen_by(reference, pair.cameras[0], pixel)
-    flow = _sampled(start.flow, at)
-    sure = _sampled(start.trusted.astype(np.float32)[..., None], at)[:, 0] > 0.5
-    axis = pair.axis[0]
-    off = np.abs(flow[:, 1 - axis] - np.median(flow[sure, 1 - axis]) if sure.any() else flow[:, 0])
-    place = np.where((sure & (off < _OFF_LINE))[:, None], at + flow + shift, np.nan)
-    return _seen_by(pair.cameras[1], other, place)
+def _grid(
+    wanted: Bool[np.ndarray, "rows columns"], step: int
+) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Row and column on the grid, and column and row in the picture, of the points that matter."""
+    first = step // 2
+    cell = np.argwhere(wanted[first::step, first::step])
+    return cell, (first + step * cell[:, ::-1]).astype(np.float64)
 
 
-def _seen_by(
-    source: Camera, target: Camera, pixel: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n 2"]:
-    """Pixels of a camera as another camera at the same place sees them; NaN stays NaN."""
-    result = np.full(pixel.shape, np.nan)
-    known = np.isfinite(pixel).all(axis=1)
-    if known.any():
-        eye, direction = rays(source, pixel[known])
-        result[known] = project(target, eye + direction)
-    return result
-
-
-def _sampled(
-    field: Float[np.ndarray, "rows columns k"], pixel: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n k"]:
-    """Bilinear values of a field; zero outside."""
-    place = np.nan_to_num(pixel, nan=-1e4).astype(np.float32)[None]
-    planes = [
-        cv2.remap(np.ascontiguousarray(field[..., k]), place, None, cv2.INTER_LINEAR)[0]
-        for k in range(field.shape[2])
-    ]
-    return np.stack(planes, axis=1).astype(np.float64)
+def _grid_size(wanted: Bool[np.ndarray, "rows columns"], step: int) -> int:
+    return int(wanted[step // 2 :: step, step // 2 :: step].sum())
 
 
 def _matched(
-    reference: SplinePicture,
-    other: SplinePicture,
+    first: SplinePicture,
+    second: SplinePicture,
     pixel: Float[np.ndarray, "n 2"],
-    start: Float[np.ndarray, "n 2"],
+    start: StereoStart,
     settings: StereoSettings,
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"], PointScalars]:
-    """Place, its covariance and score in another camera, by windows with their own slope."""
-    away = start - pixel
-    good = np.isfinite(away).all(axis=1)
-    value, gradient = planar_field(pixel, away, good, settings.subset)
-    planar = PlanarSettings(subset=settings.subset, shape="quadratic", reach=6.0)
-    match = refine_planar(reference, other, pixel, value, start_gradient=gradient, settings=planar)
-    fine = match.converged & (match.score > settings.least_score)
-    place = np.where(fine[:, None], pixel + match.displacement, np.nan)
-    spread = match.covariance + settings.rig_error**2 * np.eye(2)
-    return place, np.where(fine[:, None, None], spread, np.nan), match.score
+) -> _Matches:
+    """Windows of the reference picture in another, each as large as what it shows allows.
 
+    Of windows of growing size the largest is taken whose match no smaller one contradicts: a window
+    across an edge of the object is contradicted by one that stays on this side of it.
 
-def _judged(
-    rig: Rig,
-    pixel: Float[np.ndarray, "n 2"],
-    target: Float[np.ndarray, "c n 2"],
-    covariance: Float[np.ndarray, "c n 2 2"],
-    score: Float[np.ndarray, "c n"],
-    settings: StereoSettings,
-) -> StereoPoints:
-    """Triangulate, and keep the points whose rays meet as well as the others' do."""
-    found = triangulate(rig, target, covariance)
-    known = np.isfinite(found.point).all(axis=1)
-    if not known.any():
-        raise CalibrationError(
-            f"{rig.source}: not one of {len(pixel)} windows of camera"
-            f" '{rig.cameras[rig.reference].name}' is found in another camera's picture where the"
-            " rig expects it; are the pictures of the cameras swapped, or is the rig another one?"
+    Source
+    ------
+    Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Transactions on Signal
+    Processing 47 (1999): the intersection of confidence intervals.
+    """
+    sides = _windows(settings.subset)
+    tries = [
+        refine_planar(
+            first,
+            second,
+            pixel,
+            start.displacement,
+            start_gradient=start.gradient,
+            settings=PlanarSettings(subset=side, shape=settings.shape),
         )
-    usual = float(np.median(found.residual[known]))
-    good = known & (found.residual < settings.disagreement * max(usual, settings.rig_error))
-    lowest = np.nanmin(np.where(np.isfinite(score), score, np.inf), axis=0)
+        for side in sides
+    ]
+    left = [_left(first, pixel, match, side) for match, side in zip(tries, sides, strict=True)]
+    decent = tries[-1].converged & (tries[-1].score > _LEAST_SCORE)
+    noise = float(np.percentile(left[-1][decent], _BEST)) if decent.any() else np.inf
+    return _largest(first, pixel, start, tries, left, sides, noise, settings.excess)
+
+
+def _largest(
+    first: SplinePicture,
+    pixel: Float[np.ndarray, "n 2"],
+    start: StereoStart,
+    tries: Sequence[PlanarMatch],
+    left: Sequence[PointScalars],
+    sides: Sequence[int],
+    noise: float,
+    excess: float,
+) -> _Matches:
+    """The largest window of each point that is good and agrees with the smaller ones."""
+    n = len(pixel)
+    choice = np.full(n, -1)
+    low, high = np.full((n, 2), -np.inf), np.full((n, 2), np.inf)
+    contradicted = np.zeros(n, dtype=bool)
+    for k, match in enumerate(tries):
+        good = _outcomes(first, pixel, match, left[k], noise, excess, sides[k]) == Outcome.VALID
+        variance = np.einsum("nii->ni", match.covariance)
+        # What a window leaves beyond the noise must not excuse its contradiction.
+        share = np.minimum(1.0, noise / left[k])[:, None]
+        reach = _INTERVAL * np.sqrt(share**2 * variance + _BIAS**2)
+        new_low = np.fmax(low, match.displacement - reach)
+        new_high = np.fmin(high, match.displacement + reach)
+        agrees = (new_low <= new_high).all(axis=1)
+        contradicted |= good & ~agrees
+        take = good & ~contradicted
+        choice[take] = k
+        low[take], high[take] = new_low[take], new_high[take]
+    found = choice >= 0
+    # A smaller window has other reasons to fail; that of the largest one is told.
+    outcome = _outcomes(first, pixel, tries[-1], left[-1], noise, excess, sides[-1])
+    outcome[outcome == Outcome.VALID] = Outcome.SCORE
+    outcome[~np.isfinite(start.displacement).all(axis=1)] = Outcome.HIDDEN
+    outcome[found] = Outcome.VALID
+    pick = (np.maximum(choice, 0), np.arange(n))
+
+    def chosen(name: str) -> np.ndarray:
+        value = np.stack([getattr(match, name) for match in tries])[pick]
+        value[~found] = np.nan
+        return value
+
+    return _Matches(
+        displacement=chosen("displacement"),
+        gradient=chosen("gradient"),
+        covariance=chosen("covariance"),
+        score=chosen("score"),
+        window=np.array(sides)[pick[0]],
+        outcome=outcome,
+    )
+
+
+def _windows(subset: int) -> list[int]:
+    """Sides of the windows that are tried, smallest first."""
+    sides = [2 * round(0.5 * share * subset - 0.5) + 1 for share in _SHARES]
+    return sorted({max(side, _SMALLEST_WINDOW) for side in sides})
+
+
+def _left(
+    first: SplinePicture, pixel: Float[np.ndarray, "n 2"], match: PlanarMatch, side: int
+) -> PointScalars:
+    """Standard deviation of what each match leaves [grey levels]; NaN where there is none."""
+    share = np.maximum(match.score, 1e-6) ** -2 - 1.0
+    return np.sqrt(share * _variance(first, side, pixel))
+
+
+def _variance(
+    picture: SplinePicture, side: int, pixel: Float[np.ndarray, "n 2"]
+) -> PointScalars:
+    """Variance of the grey levels in windows [grey levels^2]."""
+    column, row = np.clip(pixel.astype(np.int64), 0, np.array(picture.grey.shape[::-1]) - 1).T
+    mean = cv2.blur(picture.grey, (side, side)).astype(np.float64)
+    square = cv2.sqrBoxFilter(picture.grey, cv2.CV_64F, (side, side))
+    return np.maximum(square[row, column] - mean[row, column] ** 2, 0.0)
+
+
+def _outcomes(
+    first: SplinePicture,
+    pixel: Float[np.ndarray, "n 2"],
+    match: PlanarMatch,
+    left: PointScalars,
+    noise: float,
+    excess: float,
+    side: int,
+) -> PointIndices:
+    """What became of windows of one size."""
+    outcome = np.full(len(pixel), int(Outcome.VALID))
+    sigma = np.sqrt(np.trace(match.covariance, axis1=1, axis2=2))
+    third = side // 3 - 1 + (side // 3) % 2
+    textured = np.ones(len(pixel), dtype=bool)
+    # Texture on all four sides of the middle: else the point may lie beyond an outline.
+    for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        beside = pixel + (third // 2 + 1) * np.array(step)
+        textured &= _variance(first, third, beside) > 2.0 * noise**2
+    with np.errstate(invalid="ignore"):
+        outcome[~textured | (sigma > _TEXTURE_LIMIT)] = Outcome.TEXTURE
+        outcome[(match.score < _LEAST_SCORE) | (left > excess * noise)] = Outcome.SCORE
+    outcome[~match.converged] = Outcome.LOST
+    return outcome
+
+
+def _confirmed(
+    matches: _Matches,
+    cell: Int[np.ndarray, "n 2"],
+    pixel: Float[np.ndarray, "n 2"],
+    disagreement: float,
+) -> _Matches:
+    """Matches without those that their neighbours contradict."""
+    wrong = contradicts_neighbours(
+        cell,
+        pixel,
+        matches.displacement,
+        matches.gradient,
+        np.sqrt(np.trace(matches.covariance, axis1=1, axis2=2)),
+        matches.outcome == Outcome.VALID,
+        disagreement=disagreement,
+    )
+    outcome = np.where(wrong, int(Outcome.NEIGHBOURS), matches.outcome)
+    displacement = np.where(wrong[:, None], np.nan, matches.displacement)
+    return replace(matches, displacement=displacement, outcome=outcome)
+
+
+def _joined(
+    rig: Rig,
+    found: dict[int, _Matches],
+    pixel: Float[np.ndarray, "n 2"],
+    blank: int,
+    settings: StereoSettings,
+    shape: tuple[int, int],
+) -> StereoPoints:
+    """One point from the matches of all cameras."""
+    others = list(found)
+    pixels = np.full((len(rig.cameras), *pixel.shape), np.nan)
+    covariance = np.full((*pixels.shape, 2), np.nan)
+    for k in others:
+        pixels[k] = pixel + found[k].displacement
+        covariance[k] = found[k].covariance
+    seen = np.isfinite(pixels).all(axis=2).any(axis=0)
+    pixels[rig.reference, seen] = pixel[seen]
+    joint, used = joined_cameras(
+        rig,
+        pixels,
+        covariance,
+        disagreement=settings.disagreement,
+        reprojection=settings.reprojection,
+    )
+    valid = used.any(axis=0)
+    # The reason of the camera that came farthest: the outcomes are in the order of the steps.
+    outcome = np.max([found[k].outcome for k in others], axis=0)
+    outcome[seen] = Outcome.REPROJECTION
+    outcome[valid] = Outcome.VALID
+    counts = np.bincount(outcome, minlength=len(Outcome))
+    counts[Outcome.TEXTURE] += blank
+    mine = used[others]
+    score = np.where(mine, np.stack([found[k].score for k in others]), np.inf)
+    window = np.where(mine, np.stack([found[k].window for k in others]), settings.subset)
     return StereoPoints(
-        pixel=pixel[good],
-        point=found.point[good],
-        covariance=found.covariance[good],
-        score=lowest[good],
-        residual=found.residual[good],
-        cameras=found.cameras[good],
+        pixel=pixel[valid],
+        point=joint.point[valid],
+        covariance=joint.covariance[valid],
+        score=score.min(axis=0)[valid],
+        residual=joint.residual[valid],
+        cameras=joint.cameras[valid],
+        window=window.min(axis=0)[valid],
+        counts=counts,
         step=settings.step,
-        searched=len(pixel),
+        shape=shape,
     )

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from palpate.errors import InputError
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars
-from palpate.vision.disparity import StereoSettings, Views, disparity_map
+from palpate.vision.disparity import DisparitySettings, Views, disparity_map
 from palpate.vision.rectification import (
     Rectified,
     from_disparity,
@@ -97,7 +97,7 @@ def make_instant(
     pictures: Sequence[Float[np.ndarray, "_ _"]],
     limits: tuple[float, float],
     *,
-    settings: StereoSettings,
+    settings: DisparitySettings,
 ) -> Instant:
     """Rectify the pictures of one instant and match them with each other.
 
@@ -106,7 +106,7 @@ def make_instant(
     head : StereoHead
     pictures : sequence of (rows, columns) float [grey levels]  of all cameras of the rig
     limits : (least, greatest) [px]     disparities to try
-    settings : StereoSettings
+    settings : DisparitySettings
 
     Returns
     -------

@@ -1,14 +1,14 @@
 """Sums over one window of a picture: what Gauss-Newton needs, the light's changes eliminated.
 
-Between two pictures of a window the light may change by an offset, a gain, and (shading) a gain that
-varies linearly over the window. These are eliminated in closed form: everything is projected on what
-they cannot explain.
+Between two pictures of a window the light may change by an offset, a gain, and (shading) a gain
+that varies linearly over the window. These are eliminated in closed form: everything is projected
+on what they cannot explain.
 
 A window holds six planes, `(6, side, side)` float32: grey level less its mean, derivative by the
 column, derivative by the row, weight (1 inside, 0 outside), and two planes of unit length that with
 the first and a constant span the light's changes; all but the weight are zero outside. The
-displacement varies over it as a polynomial in (xi, eta), the distance from the centre in half sides:
-1, xi, eta, xi^2, xi eta, eta^2. Unknown k of component a is number a * bases + k.
+displacement varies over it as a polynomial in (xi, eta), the distance from the centre in half
+sides: 1, xi, eta, xi^2, xi eta, eta^2. Unknown k of component a is number a * bases + k.
 """
 
 import numpy as np

@@ -68,7 +68,7 @@ def _field_at(
         flow.bias[valid],
         flow.subset,
     )
-    return local_field(scatter, place, _tangents(normal), reach=_REACH * half)
+    return local_field(scatter, place, _tangents(normal), reach=_REACH * half, fewest=_FEWEST)
 
 
 def vertex_normals(vertices: Vertices, triangles: Triangles) -> Vertices:
