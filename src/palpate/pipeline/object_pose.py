@@ -65,8 +65,8 @@ def posed_rig(
     CalibrationError                the rig does not fit the pictures, the object is not in view,
                                     the pose is far off, or the shape does not fix it
     """
-    checked = check_rig(rig, pictures)
     _check_view(rig, pictures, mesh)
+    checked = check_rig(rig, pictures)
     if choice == "given":
         return rig, checked.notes
     stereo = stereo_points(rig, pictures)

@@ -94,7 +94,11 @@ def epipolar_residual(
     first, second = pictures[rig.reference], pictures[other]
     if first.shape != second.shape:
         return float("nan"), 0
-    pair = rectify_pair(reference, rig.cameras[other], first.shape)
+    try:
+        pair = rectify_pair(reference, rig.cameras[other], first.shape)
+    except CalibrationError:
+        # One camera stands in the other's view: epipolar lines are no lines in these pictures.
+        return float("nan"), 0
     left, right = remapped(pair, 0, first), remapped(pair, 1, second)
     areas = [np.isfinite(one) for one in (left, right)]
     if not (areas[0].any() and areas[1].any()):

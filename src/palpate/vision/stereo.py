@@ -136,6 +136,16 @@ class _Matches:
     outcome: PointIndices
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Try:
+    """Windows of one size: their matches, what these leave, and the contrast beside the middle."""
+
+    side: int
+    match: PlanarMatch
+    left: PointScalars
+    beside: PointScalars
+
+
 def stereo_points(
     rig: Rig,
     pictures: Sequence[Float[np.ndarray, "_ _"]],
@@ -263,73 +273,68 @@ def _matched(
     Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Transactions on Signal
     Processing 47 (1999): the intersection of confidence intervals.
     """
-    sides = _windows(settings.subset)
-    tries = [
-        refine_planar(
+    rows = np.flatnonzero(np.isfinite(start.displacement).all(axis=1))
+    tries = []
+    for side in _windows(settings.subset):
+        match = refine_planar(
             first,
             second,
-            pixel,
-            start.displacement,
-            start_gradient=start.gradient,
+            pixel[rows],
+            start.displacement[rows],
+            start_gradient=start.gradient[rows],
             settings=PlanarSettings(subset=side, shape=settings.shape),
         )
-        for side in sides
-    ]
-    left = [_left(first, pixel, match, side) for match, side in zip(tries, sides, strict=True)]
-    decent = tries[-1].converged & (tries[-1].score > _LEAST_SCORE)
-    noise = float(np.percentile(left[-1][decent], _BEST)) if decent.any() else np.inf
-    return _largest(first, pixel, start, tries, left, sides, noise, settings.excess)
-
-
-def _largest(
-    first: SplinePicture,
-    pixel: Float[np.ndarray, "n 2"],
-    start: StereoStart,
-    tries: Sequence[PlanarMatch],
-    left: Sequence[PointScalars],
-    sides: Sequence[int],
-    noise: float,
-    excess: float,
-) -> _Matches:
-    """The largest window of each point that is good and agrees with the smaller ones."""
-    n = len(pixel)
-    choice = np.full(n, -1)
-    low, high = np.full((n, 2), -np.inf), np.full((n, 2), np.inf)
-    contradicted = np.zeros(n, dtype=bool)
-    for k, match in enumerate(tries):
-        good = _outcomes(first, pixel, match, left[k], noise, excess, sides[k]) == Outcome.VALID
-        variance = np.einsum("nii->ni", match.covariance)
-        # What a window leaves beyond the noise must not excuse its contradiction.
-        share = np.minimum(1.0, noise / left[k])[:, None]
-        reach = _INTERVAL * np.sqrt(share**2 * variance + _BIAS**2)
-        new_low = np.fmax(low, match.displacement - reach)
-        new_high = np.fmin(high, match.displacement + reach)
-        agrees = (new_low <= new_high).all(axis=1)
-        contradicted |= good & ~agrees
-        take = good & ~contradicted
-        choice[take] = k
-        low[take], high[take] = new_low[take], new_high[take]
+        tries.append(_Try(side, match, *_contrast(first, pixel[rows], match, side)))
+    last = tries[-1]
+    decent = last.match.converged & (last.match.score > _LEAST_SCORE)
+    noise = float(np.percentile(last.left[decent], _BEST)) if decent.any() else np.inf
+    outcomes = [_outcomes(one, noise, settings.excess) for one in tries]
+    choice = _largest(tries, outcomes, noise)
     found = choice >= 0
     # A smaller window has other reasons to fail; that of the largest one is told.
-    outcome = _outcomes(first, pixel, tries[-1], left[-1], noise, excess, sides[-1])
-    outcome[outcome == Outcome.VALID] = Outcome.SCORE
-    outcome[~np.isfinite(start.displacement).all(axis=1)] = Outcome.HIDDEN
-    outcome[found] = Outcome.VALID
-    pick = (np.maximum(choice, 0), np.arange(n))
+    outcome = np.full(len(pixel), int(Outcome.HIDDEN))
+    outcome[rows] = np.where(outcomes[-1] == Outcome.VALID, int(Outcome.SCORE), outcomes[-1])
+    outcome[rows[found]] = Outcome.VALID
 
     def chosen(name: str) -> np.ndarray:
-        value = np.stack([getattr(match, name) for match in tries])[pick]
-        value[~found] = np.nan
-        return value
+        values = np.stack([getattr(one.match, name)[found] for one in tries])
+        result = np.full((len(pixel), *values.shape[2:]), np.nan)
+        result[rows[found]] = values[choice[found], np.arange(values.shape[1])]
+        return result
 
+    window = np.zeros(len(pixel), dtype=np.int64)
+    window[rows[found]] = np.array([one.side for one in tries])[choice[found]]
     return _Matches(
         displacement=chosen("displacement"),
         gradient=chosen("gradient"),
         covariance=chosen("covariance"),
         score=chosen("score"),
-        window=np.array(sides)[pick[0]],
+        window=window,
         outcome=outcome,
     )
+
+
+def _largest(
+    tries: Sequence[_Try], outcomes: Sequence[Int[np.ndarray, " n"]], noise: float
+) -> Int[np.ndarray, " n"]:
+    """Which window of each point is the largest that no smaller one contradicts; -1: none is good."""
+    n = len(tries[0].left)
+    choice = np.full(n, -1)
+    low, high = np.full((n, 2), -np.inf), np.full((n, 2), np.inf)
+    contradicted = np.zeros(n, dtype=bool)
+    for k, (one, outcome) in enumerate(zip(tries, outcomes, strict=True)):
+        good = outcome == Outcome.VALID
+        variance = np.einsum("nii->ni", one.match.covariance)
+        # What a window leaves beyond the noise must not excuse its contradiction.
+        share = np.minimum(1.0, noise / np.maximum(one.left, 1e-9))[:, None]
+        reach = _INTERVAL * np.sqrt(share**2 * variance + _BIAS**2)
+        new_low = np.fmax(low, one.match.displacement - reach)
+        new_high = np.fmin(high, one.match.displacement + reach)
+        contradicted |= good & ~(new_low <= new_high).all(axis=1)
+        take = good & ~contradicted
+        choice[take] = k
+        low[take], high[take] = new_low[take], new_high[take]
+    return choice
 
 
 def _windows(subset: int) -> list[int]:
@@ -338,45 +343,44 @@ def _windows(subset: int) -> list[int]:
     return sorted({max(side, _SMALLEST_WINDOW) for side in sides})
 
 
-def _left(
-    first: SplinePicture, pixel: Float[np.ndarray, "n 2"], match: PlanarMatch, side: int
-) -> PointScalars:
-    """Standard deviation of what each match leaves [grey levels]; NaN where there is none."""
+def _contrast(
+    picture: SplinePicture, pixel: Float[np.ndarray, "n 2"], match: PlanarMatch, side: int
+) -> tuple[PointScalars, PointScalars]:
+    """What each match leaves [grey levels], and the least variance beside the window's middle.
+
+    The latter over windows of a third of the side to the left, right, above and below: where one of
+    them is blank, the point may lie beyond an outline.
+    """
+    size = np.array(picture.grey.shape[::-1]) - 1
+    column, row = pixel.astype(np.int64).T
     share = np.maximum(match.score, 1e-6) ** -2 - 1.0
-    return np.sqrt(share * _variance(first, side, pixel))
+    left = np.sqrt(share * _variance(picture, side)[row, column])
+    third = side // 3 - 1 + (side // 3) % 2
+    small = _variance(picture, third)
+    away = third // 2 + 1
+    beside = [
+        small[np.clip(row + i, 0, size[1]), np.clip(column + j, 0, size[0])]
+        for i, j in ((-away, 0), (away, 0), (0, -away), (0, away))
+    ]
+    return left, np.min(beside, axis=0)
 
 
-def _variance(
-    picture: SplinePicture, side: int, pixel: Float[np.ndarray, "n 2"]
-) -> PointScalars:
-    """Variance of the grey levels in windows [grey levels^2]."""
-    column, row = np.clip(pixel.astype(np.int64), 0, np.array(picture.grey.shape[::-1]) - 1).T
+def _variance(picture: SplinePicture, side: int) -> Float[np.ndarray, "rows columns"]:
+    """Variance of the grey levels in the window around every pixel [grey levels^2]."""
     mean = cv2.blur(picture.grey, (side, side)).astype(np.float64)
     square = cv2.sqrBoxFilter(picture.grey, cv2.CV_64F, (side, side))
-    return np.maximum(square[row, column] - mean[row, column] ** 2, 0.0)
+    return np.maximum(square - mean**2, 0.0)
 
 
-def _outcomes(
-    first: SplinePicture,
-    pixel: Float[np.ndarray, "n 2"],
-    match: PlanarMatch,
-    left: PointScalars,
-    noise: float,
-    excess: float,
-    side: int,
-) -> PointIndices:
+def _outcomes(one: _Try, noise: float, excess: float) -> Int[np.ndarray, " n"]:
     """What became of windows of one size."""
-    outcome = np.full(len(pixel), int(Outcome.VALID))
+    match = one.match
+    outcome = np.full(len(one.left), int(Outcome.VALID))
     sigma = np.sqrt(np.trace(match.covariance, axis1=1, axis2=2))
-    third = side // 3 - 1 + (side // 3) % 2
-    textured = np.ones(len(pixel), dtype=bool)
-    # Texture on all four sides of the middle: else the point may lie beyond an outline.
-    for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        beside = pixel + (third // 2 + 1) * np.array(step)
-        textured &= _variance(first, third, beside) > 2.0 * noise**2
     with np.errstate(invalid="ignore"):
-        outcome[~textured | (sigma > _TEXTURE_LIMIT)] = Outcome.TEXTURE
-        outcome[(match.score < _LEAST_SCORE) | (left > excess * noise)] = Outcome.SCORE
+        blank = ~(one.beside > 2.0 * noise**2)
+        outcome[blank | (sigma > _TEXTURE_LIMIT)] = Outcome.TEXTURE
+        outcome[(match.score < _LEAST_SCORE) | (one.left > excess * noise)] = Outcome.SCORE
     outcome[~match.converged] = Outcome.LOST
     return outcome
 

@@ -302,24 +302,37 @@ def _planes(
     disparity: Float[np.ndarray, "rows columns"], at: Float[np.ndarray, "n 2"], half: int
 ) -> tuple[Float[np.ndarray, "n 3"], Flags]:
     """Disparity and its slopes at places of the rectified picture; and whether they are known."""
-    rows, columns = disparity.shape
-    side = np.linspace(-half, half, _SAMPLES)
-    away = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    sample = np.rint(np.where(np.isfinite(at), at, -1e6)[:, None] + away).astype(np.int64)
-    inside = ((sample >= 0) & (sample < [columns, rows])).all(axis=2)
-    sample = np.clip(sample, 0, [columns - 1, rows - 1])
-    value = np.where(inside, disparity[sample[..., 1], sample[..., 0]], np.nan)
+    away = np.linspace(-half, half, _SAMPLES)
+    away = np.stack(np.meshgrid(away, away), axis=-1).reshape(-1, 2)
     # The middle third decides which surface is meant.
-    middle = value[:, np.abs(away).max(axis=1) <= half / 3.0 + 0.1]
-    known = np.isfinite(middle).sum(axis=1) > middle.shape[1] // 2
-    centre = np.full(len(at), np.nan)
-    centre[known] = np.nanmedian(middle[known], axis=1)
-    offset = sample - np.where(known[:, None], at, 0.0)[:, None]
+    third = away[np.abs(away).max(axis=1) <= half / 3.0 + 0.1]
+    middle, _ = _sampled(disparity, at, third)
+    good = np.isfinite(middle).sum(axis=1) > len(third) // 2
+    plane = np.zeros((len(at), 3))
+    if not good.any():
+        return plane, good
+    centre = np.nanmedian(middle[good], axis=1)[:, None]
+    value, offset = _sampled(disparity, at[good], away)
     reach = _SLACK + _SLOPE * np.linalg.norm(away, axis=1)
-    own = np.where(np.isfinite(value), np.abs(value - centre[:, None]), np.inf) <= reach
+    own = np.where(np.isfinite(value), np.abs(value - centre), np.inf) <= reach
     terms = np.concatenate([np.ones((*value.shape, 1)), offset], axis=2) * own[..., None]
     normal = terms.swapaxes(1, 2) @ terms + 1e-6 * np.eye(3)
     right = terms.swapaxes(1, 2) @ np.where(own, value, 0.0)[..., None]
-    good = known & (own.sum(axis=1) >= away.shape[0] // 2)
-    normal[~good] = np.eye(3)
-    return np.linalg.solve(normal, right)[..., 0], good
+    plane[good] = np.linalg.solve(normal, right)[..., 0]
+    good[good] = own.sum(axis=1) >= len(away) // 2
+    return plane, good
+
+
+def _sampled(
+    disparity: Float[np.ndarray, "rows columns"],
+    at: Float[np.ndarray, "n 2"],
+    away: Float[np.ndarray, "s 2"],
+) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s 2"]]:
+    """Disparity at the pixels nearest to places around points, NaN outside; and where these are."""
+    size = np.array(disparity.shape[::-1])
+    known = np.isfinite(at).all(axis=1)
+    place = np.rint(np.where(known[:, None], at, -1e6)[:, None] + away).astype(np.int64)
+    inside = ((place >= 0) & (place < size)).all(axis=2)
+    place = np.clip(place, 0, size - 1)
+    value = np.where(inside, disparity[place[..., 1], place[..., 0]], np.nan)
+    return value, place - np.where(known[:, None], at, 0.0)[:, None]

@@ -1,0 +1,164 @@
+"""From a session's pictures to its vertices, and what happens to bad pictures."""
+
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.errors import CalibrationError, InputError
+from palpate.pipeline import (
+    MotionSettings,
+    fit_session,
+    measure_motion,
+    with_measured_displacement,
+)
+from palpate.records import Session, read_session
+from palpate.vision import JointSettings, Outcome
+
+GIVEN = MotionSettings(pose="given", joint=JointSettings(step=8))
+
+
+def _part(source: Path, target: Path, steps: int) -> Path:
+    """A copy of a rigid sequence with its first steps only."""
+    target.mkdir()
+    text = (source / "session.toml").read_text()
+    head, *tables = text.split("[[step]]")
+    (target / "session.toml").write_text("[[step]]".join([head, *tables[:steps]]))
+    for name in ("rig.toml", "mesh.ply"):
+        shutil.copy(source / name, target / name)
+    (target / "images").mkdir()
+    for step in range(steps):
+        for picture in (source / "images").glob(f"s{step}_*.png"):
+            shutil.copy(picture, target / "images" / picture.name)
+    return target
+
+
+@pytest.fixture(scope="module")
+def sequence(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three instants of the translating object: 2.5 mm a step along x."""
+    folder = tmp_path_factory.mktemp("motion") / "part"
+    return _part(shared_data / "rigid_translation_x", folder, 3)
+
+
+@pytest.fixture(scope="module")
+def half_ball(shared_data: Path) -> Session:
+    return read_session(shared_data / "halfball_images", probes=["n01"])
+
+
+def test_a_translation_is_measured_to_hundredths_of_a_millimetre(sequence: Path) -> None:
+    found = measure_motion(read_session(sequence), settings=GIVEN)
+    assert [motion.name for motion in found.motions] == ["s1", "s2"]
+    for number, motion in enumerate(found.motions, start=1):
+        assert motion.vertices is not None
+        moved = motion.vertices.displacement
+        ok = np.isfinite(moved).all(axis=1)
+        error = moved[ok] - [0.0025 * number, 0.0, 0.0]
+        assert ok.sum() > 100
+        # The issue asks for 0.06 mm; half of it leaves room for the coarser grid of this test.
+        assert np.sqrt((error**2).sum(axis=1).mean()) < 6e-5
+        square = np.einsum(
+            "ni,nij,nj->n", error, np.linalg.inv(motion.vertices.covariance[ok]), error
+        )
+        assert 0.6 < np.sqrt(square.mean() / 3.0) < 1.7
+
+
+def test_a_truncated_picture_fails_its_step_and_keeps_the_others(
+    sequence: Path, tmp_path: Path
+) -> None:
+    folder = _part(sequence, tmp_path / "cut", 3)
+    picture = folder / "images" / "s1_c1.png"
+    picture.write_bytes(picture.read_bytes()[:40_000])
+    found = measure_motion(read_session(folder), settings=GIVEN)
+    failed, kept = found.motions
+    assert failed.flow is None
+    assert failed.failure is not None
+    assert "s1" in failed.failure
+    assert "s1_c1.png" in failed.failure
+    assert kept.vertices is not None
+    assert np.isfinite(kept.vertices.displacement[:, 0]).sum() > 100
+
+
+def test_a_truncated_first_picture_is_refused(sequence: Path, tmp_path: Path) -> None:
+    folder = _part(sequence, tmp_path / "first", 2)
+    picture = folder / "images" / "s0_c2.png"
+    picture.write_bytes(picture.read_bytes()[:40_000])
+    with pytest.raises(InputError, match=r"s0_c2\.png"):
+        measure_motion(read_session(folder), settings=GIVEN)
+
+
+def test_pictures_without_texture_say_where_and_how_much_is_needed(
+    sequence: Path, tmp_path: Path
+) -> None:
+    """A part of the object is painted grey in every picture."""
+    folder = _part(sequence, tmp_path / "bare", 2)
+    rng = np.random.default_rng(0)
+    for path in sorted((folder / "images").glob("*.png")):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(float)
+        grey[160:, :] = np.where(grey[160:] > 20.0, 100.0, grey[160:])
+        grey[160:] += rng.normal(0.0, 1.5, grey[160:].shape)
+        cv2.imwrite(str(path), np.clip(np.round(grey), 0, 255).astype(np.uint8))
+    found = measure_motion(read_session(folder), settings=GIVEN)
+    flow = found.motions[0].flow
+    assert flow is not None
+    assert (flow.outcome == Outcome.TEXTURE).mean() > 0.1
+    assert any("too little texture" in note and "column" in note for note in found.notes)
+
+
+def test_swapped_cameras_are_named(sequence: Path, tmp_path: Path) -> None:
+    folder = _part(sequence, tmp_path / "swapped", 2)
+    images = folder / "images"
+    for step in ("s0", "s1"):
+        (images / f"{step}_c1.png").rename(images / "kept.png")
+        (images / f"{step}_c2.png").rename(images / f"{step}_c1.png")
+        (images / "kept.png").rename(images / f"{step}_c2.png")
+    with pytest.raises(CalibrationError, match="'c1' shows what 'c2' should"):
+        measure_motion(read_session(folder), settings=GIVEN)
+
+
+def test_an_object_out_of_view_names_the_camera(sequence: Path, tmp_path: Path) -> None:
+    folder = _part(sequence, tmp_path / "away", 2)
+    rig = (folder / "rig.toml").read_text()
+    moved = re.sub(r"t = \[([^,]+),", r"t = [5.0,", rig)
+    (folder / "rig.toml").write_text(moved)
+    with pytest.raises(CalibrationError, match="does not see the object"):
+        measure_motion(read_session(folder), settings=GIVEN)
+
+
+def test_load_steps_in_the_wrong_order_are_remarked(shared_data: Path) -> None:
+    """n05 is loaded in five steps; the last one must be the largest."""
+    session = read_session(shared_data / "halfball_images", probes=["n05"])
+    probing = session.probings[0]
+    assert probing.images is not None
+    wrong = (probing.images.loaded[4], probing.images.loaded[1])
+    turned = replace(probing, images=replace(probing.images, loaded=wrong))
+    found = measure_motion(replace(session, probings=(turned,)), settings=GIVEN)
+    assert any("is their order right" in note for note in found.notes)
+
+
+def test_images_alone_give_the_constants(half_ball: Session) -> None:
+    """One probing, force known to 1 %: nu within 0.03 of 0.21, E within 5 % of 52 kPa."""
+    found = measure_motion(half_ball, settings=GIVEN)
+    session = with_measured_displacement(half_ball, found)
+    estimate = fit_session(session).estimate
+    assert estimate.poisson_ratio.value == pytest.approx(0.21, abs=0.03)
+    assert estimate.young_modulus.value == pytest.approx(52e3, rel=0.05)
+
+
+def test_a_session_without_images_says_so(half_ball: Session) -> None:
+    bare = replace(half_ball.probings[0], images=None)
+    with pytest.raises(InputError, match="none of its probings has images"):
+        measure_motion(replace(half_ball, probings=(bare,)))
+
+
+def test_unknown_probings_are_named(half_ball: Session) -> None:
+    with pytest.raises(InputError, match="'n99'"):
+        measure_motion(half_ball, probes=["n99"])
+
+
+def test_a_session_without_a_rig_says_so(half_ball: Session) -> None:
+    with pytest.raises(InputError, match="rig"):
+        measure_motion(replace(half_ball, rig=None))
