@@ -4,7 +4,7 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.estimation import FitSettings, IntervalSet
-from palpate.estimation.model_error import with_model_error
+from palpate.estimation.model_error import with_displacement_error, with_model_error
 from palpate.records import Constant
 
 RATIO = Constant(0.3, 0.01, (0.28, 0.32))
@@ -26,6 +26,33 @@ def test_independent_errors_add_in_quadrature():
 def test_none_changes_nothing():
     intervals = IntervalSet("profile", RATIO, MODULUS, EXACT, False)
     assert with_model_error(intervals, 0.0) == intervals
+
+
+def test_an_error_of_lengths_reaches_the_ratio_as_in_a_half_space():
+    """u along / u across = (1 - 2 nu) / (2 (1 - nu)): its slope turns a share into a change of nu."""
+    share, step = 0.007, 1e-6
+
+    def ratio(nu):
+        return (1 - 2 * nu) / (2 * (1 - nu))
+
+    slope = (ratio(0.3 + step) - ratio(0.3 - step)) / (2 * step) / ratio(0.3)
+    exact = Constant(0.3, 0.0, (0.3, 0.3))
+    found = with_displacement_error(IntervalSet("profile", exact, MODULUS, EXACT, False), share)
+    assert found.poisson_ratio.std == pytest.approx(abs(share / slope), rel=1e-6)
+    assert found.young_modulus.std == pytest.approx(share * 2600)
+    assert found.poisson_ratio.ci95[1] - 0.3 == pytest.approx(1.959964 * abs(share / slope))
+
+
+def test_a_ratio_never_passes_one_half():
+    near = Constant(0.4999, 0.0001, (0.4997, 0.49999))
+    found = with_displacement_error(IntervalSet("profile", near, MODULUS, EXACT, False), 0.5)
+    assert found.poisson_ratio.ci95[1] <= 0.5
+
+
+@pytest.mark.parametrize("error", [-0.1, 1.0, float("nan")])
+def test_a_share_of_the_lengths_out_of_range_is_refused(error):
+    with pytest.raises(InputError, match="displacement_error"):
+        FitSettings(displacement_error=error)
 
 
 @pytest.mark.parametrize("error", [-0.1, 1.0, float("nan")])

@@ -20,7 +20,7 @@ from palpate.estimation.identifiability import (
 )
 from palpate.estimation.likelihood_map import LikelihoodMap, likelihood_map
 from palpate.estimation.misfit import Misfit, with_levels
-from palpate.estimation.model_error import with_model_error
+from palpate.estimation.model_error import with_displacement_error, with_model_error
 from palpate.estimation.nelder_mead import nelder_mead_minimum
 from palpate.estimation.noise import noise_levels
 from palpate.estimation.notes import fit_notes
@@ -104,7 +104,7 @@ def fit(
     told = identifiable_constants(sets[settings.interval], weights)
     reported = with_prior_ranges(sets[settings.interval], told, weights)
     likelihood = _map(scores, scatters, weights, reported, minimum, settings)
-    reported = with_model_error(reported, settings.model_error)
+    reported = _with_shared_errors(reported, settings)
     clock.start("single probings")
     singles = _single_intervals(misfit, table, weights, noise, scatters, settings, reported)
     clock.start("validation")
@@ -277,8 +277,14 @@ def _single_intervals(
         chosen = sets.get(settings.interval, sets["profile"])
         told = identifiable_constants(chosen, alone.only(k))
         ranged = with_prior_ranges(chosen, told, alone.only(k))
-        found.append(with_model_error(ranged, settings.model_error))
+        found.append(_with_shared_errors(ranged, settings))
     return found
+
+
+def _with_shared_errors(intervals: IntervalSet, settings: FitSettings) -> IntervalSet:
+    """Intervals with what all probings have in common: the model's and the lengths' own error."""
+    wider = with_model_error(intervals, settings.model_error)
+    return with_displacement_error(wider, settings.displacement_error)
 
 
 def _probe_estimate(

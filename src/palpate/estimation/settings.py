@@ -41,6 +41,9 @@ class FitSettings:
     model_error : float [-]             standard deviation of the model's stiffness as a whole; the
                                         default is what half balls of 600 to 2500 vertices show
                                         against finite elements
+    displacement_error : float [-]      standard deviation of the measured displacements' scale as a
+                                        whole, in each direction for itself; the pipeline fills it
+                                        in for displacements that come from pictures
     bootstrap_count : int               resamples, 0 = none
     map_size : int                      grid points of the likelihood along each constant, >= 2
     seed : int                          of the bootstrap
@@ -57,6 +60,7 @@ class FitSettings:
     force_degrees: float = 8.0
     rejection_weight: float = 0.25
     model_error: float = 0.001
+    displacement_error: float = 0.0
     bootstrap_count: int = 500
     map_size: int = 51
     seed: int = 0
@@ -81,6 +85,8 @@ class FitSettings:
             raise InputError(
                 f"model_error is {self.model_error}; must be in [0, 1): 0.001 is 0.1 % of G and E"
             )
+        if not 0 <= self.displacement_error < 1:
+            raise InputError(f"displacement_error is {self.displacement_error}; must be in [0, 1)")
         if self.bootstrap_count < 0 or self.map_size < 2:
             raise InputError(
                 f"bootstrap_count is {self.bootstrap_count} and must be >= 0 (0 leaves it out);"

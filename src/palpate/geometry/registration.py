@@ -1,9 +1,9 @@
 """Pose of an object from points measured on its surface.
 
 Robust iterative closest points: the distance from the surface is brought to its least in a robust
-norm, from a rough start. Motions that the shape cannot tell (a ball about its centre, a plate within
-its plane) are found from what the points know about each motion, less what the facets of the mesh
-pretend to know; they stay as they were at the start.
+norm, from a rough start. Motions that the shape cannot tell (of a ball about its centre, of a plate
+within its plane) are found from what the points know about each motion, less what the facets of the
+mesh pretend to know; they stay as they were at the start.
 """
 
 from dataclasses import dataclass
@@ -150,7 +150,8 @@ def register(
 ) -> Registration:
     """Find the pose in which measured points lie on the surface of a mesh.
 
-    Flat facets lie inside a curved object; `refined_surface` gives finer ones on the smooth surface.
+    Flat facets lie inside a curved object and bias its pose by their distance from it, which no
+    covariance shows: give the smooth surface, `TriangleMesh(*refined_surface(mesh))`.
 
     Parameters
     ----------

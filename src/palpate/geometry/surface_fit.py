@@ -1,6 +1,6 @@
 """Least robust distance of points from a triangle surface by Gauss-Newton steps of their pose.
 
-A motion of the points is six numbers: a small turn about the points' centroid (rad) and a shift (m).
+A motion of the points is six numbers, a small turn about their centroid (rad) and a shift (m).
 Within the iteration they are scaled so that a unit moves the points by 1 m rms, whatever its kind.
 """
 

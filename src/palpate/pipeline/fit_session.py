@@ -124,10 +124,15 @@ def fit_session(
                                       bad contact
     SingularSystemError               the support does not hold the object
     """
-    settings = replace(settings, method=method)
     say = progress or _silent
     start = time.perf_counter()
     probings = _chosen(session, probes)
+    scale_error = max(_measured(probing).scale_error for probing in probings)
+    settings = replace(
+        settings,
+        method=method,
+        displacement_error=float(np.hypot(settings.displacement_error, scale_error)),
+    )
     say("integrals over the surface", 0.0)
     model = make_object_model(session, probings, surface=surface, cache=cache)
     assembled = time.perf_counter()

@@ -73,6 +73,8 @@ class DisplacementField:
     vertex : (n,) int or None       index of the mesh vertex, where the points are vertices
     surface : SurfacePoints         where the points sit on the mesh
     source : str                    file they came from, for messages
+    scale_error : float [-]         relative standard deviation of all displacements together, which
+                                    no single one shows; 0 unless told
 
     Raises
     ------
@@ -85,6 +87,7 @@ class DisplacementField:
     vertex: PointIndices | None
     surface: SurfacePoints
     source: str
+    scale_error: float = 0.0
 
     def __post_init__(self) -> None:
         points = fixed_array(self.points, name="points", shape=(None, 3))

@@ -10,39 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
 from palpate.records import Rig
-from palpate.shapes import Flags, PointIndices, Points, PointScalars, Triangles, Vertices
+from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.even_picture import make_even_picture
 from palpate.vision.features import find_features
-from palpate.vision.interpolation import SplinePicture, make_spline_picture
-from palpate.vision.planar_refinement import PlanarMatch, PlanarSettings, refine_planar
+from palpate.vision.interpolation import make_spline_picture
 from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo_judgement import contradicts_neighbours, joined_cameras
-from palpate.vision.stereo_start import StereoStart, make_view, stereo_start
+from palpate.vision.stereo_start import make_view, stereo_start
 from palpate.vision.tracking import grid_triangles
+from palpate.vision.window_matches import SMALLEST_WINDOW, WindowMatches, window_matches
 
 __all__ = ["StereoPoints", "StereoSettings", "stereo_points", "triangulated_surface"]
 
-# A match known no better than this is not known: sub-pixel matching is ten times better [px].
-_TEXTURE_LIMIT = 0.1
-# Below this correlation a window shows as much noise, or something else, as texture.
-_LEAST_SCORE = 0.7
-# What is left of the best quarter of the windows is noise alone; it differs little among them.
-_BEST = 25.0
-# Sides of the windows as shares of the largest, each with half the pixels of the next; fewer than 9
-# do not fix six coefficients a component.
-_SHARES = (0.43, 0.53, 0.7, 1.0)
-_SMALLEST_WINDOW = 9
-# Half widths of the confidence intervals whose intersection chooses a window, in standard
-# deviations: Katkovnik's figure.
-_INTERVAL = 2.0
-# Systematic error of a match from interpolation and the pixels' response, at best [px].
-_BIAS = 0.005
 # Tangent of 80 degrees: what is seen at a flatter angle shows no texture to be matched.
 _STEEPEST = 5.7
 
@@ -80,9 +64,9 @@ class StereoSettings:
     reprojection: float = 2.0
 
     def __post_init__(self) -> None:
-        if self.subset < _SMALLEST_WINDOW or self.subset % 2 == 0:
+        if self.subset < SMALLEST_WINDOW or self.subset % 2 == 0:
             raise InputError(
-                f"subset is {self.subset}; must be an odd number of pixels, {_SMALLEST_WINDOW} or"
+                f"subset is {self.subset}; must be an odd number of pixels, {SMALLEST_WINDOW} or"
                 " more"
             )
         if self.step < 1:
@@ -122,28 +106,6 @@ class StereoPoints:
     counts: Int[np.ndarray, "8"]
     step: int
     shape: tuple[int, int]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Matches:
-    """Points of the reference picture in one other picture; NaN where the outcome is not VALID."""
-
-    displacement: Float[np.ndarray, "n 2"]
-    gradient: Float[np.ndarray, "n 2 2"]
-    covariance: Float[np.ndarray, "n 2 2"]
-    score: PointScalars
-    window: PointIndices
-    outcome: PointIndices
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Try:
-    """Windows of one size: their matches, what these leave, and the contrast beside the middle."""
-
-    side: int
-    match: PlanarMatch
-    left: PointScalars
-    beside: PointScalars
 
 
 def stereo_points(
@@ -187,14 +149,22 @@ def stereo_points(
     wanted = even[reference].textured if mask is None else even[reference].textured & mask
     cell, pixel = _grid(wanted, settings.step)
     blank = _grid_size(wanted if mask is None else mask, settings.step) - len(pixel)
-    found: dict[int, _Matches] = {}
+    found: dict[int, WindowMatches] = {}
     for k, view in enumerate(views):
         if k == reference:
             continue
         start = stereo_start(
             views[reference], view, pixel, half=settings.subset // 2, depth_range=depth_range
         )
-        matches = _matched(splines[reference], splines[k], pixel, start, settings)
+        matches = window_matches(
+            splines[reference],
+            splines[k],
+            pixel,
+            start,
+            subset=settings.subset,
+            shape=settings.shape,
+            excess=settings.excess,
+        )
         found[k] = _confirmed(matches, cell, pixel, settings.disagreement)
     return _joined(rig, found, pixel, blank, settings, pictures[reference].shape)
 
@@ -256,141 +226,12 @@ def _grid_size(wanted: Bool[np.ndarray, "rows columns"], step: int) -> int:
     return int(wanted[step // 2 :: step, step // 2 :: step].sum())
 
 
-def _matched(
-    first: SplinePicture,
-    second: SplinePicture,
-    pixel: Float[np.ndarray, "n 2"],
-    start: StereoStart,
-    settings: StereoSettings,
-) -> _Matches:
-    """Windows of the reference picture in another, each as large as what it shows allows.
-
-    Of windows of growing size the largest is taken whose match no smaller one contradicts: a window
-    across an edge of the object is contradicted by one that stays on this side of it.
-
-    Source
-    ------
-    Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Transactions on Signal
-    Processing 47 (1999): the intersection of confidence intervals.
-    """
-    rows = np.flatnonzero(np.isfinite(start.displacement).all(axis=1))
-    tries = []
-    for side in _windows(settings.subset):
-        match = refine_planar(
-            first,
-            second,
-            pixel[rows],
-            start.displacement[rows],
-            start_gradient=start.gradient[rows],
-            settings=PlanarSettings(subset=side, shape=settings.shape),
-        )
-        tries.append(_Try(side, match, *_contrast(first, pixel[rows], match, side)))
-    last = tries[-1]
-    decent = last.match.converged & (last.match.score > _LEAST_SCORE)
-    noise = float(np.percentile(last.left[decent], _BEST)) if decent.any() else np.inf
-    outcomes = [_outcomes(one, noise, settings.excess) for one in tries]
-    choice = _largest(tries, outcomes, noise)
-    found = choice >= 0
-    # A smaller window has other reasons to fail; that of the largest one is told.
-    outcome = np.full(len(pixel), int(Outcome.HIDDEN))
-    outcome[rows] = np.where(outcomes[-1] == Outcome.VALID, int(Outcome.SCORE), outcomes[-1])
-    outcome[rows[found]] = Outcome.VALID
-
-    def chosen(name: str) -> np.ndarray:
-        values = np.stack([getattr(one.match, name)[found] for one in tries])
-        result = np.full((len(pixel), *values.shape[2:]), np.nan)
-        result[rows[found]] = values[choice[found], np.arange(values.shape[1])]
-        return result
-
-    window = np.zeros(len(pixel), dtype=np.int64)
-    window[rows[found]] = np.array([one.side for one in tries])[choice[found]]
-    return _Matches(
-        displacement=chosen("displacement"),
-        gradient=chosen("gradient"),
-        covariance=chosen("covariance"),
-        score=chosen("score"),
-        window=window,
-        outcome=outcome,
-    )
-
-
-def _largest(
-    tries: Sequence[_Try], outcomes: Sequence[Int[np.ndarray, " n"]], noise: float
-) -> Int[np.ndarray, " n"]:
-    """Which window of each point is the largest that no smaller one contradicts; -1: none is good."""
-    n = len(tries[0].left)
-    choice = np.full(n, -1)
-    low, high = np.full((n, 2), -np.inf), np.full((n, 2), np.inf)
-    contradicted = np.zeros(n, dtype=bool)
-    for k, (one, outcome) in enumerate(zip(tries, outcomes, strict=True)):
-        good = outcome == Outcome.VALID
-        variance = np.einsum("nii->ni", one.match.covariance)
-        # What a window leaves beyond the noise must not excuse its contradiction.
-        share = np.minimum(1.0, noise / np.maximum(one.left, 1e-9))[:, None]
-        reach = _INTERVAL * np.sqrt(share**2 * variance + _BIAS**2)
-        new_low = np.fmax(low, one.match.displacement - reach)
-        new_high = np.fmin(high, one.match.displacement + reach)
-        contradicted |= good & ~(new_low <= new_high).all(axis=1)
-        take = good & ~contradicted
-        choice[take] = k
-        low[take], high[take] = new_low[take], new_high[take]
-    return choice
-
-
-def _windows(subset: int) -> list[int]:
-    """Sides of the windows that are tried, smallest first."""
-    sides = [2 * round(0.5 * share * subset - 0.5) + 1 for share in _SHARES]
-    return sorted({max(side, _SMALLEST_WINDOW) for side in sides})
-
-
-def _contrast(
-    picture: SplinePicture, pixel: Float[np.ndarray, "n 2"], match: PlanarMatch, side: int
-) -> tuple[PointScalars, PointScalars]:
-    """What each match leaves [grey levels], and the least variance beside the window's middle.
-
-    The latter over windows of a third of the side to the left, right, above and below: where one of
-    them is blank, the point may lie beyond an outline.
-    """
-    size = np.array(picture.grey.shape[::-1]) - 1
-    column, row = pixel.astype(np.int64).T
-    share = np.maximum(match.score, 1e-6) ** -2 - 1.0
-    left = np.sqrt(share * _variance(picture, side)[row, column])
-    third = side // 3 - 1 + (side // 3) % 2
-    small = _variance(picture, third)
-    away = third // 2 + 1
-    beside = [
-        small[np.clip(row + i, 0, size[1]), np.clip(column + j, 0, size[0])]
-        for i, j in ((-away, 0), (away, 0), (0, -away), (0, away))
-    ]
-    return left, np.min(beside, axis=0)
-
-
-def _variance(picture: SplinePicture, side: int) -> Float[np.ndarray, "rows columns"]:
-    """Variance of the grey levels in the window around every pixel [grey levels^2]."""
-    mean = cv2.blur(picture.grey, (side, side)).astype(np.float64)
-    square = cv2.sqrBoxFilter(picture.grey, cv2.CV_64F, (side, side))
-    return np.maximum(square - mean**2, 0.0)
-
-
-def _outcomes(one: _Try, noise: float, excess: float) -> Int[np.ndarray, " n"]:
-    """What became of windows of one size."""
-    match = one.match
-    outcome = np.full(len(one.left), int(Outcome.VALID))
-    sigma = np.sqrt(np.trace(match.covariance, axis1=1, axis2=2))
-    with np.errstate(invalid="ignore"):
-        blank = ~(one.beside > 2.0 * noise**2)
-        outcome[blank | (sigma > _TEXTURE_LIMIT)] = Outcome.TEXTURE
-        outcome[(match.score < _LEAST_SCORE) | (one.left > excess * noise)] = Outcome.SCORE
-    outcome[~match.converged] = Outcome.LOST
-    return outcome
-
-
 def _confirmed(
-    matches: _Matches,
+    matches: WindowMatches,
     cell: Int[np.ndarray, "n 2"],
     pixel: Float[np.ndarray, "n 2"],
     disagreement: float,
-) -> _Matches:
+) -> WindowMatches:
     """Matches without those that their neighbours contradict."""
     wrong = contradicts_neighbours(
         cell,
@@ -408,7 +249,7 @@ def _confirmed(
 
 def _joined(
     rig: Rig,
-    found: dict[int, _Matches],
+    found: dict[int, WindowMatches],
     pixel: Float[np.ndarray, "n 2"],
     blank: int,
     settings: StereoSettings,
@@ -416,13 +257,18 @@ def _joined(
 ) -> StereoPoints:
     """One point from the matches of all cameras."""
     others = list(found)
-    pixels = np.full((len(rig.cameras), *pixel.shape), np.nan)
+    # The reason of the camera that came farthest: the outcomes are in the order of the steps.
+    outcome = np.max([found[k].outcome for k in others], axis=0)
+    matched = np.flatnonzero(
+        np.any([np.isfinite(found[k].displacement[:, 0]) for k in others], axis=0)
+    )
+    outcome[matched] = Outcome.REPROJECTION
+    pixels = np.full((len(rig.cameras), len(matched), 2), np.nan)
     covariance = np.full((*pixels.shape, 2), np.nan)
+    pixels[rig.reference] = pixel[matched]
     for k in others:
-        pixels[k] = pixel + found[k].displacement
-        covariance[k] = found[k].covariance
-    seen = np.isfinite(pixels).all(axis=2).any(axis=0)
-    pixels[rig.reference, seen] = pixel[seen]
+        pixels[k] = pixel[matched] + found[k].displacement[matched]
+        covariance[k] = found[k].covariance[matched]
     joint, used = joined_cameras(
         rig,
         pixels,
@@ -430,24 +276,21 @@ def _joined(
         disagreement=settings.disagreement,
         reprojection=settings.reprojection,
     )
-    valid = used.any(axis=0)
-    # The reason of the camera that came farthest: the outcomes are in the order of the steps.
-    outcome = np.max([found[k].outcome for k in others], axis=0)
-    outcome[seen] = Outcome.REPROJECTION
-    outcome[valid] = Outcome.VALID
+    good = used.any(axis=0)
+    rows, mine = matched[good], used[others][:, good]
+    outcome[rows] = Outcome.VALID
     counts = np.bincount(outcome, minlength=len(Outcome))
     counts[Outcome.TEXTURE] += blank
-    mine = used[others]
-    score = np.where(mine, np.stack([found[k].score for k in others]), np.inf)
-    window = np.where(mine, np.stack([found[k].window for k in others]), settings.subset)
+    score = np.where(mine, np.stack([found[k].score[rows] for k in others]), np.inf)
+    window = np.where(mine, np.stack([found[k].window[rows] for k in others]), settings.subset)
     return StereoPoints(
-        pixel=pixel[valid],
-        point=joint.point[valid],
-        covariance=joint.covariance[valid],
-        score=score.min(axis=0)[valid],
-        residual=joint.residual[valid],
-        cameras=joint.cameras[valid],
-        window=window.min(axis=0)[valid],
+        pixel=pixel[rows],
+        point=joint.point[good],
+        covariance=joint.covariance[good],
+        score=score.min(axis=0, initial=np.inf),
+        residual=joint.residual[good],
+        cameras=joint.cameras[good],
+        window=window.min(axis=0, initial=settings.subset),
         counts=counts,
         step=settings.step,
         shape=shape,

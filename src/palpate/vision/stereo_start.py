@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import CalibrationError, InputError
+from palpate.errors import InputError
 from palpate.records import Camera
 from palpate.shapes import Flags, PointScalars
 from palpate.vision.camera import project, rays
 from palpate.vision.even_picture import EvenPicture
-from palpate.vision.features import Features, Matches, matched
+from palpate.vision.features import Features, matched
 from palpate.vision.rectification import Rectified, rectify_pair, remapped
 
 __all__ = ["PairView", "StereoStart", "make_view", "stereo_start"]
@@ -64,7 +64,7 @@ class StereoStart:
     Attributes
     ----------
     displacement : (n, 2) float [px]    NaN where nothing was found
-    gradient : (n, 2, 2) float [-]      [i, j]: derivative of component i by coordinate j; zero there
+    gradient : (n, 2, 2) float [-]      [i, j]: derivative of component i by coordinate j; 0 there
     """
 
     displacement: Float[np.ndarray, "n 2"]
@@ -85,8 +85,14 @@ class _Bend:
 
     def at(self, place: Float[np.ndarray, "n 2"]) -> PointScalars:
         """The difference of rows [px] at columns and rows."""
-        x, y = np.clip((place - self.centre) / self.half, -1.0, 1.0).T
-        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1) @ self.coefficients
+        return self.over(place[:, 0], place[:, 1])
+
+    def over(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        """The difference of rows [px] at columns and rows of shapes that broadcast."""
+        x = np.clip((column - self.centre[0]) / self.half[0], -1.0, 1.0)
+        y = np.clip((row - self.centre[1]) / self.half[1], -1.0, 1.0)
+        c = self.coefficients
+        return (c[0] + x * (c[1] + c[3] * x)) + y * (c[2] + c[4] * x + c[5] * y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,19 +264,14 @@ def _disparity(
 def _corrected(pair: _Pair) -> Rectified:
     """The pair with the rows of the second picture moved to those of the first."""
     rows, columns = pair.rectified.maps[1].shape[1:]
-    column, row = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows))
-    place = np.column_stack([column.ravel(), row.ravel()])
-    bent = (place[:, 1] - pair.bend.at(place)).reshape(rows, columns).astype(np.float32)
-    straight = pair.rectified.maps[1].transpose(1, 2, 0)
-    moved = cv2.remap(
-        np.ascontiguousarray(straight),
-        column.astype(np.float32),
-        bent,
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    maps = (pair.rectified.maps[0], np.ascontiguousarray(moved.transpose(2, 0, 1)))
-    return replace(pair.rectified, maps=maps)
+    column, row = np.arange(columns, dtype=np.float32), np.arange(rows, dtype=np.float32)
+    bent = (row[:, None] - pair.bend.over(column[None], row[:, None])).astype(np.float32)
+    straight = np.ascontiguousarray(np.broadcast_to(column, (rows, columns)))
+    moved = [
+        cv2.remap(one, straight, bent, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for one in pair.rectified.maps[1]
+    ]
+    return replace(pair.rectified, maps=(pair.rectified.maps[0], np.stack(moved)))
 
 
 def _start(
