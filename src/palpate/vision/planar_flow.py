@@ -19,6 +19,8 @@ _GRADIENT_SUBSET = 21
 _RETRIES = 2
 # Standard deviations between a point and the field around it that are no chance.
 _DISAGREEMENT = 6.0
+# A displacement known no better than this, 1 sigma of its length, is not known [px].
+_TEXTURE_LIMIT = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +114,7 @@ def _judged(match: PlanarMatch, pixel: Float[np.ndarray, "n 2"], subset: int) ->
         away = np.linalg.norm(match.displacement - value, axis=1)
         typical = np.nanmedian(away / sigma) if match.converged.any() else 1.0
         valid = match.converged & ~(away > _DISAGREEMENT * max(1.0, float(typical)) * sigma)
+        valid &= sigma < _TEXTURE_LIMIT
     return PlanarFlow(
         pixel,
         np.where(valid[:, None], match.displacement, np.nan),
