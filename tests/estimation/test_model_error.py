@@ -29,7 +29,7 @@ def test_none_changes_nothing():
 
 
 def test_an_error_of_lengths_reaches_the_ratio_as_in_a_half_space():
-    """u along / u across = (1 - 2 nu) / (2 (1 - nu)): its slope turns a share into a change of nu."""
+    """u along / u across = (1 - 2 nu) / (2 (1 - nu)): its slope turns a share into one of nu."""
     share, step = 0.007, 1e-6
 
     def ratio(nu):

@@ -153,9 +153,7 @@ def test_depth_noise_counts_only_across_the_surface():
     mesh, points = box(SIZE), _three_faces(600, rng)
     covariance = np.diag([100.0, 1.0, 1.0]) * NOISE**2
     measured = points + rng.normal(size=points.shape) @ np.sqrt(covariance)
-    found = register(
-        measured, np.broadcast_to(covariance, (600, 3, 3)).copy(), mesh, settings=NEAR
-    )
+    found = register(measured, np.broadcast_to(covariance, (600, 3, 3)).copy(), mesh, settings=NEAR)
     std = np.sqrt(np.diag(found.covariance))[3:]
     assert std[0] > 4.0 * max(std[1], std[2])
     assert _mahalanobis(found, np.eye(4)) < 27.9
@@ -230,7 +228,9 @@ def _cylinder(around=40, along=12, radius=0.02, length=0.06):
     for i in range(along):
         a, b = i * around, (i + 1) * around
         triangles += [np.stack([a + j, a + k, b + k], 1), np.stack([a + j, b + k, b + j], 1)]
-    triangles.append(np.stack([along * around + j, along * around + k, 0 * j + len(vertices) - 1], 1))
+    triangles.append(
+        np.stack([along * around + j, along * around + k, 0 * j + len(vertices) - 1], 1)
+    )
     return TriangleMesh(vertices, np.concatenate(triangles))
 
 

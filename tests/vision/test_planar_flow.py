@@ -48,10 +48,10 @@ def test_claimed_sigma_is_what_happens() -> None:
 
 
 def test_the_low_pass_takes_most_of_the_bias_of_fine_speckle() -> None:
-    """Speckles of 0.8 px, moved by 0.1 px without noise: what is finer than the pixels moves wrongly.
+    """Speckles of 0.8 px, moved by 0.1 px without noise: what is finer than the pixels misleads.
 
-    Unsmoothed the motion is some 4 % too long; the pipeline takes 0.7 % as what the low-pass of 1 px
-    leaves.
+    Unsmoothed the motion is some 4 % too long; the pipeline takes 0.7 % as what the low-pass of
+    1 px leaves.
     """
     texture = Speckle(256, seed=1, sigma=0.8)
     first = texture.image()

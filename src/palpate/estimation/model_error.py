@@ -4,8 +4,8 @@ The discretised model is slightly too stiff or too soft as a whole. Every probin
 error, so no residual and no scatter shows it; without a term of its own, precise data would promise
 what the model cannot keep. It scales all displacements, so it belongs to both moduli and not to nu.
 
-Displacements read from pictures may be too long or too short as a whole, differently along and across
-the view. That reaches nu too.
+Displacements read from pictures may be too long or too short as a whole, differently along and
+across the view. That reaches nu too.
 """
 
 from dataclasses import replace
@@ -51,8 +51,8 @@ def with_displacement_error(intervals: IntervalSet, relative: float) -> Interval
 
     Returns
     -------
-    IntervalSet                     G and E widened by `relative`; nu by relative (1 - nu)(1 - 2 nu),
-                                    what it takes in an elastic half-space to change the ratio of
+    IntervalSet                     G and E widened by `relative`; nu by relative (1 - nu)
+                                    (1 - 2 nu), what it takes in an elastic half-space to change the ratio of
                                     the displacement along the surface to that across it by
                                     `relative` (Johnson, Contact Mechanics, eq. 3.18)
     """

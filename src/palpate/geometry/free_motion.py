@@ -59,8 +59,8 @@ def facets_of(mesh: TriangleMesh) -> Facets:
     grain = 1e-9 * bounding_diagonal(mesh)
     _, vertex = np.unique(np.round(mesh.vertices / grain), axis=0, return_inverse=True)
     corner = vertex.ravel()[mesh.triangles]
-    ends = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2)
-    ends = np.sort(ends.reshape(-1, 2), axis=1)
+    sides = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2)
+    ends = np.sort(sides.reshape(-1, 2), axis=1)
     _, number, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(number.ravel(), kind="stable")
     first = np.cumsum(count) - count
@@ -70,10 +70,10 @@ def facets_of(mesh: TriangleMesh) -> Facets:
     a, b = normal[one // 3], normal[other // 3]
     turn = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ea,ea->e", a, b))
     smooth = turn < CREASE_ANGLE
-    square, joined = np.zeros(len(ends)), np.zeros(len(ends), dtype=bool)
+    square, inner = np.zeros(len(ends)), np.zeros(len(ends), dtype=bool)
     for half in (one[smooth], other[smooth]):
-        square[half], joined[half] = turn[smooth] ** 2, True
-    joined = joined.reshape(-1, 3)
+        square[half], inner[half] = turn[smooth] ** 2, True
+    joined = inner.reshape(-1, 3)
     total, edges = square.reshape(-1, 3).sum(axis=1), joined.sum(axis=1)
     at_edge = np.zeros(len(mesh.vertices), dtype=bool)
     at_edge[ends.reshape(-1, 3, 2)[~joined]] = True

@@ -50,7 +50,7 @@ def refined_surface(mesh: TriangleMesh, *, pieces: int = 4) -> tuple[Vertices, T
 def _lattice(pieces: int) -> tuple[Float[np.ndarray, "q 3"], Int[np.ndarray, "s 3"]]:
     """Barycentric coordinates of the corners of the parts, and the parts."""
     number = {}
-    corners = []
+    corners: list[tuple[float, float, float]] = []
     for i in range(pieces + 1):
         for j in range(pieces + 1 - i):
             number[i, j] = len(corners)

@@ -66,7 +66,9 @@ def find_features(picture: EvenPicture) -> Features:
     -------
     Features                        none where there is no texture
     """
-    grey, area, scale = picture.even, picture.textured.astype(np.uint8), 1
+    grey: np.ndarray = picture.even
+    area: np.ndarray = picture.textured.astype(np.uint8)
+    scale = 1
     while grey.size > _MOST_PIXELS:
         size = (grey.shape[1] // 2, grey.shape[0] // 2)
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)

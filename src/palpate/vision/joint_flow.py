@@ -7,6 +7,7 @@ instant before is taken instead.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -151,7 +152,7 @@ def _merged(
         "cameras": (found.cameras, direct.cameras),
         "outcome": (found.outcome, direct.outcome),
     }
-    arrays = {}
+    arrays: dict[str, Any] = {}
     for name, (value, old) in changed.items():
         arrays[name] = old.copy()
         arrays[name][new] = value[take]

@@ -27,8 +27,8 @@ from palpate.vision.window_matches import SMALLEST_WINDOW, WindowMatches, window
 
 __all__ = ["StereoPoints", "StereoSettings", "stereo_points", "triangulated_surface"]
 
-# Tangent of 80 degrees: what is seen at a flatter angle shows no texture to be matched.
-_STEEPEST = 5.7
+# Length over width of what is seen at 80 degrees: flatter, it shows no texture to be matched.
+_STEEPEST = 5.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +91,7 @@ class StereoPoints:
                                         cameras and both coordinates
     cameras : (n,) int                  how many agree, the reference included
     window : (n,) int [px]              side of the smallest window used
+    spacing : (n,) float [m]            width of a step of the grid there, across the line of sight
     counts : (8,) int                   points of the grid by `Outcome`; the first is n
     step : int [px]                     spacing of the grid
     shape : (rows, columns)             of the reference camera's picture
@@ -103,6 +104,7 @@ class StereoPoints:
     residual: PointScalars
     cameras: PointIndices
     window: PointIndices
+    spacing: PointScalars
     counts: Int[np.ndarray, "8"]
     step: int
     shape: tuple[int, int]
@@ -169,27 +171,25 @@ def stereo_points(
     return _joined(rig, found, pixel, blank, settings, pictures[reference].shape)
 
 
-def triangulated_surface(rig: Rig, stereo: StereoPoints) -> tuple[Vertices, Triangles]:
+def triangulated_surface(stereo: StereoPoints) -> tuple[Vertices, Triangles]:
     """Stereo points joined to an open surface that faces the reference camera.
 
     Parameters
     ----------
-    rig : Rig
     stereo : StereoPoints           n points
 
     Returns
     -------
     vertices : (n, 3) float [m]     all points, also those of no triangle
     triangles : (m, 3) int          two for every cell of the grid whose corners are all there and
-                                    whose sides are no jump: steeper than 80 degrees
+                                    none of whose sides is a jump, steeper than 80 degrees
     """
-    camera = rig.cameras[rig.reference]
-    pose = camera.T_camera_object
-    depth = stereo.point @ pose[2, :3] + pose[2, 3]
-    width = stereo.step * depth / camera.matrix[0, 0]
     triangles = grid_triangles(stereo.pixel, stereo.step)
-    drop = np.ptp(depth[triangles], axis=1)
-    whole = drop <= _STEEPEST * np.sqrt(2.0) * width[triangles].mean(axis=1)
+    corner = stereo.point[triangles]
+    side = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
+    # One of the sides is the diagonal of the cell.
+    flat = stereo.spacing[triangles] * np.sqrt(2.0)
+    whole = (side <= _STEEPEST * flat).all(axis=1)
     # Both halves of a cell, or none.
     both = whole.reshape(2, -1).all(axis=0)
     return stereo.point, triangles.reshape(2, -1, 3)[:, both].reshape(-1, 3)
@@ -283,6 +283,9 @@ def _joined(
     counts[Outcome.TEXTURE] += blank
     score = np.where(mine, np.stack([found[k].score[rows] for k in others]), np.inf)
     window = np.where(mine, np.stack([found[k].window[rows] for k in others]), settings.subset)
+    camera = rig.cameras[rig.reference]
+    pose = camera.T_camera_object
+    depth = joint.point[good] @ pose[2, :3] + pose[2, 3]
     return StereoPoints(
         pixel=pixel[rows],
         point=joint.point[good],
@@ -291,6 +294,7 @@ def _joined(
         residual=joint.residual[good],
         cameras=joint.cameras[good],
         window=window.min(axis=0, initial=settings.subset),
+        spacing=settings.step * depth / camera.matrix[0, 0],
         counts=counts,
         step=settings.step,
         shape=shape,

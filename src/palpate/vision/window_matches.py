@@ -1,7 +1,7 @@
 """Windows of one camera's picture in another's, each as large as the surface allows.
 
-A large window knows its match well where the surface is smooth, and is wrong where it lies across an
-edge of the object. Of windows of growing size the largest is taken whose match no smaller one
+A large window knows its match well where the surface is smooth, and is wrong where it lies across
+an edge of the object. Of windows of growing size the largest is taken whose match no smaller one
 contradicts.
 
 Source: Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Transactions on
@@ -91,8 +91,8 @@ def window_matches(
     start : StereoStart             of the points, good to a pixel or two
     subset : int [px]               side of the largest window, odd
     shape : "affine" or "quadratic" how the match may vary within a window
-    excess : float                  a window is rejected where it leaves more than so many times what
-                                    good ones leave
+    excess : float                  a window is rejected where it leaves more than so many times
+                                    what good ones leave
 
     Returns
     -------
