@@ -3,10 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["BEM", "ESTIMATION", "Figure", "Limit", "figure_from_plain", "plain"]
+__all__ = ["BEM", "ESTIMATION", "FLOW", "Figure", "Limit", "figure_from_plain", "plain"]
 
 BEM = "Boundary element model"
 ESTIMATION = "Estimation"
+FLOW = "Range flow"
 Limit = float | tuple[float, float] | None
 
 
@@ -16,7 +17,7 @@ class Figure:
 
     Parameters
     ----------
-    section : str               BEM or ESTIMATION
+    section : str               BEM, ESTIMATION or FLOW
     name : str                  what was measured, on what
     reached : float or None     None where it could not be measured; the note says why
     unit : str                  "", "%", "s", "GB" or "x"; percentages are given as percentages

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from benchmarks.figure import BEM, ESTIMATION, Figure, Limit
+from benchmarks.figure import BEM, ESTIMATION, FLOW, Figure, Limit
 
 __all__ = ["as_markdown", "as_text", "number"]
 
@@ -31,7 +31,7 @@ def as_markdown(
         "",
         KEPT,
     ]
-    for section in (BEM, ESTIMATION):
+    for section in (BEM, ESTIMATION, FLOW):
         rows = [_row(figure) for figure in figures if figure.section == section]
         if rows:
             lines += ["", f"## {section}", "", HEAD, RULE, *rows]

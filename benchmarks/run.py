@@ -30,6 +30,9 @@ SUBJECTS = (
     "fit_time",
     "beam",
     "process_times",
+    "flow_speckle",
+    "flow_rendered",
+    "flow_time",
 )
 
 

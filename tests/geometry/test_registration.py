@@ -1,4 +1,4 @@
-"""Registration of points to a mesh: known motions, Monte Carlo covariance, what a shape cannot tell."""
+"""Registration of points to a mesh: known motions, repeated noise, what a shape cannot tell."""
 
 import numpy as np
 import pytest
@@ -115,7 +115,7 @@ def test_covariance_is_that_of_repeated_measurements():
 
 
 def test_noise_shared_by_neighbours_widens_the_covariance():
-    """Every noise value serves ten points side by side: their mean is no better than one of them."""
+    """Every noise value serves ten points side by side: ten say no more than one."""
     rng = np.random.default_rng(1)
     mesh = box(SIZE)
     spots = _three_faces(200, rng)
@@ -267,13 +267,13 @@ def test_a_plate_beyond_its_edge_says_nothing_of_the_place():
     rng = np.random.default_rng(10)
     plate = rng.uniform(0.0, 1.0, size=(800, 3)) * SIZE
     plate[:, 2] = SIZE[2]
-    plate += rng.normal(scale=NOISE, size=plate.shape) + [0.01, 0.004, 0.0]
+    plate += rng.normal(scale=NOISE, size=plate.shape) + np.array([0.01, 0.004, 0.0])
     found = register(plate, None, box(SIZE), settings=RegistrationSettings(distance=1e-3))
     assert len(found.free) == 3
 
 
 def test_a_long_ball_is_fixed_where_its_length_exceeds_the_facets():
-    """Three axes, 0.7 to 1.3 of the radius: no turn is free. One per cent is less than facets say."""
+    """Axes of 0.7 to 1.3 radii: no turn is free. One per cent is less than the facets pretend."""
     rng = np.random.default_rng(11)
     ball, points = sphere(3, radius=0.03), _ball(900, rng, lowest=-1.0)
     noise = rng.normal(scale=NOISE, size=points.shape)

@@ -14,6 +14,7 @@ from vision.scenes import (
     moved_frame,
     noisy_views,
     projected,
+    rigid,
 )
 from vision.textures import pixel_grid
 
@@ -359,9 +360,10 @@ def test_each_reason_for_nothing(still):
     assert (away.state[good] == NOT_CONVERGED).any()
 
 
-def test_windows_that_leave_a_picture_are_told(still):
-    motion = MOTIONS["turn"]
-    found = Found(still, example_views("turn"), _start(still, motion))
+@pytest.mark.parametrize("shift", [(1e-3, 5e-4, 0.0), (-1e-3, -5e-4, 0.0)])
+def test_windows_that_leave_a_picture_are_told(still, shift):
+    motion = rigid((0.0, 0.0, 0.03), shift)
+    found = Found(still, example().views(motion), _start(still, motion))
     after = np.stack(
         [projected(c, still.point + motion(still.point)) for c in example().rig.cameras]
     )
@@ -435,3 +437,15 @@ def test_frame_turns_with_a_rigid_motion():
     deformed_frame_kernel(q, tangent, 0.004, frame)
     whole = np.vstack([tangent, np.cross(*tangent)])
     np.testing.assert_allclose(frame, whole @ turn.T, atol=1e-14)
+
+
+def test_normal_of_a_stretched_surface_stays_of_unit_length():
+    rng = np.random.default_rng(2)
+    tangent = np.linalg.qr(rng.normal(size=(3, 2)))[0].T.copy()
+    q = np.zeros((6, 3))
+    q[1:3] = 0.004 * rng.normal(0.0, 0.3, (2, 3))
+    frame = np.full((3, 3), np.nan)
+    deformed_frame_kernel(q, tangent, 0.004, frame)
+    np.testing.assert_allclose(frame[:2], tangent + q[1:3] / 0.004, atol=1e-15)
+    np.testing.assert_allclose(frame @ frame[2], [0.0, 0.0, 1.0], atol=1e-15)
+    assert np.linalg.det(frame) > 0.0

@@ -245,6 +245,18 @@ def test_what_leaves_its_start_is_lost(rest):
     assert not _match(rest, second, start, iterations=1).converged.any()
 
 
+def test_windows_that_come_into_the_picture_are_not_found(rest):
+    """What lies beyond the edge at rest is not known, wherever it goes."""
+    step = np.array([[2.0, 1.0]])
+    second = TEXTURE.image(affine(np.eye(2), (2.0, 1.0), CENTRE))
+    for place in ([9.0, 95.0], [130.0, 9.0]):
+        assert not _match(rest, second, step, points=np.array([place])).converged.any()
+    for place in ([250.0, 95.0], [130.0, 180.0]):
+        assert not _match(second, rest, -step, points=np.array([place])).converged.any()
+    inside = np.array([[10.0, 95.0], [130.0, 10.0]])
+    assert _match(rest, second, np.repeat(step, 2, axis=0), points=inside).converged.all()
+
+
 def test_no_points_are_no_trouble(rest):
     match = _match(rest, rest, np.zeros((0, 2)), points=np.zeros((0, 2)))
     assert match.displacement.shape == (0, 2)

@@ -269,7 +269,7 @@ def _knowledge(
     plain = at.row.T @ (share[:, None] * at.row)
     pretended = pretended_information(at, facets.tilt[at.triangle], share)
     # Into units of the real information, which knows the residuals' scale and correlation.
-    pretended *= np.trace(information) / np.trace(plain)
+    pretended *= np.trace(information) / max(float(np.trace(plain)), np.finfo(float).tiny)
     values, vectors = np.linalg.eigh(information - _PRETENCE * pretended)
     fixed = values >= (blur * bounding_diagonal(mesh)) ** -2
     motions = (at.scale @ vectors).T
@@ -298,8 +298,10 @@ def _information(
 ) -> tuple[Float[np.ndarray, "6 6"], float]:
     """Inverse covariance of the scaled motions, and the factor for correlated residuals."""
     if scale <= 0.0:
-        share = at.sigma**-2
+        share = used * at.sigma**-2
         return at.row.T @ (share[:, None] * at.row), 1.0
+    if used.sum() <= 6:
+        return np.zeros((6, 6)), 1.0
     unit = np.where(used, at.residual / (at.sigma * scale * TUKEY), 1.0)
     # Tukey's function and its derivative.
     pull = unit * (1.0 - unit**2) ** 2

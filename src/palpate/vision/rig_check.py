@@ -142,8 +142,30 @@ def _all_matches(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]]) -> _Pai
             )
         features.append(found)
     return {
-        (i, j): matched(features[i], features[j]) for i, j in combinations(range(len(features)), 2)
+        (i, j): _consistent(rig.cameras[i], rig.cameras[j], matched(features[i], features[j]))
+        for i, j in combinations(range(len(features)), 2)
     }
+
+
+def _consistent(first: Camera, second: Camera, found: Matches) -> Matches:
+    """The matches that agree on one epipolar geometry, whichever; none where most do not.
+
+    Matches by chance agree on none: any seven lie on one, few more do.
+    """
+    flat = [_straight(first, found.first), _straight(second, found.second)]
+    known = np.flatnonzero(np.isfinite(np.hstack(flat)).all(axis=1))
+    nothing = found.chosen(known[:0])
+    if len(known) < _FEWEST:
+        return nothing
+    _, inlier = cv2.findFundamentalMat(flat[0][known], flat[1][known], cv2.FM_RANSAC, _LIMIT, 0.999)
+    if inlier is None or inlier.sum() - 7 < 0.5 * (len(known) - 7):
+        return nothing
+    return found.chosen(known[inlier.ravel() > 0])
+
+
+def _straight(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """Pixels as without a lens, about the optical axis [px]."""
+    return normalised(camera, pixels) * camera.matrix[0, 0]
 
 
 def _too_few(first: Camera, second: Camera, count: int) -> str:
@@ -196,12 +218,10 @@ def _epipolar_distance(first: Camera, second: Camera, found: Matches) -> PointSc
 def _own_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
     """Median distance from the epipolar lines that the features themselves agree on best [px]."""
     found = _between(pairs, *which)
-    flat = []
-    for k, pixels in zip(which, (found.first, found.second), strict=True):
-        camera = rig.cameras[k]
-        flat.append(normalised(camera, pixels) * camera.matrix[0, 0])
-    known = np.isfinite(flat[0]).all(axis=1) & np.isfinite(flat[1]).all(axis=1)
-    a, b = flat[0][known], flat[1][known]
+    a, b = (
+        _straight(rig.cameras[k], pixels)
+        for k, pixels in zip(which, (found.first, found.second), strict=True)
+    )
     matrix, _ = cv2.findFundamentalMat(a, b, cv2.FM_LMEDS)
     if matrix is None or matrix.shape != (3, 3):
         return 0.0

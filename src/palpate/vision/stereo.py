@@ -82,8 +82,9 @@ class StereoPoints:
 
     Attributes
     ----------
-    pixel : (n, 2) float [px]           column and row in the reference camera
-    point : (n, 3) float [m]            object frame
+    pixel : (n, 2) float [px]           column and row in the reference camera: middle of the window
+    point : (n, 3) float [m]            that the windows of all cameras show, object frame; beside
+                                        the ray of the pixel by as much as noise moved the windows
     covariance : (n, 3, 3) float [m^2]  from what the matches leave; the calibration's errors, alike
                                         for points side by side, are not in it
     score : (n,) float [-]              lowest normalised cross-correlation over the cameras used
@@ -137,8 +138,9 @@ def stereo_points(
     Raises
     ------
     InputError                      another number of pictures, a mask of another size, a depth
-                                    range that is none, too few features in common
-    CalibrationError                two cameras at one place, or looking along the line between
+                                    range that is none; no camera shares features with the reference
+    CalibrationError                no camera can be paired with the reference: at one place, or
+                                    looking along the line between
     """
     _check(rig, pictures, mask, depth_range)
     even = [make_even_picture(picture) for picture in pictures]
@@ -148,16 +150,21 @@ def stereo_points(
     ]
     splines = [make_spline_picture(picture) for picture in pictures]
     reference = rig.reference
-    wanted = even[reference].textured if mask is None else even[reference].textured & mask
-    cell, pixel = _grid(wanted, settings.step)
-    blank = _grid_size(wanted if mask is None else mask, settings.step) - len(pixel)
+    asked = np.ones(pictures[reference].shape, dtype=bool) if mask is None else mask
+    cell, pixel = _grid(asked & even[reference].textured, settings.step)
+    blank = len(_grid(asked, settings.step)[0]) - len(pixel)
     found: dict[int, WindowMatches] = {}
+    failures: list[InputError] = []
     for k, view in enumerate(views):
         if k == reference:
             continue
-        start = stereo_start(
-            views[reference], view, pixel, half=settings.subset // 2, depth_range=depth_range
-        )
+        try:
+            start = stereo_start(
+                views[reference], view, pixel, half=settings.subset // 2, depth_range=depth_range
+            )
+        except InputError as failure:
+            failures.append(failure)
+            continue
         matches = window_matches(
             splines[reference],
             splines[k],
@@ -168,6 +175,8 @@ def stereo_points(
             excess=settings.excess,
         )
         found[k] = _confirmed(matches, cell, pixel, settings.disagreement)
+    if not found:
+        raise failures[0]
     return _joined(rig, found, pixel, blank, settings, pictures[reference].shape)
 
 
@@ -220,10 +229,6 @@ def _grid(
     first = step // 2
     cell = np.argwhere(wanted[first::step, first::step])
     return cell, (first + step * cell[:, ::-1]).astype(np.float64)
-
-
-def _grid_size(wanted: Bool[np.ndarray, "rows columns"], step: int) -> int:
-    return int(wanted[step // 2 :: step, step // 2 :: step].sum())
 
 
 def _confirmed(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from palpate.errors import InputError
 from palpate.records import Camera
@@ -37,6 +37,8 @@ _FEWEST = 8
 _FEWEST_BENT = 24
 # Disparities of a window that belong to one surface differ by this much [px], and this per pixel.
 _SLACK, _SLOPE = 1.5, 0.5
+# Mean of an even picture [grey levels].
+_GREY = 128.0
 # Samples along a side of the window.
 _SAMPLES = 7
 
@@ -229,7 +231,7 @@ def _disparity(
 ) -> Float[np.ndarray, "rows columns"]:
     """Column in the first minus column in the second rectified picture; NaN where not found."""
     turned = [
-        np.nan_to_num(remapped(_corrected(pair), k, picture.even.astype(np.float32)), nan=128.0)
+        np.nan_to_num(remapped(_corrected(pair), k, picture.even.astype(np.float32)), nan=_GREY)
         for k, picture in enumerate(pictures)
     ]
     grey = [np.clip(picture, 0.0, 255.0).astype(np.uint8) for picture in turned]
@@ -238,8 +240,21 @@ def _disparity(
         size = (grey[0].shape[1] // 2, grey[0].shape[0] // 2)
         grey = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in grey]
         shrink *= 2
-    least = int(np.floor(low / shrink))
-    count = 16 * int(np.ceil((high / shrink - least) / 16.0))
+    found = shrink * _semi_global(grey[0], grey[1], low / shrink, high / shrink)
+    if shrink > 1:
+        found = cv2.resize(found, shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return found
+
+
+def _semi_global(
+    first: UInt8[np.ndarray, "rows columns"],
+    second: UInt8[np.ndarray, "rows columns"],
+    low: float,
+    high: float,
+) -> Float[np.ndarray, "rows columns"]:
+    """Disparity of every pixel within a range; NaN where not found."""
+    least = int(np.floor(low))
+    count = 16 * int(np.ceil((high - least) / 16.0))
     matcher = cv2.StereoSGBM.create(
         minDisparity=least,
         numDisparities=count,
@@ -254,11 +269,14 @@ def _disparity(
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    found = matcher.compute(grey[0], grey[1]).astype(np.float64) / 16.0
-    found = np.where(found < least, np.nan, shrink * found)
-    if shrink > 1:
-        found = cv2.resize(found, shape[::-1], interpolation=cv2.INTER_NEAREST)
-    return found
+    # OpenCV leaves out every pixel for which one of the disparities leads out of the picture.
+    left, right = max(least + count, 0), max(-least, 0)
+    wide = [
+        cv2.copyMakeBorder(picture, 0, 0, left, right, cv2.BORDER_CONSTANT, value=_GREY)
+        for picture in (first, second)
+    ]
+    found = matcher.compute(wide[0], wide[1])[:, left : left + first.shape[1]] / 16.0
+    return np.where(found < least, np.nan, found)
 
 
 def _corrected(pair: _Pair) -> Rectified:
