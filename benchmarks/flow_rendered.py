@@ -138,7 +138,8 @@ def _half_ball(session: Session, found: SessionFlow) -> tuple[list[Figure], list
         squares.append(_errors(motion.vertices, _truth_at(truth, session.mesh.vertices))[1])
     rms = 1e3 * np.sqrt((np.concatenate(errors) ** 2).mean(axis=0))
     note = (
-        f"{valid} of {seen} points that no camera loses sight of are valid ({100 * valid / seen:.0f} %;"
+        f"{valid} of {seen} points that no camera loses sight of are valid"
+        f" ({100 * valid / seen:.0f} %;"
         f" the others lie where a window meets the rod or the outline); {', '.join(MAPPED)}"
     )
     return [

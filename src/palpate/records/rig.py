@@ -35,7 +35,7 @@ class Camera:
     name: str
     size: tuple[int, int] | None
     matrix: Matrix3
-    distortion: Float[np.ndarray, "8"]
+    distortion: Float[np.ndarray, " terms"]
     T_camera_object: Float[np.ndarray, "4 4"]
 
     def __post_init__(self) -> None:

@@ -39,6 +39,8 @@ def flow_start(
     -------
     (n, 6, 3) float [m]             NaN where nothing around is known either
     """
+    if len(scene.point) == 0:
+        return motion
     was = scene.point + motion[:, 0]
     old = pixels(scene.rig, np.where(np.isfinite(was), was, scene.point))
     target = np.full(old.shape, np.nan)

@@ -103,13 +103,13 @@ def match_scene(
     noise = np.ones(len(moved))
     match = _refined(scene, moved, start, scene.seen, whole, noise, settings)
     noise = _noise(match)
-    match = _without_bad_cameras(scene, moved, match, noise, settings)
+    match = _without_one_camera(scene, moved, match, start, noise, settings)
     for _ in range(_RETRIES):
         again, restart = _second_tries(scene, match, noise, settings)
         if len(again) == 0:
             break
         tried = _refined(scene, moved, restart, scene.seen[again], again, noise, settings)
-        tried = _without_bad_cameras(scene, moved, tried, noise, settings, rows=again)
+        tried = _without_one_camera(scene, moved, tried, restart, noise, settings, rows=again)
         match = replaced(match, tried, again)
     known = _with_curvature(scene, match, settings)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
@@ -198,25 +198,39 @@ def bad_cameras(
         return match.use & (match.left > (excess * noise) ** 2)
 
 
-def _without_bad_cameras(
+def _without_one_camera(
     scene: Scene,
     moved: Sequence[SplinePicture],
     match: Match,
+    start: Float[np.ndarray, "n 6 3"],
     noise: Float[np.ndarray, " c"],
     settings: JointSettings,
     *,
     rows: Int[np.ndarray, " n"] | None = None,
 ) -> Match:
-    """Match once more without the cameras that contradict, where two are left."""
-    bad = bad_cameras(match, noise, settings.excess)
-    some = (match.outcome == Outcome.VALID) & bad.any(axis=1)
-    use = match.use & ~bad
-    again = np.flatnonzero(some & (use.sum(axis=1) >= 2))
-    if len(again) == 0:
-        return match
-    whole = again if rows is None else rows[again]
-    tried = _refined(scene, moved, match.motion[again], use[again], whole, noise, settings)
-    return replaced(match, tried, again)
+    """Try the points that do not fit without each of their cameras in turn, where two are left.
+
+    A camera whose view is covered drags the common motion along until no camera fits, so it cannot
+    be told by what it leaves; the others fit when it is the one that is left out.
+    """
+    own_use = match.use
+    again = np.flatnonzero(~_fits(match, noise, settings) & (own_use.sum(axis=1) >= 3))
+    best = np.full(len(own_use), np.inf)
+    for c in range(own_use.shape[1]):
+        some = again[own_use[again, c]]
+        if len(some) == 0:
+            continue
+        use = own_use[some].copy()
+        use[:, c] = False
+        whole = some if rows is None else rows[some]
+        tried = _refined(scene, moved, start[some], use, whole, noise, settings)
+        excess = mean_over(tried.left / noise**2, use & np.isfinite(tried.left))
+        with np.errstate(invalid="ignore"):
+            better = _fits(tried, noise, settings) & (excess < best[some])
+        best[some[better]] = excess[better]
+        tried.outcome[~better] = Outcome.LOST
+        match = replaced(match, tried, some)
+    return match
 
 
 def replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:

@@ -344,7 +344,9 @@ def _cure(rig: Rig, mesh: TriangleMesh, points: Points) -> str:
     """How far registration would move the object, where it finds its way."""
     eye, _ = rays(rig.cameras[rig.reference], np.zeros((1, 2)))
     try:
-        found = register(points, None, mesh, eye=eye, settings=RegistrationSettings(blur=0.05))
+        found = register(
+            points, None, mesh, eye=eye, settings=RegistrationSettings(most_points=500)
+        )
     except InputError:
         return ""
     if not found.converged or found.residual > _FAR * found.diagonal:
