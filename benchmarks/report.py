@@ -1,23 +1,25 @@
 """BENCHMARK.md from figures."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from benchmarks.figure import BEM, ESTIMATION, FLOW, Figure, Limit
 
-__all__ = ["as_markdown", "as_text", "number"]
+__all__ = ["as_markdown", "as_text", "number", "write_part"]
 
 HEAD = "| what | unit | must | reach for | reached | kept | how |"
 KEPT = (
     '"kept" says which demand is met: "reach", "must", or "missed"; "not reached" where only "reach'
     ' for" is asked. Rows without a demand stand beside the others for comparison. x = times.'
 )
+MARK = "<!-- part: "
 RULE = "| --- | --- | --- | --- | --- | --- | --- |"
 
 
 def as_markdown(
     figures: Sequence[Figure], machine: Sequence[tuple[str, str]], failures: dict[str, str]
 ) -> str:
-    """The whole report.
+    """One part of the report.
 
     Parameters
     ----------
@@ -25,12 +27,7 @@ def as_markdown(
     machine : pairs of str          from `machine.described`
     failures : subject -> message   subjects that stopped before their figures
     """
-    lines = ["# Benchmark", "", "Written by `python -m benchmarks.run`; do not edit by hand.", ""]
-    lines += [f"- {heading}: {text}" for heading, text in machine]
-    lines += [
-        "",
-        KEPT,
-    ]
+    lines = [f"- {heading}: {text}" for heading, text in machine]
     for section in (BEM, ESTIMATION, FLOW):
         rows = [_row(figure) for figure in figures if figure.section == section]
         if rows:
@@ -39,6 +36,29 @@ def as_markdown(
         lines += ["", "## Not measured", ""]
         lines += [f"- `{name}`: {message}" for name, message in failures.items()]
     return "\n".join(lines) + "\n"
+
+
+def write_part(path: Path, part: str, text: str) -> None:
+    """Put one part into the report; the other parts stay as they were measured.
+
+    Parameters
+    ----------
+    path : Path                     made where it is not there
+    part : str                      its name; parts stand in alphabetical order
+    text : str                      of `as_markdown`
+    """
+    parts: dict[str, str] = {}
+    if path.exists():
+        pieces = path.read_text(encoding="utf-8").split(MARK)
+        for piece in pieces[1:]:
+            name, _, body = piece.partition(" -->\n")
+            parts[name] = body
+    parts[part] = "\n" + text + "\n"
+    head = "\n".join(
+        ["# Benchmark", "", "Written by `python -m benchmarks.run`; do not edit by hand."]
+    )
+    body = "".join(f"{MARK}{name} -->\n{parts[name]}" for name in sorted(parts))
+    path.write_text(f"{head}\n\n{KEPT}\n\n{body}".rstrip() + "\n", encoding="utf-8")
 
 
 def as_text(figures: Sequence[Figure]) -> str:

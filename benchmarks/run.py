@@ -1,7 +1,7 @@
 """The one command: measures every subject in a process of its own and writes BENCHMARK.md.
 
-A full run writes BENCHMARK.md at the root of the project. With `--only` or `--quick` the figures
-are printed and nothing is written: a report never mixes runs.
+A full run writes BENCHMARK.md at the root of the project; `--part` writes one part of it anew. With
+`--only` or `--quick` the figures are printed and nothing is written: a part never mixes runs.
 """
 
 import argparse
@@ -10,30 +10,31 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 from benchmarks.figure import Figure, figure_from_plain
 from benchmarks.machine import ROOT, described, use_cores
-from benchmarks.report import as_markdown, as_text
+from benchmarks.report import as_markdown, as_text, write_part
 
-__all__ = ["SUBJECTS", "main"]
+__all__ = ["PARTS", "SUBJECTS", "main"]
 
-SUBJECTS = (
-    "cube",
-    "facets",
-    "convergence",
-    "incompressible",
-    "assembly_time",
-    "memory",
-    "probes",
-    "repeats",
-    "fit_time",
-    "beam",
-    "process_times",
-    "flow_speckle",
-    "flow_rendered",
-    "flow_time",
-)
+# Each part of the report is measured as a whole and says when, where and on which commit.
+PARTS = {
+    "model": (
+        "cube",
+        "facets",
+        "convergence",
+        "incompressible",
+        "assembly_time",
+        "memory",
+        "probes",
+        "repeats",
+        "fit_time",
+        "beam",
+        "process_times",
+    ),
+    "pictures": ("flow_speckle", "flow_rendered", "flow_real", "flow_time"),
+}
+SUBJECTS = tuple(name for names in PARTS.values() for name in names)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,12 +42,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     use_cores()
     machine = described()
+    chosen = {part: PARTS[part] for part in options.part or PARTS}
+    if options.only:
+        chosen = {"": options.only}
+    failed = False
+    for part, subjects in chosen.items():
+        figures, failures = _all_measured(subjects, quick=options.quick, peers=options.peers)
+        failed |= bool(failures)
+        if part and not options.quick:
+            write_part(ROOT / "BENCHMARK.md", part, as_markdown(figures, machine, failures))
+            print(f"part '{part}' written to {ROOT / 'BENCHMARK.md'}")
+    return 1 if failed else 0
+
+
+def _all_measured(
+    subjects: Sequence[str], *, quick: bool, peers: bool
+) -> tuple[list[Figure], dict[str, str]]:
+    """Figures of some subjects, and the subjects that stopped, with their messages."""
     figures: list[Figure] = []
     failures: dict[str, str] = {}
-    for name in options.only or SUBJECTS:
+    for name in subjects:
         start = time.perf_counter()
         print(f"{name} ...", end=" ", flush=True)
-        found = _measured(name, quick=options.quick, peers=options.peers)
+        found = _measured(name, quick=quick, peers=peers)
         print(f"{time.perf_counter() - start:.0f} s", flush=True)
         if isinstance(found, str):
             failures[name] = found
@@ -54,11 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         print(as_text(found), flush=True)
         figures += found
-    out = options.out or (None if options.only or options.quick else ROOT / "BENCHMARK.md")
-    if out is not None:
-        out.write_text(as_markdown(figures, machine, failures), encoding="utf-8")
-        print(f"written to {out}")
-    return 1 if failures else 0
+    return figures, failures
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -67,7 +81,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", nargs="+", choices=SUBJECTS, metavar="NAME", help=names)
     parser.add_argument("--quick", action="store_true", help="small meshes, few repeats")
     parser.add_argument("--peers", action="store_true", help="make bempp-cl's environment")
-    parser.add_argument("--out", type=Path, help="write the report here, whatever was measured")
+    parser.add_argument("--part", nargs="+", choices=PARTS, help="measure these parts only")
     return parser.parse_args(arguments)
 
 

@@ -1,12 +1,14 @@
-"""Other programs, each in an environment of its own.
+"""Other programs, in environments of their own.
 
-Purpose    : times of other programs on the same mesh, from the same run.
-Takes      : a mesh; the package index, where an environment is to be made.
-Gives      : wall times, or the reason why there are none.
-Depends on : geometry; `requirements.txt` pins what is installed.
-Read first : `environment.py`, `laplace.py`.
+Purpose    : times and errors of other programs on the same input, from the same run.
+Takes      : a mesh, or the bench of speckle pairs; the package index, where an environment is to be
+             made.
+Gives      : their figures, or the reason why there are none.
+Depends on : geometry; a `requirements.txt` for each environment pins what is installed.
+Read first : `environment.py`, `laplace_peer.py`, `speckle_peer.py`.
 """
 
-from benchmarks.peers.environment import laplace_times
+from benchmarks.peers.laplace_peer import laplace_times
+from benchmarks.peers.speckle_peer import speckle_rows
 
-__all__ = ["laplace_times"]
+__all__ = ["laplace_times", "speckle_rows"]

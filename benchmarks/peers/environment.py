@@ -1,66 +1,73 @@
-"""Makes the other programs' environment and runs them in it."""
+"""Makes other programs' environments and runs commands in them."""
 
-import json
 import subprocess
 import sys
-import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from palpate.geometry import TriangleMesh
-
-__all__ = ["laplace_times"]
-
-HERE = Path(__file__).resolve().parent
-ENVIRONMENT = HERE / ".venv"
-PYTHON = ENVIRONMENT / "bin" / "python"
+__all__ = ["Environment", "last_line", "run_command"]
 
 
-def laplace_times(mesh: TriangleMesh, *, repeats: int, make: bool) -> dict | str:
-    """bempp-cl's times for the scalar Laplace operators on a mesh.
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """A virtual environment beside the requirements that it is made from.
 
     Parameters
     ----------
-    mesh : TriangleMesh
-    repeats : int             the shortest counts
-    make : bool               whether a missing environment may be made
-
-    Returns
-    -------
-    dict or str               `version`, `single_layer` [s], `double_layer` [s]; or why not
+    folder : Path             holds requirements.txt; .venv is made in it
+    programs : str            what is installed, for messages
     """
-    if not PYTHON.exists():
+
+    folder: Path
+    programs: str
+
+    @property
+    def python(self) -> Path:
+        """Its interpreter."""
+        return self.folder / ".venv" / "bin" / "python"
+
+    def problem(self, *, make: bool, all_needed: bool = True) -> str:
+        """Make the environment where it is missing; empty, or why it cannot be used.
+
+        Parameters
+        ----------
+        make : bool           whether a missing environment may be made
+        all_needed : bool     False: a package that cannot be installed is left out
+        """
+        if self.python.exists():
+            return ""
         if not make:
-            return "not measured: run with --peers to make bempp-cl's environment"
-        problem = _make_environment()
-        if problem:
-            return problem
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "mesh.npz"
-        np.savez(path, vertices=mesh.vertices, triangles=mesh.triangles)
-        done = _run([str(PYTHON), str(HERE / "laplace.py"), str(path), str(repeats)])
-    if done.returncode:
-        return f"bempp-cl stopped: {_last_line(done.stderr)}"
-    return json.loads(done.stdout.splitlines()[-1])
+            return f"not measured: run with --peers to make the environment of {self.programs}"
+        done = run_command([sys.executable, "-m", "venv", str(self.python.parent.parent)])
+        if done.returncode == 0:
+            done = self._installed(all_needed)
+        if done.returncode == 0:
+            return ""
+        self.python.unlink(missing_ok=True)
+        return f"{self.programs} could not be installed: {last_line(done.stderr)}"
+
+    def _installed(self, all_needed: bool) -> subprocess.CompletedProcess[str]:
+        """What the installer says of everything together, or of the last package that it took."""
+        listed = self.folder / "requirements.txt"
+        install = [str(self.python), "-m", "pip", "install", "--quiet"]
+        done = run_command([*install, "-r", str(listed)])
+        if done.returncode == 0 or all_needed:
+            return done
+        one_by_one = [
+            run_command([*install, "-c", str(listed), package])
+            for package in listed.read_text(encoding="utf-8").split()
+        ]
+        return next((one for one in one_by_one if one.returncode == 0), done)
 
 
-def _make_environment() -> str:
-    """Install what requirements.txt pins; empty, or what went wrong."""
-    for command in (
-        [sys.executable, "-m", "venv", str(ENVIRONMENT)],
-        [str(PYTHON), "-m", "pip", "install", "--quiet", "-r", str(HERE / "requirements.txt")],
-    ):
-        done = _run(command)
-        if done.returncode:
-            PYTHON.unlink(missing_ok=True)
-            return f"bempp-cl could not be installed: {_last_line(done.stderr)}"
-    return ""
+def run_command(
+    command: Sequence[str], *, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end and keep what it prints."""
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
 
 
-def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
-def _last_line(text: str) -> str:
+def last_line(text: str) -> str:
+    """What a program said last."""
     return (text.strip().splitlines() or ["no message"])[-1]

@@ -52,9 +52,9 @@ def with_displacement_error(intervals: IntervalSet, relative: float) -> Interval
     Returns
     -------
     IntervalSet                     G and E widened by `relative`; nu by relative (1 - nu)
-                                    (1 - 2 nu), what it takes in an elastic half-space to change the ratio of
-                                    the displacement along the surface to that across it by
-                                    `relative` (Johnson, Contact Mechanics, eq. 3.18)
+                                    (1 - 2 nu), what it takes in an elastic half-space to change the
+                                    ratio of the displacement along the surface to that across it
+                                    by `relative` (Johnson, Contact Mechanics, eq. 3.18)
     """
     ratio = intervals.poisson_ratio
     if relative > 0.0 and np.isfinite(ratio.std):

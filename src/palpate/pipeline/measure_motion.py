@@ -36,8 +36,8 @@ __all__ = [
 ]
 
 # Motions of a fraction of a pixel are measured too long by structure finer than the pixels. With
-# the low-pass that is applied: by 0.1 % where speckles have a sigma of 1.7 px, 0.5 to 1.2 % where it is
-# 1 to 0.6 px (analytic textures).
+# the low-pass that is applied: by 0.1 % where speckles have a sigma of 1.7 px, 0.5 to 1.2 % where
+# it is 1 to 0.6 px (analytic textures).
 SCALE_ERROR = 0.007
 # Points without texture are an outline or a blot; this share of them is a surface without paint.
 _MUCH = 0.1
@@ -386,8 +386,8 @@ def _texture_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
                 (
                     f"'{motion.name}': {100 * poor.mean():.0f} % of the points have too little"
                     f" texture to be followed (around column {column:.0f}, row {row:.0f} of the"
-                    f" reference camera); a window of {motion.flow.subset} px needs grey levels that vary by"
-                    f" {needed:.1f} or more (1 sigma): speckle the surface, or light it better"
+                    f" reference camera); a window of {motion.flow.subset} px needs grey levels that"
+                    f" vary by {needed:.1f} or more (1 sigma): speckle the surface, or light it better"
                 ),
             )
     return ()

@@ -1,5 +1,7 @@
 """Which points of a match are believed, and how well their displacement is known."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -36,6 +38,7 @@ def judged(
     -------
     RangeFlow
     """
+    settings = replace(settings, bias=_matching_bias(match, settings))
     bias = _bias_covariance(scene, match.use, settings.bias)
     covariance = _noise_covariance(scene, match) + bias
     outcome = _outcome(scene, match, covariance, noise, settings)
@@ -61,6 +64,25 @@ def judged(
         step=settings.step,
         shape=scene.pictures[scene.rig.reference].grey.shape,
     )
+
+
+def _matching_bias(match: Match, settings: JointSettings) -> float:
+    """Systematic error of one camera's match [px]: the setting, or more where the cameras say so.
+
+    A rig that is a little wrong makes the cameras contradict each other everywhere, by more than
+    noise does. That is no reason to reject a point, and it is part of every point's error.
+    """
+    used = match.use & np.isfinite(match.left)
+    count = used.sum(axis=1, keepdims=True)
+    some = used & (count >= 2) & (match.outcome == Outcome.VALID)[:, None]
+    if not some.any():
+        return settings.bias
+    # Of two components a camera, three in all are taken up by the common displacement.
+    share = np.broadcast_to(1.0 - 1.5 / np.maximum(count, 2), used.shape)
+    square = (match.own**2).mean(axis=2)[some] / share[some]
+    # Median of a chi square of two, less what noise explains.
+    extra = np.median(square) / np.log(2.0) - np.median(match.own_variance[some])
+    return float(max(settings.bias, np.sqrt(max(extra, 0.0))))
 
 
 def _outcome(

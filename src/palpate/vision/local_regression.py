@@ -4,7 +4,8 @@ Around every place a polynomial in two tangent coordinates is fitted to the disp
 weighted by their variances and by a smooth window, and made robust by Student weights. The result
 is a weighted sum of the displacements, so its covariance follows from theirs, and from how much
 their windows in the picture overlap: windows that share pixels share noise. What lies above or
-below the tangent plane turns with the normal, so a rigid motion is exact on curved and creased surfaces too.
+below the tangent plane turns with the normal, so a rigid motion is exact on curved and creased
+surfaces too.
 
 Source: Cleveland and Devlin, Locally weighted regression, Journal of the American Statistical
 Association 83 (1988).

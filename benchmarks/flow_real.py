@@ -1,0 +1,203 @@
+"""Real pictures: a static series, a tension test beside another program, a moved cylinder."""
+
+from dataclasses import replace
+
+import cv2
+import h5py
+import numpy as np
+from scipy.io import netcdf_file
+from scipy.spatial import cKDTree
+
+from benchmarks.figure import FLOW, Figure
+from benchmarks.machine import SHARED
+from benchmarks.options import Options
+from palpate.records import Camera, Rig, read_rig
+from palpate.records.calibration_multidic import read_control_points
+from palpate.records.dice_files import read_dice
+from palpate.vision import (
+    JointSettings,
+    RangeFlow,
+    StereoSettings,
+    is_valid,
+    joint_flow,
+    make_scene,
+    read_pictures,
+    stereo_points,
+    triangulated_surface,
+)
+from palpate.vision.resection import resected
+
+__all__ = ["measure"]
+
+REAL = SHARED / "real"
+MICRO = 1e6
+
+
+def measure(options: Options) -> list[Figure]:
+    """Figures of the three real sets."""
+    return [*_static(), *_tension(), *_cylinder()]
+
+
+def _static() -> list[Figure]:
+    """Nothing moves: the spread of displacements is the noise of the whole chain."""
+    folder = REAL / "dice_stereo_static"
+    rig = read_rig(folder / "cal.xml")
+    grey = [
+        read_pictures(rig, f"images/img_{k:04d}_{{camera}}.tif", folder=folder, what=str(k)).grey
+        for k in range(6)
+    ]
+    mask = np.zeros(grey[0][0].shape, dtype=bool)
+    mask[300:540, 160:1100] = True  # the region of the gold results, roi.dat
+    stereo = StereoSettings(reprojection=30.0, subset=31)
+    flows = _followed(rig, grey, mask, stereo, JointSettings(subset=45, step=10))
+    spread = np.array([MICRO * f.displacement[is_valid(f)].std(axis=0) for f in flows])
+    small = _followed(rig, grey[:3], mask, stereo, JointSettings(subset=27, step=10))
+    others = np.mean([MICRO * f.displacement[is_valid(f)].std(axis=0) for f in small], axis=0)
+    valid = np.mean([is_valid(f).mean() for f in flows])
+    note = (
+        f"frames 1 to 5 against 0, {len(flows[0].point)} points, {100 * valid:.0f} % valid, window"
+        f" 45 px (coarse speckle); with 27 px, as DICe, {others[0]:.1f} / {others[1]:.1f} /"
+        f" {others[2]:.1f} um. DICe's gold results: 0.7 / 0.4 / 3.2 um. The pictures lie 8 px off the"
+        " epipolar lines of their calibration, so only motions are compared"
+    )
+    asked = (("X", 1.0, 0.7), ("Y", 0.8, 0.4), ("Z", 4.0, 3.2))
+    return [
+        Figure(FLOW, f"real static stereo series: sd of displacement {axis}", float(value), "um",
+               must=must, reach=reach, note=note)
+        for (axis, must, reach), value in zip(asked, spread.mean(axis=0), strict=True)
+    ]  # fmt: skip
+
+
+def _tension() -> list[Figure]:
+    """Displacements of the D-shaped specimen beside DICe's, at DICe's points."""
+    folder = REAL / "gt4_dspec"
+    rig = read_rig(folder / "cal_vic3d.xml")
+    grey = [
+        tuple(
+            cv2.imread(str(folder / side / f"GT4-{k:04d}_{c}.tif"), cv2.IMREAD_GRAYSCALE).astype(
+                np.float32
+            )
+            for c, side in enumerate("LR")
+        )
+        for k in range(6)
+    ]
+    mask = np.zeros(grey[0][0].shape, dtype=bool)
+    mask[10:800, 100:1700] = True
+    flows = _followed(rig, grey, mask, StereoSettings(step=20), JointSettings(step=20))
+    gold = folder / "dice_gold" / "DICe_solution.e"
+    pixel = _exodus_pixels(gold)
+    apart = [_beside(flow, read_dice(gold, frame=k), pixel) for k, flow in enumerate(flows, 1)]
+    lateral = [float(np.median(np.hypot(one[:, 0], one[:, 1]))) for one in apart]
+    return [
+        Figure(FLOW, "real tension test, frames 1-5: median lateral difference from DICe, worst",
+               max(lateral), "um", must=3.0, reach=1.0,
+               note=", ".join(f"{value:.2f}" for value in lateral) + f" um at {len(apart[0])}"
+               f" common points; depth {np.median(np.abs(np.concatenate(apart)[:, 2])):.1f} um"),
+    ]  # fmt: skip
+
+
+def _exodus_pixels(path) -> np.ndarray:
+    """Pixels of DICe's points in the first picture."""
+    with netcdf_file(path, mmap=False) as file:
+        names = [b"".join(row).split(b"\0")[0].decode() for row in file.variables["name_nod_var"]]
+        place = [names.index(f"COORDINATE_{axis}") + 1 for axis in "XY"]
+        return np.stack([np.array(file.variables[f"vals_nod_var{k}"][0]) for k in place], axis=1)
+
+
+def _beside(flow: RangeFlow, measured, pixel: np.ndarray) -> np.ndarray:
+    """Our displacement less theirs [um] in their frame, which is fitted to our points."""
+    ok = is_valid(flow)
+    near, which = cKDTree(flow.pixel[ok]).query(pixel)
+    both = (near < 15.0) & np.isfinite(measured.displacement).all(axis=1)
+    ours, theirs = flow.point[ok][which[both]], measured.points[both]
+    turn = _rotation(ours, theirs)
+    return MICRO * (flow.displacement[ok][which[both]] @ turn - measured.displacement[both])
+
+
+def _rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Rotation of row vectors from one frame to another, Kabsch."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    u, _, v = np.linalg.svd(a.T @ b)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+
+
+def _cylinder() -> list[Figure]:
+    """Five rigid poses: what a rigid motion leaves is error."""
+    folder = REAL / "multidic_pair"
+    plain = read_rig(folder / "calibrationObjectImages")
+    control = read_control_points(folder / "calibrationObjectImages")
+    lenses = [
+        resected(camera, known.points, known.pixels).camera
+        for camera, known in zip(plain.cameras, control, strict=True)
+    ]
+    rig = Rig(tuple(lenses), 0, str(folder))
+    grey = [
+        read_pictures(rig, f"speckledObjectImages/{{camera}}/{{camera}}_{k}.jpg", folder=folder,
+                      what=str(k)).grey
+        for k in range(1, 6)
+    ]  # fmt: skip
+    with h5py.File(folder / "speckledObjectImages" / "DIC2DpairResults_C_201_C_202.mat") as file:
+        mask = np.array(file["DIC2DpairResults/ROImask"]).T.astype(bool)
+        points = [np.array(file[key]).T - 1.0 for key in file["DIC2DpairResults/Points"][0]]
+    boxes = [_box(np.concatenate(points[5 * c : 5 * c + 5])) for c in range(2)]
+    cropped = replace(
+        rig, cameras=tuple(_crop(one, box) for one, box in zip(rig.cameras, boxes, strict=True))
+    )
+    parts = [
+        tuple(np.ascontiguousarray(g[box]) for g, box in zip(one, boxes, strict=True))
+        for one in grey
+    ]
+    flows = _followed(
+        cropped, parts, mask[boxes[0]], StereoSettings(step=12, subset=43),
+        JointSettings(step=24, subset=43),
+    )  # fmt: skip
+    left, valid = [], []
+    for flow in flows:
+        ok = is_valid(flow)
+        before, after = flow.point[ok], flow.point[ok] + flow.displacement[ok]
+        rest = (after - after.mean(axis=0)) - (before - before.mean(axis=0)) @ _rotation(
+            before, after
+        )
+        left.append(MICRO * rest.std(axis=0))
+        valid.append(ok.mean())
+    note = (
+        f"worst of four poses against the first, window 43 px (the subset of the shared results is"
+        f" as large), {100 * np.mean(valid):.0f} % of {len(flows[0].point)} points valid; cameras"
+        " resected with lens from the calibration object"
+    )
+    asked = (("x", 6.0, 3.0), ("y", 10.0, 5.0), ("z", 17.0, 13.0))
+    return [
+        Figure(FLOW, f"real cylinder in rigid poses: what a rigid motion leaves, {axis}",
+               float(value), "um", must=must, reach=reach, note=note)
+        for (axis, must, reach), value in zip(asked, np.max(left, axis=0), strict=True)
+    ]  # fmt: skip
+
+
+def _box(pixel: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns that hold pixels, with a margin for windows and motions."""
+    low = np.floor(np.nanmin(pixel, axis=0)).astype(int) - 60
+    high = np.ceil(np.nanmax(pixel, axis=0)).astype(int) + 60
+    return slice(max(low[1], 0), high[1]), slice(max(low[0], 0), high[0])
+
+
+def _crop(camera: Camera, box: tuple[slice, slice]) -> Camera:
+    """The camera that takes only a part of the picture."""
+    matrix = camera.matrix.copy()
+    matrix[:2, 2] -= [box[1].start, box[0].start]
+    return replace(camera, matrix=matrix, size=None)
+
+
+def _followed(
+    rig: Rig,
+    grey: list[tuple[np.ndarray, ...]],
+    mask: np.ndarray,
+    stereo: StereoSettings,
+    settings: JointSettings,
+) -> list[RangeFlow]:
+    """Range flow of a surface that is known from the first pictures only."""
+    surface = triangulated_surface(stereo_points(rig, grey[0], mask=mask, settings=stereo))
+    return list(
+        joint_flow(
+            make_scene(rig, grey[0], *surface, settings=settings), grey[1:], settings=settings
+        )
+    )
