@@ -57,7 +57,7 @@ def _static() -> list[Figure]:
     note = (
         f"frames 1 to 5 against 0, {len(flows[0].point)} points, {100 * valid:.0f} % valid, window"
         f" 45 px (coarse speckle); with 27 px, as DICe, {others[0]:.1f} / {others[1]:.1f} /"
-        f" {others[2]:.1f} um. DICe's gold results: 0.7 / 0.4 / 3.2 um. The pictures lie 8 px off the"
+        f" {others[2]:.1f} um. DICe's gold results: 0.7 / 0.4 / 3.2 um. The pictures lie 8 px off"
         " epipolar lines of their calibration, so only motions are compared"
     )
     asked = (("X", 1.0, 0.7), ("Y", 0.8, 0.4), ("Z", 4.0, 3.2))

@@ -41,13 +41,11 @@ class Rigid:
     error: list[np.ndarray]
     truth: list[np.ndarray]
     square: list[np.ndarray]
-    seconds: float
 
 
 def measure(options: Options) -> list[Figure]:
     """All figures from rendered pictures."""
-    joint = [_rigid(name, "joint") for name in RIGID]
-    paper = [_rigid(name, "lang-pai") for name in RIGID]
+    joint = [_rigid(name) for name in RIGID]
     session = read_session(SHARED / "halfball_images")
     found = measure_motion(session, settings=MotionSettings(pose="given"))
     ball, squares = _half_ball(session, found)
@@ -57,16 +55,15 @@ def measure(options: Options) -> list[Figure]:
         *ball,
         *_constants(session, found),
         _sigmas(joint, squares),
-        _share(joint, paper),
         _cameras(),
     ]
 
 
-def _rigid(name: str, method: str) -> Rigid:
+def _rigid(name: str) -> Rigid:
     folder = SHARED / name
     truth = tomllib.loads((folder / "truth.toml").read_text(encoding="utf-8"))["step"]
     session = read_session(folder)
-    found = measure_motion(session, settings=MotionSettings(method=method, pose="given"))
+    found = measure_motion(session, settings=MotionSettings(pose="given"))
     point = session.mesh.vertices
     errors, moves, squares = [], [], []
     for motion, step in zip(found.motions, truth[1:], strict=True):
@@ -75,7 +72,7 @@ def _rigid(name: str, method: str) -> Rigid:
         errors.append(error)
         moves.append(moved[ok])
         squares.append(square)
-    return Rigid(name, errors, moves, squares, 0.0)
+    return Rigid(name, errors, moves, squares)
 
 
 def _errors(
@@ -184,19 +181,6 @@ def _sigmas(joint: list[Rigid], ball: list[np.ndarray]) -> Figure:
     return Figure(
         FLOW, "actual over claimed sigma per vertex, all rendered sets", pooled, "x",
         must=(0.8, 1.25), reach=(0.95, 1.05), note=f"rms of the error in claimed sigmas; {each}",
-    )  # fmt: skip
-
-
-def _share(joint: list[Rigid], paper: list[Rigid]) -> Figure:
-    def rms(sequences: list[Rigid]) -> float:
-        every = np.concatenate([error for one in sequences for error in one.error])
-        return float(np.sqrt((every**2).sum(axis=1).mean()))
-
-    ours, theirs = rms(joint), rms(paper)
-    return Figure(
-        FLOW, "share of the paper's method's error that is left, rigid sequences", ours / theirs,
-        "x", must=0.1, reach=1 / 30,
-        note=f"rms of vertex displacement {1e3 * ours:.3f} mm against {1e3 * theirs:.2f} mm",
     )  # fmt: skip
 
 

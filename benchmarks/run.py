@@ -32,7 +32,14 @@ PARTS = {
         "beam",
         "process_times",
     ),
-    "pictures": ("flow_speckle", "flow_rendered", "flow_real", "flow_time"),
+    "pictures": (
+        "flow_time",
+        "flow_speckle",
+        "flow_peers",
+        "flow_rendered",
+        "flow_baseline",
+        "flow_real",
+    ),
 }
 SUBJECTS = tuple(name for names in PARTS.values() for name in names)
 

@@ -386,8 +386,9 @@ def _texture_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
                 (
                     f"'{motion.name}': {100 * poor.mean():.0f} % of the points have too little"
                     f" texture to be followed (around column {column:.0f}, row {row:.0f} of the"
-                    f" reference camera); a window of {motion.flow.subset} px needs grey levels that"
-                    f" vary by {needed:.1f} or more (1 sigma): speckle the surface, or light it better"
+                    f" reference camera); a window of {motion.flow.subset} px needs grey levels"
+                    f" that vary by {needed:.1f} or more (1 sigma): speckle the surface, or light"
+                    " it better"
                 ),
             )
     return ()
