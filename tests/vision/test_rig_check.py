@@ -10,8 +10,9 @@ from palpate.errors import CalibrationError, InputError
 from palpate.geometry import read_mesh
 from palpate.records.rig import Camera, Rig
 from palpate.records.rig_files import read_rig
+from palpate.vision.features import Matches
 from palpate.vision.pictures import read_pictures
-from palpate.vision.rig_check import RigCheck, check_rig
+from palpate.vision.rig_check import RigCheck, _consistent, check_rig
 
 
 def _views(count: int = 3, lens: tuple[float, ...] = ()) -> list[np.ndarray]:
@@ -149,6 +150,35 @@ def test_a_camera_that_sees_nothing_is_a_remark_where_two_others_do(half_ball):
     assert np.isnan(found.residual[1])
     assert any("features in common" in note for note in found.notes)
     assert any("camera 'c2' sees nothing of the object" in note for note in found.notes)
+
+
+def test_a_reference_camera_that_sees_nothing_is_refused(half_ball):
+    rig, pictures, surface = half_ball
+    aside = replace(
+        rig.cameras[0],
+        matrix=rig.cameras[0].matrix + np.array([[0, 0, 2000.0], [0, 0, 0], [0, 0, 0]]),
+    )
+    strange = np.ascontiguousarray(pictures[0][::-1])
+    with pytest.raises(CalibrationError, match="camera 'c0' sees nothing of the object"):
+        check_rig(
+            Rig((aside, *rig.cameras[1:]), 0, "rig.toml"), (strange, *pictures[1:]), surface=surface
+        )
+
+
+def test_any_camera_may_be_the_reference(half_ball):
+    rig, pictures, surface = half_ball
+    found = check_rig(Rig(rig.cameras, 2, "rig.toml"), pictures, surface=surface)
+    assert max(found.residual) < 0.2
+    assert found.offset < 2e-4
+
+
+def test_matches_by_chance_are_none():
+    """Places at random agree on no geometry, however many there are."""
+    rng = np.random.default_rng(3)
+    rig = example(2).rig
+    place = rng.uniform(0.0, 150.0, size=(2, 300, 2))
+    chance = _consistent(rig.cameras[0], rig.cameras[1], Matches(place[0], place[1]))
+    assert len(chance.first) == 0
 
 
 def test_features_that_lie_elsewhere_leave_the_pose_unchecked():

@@ -285,7 +285,8 @@ def test_rendered_solid_with_edges(shared_data):
     assert seen.sum() > 0.85 * on_grid
     # 0.54 mm a pixel, 7 degrees: a hundredth of a pixel is 45 um of depth. Edges every 30 px.
     assert np.median(np.abs(error[seen, 2])) < 6e-5
-    assert np.sqrt(np.mean(error[seen, 2] ** 2)) < 3e-4
+    # Measured 0.18 mm; 0.28 mm where windows do not shrink until they leave less.
+    assert np.sqrt(np.mean(error[seen, 2] ** 2)) < 2.3e-4
     assert len(stereo.pixel) > 500
 
 

@@ -70,8 +70,21 @@ def check(session: Path, /) -> int:
     console.print(_probings_table(figures))
     for note in given.notes:
         console.print(f"Note: {note}", markup=False, highlight=False)
-    console.print(expectation(figures), markup=False, highlight=False)
+    console.print(_outlook(given, figures), markup=False, highlight=False)
     return 0
+
+
+def _outlook(session: Session, figures: list[ProbingFigures]) -> str:
+    """What the displacements promise, or how they are still to be measured."""
+    pictured = [
+        one.name for one in session.probings if one.displacement is None and one.images is not None
+    ]
+    if len(pictured) == len(figures):
+        return (
+            f"{len(pictured)} probings have pictures and no displacements yet: `palpate flow` shows"
+            " what can be read from them, `palpate fit` reads them itself."
+        )
+    return expectation(figures)
 
 
 def probing_figures(session: Session, probing: Probing) -> ProbingFigures:

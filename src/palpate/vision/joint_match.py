@@ -6,7 +6,7 @@ the motion from the neighbours, so that a window sees no bias where the surface 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -47,7 +47,9 @@ _OUTCOMES = {
     NOT_CONVERGED: Outcome.LOST,
 }
 # Rounds of second tries: the front of found points moves a few windows each.
-_RETRIES = 3
+_RETRIES = 2
+# A second try starts from a good guess or is hopeless: twice the steps that a usual match takes.
+_PATIENCE = 10
 # Neighbours within this many half windows have a say; their windows overlap but are not the same.
 AROUND = 2.0
 
@@ -103,13 +105,14 @@ def match_scene(
     noise = np.ones(len(moved))
     match = _refined(scene, moved, start, scene.seen, whole, noise, settings)
     noise = _noise(match)
-    match = _without_one_camera(scene, moved, match, start, noise, settings)
+    quick = replace(settings, iterations=min(settings.iterations, _PATIENCE))
+    match = _without_one_camera(scene, moved, match, start, noise, quick)
     for _ in range(_RETRIES):
         again, restart = _second_tries(scene, match, noise, settings)
         if len(again) == 0:
             break
-        tried = _refined(scene, moved, restart, scene.seen[again], again, noise, settings)
-        tried = _without_one_camera(scene, moved, tried, restart, noise, settings, rows=again)
+        tried = _refined(scene, moved, restart, scene.seen[again], again, noise, quick)
+        tried = _without_one_camera(scene, moved, tried, restart, noise, quick, rows=again)
         match = replaced(match, tried, again)
     known = _with_curvature(scene, match, settings)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
