@@ -54,11 +54,11 @@ def test_a_good_guess_is_returned_as_it_is():
 
 def test_groups_are_equal_compact_and_independent_of_the_frame():
     rng = np.random.default_rng(2)
-    points = rng.uniform(size=(1000, 3)) * [4.0, 2.0, 0.1]
+    points = rng.uniform(size=(1024, 3)) * [4.0, 2.0, 0.1]
     label = compact_groups(points, 64)
     count = np.bincount(label)
     assert len(count) == 64
-    assert set(count) == {15, 16}
+    assert set(count) == {16}
     # 64 groups tile 4 x 2: sides of a third to a half.
     widest = max(np.ptp(points[label == k], axis=0).max() for k in range(64))
     assert widest < 1.0

@@ -96,9 +96,9 @@ def test_every_point_is_found_and_none_is_wrong(flows, name):
 @pytest.mark.parametrize("name", ["shift", "bump"])
 def test_errors_are_as_large_as_claimed(name):
     flow = _flows(name, noise=LOUD)
-    # Some 80 windows that do not overlap: 5 % from chance, 20 % from second derivatives, whose
-    # noise the claim leaves out.
-    assert 0.8 < _fits(flow, MOTIONS[name]) < 1.35
+    # Some 80 windows that do not overlap: 5 % from chance. The claim holds a bias that is not there
+    # (0.005 px and more) and leaves out what second derivatives from the neighbours cost (20 %).
+    assert 0.7 < _fits(flow, MOTIONS[name]) < 1.3
 
 
 def test_reprojection_says_how_well_the_cameras_agree(flows):

@@ -74,7 +74,9 @@ def find_features(picture: EvenPicture) -> Features:
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         area = cv2.resize(area, size, interpolation=cv2.INTER_NEAREST)
         scale *= 2
-    sift = cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_CONTRAST)
+    sift = cv2.SIFT.create(
+        nfeatures=_MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True
+    )
     keys, words = sift.detectAndCompute(grey, area)
     if not keys:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32))
