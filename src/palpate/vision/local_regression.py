@@ -27,6 +27,9 @@ _TERMS = {1: 3, 2: 6}
 # Degrees of freedom of the Student weights: outliers at ten sigma count 1/20.
 _FREEDOM = 4.0
 _ROUNDS = 6
+# Displacements on a line, or on one side only, do not fix a polynomial: of each term at least this
+# share must be its own.
+_LEAST_SPREAD = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,7 +258,7 @@ def _solve_kernel(design, weight, robust, displacement, height, turn, nearest, m
                 solution[a, k] += (
                     w * design[j, k] * (displacement[nearest[j], a] - height[j] * turn[a])
                 )
-    if not cholesky_kernel(normal):
+    if not cholesky_kernel(normal, _LEAST_SPREAD):
         return False
     for a in range(3):
         cholesky_solve_kernel(normal, solution[a])

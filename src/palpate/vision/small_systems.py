@@ -10,14 +10,17 @@ _SMALLEST_PIVOT = 1e-9
 
 
 @njit(cache=True, error_model="numpy")
-def cholesky_kernel(a):
-    """Replace the lower triangle by the Cholesky factor; False where not positive definite."""
+def cholesky_kernel(a, least=_SMALLEST_PIVOT):
+    """Replace the lower triangle by the Cholesky factor; False where not positive definite.
+
+    A pivot below `least` of its diagonal counts as zero.
+    """
     n = len(a)
     for j in range(n):
         pivot = a[j, j]
         for k in range(j):
             pivot -= a[j, k] * a[j, k]
-        if not pivot > _SMALLEST_PIVOT * a[j, j]:
+        if not pivot > least * a[j, j]:
             return False
         root = np.sqrt(pivot)
         a[j, j] = root

@@ -16,6 +16,8 @@ _REACH = 1.2
 _FACING = 0.1
 # Twice the unknowns of a quadratic.
 _FEWEST = 12
+# A vertex known so many times worse than the usual point lies outside the points.
+_WORSE = 3.0
 
 
 def vertex_displacement(
@@ -43,6 +45,11 @@ def vertex_displacement(
     if valid.any() and len(rows) > 0:
         field = _field_at(flow, valid, vertices[rows], normal[rows], camera)
         good = np.isfinite(field.displacement).all(axis=1) & (field.count >= _FEWEST)
+        # Beside the points a polynomial goes anywhere, and its variance says so.
+        trace = np.trace(field.covariance, axis1=1, axis2=2)
+        usual = np.median(np.trace(flow.covariance[valid], axis1=1, axis2=2))
+        with np.errstate(invalid="ignore"):
+            good &= trace < _WORSE**2 * usual
         displacement[rows[good]] = field.displacement[good]
         covariance[rows[good]] = field.covariance[good]
         count[rows] = field.count
