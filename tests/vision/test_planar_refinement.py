@@ -141,6 +141,27 @@ def test_errors_are_those_of_the_bound_and_are_claimed(rest, moved, shape, free)
     assert 0.93 < np.sqrt(np.mean(np.square(ratios))) < 1.1
 
 
+@pytest.mark.parametrize("name", ["turn", "strain"])
+def test_small_windows_reach_their_bound_where_the_gradient_is_known(rest, moved, name):
+    """Seven pixels a side know two unknowns well enough, and six not at all."""
+    truth, gradient = WARPS[name].displacement(POINTS), _gradient(WARPS[name])
+    first, second = _noisy(rest, 5), _noisy(moved[name], 6)
+    match = _match(first, second, truth, gradient=gradient, subset=7, shape="shift")
+    assert match.converged.mean() > 0.999
+    np.testing.assert_array_equal(match.gradient[match.converged], gradient[match.converged])
+    bound = _bound(rest, 3, 1)
+    # The windows without much texture: where the bound is a tenth of a pixel it is none any more.
+    good = match.converged & (bound.max(axis=1) < 0.1**2)
+    assert good.mean() > 0.97
+    error = (match.displacement - truth)[good]
+    # 900 windows that do not overlap: 2 % from chance; noise in the gradients as before, and more.
+    assert 0.95 < np.sqrt((error**2).mean() / bound[good].mean()) < 1.15
+    assert 0.93 < np.sqrt((_ratios(match, truth)[good] ** 2).mean()) < 1.2
+    whole = _match(first, second, truth, gradient=gradient, subset=7, shape="affine")
+    worse = (whole.displacement - truth)[whole.converged]
+    assert np.sqrt((worse**2).mean()) > 1.1 * np.sqrt((error**2).mean())
+
+
 def test_covariance_holds_for_both_components_together(rest, moved):
     """Mahalanobis distance: its mean is two, also where the texture has a preferred direction."""
     stretch = affine(np.diag([2.0, 1.0]), (0.0, 0.0), CENTRE)

@@ -15,7 +15,8 @@ from palpate.vision.scene import Scene, jacobians, pixel_size
 
 __all__ = ["judged"]
 
-# A displacement known no better than this is not known; the usual match is ten times better [px].
+# A displacement that noise leaves no better known than this is not known; the usual match is ten
+# times better [px]. A rig that is a little wrong has nothing to do with the texture.
 _TEXTURE_LIMIT = 0.1
 # A window's contrast in units of the noise; with less, noise is a tenth of the gradients that it is
 # matched by, and more.
@@ -40,8 +41,9 @@ def judged(
     """
     settings = replace(settings, bias=_matching_bias(match, settings))
     bias = _bias_covariance(scene, match.use, settings.bias)
-    covariance = _noise_covariance(scene, match) + bias
-    outcome = _outcome(scene, match, covariance, noise, settings)
+    by_noise = _noise_covariance(scene, match)
+    covariance = by_noise + bias
+    outcome = _outcome(scene, match, by_noise, noise, settings)
     used = match.use & np.isfinite(match.left)
     valid = outcome == Outcome.VALID
     score = np.where(used, match.score, np.inf).min(axis=1)
@@ -88,7 +90,7 @@ def _matching_bias(match: Match, settings: JointSettings) -> float:
 def _outcome(
     scene: Scene,
     match: Match,
-    covariance: Float[np.ndarray, "n 3 3"],
+    by_noise: Float[np.ndarray, "n 3 3"],
     noise: Float[np.ndarray, " c"],
     settings: JointSettings,
 ) -> Int[np.ndarray, " n"]:
@@ -103,7 +105,7 @@ def _outcome(
     with np.errstate(invalid="ignore"):
         apart = (used & (np.abs(match.own).max(axis=2) > limit)).any(axis=1)
         outcome[(outcome == Outcome.VALID) & apart] = Outcome.REPROJECTION
-        blurred = _lateral(scene, covariance) > _TEXTURE_LIMIT * pixel_size(scene)
+        blurred = _lateral(scene, by_noise) > _TEXTURE_LIMIT * pixel_size(scene)
         outcome[(outcome == Outcome.VALID) & blurred] = Outcome.TEXTURE
         ok = outcome == Outcome.VALID
         around = predicted(
@@ -115,7 +117,7 @@ def _outcome(
             reach=neighbourhood(scene),
         )
         away = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
-        sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+        sigma = np.sqrt(np.trace(by_noise, axis1=1, axis2=2))
         alone = away > settings.disagreement * np.hypot(around.scatter, sigma)
     outcome[ok & alone] = Outcome.NEIGHBOURS
     return outcome
