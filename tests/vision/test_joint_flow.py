@@ -101,6 +101,30 @@ def test_errors_are_as_large_as_claimed(name):
     assert 0.7 < _fits(flow, MOTIONS[name]) < 1.3
 
 
+@pytest.mark.parametrize("name", ["turn", "bump"])
+def test_fewer_unknowns_of_a_window_leave_less_noise_and_no_bias(flows, name):
+    """What a window does not say itself is its neighbours' word, and true to second order."""
+    stage, motion = example(), MOTIONS[name]
+    scene = _scene(noisy_views(example_views("still"), NOISE, 1), stage)
+    views = noisy_views(example_views(name), NOISE, 101)
+    found = {"affine": flows[name]}
+    for shape in ("shift", "quadratic"):
+        settings = JointSettings(shape=shape)
+        found[shape] = next(joint_flow(scene, [views], settings=settings))
+    good = np.logical_and.reduce([is_valid(flow) for flow in found.values()])
+    assert good.sum() > 0.95 * is_valid(flows[name]).sum()
+    rms = {}
+    for shape, flow in found.items():
+        error = _error(flow, motion)[good]
+        assert np.abs(error / _sigma(flow)[good]).max() < 6.0
+        rms[shape] = np.sqrt((error[:, :2] ** 2).mean())
+    # Of white noise on an even texture a shift knows as much alone as beside a gradient, for the
+    # two are orthogonal; speckles are uneven. Second derivatives are not orthogonal to it: 9/4 of
+    # the variance in one direction (Gram determinant of 1, x^2), here in two.
+    assert rms["shift"] < 1.02 * rms["affine"]
+    assert 1.15 * rms["affine"] < rms["quadratic"] < 2.3 * rms["affine"]
+
+
 def test_reprojection_says_how_well_the_cameras_agree(flows):
     flow = flows["turn"]
     good = is_valid(flow)

@@ -1,8 +1,8 @@
 """Following the points of a scene into later pictures: one match of all cameras, made robust.
 
 The joint refinement from a start; cameras whose window changed are dropped; points that were lost
-are tried again from their neighbours' motion; and a last refinement takes the second derivatives of
-the motion from the neighbours, so that a window sees no bias where the surface bends.
+are tried again from their neighbours' motion; and a last refinement takes derivatives of the motion
+from the neighbours, so that a window sees no bias where the surface bends and little noise.
 """
 
 from collections.abc import Sequence
@@ -50,6 +50,8 @@ _OUTCOMES = {
 _RETRIES = 2
 # A second try starts from a good guess or is hopeless: twice the steps that a usual match takes.
 _PATIENCE = 10
+# Unknowns of a window for each component of the motion.
+_BASES = {"shift": 1, "affine": 3, "quadratic": 6}
 # Neighbours within this many half windows have a say; their windows overlap but are not the same.
 AROUND = 2.0
 
@@ -114,9 +116,11 @@ def match_scene(
         tried = _refined(scene, moved, restart, scene.seen[again], again, noise, quick)
         tried = _without_one_camera(scene, moved, tried, restart, noise, quick, rows=again)
         match = replaced(match, tried, again)
-    known = _with_curvature(scene, match, settings)
+    known = _with_derivatives(scene, match, settings)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
-    last = _refined(scene, moved, known[rows], match.use[rows], rows, noise, settings)
+    last = _refined(
+        scene, moved, known[rows], match.use[rows], rows, noise, settings, shape=settings.shape
+    )
     match = replaced(match, last, rows)
     return match, _noise(match)
 
@@ -129,6 +133,8 @@ def _refined(
     rows: Int[np.ndarray, " k"],
     noise: Float[np.ndarray, " c"],
     settings: JointSettings,
+    *,
+    shape: str = "affine",
 ) -> Match:
     """Joint refinement of some points of the scene from given motions."""
     pictures = scene.pictures
@@ -148,7 +154,7 @@ def _refined(
         noise,
         Limits(
             settings.subset // 2,
-            3,
+            _BASES[shape],
             settings.tolerance,
             settings.reach,
             settings.iterations,
@@ -291,30 +297,31 @@ def _second_tries(
     return rows, restart
 
 
-def _with_curvature(
+def _with_derivatives(
     scene: Scene, match: Match, settings: JointSettings
 ) -> Float[np.ndarray, "n 6 3"]:
-    """The motion found, with second derivatives from the motion around each point."""
-    motion = match.motion.copy()
+    """The motion found, with derivatives from the motion around each point; NaN without those."""
     good = match.outcome == Outcome.VALID
-    if good.any():
-        field = local_field(
-            Scatter(
-                scene.point[good],
-                scene.pixel[good],
-                match.motion[good, 0],
-                match.covariance[good],
-                np.zeros((int(good.sum()), 3, 3)),
-                settings.subset,
-            ),
-            scene.point,
-            scene.tangent,
-            reach=neighbourhood(scene),
-        )
-        size = scene.extent[:, None, None]
-        known = np.isfinite(field.curvature).all(axis=(1, 2))
-        motion[known, 3:] = field.curvature[known] * size[known] ** 2
-    motion[~good] = np.nan
+    motion = np.full(match.motion.shape, np.nan)
+    if not good.any():
+        return motion
+    field = local_field(
+        Scatter(
+            scene.point[good],
+            scene.pixel[good],
+            match.motion[good, 0],
+            match.covariance[good],
+            np.zeros((int(good.sum()), 3, 3)),
+            settings.subset,
+        ),
+        scene.point,
+        scene.tangent,
+        reach=neighbourhood(scene),
+    )
+    size = scene.extent[good, None, None]
+    motion[good, 0] = match.motion[good, 0]
+    motion[good, 1:3] = field.gradient[good] * size
+    motion[good, 3:] = field.curvature[good] * size**2
     return motion
 
 

@@ -1,6 +1,7 @@
 """How range flow is measured by the method `joint`."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from palpate.errors import InputError
 
@@ -15,6 +16,9 @@ class JointSettings:
     ----------
     subset : int [px]               side of the window, odd; more is less noise and less detail
     step : int [px]                 spacing of the points in the reference camera
+    shape : "shift", "affine" or "quadratic"    what a window itself says of its motion; the
+                                    derivatives beyond are its neighbours' word, so that a window
+                                    sees no bias where the surface stretches, turns or bends
     smoothing : float [px]          Gaussian low-pass of every picture before it is matched, against
                                     the bias of structure finer than the pixels
     turning : float                 median derivative of the motion above which pictures are matched
@@ -42,6 +46,7 @@ class JointSettings:
 
     subset: int = 21
     step: int = 5
+    shape: Literal["shift", "affine", "quadratic"] = "affine"
     smoothing: float = 1.0
     turning: float = 0.03
     tolerance: float = 1e-3
