@@ -108,6 +108,15 @@ def test_nothing_measured_gives_no_picture(tmp_path, session, result):
     assert len(write_plots(tmp_path, empty, result)) == 2
 
 
+def test_a_name_with_dollars_is_not_mathematics(tmp_path, session, result):
+    name = "cost $x^ and_$"
+    named = replace(session, probings=(replace(session.probings[0], name=name),))
+    estimate = replace(result.estimate, probes=(replace(result.estimate.probes[0], name=name),))
+    fit = replace(result.probes[0], name=name)
+    written = write_plots(tmp_path, named, replace(result, estimate=estimate, probes=(fit,)))
+    assert len(written) == 3
+
+
 def test_a_folder_that_is_not_there_is_an_error(tmp_path, session, result):
     with pytest.raises(OSError, match="none"):
         write_plots(tmp_path / "none", session, result)

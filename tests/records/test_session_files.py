@@ -83,6 +83,7 @@ def test_every_unit_has_its_length(edited, unit, metres):
     session = read_session(edited('length_unit = "m"', f'length_unit = "{unit}"'))
     assert enclosed_volume(session.mesh) == pytest.approx((0.04 * metres) ** 3, rel=1e-12)
     assert session.probings[0].contact.radius == pytest.approx(0.006 * metres, rel=1e-15)
+    assert session.metres_per_unit == metres
 
 
 # One spoilt piece of session.toml each: what replaces what, and what the message must say.

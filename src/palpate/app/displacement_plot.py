@@ -122,7 +122,9 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points]) -> Figure:
     _bar(figure, bars[1], "magma_r", over, "difference (mm)", 0.7)
     rms = float(np.sqrt(np.mean(lengths[2][used] ** 2)))
     text = f"{name}: {used.sum()} points, rms difference {rms:.3g} mm"
-    figure.text(0.5, 0.965, text, ha="center", va="top", fontsize=9, weight="bold")
+    figure.text(
+        0.5, 0.965, text, ha="center", va="top", fontsize=9, weight="bold", parse_math=False
+    )
     size = LONGEST_ARROW * scene.size
     said = f"arrows: {_times(size / largest)} the displacement, "
     said += f"{_times(size / over)} the difference"

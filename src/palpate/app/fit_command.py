@@ -7,10 +7,11 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 from rich.console import Console
 
+from palpate.app.notes import print_notes
 from palpate.app.plots import write_plots
 from palpate.app.progress import ProgressCallback, progress_bar
 from palpate.app.residual_files import write_residuals
-from palpate.app.result_folder import result_folder
+from palpate.app.result_folder import default_folder, result_folder
 from palpate.app.tables import constants_table, probes_table
 from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
@@ -64,10 +65,11 @@ def fit(
     """
     console = Console()
     # The target is tried first: no one should wait for a result that cannot be kept.
-    with result_folder(out or _default_folder(session)) as folder:
+    target = out or default_folder(session, "result")
+    with result_folder(target) as folder:
         given = read_session(session, probes=probe)
         require_probings(given)
-        _print_notes(given)
+        print_notes(given.notes)
         with progress_bar() as progress:
             given = _with_motion(given, progress)
             result = fit_session(
@@ -88,7 +90,7 @@ def fit(
         if note not in given.notes:
             console.print(f"Note: {note}", markup=False, highlight=False)
     console.print(
-        f"Result in {out or _default_folder(session)}"
+        f"Result in {out or default_folder(session, 'result')}"
         f" ({estimate.seconds.get('total', float('nan')):.1f} s)",
         markup=False,
         highlight=False,
@@ -105,8 +107,7 @@ def _with_motion(session: Session, progress: ProgressCallback) -> Session:
     if not blind:
         return session
     flow = measure_motion(session, probes=blind, progress=progress)
-    for note in flow.notes:
-        print(f"palpate: note: {note}", file=sys.stderr)
+    print_notes(flow.notes)
     return with_measured_displacement(session, flow)
 
 
@@ -121,17 +122,3 @@ def _write(folder: Path, session: Session, result: FitResult) -> None:
             f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
             " choose another place with --out"
         ) from error
-
-
-def _default_folder(session: Path) -> Path:
-    """Folder in the current one, named after the session's folder (and its file, if unusual)."""
-    path = session.resolve()
-    if path.is_dir():
-        return Path(f"{path.name}-result")
-    name = path.parent.name if path.stem == "session" else f"{path.parent.name}-{path.stem}"
-    return Path(f"{name}-result")
-
-
-def _print_notes(session: Session) -> None:
-    for note in session.notes:
-        print(f"palpate: note: {note}", file=sys.stderr)

@@ -3,8 +3,7 @@
 import math
 import sys
 import time
-import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -30,8 +29,9 @@ from palpate.app.flow_tables import (
     write_flow_document,
 )
 from palpate.app.flow_view import make_flow_view
+from palpate.app.notes import print_notes
 from palpate.app.progress import ProgressCallback, progress_bar
-from palpate.app.result_folder import result_folder
+from palpate.app.result_folder import default_folder, result_folder
 from palpate.errors import InputError
 from palpate.pipeline import MeasuredMotion, MotionSettings, SessionFlow, measure_motion
 from palpate.records import Session, read_session
@@ -41,7 +41,6 @@ from palpate.vision.dense_maps import dense_maps
 __all__ = ["flow"]
 
 _NOT_OK = 3
-_METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 # Before this a rate says more about the start than about the work [s].
 _RATE_STARTS = 1.0
 
@@ -103,20 +102,20 @@ def flow(
     int
         0, or 3 where a step failed or nothing could be measured in it.
     """
-    target = out or _default_folder(session)
+    target = out or default_folder(session, "flow")
     settings = _settings(MotionSettings(method=method, pose=pose), subset, step)
     # The target is tried first: no one should wait for a result that cannot be kept.
     with result_folder(target) as folder:
         given = read_session(session, probes=probe)
-        _print_notes(given.notes)
+        print_notes(given.notes)
         start = time.perf_counter()
         with progress_bar() as progress:
             report = _with_rate(progress, _instants(given))
             found = measure_motion(given, settings=settings, progress=report)
             seconds = time.perf_counter() - start
-            context = _Context(folder, given, found, _metres_per_unit(given), pictures)
+            context = _Context(folder, given, found, given.metres_per_unit, pictures)
             figures = _write(context, settings, seconds, progress)
-    _print_notes(note for note in found.notes if note not in given.notes)
+    print_notes(note for note in found.notes if note not in given.notes)
     console = Console()
     console.print(flow_table(figures, found.rig))
     console.print(_closing(figures, seconds), markup=False, highlight=False)
@@ -278,23 +277,3 @@ def _disk_errors(folder: Path) -> Iterator[None]:
             f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
             " choose another place with --out"
         ) from error
-
-
-def _metres_per_unit(session: Session) -> float:
-    """Length of the session's unit: displacement files are written in it, as they are read."""
-    content = tomllib.loads(session.path.read_text(encoding="utf-8"))
-    return _METRES[content["object"]["length_unit"]]
-
-
-def _default_folder(session: Path) -> Path:
-    """Folder in the current one, named after the session's folder (and its file, if unusual)."""
-    path = session.resolve()
-    if path.is_dir():
-        return Path(f"{path.name}-flow")
-    name = path.parent.name if path.stem == "session" else f"{path.parent.name}-{path.stem}"
-    return Path(f"{name}-flow")
-
-
-def _print_notes(notes: Iterable[str]) -> None:
-    for note in notes:
-        print(f"palpate: note: {note}", file=sys.stderr)

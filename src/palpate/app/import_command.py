@@ -1,7 +1,6 @@
 """`palpate import`: displacements measured by other programs into a session."""
 
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from palpate.app.notes import print_notes
 from palpate.app.result_folder import result_folder
 from palpate.errors import InputError
 from palpate.records import observed_rows, write_displacement
@@ -93,8 +93,7 @@ def import_displacements(
     """
     outline, plan = _targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
-    for note in (*outline.notes, *notes):
-        print(f"palpate: note: {note}", file=sys.stderr)
+    print_notes((*outline.notes, *notes))
     done = []
     for item in plan:
         measured = read_measured(kind, item.file, length_unit=length_unit, frame=item.frame)

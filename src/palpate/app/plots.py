@@ -191,7 +191,7 @@ def _dot_plot(estimate: Estimate) -> Figure:
         axes.set_xlabel(f"{symbol} ({unit})" if unit else symbol)
         if not estimate.identifiable[name]:
             axes.set_title("not told by these data", color=ORANGE)
-    panels[0].set_yticks(range(count), [probe.name for probe in estimate.probes])
+    panels[0].set_yticks(range(count), [probe.name for probe in estimate.probes], parse_math=False)
     panels[0].set_ylim(count - 0.4, -0.6)
     handles = [panels[0].lines[0], panels[0].patches[0]]
     handles = [panels[0].containers[0], *handles]

@@ -8,10 +8,29 @@ from pathlib import Path
 
 from palpate.errors import InputError
 
-__all__ = ["CONTENTS_FILE", "result_folder"]
+__all__ = ["CONTENTS_FILE", "default_folder", "result_folder"]
 
 CONTENTS_FILE = "contents.txt"
 _MARK = "palpate result folder; files:"
+
+
+def default_folder(session: Path, what: str) -> Path:
+    """Folder in the current one, named after the session's folder (and its file, if unusual).
+
+    Parameters
+    ----------
+    session : Path                  folder of a session, or a session file in it
+    what : str                      kind of result, the end of the name
+
+    Returns
+    -------
+    Path
+    """
+    path = session.resolve()
+    if path.is_dir():
+        return Path(f"{path.name}-{what}")
+    name = path.parent.name if path.stem == "session" else f"{path.parent.name}-{path.stem}"
+    return Path(f"{name}-{what}")
 
 
 @contextmanager

@@ -33,6 +33,7 @@ class Session:
     steps : tuple of Step           of a rigid-motion sequence, in time, at least two, names
                                     distinct, the first is the initial one; none where there are
                                     probings
+    metres_per_unit : float [m]     of the lengths in the session's files; all here are in metres
 
     Raises
     ------
@@ -51,6 +52,7 @@ class Session:
     rig: Path | None
     notes: tuple[str, ...]
     steps: tuple[Step, ...] = ()
+    metres_per_unit: float = 1.0
 
     def __post_init__(self) -> None:
         held = fixed_array(self.held_triangles, name="held_triangles", shape=(None,), integer=True)

@@ -98,6 +98,7 @@ def read_session(path: Path | str, *, probes: Sequence[str] | None = None) -> Se
         rig=rig,
         notes=notes + plausibility_notes(mesh, tuple(probings)),
         steps=_steps(root, rig),
+        metres_per_unit=metres_per_unit,
     )
 
 
