@@ -27,6 +27,11 @@ class Environment:
         """Its interpreter."""
         return self.folder / ".venv" / "bin" / "python"
 
+    @property
+    def _stamp(self) -> Path:
+        """Says that everything was installed, not only begun."""
+        return self.folder / ".venv" / "run.stamp"
+
     def problem(self, *, make: bool, all_needed: bool = True) -> str:
         """Make the environment where it is missing; empty, or why it cannot be used.
 
@@ -35,7 +40,7 @@ class Environment:
         make : bool           whether a missing environment may be made
         all_needed : bool     False: a package that cannot be installed is left out
         """
-        if self.python.exists():
+        if self._stamp.exists():
             return ""
         if not make:
             return f"not measured: run with --peers to make the environment of {self.programs}"
@@ -43,8 +48,8 @@ class Environment:
         if done.returncode == 0:
             done = self._installed(all_needed)
         if done.returncode == 0:
+            self._stamp.touch()
             return ""
-        self.python.unlink(missing_ok=True)
         return f"{self.programs} could not be installed: {last_line(done.stderr)}"
 
     def _installed(self, all_needed: bool) -> subprocess.CompletedProcess[str]:
