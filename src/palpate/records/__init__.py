@@ -23,6 +23,8 @@ from palpate.records.rig_files import read_rig, rig_to_toml, write_rig
 from palpate.records.session import Session, require_probings
 from palpate.records.session_files import SESSION_FORMAT, read_session
 from palpate.records.step import Step
+from palpate.records.support import read_support
+from palpate.records.toml_table import TomlTable, read_toml
 
 __all__ = [
     "CONSTANT_NAMES",
@@ -42,11 +44,14 @@ __all__ = [
     "Session",
     "Status",
     "Step",
+    "TomlTable",
     "observed_rows",
     "read_displacement",
     "read_estimate",
     "read_rig",
     "read_session",
+    "read_support",
+    "read_toml",
     "require_probings",
     "rig_to_toml",
     "write_displacement",

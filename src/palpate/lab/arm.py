@@ -1,0 +1,203 @@
+"""The arm: where it really goes when it is sent somewhere, what it does there, how it looks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, closest_points, unit_normals
+from palpate.lab.config import Arm, Probe
+from palpate.lab.contact import Press, Tip, press, press_to_force
+from palpate.lab.finite_elements import Body
+from palpate.lab.specimens import rod
+from palpate.records import Camera, Contact, ContactProfile
+from palpate.shapes import Vector3
+
+__all__ = ["Probed", "aimed", "contact_told", "fine_places", "probed", "rod_at"]
+
+# A point this far off the surface, in radii of the tip, was not meant to be on it.
+_OFF = 1.0
+# Elements under the tip: so many across the touched circle.
+_ACROSS = 6.0
+# The rod ends before the nearest camera.
+_ROD_REACH = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Probed:
+    """What happened in one probing.
+
+    Attributes
+    ----------
+    probe : Probe                   what was asked for
+    tip : Tip                       the tip as it really went
+    states : tuple of Press         one an instant, the last at the end
+    """
+
+    probe: Probe
+    tip: Tip
+    states: tuple[Press, ...]
+
+
+def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator) -> Tip:
+    """The tip as it really goes: turned and set down a little beside what it was told.
+
+    Parameters
+    ----------
+    probe : Probe
+    arm : Arm
+    mesh : TriangleMesh             the body at rest
+    rng : Generator
+
+    Returns
+    -------
+    Tip                             its axis goes through where it touches
+
+    Raises
+    ------
+    InputError                      a point that is not on the body; a direction out of it; an arm
+                                    that would run through the body
+    """
+    place = closest_points(mesh, probe.point[None])
+    on = place.barycentric[0] @ mesh.vertices[mesh.triangles[place.triangle[0]]]
+    normal = unit_normals(mesh)[place.triangle[0]]
+    if place.distance[0] > _OFF * arm.radius:
+        inside = "inside" if (on - probe.point) @ normal > 0.0 else "away from"
+        raise InputError(
+            f"probe '{probe.name}': its point is {1e3 * place.distance[0]:.3g} mm {inside} the"
+            " body; give a point on the surface"
+        )
+    direction = -normal if probe.direction is None else probe.direction
+    direction = direction / np.linalg.norm(direction)
+    if direction @ normal >= 0.0:
+        raise InputError(
+            f"probe '{probe.name}': its direction {np.round(direction, 3).tolist()} leads out of"
+            f" the body, whose outward normal there is {np.round(normal, 3).tolist()}; turn it"
+        )
+    across = np.stack(_across(direction))
+    turn = np.deg2rad(arm.misalignment) * rng.standard_normal(2) @ across
+    beside = arm.placement * rng.standard_normal(2) @ np.stack(_across(normal))
+    tip = Tip(
+        arm.radius, on + beside, cv2.Rodrigues(turn)[0] @ direction,
+        flat=arm.tip == "punch",
+    )  # fmt: skip
+    _check_way(probe.name, tip, mesh)
+    return tip
+
+
+def fine_places(
+    tips: Sequence[Tip], probes: Sequence[Probe], *, young: float, poisson: float
+) -> tuple[tuple[Vector3, float, float], ...]:
+    """Where a body needs small elements, and how small: under each tip.
+
+    The touched circle is taken from Hertz's formulae for the body's half space.
+
+    Parameters
+    ----------
+    tips, probes : sequences        the same number
+    young : float [Pa]
+    poisson : float
+
+    Returns
+    -------
+    tuple of (point (3,), radius, edge) [m]
+    """
+    places = []
+    for tip, probe in zip(tips, probes, strict=True):
+        if tip.flat:
+            radius = tip.radius
+        elif probe.depth is not None:
+            radius = np.sqrt(tip.radius * probe.depth)
+        else:
+            reduced = young / (1.0 - poisson**2)
+            radius = np.cbrt(0.75 * float(probe.force or 0.0) * tip.radius / reduced)
+        radius = min(float(radius), tip.radius)
+        places.append((tip.point, radius, 2.0 * radius / _ACROSS))
+    return tuple(places)
+
+
+def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool) -> Probed:
+    """Press a tip as a probe asks.
+
+    Parameters
+    ----------
+    body : Body
+    probe : Probe
+    tip : Tip
+    sticking : bool                 only to a depth
+
+    Returns
+    -------
+    Probed                          as many states as the probe has steps
+
+    Raises
+    ------
+    InputError                      sticking to a force; a tip that passes the body or reaches its
+                                    support
+    NotConvergedError               the contact does not settle
+    """
+    share = np.arange(1, probe.steps + 1) / probe.steps
+    if probe.depth is not None:
+        return Probed(probe, tip, press(body, tip, share * probe.depth, sticking=sticking))
+    if sticking:
+        raise InputError(
+            f"probe '{probe.name}' goes to a force with a sticking tip; give a depth instead"
+        )
+    forces = share * float(probe.force or 0.0)
+    return Probed(probe, tip, tuple(press_to_force(body, tip, float(one)) for one in forces))
+
+
+def contact_told(probed: Probed) -> Contact:
+    """The contact as a person at the bench would put it into a session.
+
+    Where the arm was sent; for a sphere Hertz's pressure over the touched circle, for a punch an
+    even one over its face.
+    """
+    tip = probed.tip
+    profile = ContactProfile.UNIFORM if tip.flat else ContactProfile.HERTZ
+    radius = tip.radius if tip.flat else probed.states[-1].radius
+    return Contact(point=probed.probe.point, radius=radius, profile=profile)
+
+
+def rod_at(tip: Tip, state: Press, cameras: Sequence[Camera]) -> TriangleMesh:
+    """The arm's rod at one instant, as long as half the way to the nearest camera.
+
+    Parameters
+    ----------
+    tip : Tip
+    state : Press
+    cameras : sequence of Camera
+
+    Returns
+    -------
+    TriangleMesh                    closed, outward, object frame
+    """
+    eyes = [-c.T_camera_object[:3, :3].T @ c.T_camera_object[:3, 3] for c in cameras]
+    length = _ROD_REACH * min(float(np.linalg.norm(eye - state.place)) for eye in eyes)
+    upright = rod(radius=tip.radius, length=length, flat=tip.flat)
+    axes = np.stack([*_across(-tip.direction), -tip.direction])
+    return TriangleMesh(state.place + upright.vertices @ axes, upright.triangles)
+
+
+def _across(direction: Vector3) -> tuple[Vector3, Vector3]:
+    """Two unit vectors that make a right-handed frame with a direction as the third."""
+    other = np.eye(3)[np.abs(direction).argmin()]
+    first = np.cross(other, direction)
+    first /= np.linalg.norm(first)
+    return first, np.cross(direction, first)
+
+
+def _check_way(name: str, tip: Tip, mesh: TriangleMesh) -> None:
+    """Refuse an arm that runs through the body on its way to where it touches."""
+    offset = mesh.vertices - tip.point
+    behind = -(offset @ tip.direction)
+    beside = np.linalg.norm(offset + behind[:, None] * tip.direction, axis=1)
+    hit = (beside < tip.radius) & (behind > 2.0 * tip.radius)
+    if hit.any():
+        where = np.round(1e3 * mesh.vertices[hit][behind[hit].argmax()], 1).tolist()
+        raise InputError(
+            f"probe '{name}': the arm would run through the body at {where} mm on its way; turn"
+            " its direction, or take a thinner tip"
+        )

@@ -1,0 +1,110 @@
+"""Configurations of the virtual facility from files: `palpate-lab/1`, in TOML."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.geometry import read_mesh, triangle_areas
+from palpate.lab.config import (
+    Arm,
+    Calibration,
+    ForceSensor,
+    Head,
+    LabConfig,
+    Look,
+    Material,
+    Pictures,
+    PositionSensor,
+    Probe,
+    Specimen,
+    Stage,
+)
+from palpate.lab.config_table import settings_from_table
+from palpate.lab.specimens import SHAPES
+from palpate.records import TomlTable, read_support, read_toml
+
+__all__ = ["LAB_FORMAT", "read_lab_config"]
+
+LAB_FORMAT = "palpate-lab/1"
+_TABLES = (
+    "specimen", "material", "support", "look", "arm", "force_sensor", "position_sensor", "probe",
+    "stage", "head", "calibration", "pictures",
+)  # fmt: skip
+
+
+def read_lab_config(path: Path | str) -> LabConfig:
+    """Read a configuration of the facility.
+
+    Parameters
+    ----------
+    path : path                     a TOML file; files that it names are beside it
+
+    Returns
+    -------
+    LabConfig
+
+    Raises
+    ------
+    RecordError                     not readable, unknown or missing keys, values out of range; the
+                                    text names file, table and key
+    MeshError                       a mesh that is no closed surface
+    """
+    root = read_toml(Path(path))
+    root.check_keys(("format", "name", "seed", *_TABLES))
+    if root.text("format") != LAB_FORMAT:
+        root.fail("format", f"is '{root.text('format')}'; must be '{LAB_FORMAT}'")
+
+    def part(key: str, kind: type) -> object:
+        """Settings of a table that may be left out."""
+        values = root.values.get(key, {})
+        if not isinstance(values, dict):
+            root.fail(key, "must be a table")
+        return settings_from_table(TomlTable(root.file, f"[{key}]", values), kind)
+
+    probes = root.tables("probe", "[[probe]]") if "probe" in root.values else ()
+    table = TomlTable(root.file, "", {**root.values, "seed": root.values.get("seed", 1)})
+    kinds = {
+        "material": Material, "look": Look, "arm": Arm, "force_sensor": ForceSensor,
+        "position_sensor": PositionSensor, "head": Head, "calibration": Calibration,
+        "pictures": Pictures,
+    }  # fmt: skip
+    plain: dict[str, Any] = {
+        key: table.values[key] for key in ("name", "seed") if key in table.values
+    }
+    return settings_from_table(
+        TomlTable(root.file, "", plain),
+        LabConfig,
+        specimen=_specimen(root),
+        probes=tuple(settings_from_table(one, Probe) for one in probes),
+        stage=part("stage", Stage) if "stage" in root.values else None,
+        **{key: part(key, kind) for key, kind in kinds.items()},
+    )
+
+
+def _specimen(root: TomlTable) -> Specimen:
+    """The object of [specimen] and [support]."""
+    table = root.table("specimen", "[specimen]")
+    if "mesh" in table.values:
+        table.check_keys(("mesh", "element"))
+        mesh = read_mesh(table.existing_file("mesh"))
+        edge = float(np.sqrt(np.median(triangle_areas(mesh)) * 4.0 / np.sqrt(3.0)))
+    else:
+        shape = SHAPES[table.choice("shape", tuple(SHAPES))]
+        table.check_keys(("shape", *shape.lengths, "edge", "element"))
+        edge = table.number("edge")
+        try:
+            mesh = shape.make(edge=edge, **{name: table.number(name) for name in shape.lengths})
+        except InputError as error:
+            table.fail("", str(error))
+    element = table.number("element") if "element" in table.values else edge
+    if not element > 0.0:
+        table.fail("element", f"is {element:g} m; must be positive")
+    support = dict(root.values.get("support", {"plane": _BASE}))
+    held = read_support(TomlTable(root.file, "[support]", support), mesh, metres_per_unit=1.0)
+    return Specimen(mesh, held, support, element)
+
+
+# The facility's own specimens stand on this plane.
+_BASE = {"point": [0, 0, 0], "normal": [0, 0, 1], "tolerance": 1e-9}
