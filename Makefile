@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .PHONY: help
 help:
-	@echo "make demo   set up, then estimate the shipped beam's elastic constants"
+	@echo "make demo   set up, then measure a virtual half ball: from pictures to constants"
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about 15 minutes)"
 	@echo "make lock   choose new pinned versions"
@@ -22,12 +22,17 @@ $(VENV)/run.stamp: requirements.lock pyproject.toml
 	$(PIP) install --no-deps --no-build-isolation --editable .
 	touch $@
 
+$(VENV)/lab.stamp: requirements-lab.lock $(VENV)/run.stamp
+	$(PIP) install -r requirements-lab.lock
+	touch $@
+
 $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/run.stamp
 	$(PIP) install -r requirements-dev.lock
 	touch $@
 
-demo: $(VENV)/run.stamp
-	$(BIN)/palpate fit examples/beam --out beam-result || [ $$? -eq 3 ]
+demo: $(VENV)/lab.stamp
+	$(BIN)/palpate lab demo demo-session
+	$(BIN)/palpate fit demo-session --out demo-result || [ $$? -eq 3 ]
 
 test: lint contract types tests
 
@@ -60,6 +65,8 @@ lock:
 	$(PIN) --output-file requirements.lock pyproject.toml requirements-build.in
 	$(BIN)/python -c "$(DEV_GROUP)" > $(VENV)/dev.in
 	$(PIN) --constraint requirements.lock --output-file requirements-dev.lock $(VENV)/dev.in
+	$(PIN) --constraint requirements-dev.lock --extra lab --output-file $(VENV)/lab.all pyproject.toml
+	grep -vxFf requirements.lock $(VENV)/lab.all > requirements-lab.lock
 
 benchmark: $(VENV)/dev.stamp
 	$(BIN)/python -m benchmarks.run --peers

@@ -1,5 +1,7 @@
 """Rigid tips on an elastic body against Hertz, Boussinesq, laws and every refusal."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from surfaces import box
@@ -117,6 +119,20 @@ def test_a_tilted_way_gives_a_sideways_force(block):
     stuck = press(block, Tip(0.01, TOP, tilt), np.linspace(5e-5, 3e-4, 6), sticking=True)[-1]
     # A flat bonded punch has 2 (1 - nu) / (2 - nu) of its normal stiffness sideways (0.82).
     assert 0.04 < stuck.force[0] / abs(stuck.force[2]) < 0.09
+
+
+def test_what_sticks_is_let_go_where_it_would_be_pulled(block):
+    # Dragged along, the tip leaves what lies behind it.
+    steep = np.array([np.sin(1.4), 0.0, -np.cos(1.4)])
+    states = press(
+        block, Tip(0.01, TOP - 0.01 * DOWN, steep), np.linspace(1e-4, 1.5e-3, 15), sticking=True
+    )
+    for state in states:
+        offset = block.solid.nodes + state.displacement - state.place
+        push = (state.load * offset).sum(axis=1)
+        assert push.min() >= -1e-12 * push.max()
+    touched = [(state.load != 0.0).any(axis=1) for state in states]
+    assert any((before & ~after).any() for before, after in pairwise(touched))
 
 
 @pytest.mark.parametrize("depths", [[], [0.0], [-1e-4], [2e-4, 1e-4]])

@@ -179,6 +179,13 @@ def test_traction_has_its_total_and_its_spread(profile):
     assert (load[:, 2] @ square) / force[2] == pytest.approx(mean * 0.004**2, rel=0.02)
 
 
+def test_the_far_side_of_a_thin_plate_is_not_loaded():
+    solid = filled(box((0.03, 0.03, 0.004)), edge=0.003)
+    contact = Contact(np.array([0.015, 0.015, 0.004]), 0.008, ContactProfile.UNIFORM)
+    load = traction_load(solid, contact, np.array([0.0, 0.0, -1.0]))
+    assert (load[solid.nodes[:, 2] < 0.002] == 0.0).all()
+
+
 def test_values_at_the_surface_are_quadratic():
     mesh = box((0.04, 0.03, 0.02))
     solid = filled(mesh, edge=0.01)

@@ -48,7 +48,7 @@ def test_trinocular_head_is_an_l_with_the_first_camera_in_its_corner():
     np.testing.assert_allclose(left, [-0.1, 0.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(above, [0.0, -0.1, 0.0], atol=1e-15)
     # Up in the object's frame is up in the picture.
-    assert np.diff(project(rig.cameras[0], MIDDLE + [[0, 0, 0], [0, 0, 0.01]])[:, 1]) < 0
+    assert np.diff(project(rig.cameras[0], np.stack([MIDDLE, MIDDLE * [1, 1, 2]]))[:, 1]) < 0
 
 
 def test_ring_stands_evenly_around_the_direction_of_view():

@@ -46,6 +46,20 @@ def test_a_block_keeps_its_volume_and_its_faces():
         assert np.linalg.norm(solid.nodes - corner, axis=1).min() < 1e-15
 
 
+def test_the_tip_of_a_cone_is_kept():
+    # No edge of a cone of many sides is sharp, its tip is.
+    around = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
+    rim = np.column_stack([np.cos(around), np.sin(around), np.zeros(48)])
+    vertices = np.concatenate([rim, [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]])
+    i = np.arange(48)
+    j = (i + 1) % 48
+    side = np.column_stack([i, j, np.full(48, 48)])
+    base = np.column_stack([j, i, np.full(48, 49)])
+    solid = make_solid(vertices, np.concatenate([side, base]), edge=0.3)
+    assert np.linalg.norm(solid.nodes - vertices[48], axis=1).min() < 1e-15
+    assert solid.deviation < 0.05
+
+
 def test_a_reentrant_edge_is_kept():
     mesh = l_shape()
     solid = filled(mesh, edge=0.3)

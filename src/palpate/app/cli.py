@@ -51,6 +51,11 @@ def make_app() -> App:
         name="compression",
         help="Young's modulus from compression tests of cylinders.",
     )
+    app.command(
+        "palpate.app.lab_command:lab",
+        name="lab",
+        help="Measure a virtual specimen: pictures, forces and the truth as a session.",
+    )
     return app
 
 

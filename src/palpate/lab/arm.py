@@ -1,7 +1,7 @@
 """The arm: where it really goes when it is sent somewhere, what it does there, how it looks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ from palpate.geometry import TriangleMesh, closest_points, unit_normals
 from palpate.lab.config import Arm, Probe
 from palpate.lab.contact import Press, Tip, press, press_to_force
 from palpate.lab.finite_elements import Body
+from palpate.lab.neo_hookean import solve_finite
 from palpate.lab.specimens import rod
 from palpate.records import Camera, Contact, ContactProfile
 from palpate.shapes import Vector3
@@ -20,7 +21,7 @@ __all__ = ["Probed", "aimed", "contact_told", "fine_places", "probed", "rod_at"]
 # A point this far off the surface, in radii of the tip, was not meant to be on it.
 _OFF = 1.0
 # Elements under the tip: so many across the touched circle.
-_ACROSS = 6.0
+_ACROSS = 8.0
 # The rod ends before the nearest camera.
 _ROD_REACH = 0.5
 
@@ -53,7 +54,7 @@ def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generato
 
     Returns
     -------
-    Tip                             its axis goes through where it touches
+    Tip                             on its way to where it will touch
 
     Raises
     ------
@@ -114,11 +115,11 @@ def fine_places(
             reduced = young / (1.0 - poisson**2)
             radius = np.cbrt(0.75 * float(probe.force or 0.0) * tip.radius / reduced)
         radius = min(float(radius), tip.radius)
-        places.append((tip.point, radius, 2.0 * radius / _ACROSS))
+        places.append((probe.point, 1.5 * radius, 2.0 * radius / _ACROSS))
     return tuple(places)
 
 
-def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool) -> Probed:
+def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) -> Probed:
     """Press a tip as a probe asks.
 
     Parameters
@@ -127,6 +128,8 @@ def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool) -> Probed:
     probe : Probe
     tip : Tip
     sticking : bool                 only to a depth
+    finite : bool                   at finite strain: the tip's forces are those of the linear body
+                                    and keep their direction; how far they push is not linear
 
     Returns
     -------
@@ -138,15 +141,32 @@ def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool) -> Probed:
                                     support
     NotConvergedError               the contact does not settle
     """
-    share = np.arange(1, probe.steps + 1) / probe.steps
-    if probe.depth is not None:
-        return Probed(probe, tip, press(body, tip, share * probe.depth, sticking=sticking))
-    if sticking:
+    if sticking and probe.depth is None:
         raise InputError(
             f"probe '{probe.name}' goes to a force with a sticking tip; give a depth instead"
         )
-    forces = share * float(probe.force or 0.0)
-    return Probed(probe, tip, tuple(press_to_force(body, tip, float(one)) for one in forces))
+    share = np.arange(1, probe.steps + 1) / probe.steps
+    if probe.depth is not None:
+        states = press(body, tip, share * probe.depth, sticking=sticking)
+    else:
+        forces = share * float(probe.force or 0.0)
+        states = tuple(press_to_force(body, tip, float(one)) for one in forces)
+    return Probed(
+        probe, tip, tuple(_at_finite_strain(body, tip, one) for one in states) if finite else states
+    )
+
+
+def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
+    """The same forces on the same nodes, and how far they push a body of finite strain."""
+    displacement = solve_finite(body, state.load).displacement
+    weight = np.linalg.norm(state.load, axis=1)
+    farther = (weight @ (displacement - state.displacement) / weight.sum()) @ tip.direction
+    return replace(
+        state,
+        depth=state.depth + float(farther),
+        place=state.place + farther * tip.direction,
+        displacement=displacement,
+    )
 
 
 def contact_told(probed: Probed) -> Contact:
@@ -192,7 +212,7 @@ def _across(direction: Vector3) -> tuple[Vector3, Vector3]:
 def _check_way(name: str, tip: Tip, mesh: TriangleMesh) -> None:
     """Refuse an arm that runs through the body on its way to where it touches."""
     offset = mesh.vertices - tip.point
-    behind = -(offset @ tip.direction)
+    behind = -(offset @ tip.direction)  # of the sphere's centre at first touch, or of the face
     beside = np.linalg.norm(offset + behind[:, None] * tip.direction, axis=1)
     hit = (beside < tip.radius) & (behind > 2.0 * tip.radius)
     if hit.any():

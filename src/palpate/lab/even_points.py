@@ -182,8 +182,6 @@ def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
     pair = order.reshape(-1, 2)
     turn = np.einsum("ea,ea->e", normals[pair[:, 0]], normals[pair[:, 1]])
     edge = edge[turn < np.cos(CREASE_ANGLE)]
-    if not len(edge):
-        return np.zeros((0, 3))
     along = mesh.vertices[edge[:, 1]] - mesh.vertices[edge[:, 0]]
     along /= np.linalg.norm(along, axis=1)[:, None]
     degree = np.bincount(edge.ravel(), minlength=len(mesh.vertices))
@@ -191,7 +189,8 @@ def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
     np.add.at(straight, edge[:, 0], along)
     np.add.at(straight, edge[:, 1], -along)
     sharp = np.linalg.norm(straight, axis=1) > 2.0 * np.sin(0.5 * CREASE_ANGLE)
-    corners = mesh.vertices[(degree > 0) & ((degree != 2) | sharp)]
+    ends_or_turns = (degree > 0) & ((degree != 2) | sharp)
+    corners = mesh.vertices[ends_or_turns | ((degree == 0) & _pointed(mesh, normals))]
     piece, points = mesh.vertices[edge], [corners]
     while len(piece):
         points.append(piece.reshape(-1, 3))
@@ -202,6 +201,17 @@ def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
             [np.stack(ends, axis=1) for ends in ((start, middle), (middle, end))]
         )
     return np.concatenate(points)
+
+
+def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " v"]:
+    """Vertices like the tip of a cone, around which no single edge is sharp."""
+    mean = np.zeros_like(mesh.vertices)
+    np.add.at(mean, mesh.triangles, normals[:, None])
+    mean /= np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None]
+    level = np.einsum("mva,ma->mv", mean[mesh.triangles], normals)
+    pointed = np.zeros(len(mesh.vertices), dtype=bool)
+    pointed[mesh.triangles[level < np.cos(CREASE_ANGLE)]] = True
+    return pointed
 
 
 def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, PointScalars]:

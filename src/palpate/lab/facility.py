@@ -105,7 +105,10 @@ def _probings(bench: _Bench, tips: tuple[Tip, ...], say: Progress) -> None:
     session, truth = [_head_of_session(config)], [_head_of_truth(config)]
     for k, (probe, tip) in enumerate(zip(config.probes, tips, strict=True)):
         say(f"probing {probe.name}", 0.2 + 0.8 * k / len(tips))
-        found = probed(body, probe, tip, sticking=config.arm.sticking)
+        found = probed(
+            body, probe, tip, sticking=config.arm.sticking,
+            finite=config.material.law == "neo-hookean",
+        )  # fmt: skip
         before = rest
         for number, state in enumerate(found.states, start=1):
             after = rest + carried @ state.displacement
