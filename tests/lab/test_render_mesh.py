@@ -5,8 +5,8 @@ import pytest
 from surfaces import box, sphere
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, closest_points, enclosed_volume, welded
-from palpate.lab.render_mesh import make_render_mesh, vertex_normals
+from palpate.geometry import TriangleMesh, closest_points, enclosed_volume, vertex_normals, welded
+from palpate.lab.render_mesh import make_render_mesh
 from palpate.records import Camera
 from palpate.vision import project
 

@@ -7,10 +7,10 @@ from scipy.spatial import cKDTree
 from surfaces import box, sphere
 
 from palpate.errors import CalibrationError, InputError
-from palpate.geometry import read_mesh
+from palpate.geometry import read_mesh, vertex_normals
 from palpate.lab.mitsuba_scene import Body, Lamp, Light, render
 from palpate.lab.mitsuba_variant import choose_variant
-from palpate.lab.render_mesh import make_render_mesh, vertex_normals
+from palpate.lab.render_mesh import make_render_mesh
 from palpate.lab.sensor import Sensor, exposure_gain, grey_picture
 from palpate.lab.textures import speckle
 from palpate.lab.truth_maps import surface_maps, truth_map, write_truth_map

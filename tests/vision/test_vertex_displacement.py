@@ -16,11 +16,12 @@ from vision.scenes import (
     projected,
 )
 
+from palpate.geometry import vertex_normals
 from palpate.vision.joint_flow import joint_flow
 from palpate.vision.joint_settings import JointSettings
 from palpate.vision.range_flow import Outcome, is_valid
 from palpate.vision.scene import make_scene
-from palpate.vision.vertex_displacement import vertex_displacement, vertex_normals
+from palpate.vision.vertex_displacement import vertex_displacement
 
 NOISE = 3.0
 

@@ -35,6 +35,7 @@ from palpate.geometry.triangle_mesh import (
     enclosed_volume,
     triangle_areas,
     unit_normals,
+    vertex_normals,
 )
 
 __all__ = [
@@ -68,6 +69,7 @@ __all__ = [
     "triangle_areas",
     "triangle_distances",
     "unit_normals",
+    "vertex_normals",
     "welded",
     "write_mesh",
 ]

@@ -15,6 +15,7 @@ __all__ = [
     "enclosed_volume",
     "triangle_areas",
     "unit_normals",
+    "vertex_normals",
 ]
 
 
@@ -87,6 +88,28 @@ def unit_normals(mesh: TriangleMesh) -> TriangleVectors:
             " remove them (most mesh programs: merge close vertices)"
         )
     return vectors / areas[:, None]
+
+
+def vertex_normals(vertices: Vertices, triangles: Triangles) -> Vertices:
+    """Unit normals at vertices: the mean over the triangles around, weighted with their area.
+
+    Parameters
+    ----------
+    vertices : (v, 3) float [m]     at rest or moved
+    triangles : (m, 3) int          counter-clockwise seen from outside
+
+    Returns
+    -------
+    (v, 3) float [-]                zero at a vertex of no triangle, or of none with an area
+    """
+    corner = vertices[triangles]
+    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    place = triangles.ravel()
+    total = np.stack(
+        [np.bincount(place, np.repeat(area[:, k], 3), len(vertices)) for k in range(3)], axis=1
+    )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(length > 0.0, length, 1.0)
 
 
 def enclosed_volume(mesh: TriangleMesh) -> float:

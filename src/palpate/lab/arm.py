@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, closest_points, unit_normals
+from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, vertex_normals
 from palpate.lab.config import Arm, Probe
 from palpate.lab.contact import Press, Tip, press, press_to_force
 from palpate.lab.finite_elements import Body
@@ -63,7 +63,7 @@ def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generato
     """
     place = closest_points(mesh, probe.point[None])
     on = place.barycentric[0] @ mesh.vertices[mesh.triangles[place.triangle[0]]]
-    normal = unit_normals(mesh)[place.triangle[0]]
+    normal = _smooth_normal(mesh, place)
     if place.distance[0] > _OFF * arm.radius:
         inside = "inside" if (on - probe.point) @ normal > 0.0 else "away from"
         raise InputError(
@@ -80,10 +80,10 @@ def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generato
     across = np.stack(_across(direction))
     turn = np.deg2rad(arm.misalignment) * rng.standard_normal(2) @ across
     beside = arm.placement * rng.standard_normal(2) @ np.stack(_across(normal))
-    tip = Tip(
-        arm.radius, on + beside, cv2.Rodrigues(turn)[0] @ direction,
-        flat=arm.tip == "punch",
-    )  # fmt: skip
+    flat = arm.tip == "punch"
+    # A sphere that comes in at a slant touches there if its centre goes over the place.
+    axis = on + beside + (0.0 if flat else arm.radius) * normal
+    tip = Tip(arm.radius, axis, cv2.Rodrigues(turn)[0] @ direction, flat=flat)
     _check_way(probe.name, tip, mesh)
     return tip
 
@@ -199,6 +199,13 @@ def rod_at(tip: Tip, state: Press, cameras: Sequence[Camera]) -> TriangleMesh:
     upright = rod(radius=tip.radius, length=length, flat=tip.flat)
     axes = np.stack([*_across(-tip.direction), -tip.direction])
     return TriangleMesh(state.place + upright.vertices @ axes, upright.triangles)
+
+
+def _smooth_normal(mesh: TriangleMesh, place: SurfacePoints) -> Vector3:
+    """Outward normal of the round body that the facets stand for."""
+    corners = mesh.triangles[place.triangle[0]]
+    normal = place.barycentric[0] @ vertex_normals(mesh.vertices, mesh.triangles)[corners]
+    return normal / np.linalg.norm(normal)
 
 
 def _across(direction: Vector3) -> tuple[Vector3, Vector3]:

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float, UInt
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh
+from palpate.geometry import TriangleMesh, vertex_normals
 from palpate.lab.config import LabConfig
 from palpate.lab.mitsuba_scene import Body, Lamp, Light, render
 from palpate.lab.mitsuba_variant import Variant
-from palpate.lab.render_mesh import RenderMesh, make_render_mesh, vertex_normals
+from palpate.lab.render_mesh import RenderMesh, make_render_mesh
 from palpate.lab.sensor import (
     Sensor,
     blur_radius,

@@ -17,7 +17,7 @@ from palpate.records import Camera
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
 from palpate.vision import project
 
-__all__ = ["RenderMesh", "make_render_mesh", "vertex_normals"]
+__all__ = ["RenderMesh", "make_render_mesh"]
 
 # A triangle whose normal points this far past the edge of visibility (cosine) is refined too: the
 # body's deformation may turn it into view.
@@ -121,28 +121,6 @@ def make_render_mesh(
         if not marked.any():
             return _finished(pieces, float(length.max(initial=0.0)))
         pieces = _halved(pieces, edges, marked, corner)
-
-
-def vertex_normals(vertices: Vertices, triangles: Triangles) -> Vertices:
-    """Unit normals at vertices: the mean over the triangles around, weighted with their area.
-
-    Parameters
-    ----------
-    vertices : (v, 3) float [m]     at rest or moved
-    triangles : (m, 3) int          counter-clockwise seen from outside
-
-    Returns
-    -------
-    (v, 3) float [-]                zero at a vertex of no triangle, or of none with an area
-    """
-    corner = vertices[triangles]
-    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    place = triangles.ravel()
-    total = np.stack(
-        [np.bincount(place, np.repeat(area[:, k], 3), len(vertices)) for k in range(3)], axis=1
-    )
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return total / np.where(length > 0.0, length, 1.0)
 
 
 def _edges(pieces: _Pieces) -> _Edges:

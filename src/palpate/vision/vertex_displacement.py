@@ -3,12 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
+from palpate.geometry import vertex_normals
 from palpate.records import Camera
 from palpate.shapes import Flags, Triangles, Vertices
 from palpate.vision.local_regression import LocalField, Scatter, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
-__all__ = ["vertex_displacement", "vertex_normals"]
+__all__ = ["vertex_displacement"]
 
 # Radius of the points that speak for a vertex, in half windows: those whose windows hold it.
 _REACH = 1.2
@@ -76,17 +77,6 @@ def _field_at(
         flow.subset,
     )
     return local_field(scatter, place, _tangents(normal), reach=_REACH * half, fewest=_FEWEST)
-
-
-def vertex_normals(vertices: Vertices, triangles: Triangles) -> Vertices:
-    """Unit normals at vertices, the mean over their triangles weighted by area; (v, 3)."""
-    corner = vertices[triangles]
-    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    total = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(total, triangles[:, k], area)
-    length = np.linalg.norm(total, axis=1)[:, None]
-    return total / np.where(length > 0.0, length, 1.0)
 
 
 def _facing(camera: Camera, vertices: Vertices, normal: Vertices) -> Flags:
