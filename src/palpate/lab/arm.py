@@ -21,7 +21,7 @@ __all__ = ["Probed", "aimed", "contact_told", "fine_places", "probed", "rod_at"]
 # A point this far off the surface, in radii of the tip, was not meant to be on it.
 _OFF = 1.0
 # Elements under the tip: so many across the touched circle.
-_ACROSS = 8.0
+_ACROSS = 6.0
 # The rod ends before the nearest camera.
 _ROD_REACH = 0.5
 
@@ -115,7 +115,7 @@ def fine_places(
             reduced = young / (1.0 - poisson**2)
             radius = np.cbrt(0.75 * float(probe.force or 0.0) * tip.radius / reduced)
         radius = min(float(radius), tip.radius)
-        places.append((probe.point, 1.5 * radius, 2.0 * radius / _ACROSS))
+        places.append((probe.point, radius, 2.0 * radius / _ACROSS))
     return tuple(places)
 
 

@@ -37,12 +37,15 @@ class Specimen:
     Parameters
     ----------
     mesh : TriangleMesh             closed, outward: what the session gets as the object's mesh
-    held : (k,) int                 triangles that do not move
+    body : TriangleMesh             surface of what is really pressed: a round specimen is rounder
+                                    than the session's mesh of it
+    held : (k,) int                 triangles of `body` that do not move
     support : mapping               the table of it that the session gets
     element : float [m]             edge of the finite elements away from the tip
     """
 
     mesh: TriangleMesh
+    body: TriangleMesh
     held: Indices
     support: Mapping[str, object]
     element: float

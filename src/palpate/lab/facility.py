@@ -157,8 +157,8 @@ def _body(config: LabConfig, tips: tuple[Tip, ...]) -> Body:
     material, specimen = config.material, config.specimen
     young, poisson = material.young_modulus, material.poisson_ratio
     solid = make_solid(
-        specimen.mesh.vertices,
-        specimen.mesh.triangles,
+        specimen.body.vertices,
+        specimen.body.triangles,
         edge=specimen.element,
         fine=fine_places(tips, config.probes, young=young, poisson=poisson),
     )

@@ -16,6 +16,8 @@ __all__ = ["SHAPES", "Shape", "block", "cylinder", "glued_ball", "half_ball", "r
 _FEWEST = 6
 # The rod is a prism of about 2 pi times as many sides.
 _ROD_SIDES = 8.0
+# A round end larger than this sits on a thinner shaft, so that it hides less [m].
+_SHAFT = 4e-3
 # Bumps of the toy: direction from its middle, height over the radius, width in degrees.
 _BUMPS = (
     ((0.55, 0.0, 0.80), 0.60, 15.0),  # ears
@@ -188,8 +190,8 @@ def rod(*, radius: float, length: float, flat: bool) -> TriangleMesh:
     Parameters
     ----------
     radius, length : float [m]
-    flat : bool                     a punch with its face at the origin; else a round end whose
-                                    centre is the origin
+    flat : bool                     a punch with its face at the origin; else a ball whose centre
+                                    is the origin, on a shaft of at most 4 mm radius
 
     Returns
     -------
@@ -200,13 +202,14 @@ def rod(*, radius: float, length: float, flat: bool) -> TriangleMesh:
     InputError                      lengths that are not positive
     """
     _check(radius, radius=radius, length=length)
+    shaft = radius if flat else min(radius, _SHAFT)
     if flat:
         end = np.array([[0.0, 0.0], [radius, 0.0]])
     else:
-        angle = np.linspace(-0.5 * np.pi, 0.0, 9)
+        angle = np.linspace(-0.5 * np.pi, np.arccos(shaft / radius), 13)
         end = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         end[0, 0] = 0.0
-    top = [[radius, length], [0.0, length]]
+    top = [[shaft, length], [0.0, length]]
     return _revolved(np.concatenate([end, top]), radius / _ROD_SIDES)
 
 
