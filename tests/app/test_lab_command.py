@@ -38,7 +38,7 @@ def test_unknown_names_and_missing_folders_get_one_message(palpate, tmp_path):
     assert (
         "half-bal: no such file, and no built-in configuration; there are: demo, half-ball" in err
     )
-    code, _, err = palpate("lab")
+    code, _, err = palpate("lab", "make")
     assert code == 2
     assert "give a configuration and a folder" in err
 

@@ -14,6 +14,9 @@ __all__ = ["BAD_INPUT", "NOT_OK", "main", "make_app"]
 BAD_INPUT = 2
 NOT_OK = 3
 _INTERRUPTED = 130
+# What `palpate lab` does where it is not told: `palpate lab CONFIG.toml OUT`.
+_MAKE = "make"
+_LAB_WORDS = (_MAKE, "plan", "--help", "-h", "--version")
 
 
 def make_app() -> App:
@@ -51,11 +54,18 @@ def make_app() -> App:
         name="compression",
         help="Young's modulus from compression tests of cylinders.",
     )
-    app.command(
+    lab = App(name="lab", help="Virtual measurements: made with their truth, or planned.")
+    lab.command(
         "palpate.app.lab_command:lab",
-        name="lab",
+        name=_MAKE,
         help="Measure a virtual specimen: pictures, forces and the truth as a session.",
     )
+    lab.command(
+        "palpate.app.plan_command:plan",
+        name="plan",
+        help="Say what the cameras of a session will see, and what it will tell.",
+    )
+    app.command(lab)
     return app
 
 
@@ -71,9 +81,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int                             0; 2 bad input, said in one message; 3 an estimate that is not
                                     ok; 130 interrupted
     """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["lab"] and words[1:2] and words[1] not in _LAB_WORDS:
+        words.insert(1, _MAKE)
     try:
         outcome = make_app()(
-            None if arguments is None else list(arguments),
+            words,
             exit_on_error=False,
             print_error=True,
             result_action="return_value",

@@ -25,6 +25,7 @@ from palpate.lab.config import (
 from palpate.lab.config_files import LAB_FORMAT, read_lab_config
 from palpate.lab.facility import make_session
 from palpate.lab.mitsuba_variant import Variant, choose_variant
+from palpate.lab.planned_pictures import planned_pictures
 from palpate.lab.specimens import SHAPES
 
 __all__ = [
@@ -45,5 +46,6 @@ __all__ = [
     "Variant",
     "choose_variant",
     "make_session",
+    "planned_pictures",
     "read_lab_config",
 ]

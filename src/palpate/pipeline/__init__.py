@@ -22,16 +22,26 @@ from palpate.pipeline.measure_motion import (
     measure_motion,
     with_measured_displacement,
 )
+from palpate.pipeline.measurement_plan import (
+    MATCHING_NOISE,
+    MeasurementPlan,
+    PlannedProbing,
+    plan_measurement,
+)
 
 __all__ = [
+    "MATCHING_NOISE",
     "ContactPoints",
     "MeasuredMotion",
+    "MeasurementPlan",
     "MotionSettings",
     "ObjectModel",
+    "PlannedProbing",
     "SessionFlow",
     "fit_session",
     "make_object_model",
     "measure_motion",
+    "plan_measurement",
     "session_observations",
     "surface_load",
     "with_measured_displacement",

@@ -1,0 +1,229 @@
+"""What a measurement will tell, before it is made: the smallest intervals that its cameras, its
+force sensor and its probings allow."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from palpate.errors import InputError
+from palpate.estimation import ProbeObservations, cramer_rao_bound
+from palpate.geometry import closest_points
+from palpate.pipeline.fit_session import make_object_model, session_observations
+from palpate.pipeline.measure_motion import SCALE_ERROR
+from palpate.records import DisplacementField, Probing, Rig, Session, read_rig, require_probings
+from palpate.shapes import Points
+from palpate.vision import project_jacobian, surface_map, visible
+
+__all__ = ["MATCHING_NOISE", "MeasurementPlan", "PlannedProbing", "plan_measurement"]
+
+Progress = Callable[[str, float], None]
+# What a camera's match of a good speckle leaves at a vertex [px]; BENCHMARK.md has 0.005 to 0.02.
+MATCHING_NOISE = 0.01
+# Vertices within so many contact radii are hidden by the tool.
+_HIDDEN = 2.0
+# A vertex may lie behind the drawn surface by this share of the object's size.
+_BEHIND = 2e-3
+# Where a session does not say how well its force is known.
+_USUAL_FORCE_ERROR = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedProbing:
+    """What one probing will tell alone.
+
+    Attributes
+    ----------
+    name : str
+    seen : int                      vertices that two cameras or more see, the tool's place left out
+    displacement : float [m]        median of |u| there
+    sigma : float [m]               median standard deviation of a component there
+    precision : name -> float       standard deviation of each constant; infinite where not told
+    """
+
+    name: str
+    seen: int
+    displacement: float
+    sigma: float
+    precision: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementPlan:
+    """What a session will tell.
+
+    Attributes
+    ----------
+    probings : tuple of PlannedProbing
+    precision : name -> float       of all probings together
+    visible : name -> float         share of the free vertices that each camera sees
+    """
+
+    probings: tuple[PlannedProbing, ...]
+    precision: dict[str, float]
+    visible: dict[str, float]
+
+
+def plan_measurement(
+    session: Session,
+    *,
+    young_modulus: float,
+    poisson_ratio: float,
+    matching_noise: float = MATCHING_NOISE,
+    progress: Progress | None = None,
+) -> MeasurementPlan:
+    """The precision to expect from a session whose pictures are still to be taken.
+
+    The Cramer-Rao bound for the noise of the matches, seen through the cameras as they stand, and
+    of the force; on top of it the error of scale that all pictures share.
+
+    Parameters
+    ----------
+    session : Session               with a rig; its displacements and pictures are not looked at
+    young_modulus : float [Pa]      a guess: precision is nearly in proportion to it
+    poisson_ratio : float           a guess
+    matching_noise : float [px]     standard deviation of one camera's match at a vertex
+    progress : callable or None     told what is done (text) and how far it is (0 to 1)
+
+    Returns
+    -------
+    MeasurementPlan
+
+    Raises
+    ------
+    InputError                      a session without a rig or without probings; constants out of
+                                    range; cameras without sizes; nothing that two cameras see
+    """
+    say = progress or (lambda _text, _share: None)
+    _check(session, young_modulus, poisson_ratio, matching_noise)
+    rig = _sized_rig(session)
+    say("what the cameras see", 0.0)
+    seen = _seen(session, rig)
+    rows = np.flatnonzero(seen.sum(axis=0) >= 2)
+    if len(rows) == 0:
+        raise InputError(
+            f"{session.rig}: no vertex of the object is seen by two cameras; turn them to the"
+            " object"
+        )
+    sigma = _sigma(rig, session.mesh.vertices[rows], seen[:, rows], matching_noise)
+    probings = [_still(session, probing, rows, sigma) for probing in session.probings]
+    say("integrals over the surface", 0.2)
+    model = make_object_model(session, probings)
+    say("what the probings tell", 0.7)
+    observed = session_observations(session, probings, model)
+    shear = 0.5 * young_modulus / (1.0 + poisson_ratio)
+    free = np.setdiff1d(
+        np.arange(len(session.mesh.vertices)),
+        session.mesh.triangles[session.held_triangles].ravel(),
+    )
+    return MeasurementPlan(
+        tuple(_planned(one, poisson_ratio, shear) for one in observed),
+        _precision(observed, poisson_ratio, shear),
+        {camera.name: float(seen[c, free].mean()) for c, camera in enumerate(rig.cameras)},
+    )
+
+
+def _check(session: Session, young: float, poisson: float, noise: float) -> None:
+    require_probings(session)
+    if session.rig is None:
+        raise InputError(
+            f'{session.path}: has no cameras; add [rig] cameras = "rig.toml" to plan pictures'
+        )
+    if not (np.isfinite(young) and young > 0.0 and -1.0 < poisson < 0.5):
+        raise InputError(
+            f"young_modulus is {young:g} Pa, poisson_ratio {poisson:g}; must be positive, and in"
+            " (-1, 0.5)"
+        )
+    if not (np.isfinite(noise) and noise > 0.0):
+        raise InputError(f"matching_noise is {noise:g} px; must be positive")
+
+
+def _sized_rig(session: Session) -> Rig:
+    rig = read_rig(session.rig or session.path)
+    if without := [camera.name for camera in rig.cameras if camera.size is None]:
+        raise InputError(
+            f"{session.rig}: camera '{without[0]}' has no size; give it as size = [columns, rows]"
+        )
+    return rig
+
+
+def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
+    """Which vertices each camera sees."""
+    mesh = session.mesh
+    size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    shown = []
+    for camera in rig.cameras:
+        columns, rows = camera.size or (0, 0)
+        surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
+        shown.append(visible(surface, camera, mesh.vertices, tolerance=_BEHIND * size))
+    return np.stack(shown)
+
+
+def _sigma(
+    rig: Rig, points: Points, seen: Bool[np.ndarray, "c n"], noise: float
+) -> Float[np.ndarray, "n 3"]:
+    """Standard deviation of each component of a displacement triangulated by those who see it."""
+    information = np.zeros((len(points), 3, 3))
+    for camera, mine in zip(rig.cameras, seen, strict=True):
+        slope = project_jacobian(camera, points)[1]
+        information += mine[:, None, None] * np.einsum("nai,naj->nij", slope, slope)
+    covariance = noise**2 * np.linalg.inv(information)
+    return np.sqrt(np.einsum("nii->ni", covariance))
+
+
+def _still(
+    session: Session,
+    probing: Probing,
+    rows: np.ndarray,
+    sigma: Float[np.ndarray, "n 3"],
+) -> Probing:
+    """The probing with a measurement of its vertices in place of its pictures."""
+    contact = probing.contact
+    away = np.linalg.norm(session.mesh.vertices[rows] - contact.point, axis=1)
+    open_view = away > _HIDDEN * (contact.radius or 0.0)
+    if not open_view.any():
+        raise InputError(
+            f"probing '{probing.name}': all that two cameras see lies under the tool; turn them"
+        )
+    vertex = rows[open_view]
+    place = session.mesh.vertices[vertex]
+    field = DisplacementField(
+        points=place,
+        displacement=np.zeros_like(place),
+        std=sigma[open_view],
+        vertex=vertex,
+        surface=closest_points(session.mesh, place),
+        source="plan",
+    )
+    known = probing.force_std
+    if known is None:
+        known = np.full(3, _USUAL_FORCE_ERROR * float(np.linalg.norm(probing.force)))
+    return replace(probing, displacement=field, force_std=known)
+
+
+def _planned(observed: ProbeObservations, poisson: float, shear: float) -> PlannedProbing:
+    count = len(observed.position)
+    response = observed.response.value(poisson)[: 3 * count] @ np.append(observed.force, 1.0)
+    moved = np.linalg.norm(response.reshape(-1, 3), axis=1) / shear
+    std = observed.std if observed.std is not None else np.full((1, 3), np.nan)
+    return PlannedProbing(
+        observed.name,
+        count,
+        float(np.median(moved)),
+        float(np.median(np.sqrt((std**2).mean(axis=1)))),
+        _precision([observed], poisson, shear),
+    )
+
+
+def _precision(
+    observed: Sequence[ProbeObservations], poisson: float, shear: float
+) -> dict[str, float]:
+    """Bound on each constant's standard deviation, with the error of scale of all pictures."""
+    bound = cramer_rao_bound(observed, poisson_ratio=poisson, shear_modulus=shear)
+    extra = {
+        "poisson_ratio": SCALE_ERROR * (1.0 - poisson) * (1.0 - 2.0 * poisson),
+        "shear_modulus": SCALE_ERROR * shear,
+        "young_modulus": SCALE_ERROR * 2.0 * shear * (1.0 + poisson),
+    }
+    return {name: float(np.hypot(value, extra[name])) for name, value in bound.items()}
