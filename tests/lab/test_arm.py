@@ -6,7 +6,7 @@ import pytest
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
 from palpate.lab import Arm, Head, Probe
-from palpate.lab.arm import Probed, aimed, contact_told, fine_places, probed, rod_at
+from palpate.lab.arm import Probed, aimed, contact_told, fine_place, probed, rod_at
 from palpate.lab.contact import touch
 from palpate.lab.finite_elements import held_nodes, make_body
 from palpate.lab.specimens import block, half_ball, toy
@@ -136,15 +136,19 @@ def test_the_session_is_told_where_the_arm_was_sent(body, kind, profile):
     assert told.radius == pytest.approx(hertz if kind == "sphere" else 6e-3, rel=0.15)
 
 
-def test_elements_are_small_where_the_tip_touches():
-    probes = [_probe(), _probe(depth=None, force=0.2), _probe()]
-    tips = [aimed(one, Arm(radius=5e-3), BALL, rng=_rng()) for one in probes[:2]]
-    tips.append(aimed(probes[2], Arm(tip="punch", radius=5e-3), BALL, rng=_rng()))
-    places = fine_places(tips, probes, young=5e4, poisson=0.3)
-    hertz = np.cbrt(0.75 * 0.2 * 5e-3 / (5e4 / 0.91))
-    for (point, reach, edge), radius in zip(places, [np.sqrt(1e-5), hertz, 5e-3], strict=True):
-        np.testing.assert_array_equal(point, TOP)
-        assert (reach, edge) == pytest.approx((radius, radius / 3))
+@pytest.mark.parametrize(
+    ("kind", "probe", "radius"),
+    [
+        ("sphere", _probe(), np.sqrt(1e-5)),
+        ("sphere", _probe(depth=None, force=0.2), np.cbrt(0.75 * 0.2 * 5e-3 / (5e4 / 0.91))),
+        ("punch", _probe(), 5e-3),
+    ],
+)
+def test_elements_are_small_where_the_tip_touches(kind, probe, radius):
+    tip = aimed(probe, Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
+    point, reach, edge = fine_place(tip, probe, young=5e4, poisson=0.3)
+    np.testing.assert_array_equal(point, TOP)
+    assert (reach, edge) == pytest.approx((radius, radius / 3))
 
 
 @pytest.mark.parametrize("kind", ["sphere", "punch"])

@@ -66,6 +66,11 @@ def make_app() -> App:
         help="Say what the cameras of a session will see, and what it will tell.",
     )
     app.command(lab)
+    app.command(
+        "palpate.app.reproduce_command:reproduce",
+        name="reproduce",
+        help="Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
+    )
     return app
 
 

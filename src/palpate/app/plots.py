@@ -67,7 +67,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
             _saved(_likelihood(result.likelihood, result.estimate), folder, "likelihood")
         )
         if result.estimate.probes:
-            written.append(_saved(_dot_plot(result.estimate), folder, "probings"))
+            written.append(_saved(probings_figure(result.estimate), folder, "probings"))
         by_name = {probing.name: probing for probing in session.probings}
         for number, fit in enumerate(result.probes, start=1):
             figure = displacement_figure(session.mesh, by_name[fit.name], fit)
@@ -170,7 +170,7 @@ def _padded(shown: Float[np.ndarray, " a"], grid: Float[np.ndarray, " b"]) -> tu
     )
 
 
-def _dot_plot(estimate: Estimate) -> Figure:
+def probings_figure(estimate: Estimate) -> Figure:
     """Constants of each probing alone with 95 per cent intervals; the joint ones as a band."""
     count = len(estimate.probes)
     height = 1.25 + 0.2 * max(count, 3)

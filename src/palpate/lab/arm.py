@@ -16,7 +16,7 @@ from palpate.lab.specimens import rod
 from palpate.records import Camera, Contact, ContactProfile
 from palpate.shapes import Vector3
 
-__all__ = ["Probed", "aimed", "contact_told", "fine_places", "probed", "rod_at"]
+__all__ = ["Probed", "aimed", "contact_told", "fine_place", "probed", "rod_at"]
 
 # A point this far off the surface, in radii of the tip, was not meant to be on it.
 _OFF = 1.0
@@ -88,35 +88,33 @@ def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generato
     return tip
 
 
-def fine_places(
-    tips: Sequence[Tip], probes: Sequence[Probe], *, young: float, poisson: float
-) -> tuple[tuple[Vector3, float, float], ...]:
-    """Where a body needs small elements, and how small: under each tip.
+def fine_place(
+    tip: Tip, probe: Probe, *, young: float, poisson: float
+) -> tuple[Vector3, float, float]:
+    """Where a body needs small elements, and how small: under the tip.
 
-    The touched circle is taken from Hertz's formulae for the body's half space.
+    The touched circle is taken from Hertz's formulae for a half space.
 
     Parameters
     ----------
-    tips, probes : sequences        the same number
+    tip : Tip
+    probe : Probe
     young : float [Pa]
     poisson : float
 
     Returns
     -------
-    tuple of (point (3,), radius, edge) [m]
+    point (3,), radius, edge [m]
     """
-    places = []
-    for tip, probe in zip(tips, probes, strict=True):
-        if tip.flat:
-            radius = tip.radius
-        elif probe.depth is not None:
-            radius = np.sqrt(tip.radius * probe.depth)
-        else:
-            reduced = young / (1.0 - poisson**2)
-            radius = np.cbrt(0.75 * float(probe.force or 0.0) * tip.radius / reduced)
-        radius = min(float(radius), tip.radius)
-        places.append((probe.point, radius, 2.0 * radius / _ACROSS))
-    return tuple(places)
+    if tip.flat:
+        radius = tip.radius
+    elif probe.depth is not None:
+        radius = np.sqrt(tip.radius * probe.depth)
+    else:
+        reduced = young / (1.0 - poisson**2)
+        radius = np.cbrt(0.75 * float(probe.force or 0.0) * tip.radius / reduced)
+    radius = min(float(radius), tip.radius)
+    return probe.point, radius, 2.0 * radius / _ACROSS
 
 
 def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) -> Probed:

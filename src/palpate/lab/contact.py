@@ -139,6 +139,11 @@ def press(
         raise InputError(
             f"depths are {depths.tolist()}; must be positive and increasing, in metres"
         )
+    if not tip.flat and depths[-1] >= tip.radius:
+        raise InputError(
+            f"depth is {1e3 * depths[-1]:.3g} mm, the tip's radius {1e3 * tip.radius:.3g} mm; a"
+            " sphere goes in by less than its radius: press less deep, or take a larger one"
+        )
     start = touch(body.solid, tip)
     near = _candidates(body, tip, start + _MARGIN * depths[-1])
     anchor = np.full((len(near.node), 3), np.nan)

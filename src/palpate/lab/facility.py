@@ -13,7 +13,7 @@ import numpy as np
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, write_mesh
-from palpate.lab.arm import Probed, aimed, contact_told, fine_places, probed, rod_at
+from palpate.lab.arm import Probed, aimed, contact_told, fine_place, probed, rod_at
 from palpate.lab.config import LabConfig, Probe
 from palpate.lab.contact import Tip
 from palpate.lab.finite_elements import Body, held_nodes, make_body, surface_values
@@ -96,15 +96,15 @@ def make_session(
 def _probings(bench: _Bench, tips: tuple[Tip, ...], say: Progress) -> None:
     """Every probing: physics, pictures, readings, truth."""
     config, studio = bench.config, bench.studio
-    say("finite elements", 0.05)
-    body = _body(config, tips)
-    carried = surface_values(body.solid, studio.mesh.vertices)
     rest = studio.mesh.vertices
     at_rest = surface_maps(bench.rig, rest, studio.mesh.triangles)
     _take(bench, "rest", [(rest, ())], 0)
     session, truth = [_head_of_session(config)], [_head_of_truth(config)]
     for k, (probe, tip) in enumerate(zip(config.probes, tips, strict=True)):
-        say(f"probing {probe.name}", 0.2 + 0.8 * k / len(tips))
+        say(f"probing {probe.name}", 0.1 + 0.9 * k / len(tips))
+        # Small elements under this tip only: a body for each is less than one for all.
+        body = _body(config, probe, tip)
+        carried = surface_values(body.solid, rest)
         found = probed(
             body, probe, tip, sticking=config.arm.sticking,
             finite=config.material.law == "neo-hookean",
@@ -152,15 +152,15 @@ def _steps(bench: _Bench, say: Progress) -> None:
     _write(bench.folder, session, truth)
 
 
-def _body(config: LabConfig, tips: tuple[Tip, ...]) -> Body:
-    """The specimen in finite elements, small ones under every tip."""
+def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
+    """The specimen in finite elements, small ones under the tip."""
     material, specimen = config.material, config.specimen
     young, poisson = material.young_modulus, material.poisson_ratio
     solid = make_solid(
         specimen.body.vertices,
         specimen.body.triangles,
         edge=specimen.element,
-        fine=fine_places(tips, config.probes, young=young, poisson=poisson),
+        fine=(fine_place(tip, probe, young=young, poisson=poisson),),
     )
     held = held_nodes(solid, specimen.held)
     shear = 0.5 * young / (1.0 + poisson)

@@ -1,0 +1,148 @@
+"""`palpate reproduce`: the paper's experiments on the virtual bench, from pictures to tables."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from palpate.app.lab_command import built_in
+from palpate.app.notes import print_notes
+from palpate.app.paper_experiments import EXPERIMENTS, Experiment
+from palpate.app.paper_result import PaperResult, check_page, write_page, write_result
+from palpate.app.progress import ProgressCallback, progress_bar
+from palpate.app.result_folder import result_folder
+from palpate.app.result_table import terminal_table
+from palpate.errors import InputError
+from palpate.lab import choose_variant, read_lab_config
+from palpate.pipeline.paper_motion import PaperSession, measured_session, quickened
+
+__all__ = ["ALL", "reproduce"]
+
+ALL = "all"
+# Sessions stay in the result, so that a figure can be followed to its pictures.
+_SESSIONS = "sessions"
+
+
+def reproduce(
+    experiment: str,
+    /,
+    *,
+    out: Path | None = None,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    page: Path | None = None,
+) -> int:
+    """Repeat an experiment of the paper on the virtual bench, its own numbers beside.
+
+    Parameters
+    ----------
+    experiment
+        table1, table2, table3, figure2, figure3, figure4, or all of them.
+    out
+        Result folder; it appears whole or not at all. Default: paper-EXPERIMENT in the current
+        folder.
+    quick
+        Small pictures and few steps: a look, not a measurement.
+    page
+        Also write this Markdown page of all results, its pictures beside it.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    chosen = _chosen(experiment, page)
+    console = Console()
+    target = out or Path(f"paper-{experiment}")
+    with result_folder(target) as folder, _disk_errors(folder):
+        measured = _measured(folder / _SESSIONS, _sessions(chosen), quick=quick)
+        results = {name: one.result(measured) for name, one in chosen.items()}
+        for name, result in results.items():
+            place = _place(folder, name, chosen)
+            place.mkdir(exist_ok=True)
+            write_result(place, result)
+    for result in results.values():
+        console.print(terminal_table(result.summary))
+    if page is not None:
+        _write_page(page, results, target, chosen, quick=quick)
+    done = f"Result in {target}" + ("" if page is None else f"; page {page}")
+    console.print(done, markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+def _chosen(experiment: str, page: Path | None) -> dict[str, Experiment]:
+    """What is to be done, refused before anything is measured."""
+    if experiment != ALL and experiment not in EXPERIMENTS:
+        raise InputError(
+            f"there is no experiment '{experiment}'; there are: {', '.join(EXPERIMENTS)}, {ALL}"
+        )
+    if page is not None and experiment != ALL:
+        raise InputError(
+            f"--page with '{experiment}' alone: the page shows all experiments; give '{ALL}', or"
+            " leave --page out"
+        )
+    if page is not None:
+        check_page(page)
+    return dict(EXPERIMENTS) if experiment == ALL else {experiment: EXPERIMENTS[experiment]}
+
+
+def _sessions(chosen: dict[str, Experiment]) -> list[str]:
+    """Every session that is needed, once."""
+    return list(dict.fromkeys(name for one in chosen.values() for name in one.sessions))
+
+
+def _measured(folder: Path, names: Sequence[str], *, quick: bool) -> dict[str, PaperSession]:
+    """Make and measure sessions."""
+    variant, configs = choose_variant(), built_in()
+    print_notes([variant.why])
+    measured = {}
+    with progress_bar() as progress:
+        for k, name in enumerate(names):
+            config = read_lab_config(configs[name])
+            place = folder / name
+            place.mkdir(parents=True)
+            measured[name] = measured_session(
+                quickened(config) if quick else config,
+                place,
+                variant=variant,
+                progress=_part(progress, name, k, len(names)),
+            )
+    return measured
+
+
+def _part(progress: ProgressCallback, name: str, number: int, count: int) -> ProgressCallback:
+    """Progress of one session of several."""
+    return lambda stage, share: progress(f"{name}: {stage}", (number + share) / count)
+
+
+def _place(folder: Path, name: str, chosen: dict[str, Experiment]) -> Path:
+    """Where an experiment's files are: a folder each, unless it is alone."""
+    return folder / name if len(chosen) > 1 else folder
+
+
+def _write_page(
+    page: Path,
+    results: dict[str, PaperResult],
+    target: Path,
+    chosen: dict[str, Experiment],
+    *,
+    quick: bool,
+) -> None:
+    command = f"palpate reproduce {ALL}{' --quick' if quick else ''} --page {page.as_posix()}"
+    write_page(
+        page, results, {name: _place(target, name, chosen) for name in results}, command=command
+    )
+
+
+@contextmanager
+def _disk_errors(folder: Path) -> Iterator[None]:
+    """Turn what a disk refuses into a message."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
+            " choose another place with --out"
+        ) from error
