@@ -80,7 +80,8 @@ def factorise(matrix: bsr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
     ------
     George, Nested dissection of a regular finite element mesh, SIAM Journal on Numerical Analysis
     10 (1973) 345; Duff and Reid, The multifrontal solution of indefinite sparse symmetric linear
-    equations, ACM Transactions on Mathematical Software 9 (1983) 302. No pivoting, as the matrix is positive definite.
+    equations, ACM Transactions on Mathematical Software 9 (1983) 302. No pivoting, as the matrix is
+    positive definite.
     """
     graph = csr_array(
         (np.ones(len(matrix.indices), dtype=np.int8), matrix.indices, matrix.indptr),
