@@ -1,11 +1,14 @@
-"""Other programs on the analytic speckle pairs, beside the figures of `flow_speckle`."""
+"""Other programs beside the figures of `flow_speckle` and of the real tension test."""
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from benchmarks.figure import FLOW, Figure
+from benchmarks.flow_real import TENSION, TENSION_REGION, beside_dice
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
-from benchmarks.peers import speckle_rows
+from benchmarks.peers import speckle_rows, stereo_field
 
 __all__ = ["measure"]
 
@@ -36,7 +39,33 @@ def measure(options: Options) -> list[Figure]:
     return [
         *_compared(ENGINES, 21, speed=True, make=options.peers),
         *(() if options.quick else _compared(SMALL, 7, speed=False, make=options.peers)),
+        *(() if options.quick else (_tension(make=options.peers),)),
     ]
+
+
+def _tension(*, make: bool) -> Figure:
+    """The real tension test by another stereo program, at DICe's points."""
+    name = "beside it: al-dic-3d, real tension test, frames 1-5: median lateral difference from"
+    found = stereo_field(
+        TENSION / "cal_pyaldic.xml", f"{TENSION}/L/*.tif", f"{TENSION}/R/*.tif", TENSION_REGION,
+        window=32, make=make,
+    )  # fmt: skip
+    if isinstance(found, str):
+        return Figure(FLOW, f"{name} DICe, worst", None, "um", note=found)
+    pixel, point, moved = found
+    lateral = []
+    for frame, one in enumerate(moved, start=1):
+        ok = np.isfinite(one).all(axis=1) & np.isfinite(point).all(axis=1)
+        apart = beside_dice(pixel[ok], point[ok], one[ok], frame=frame)
+        lateral.append(float(np.median(np.hypot(apart[:, 0], apart[:, 1]))))
+    listed = ", ".join(f"{value:.2f}" for value in lateral)
+    return Figure(
+        FLOW,
+        f"{name} DICe, worst",
+        max(lateral),
+        "um",
+        note=f"{listed} um at {len(apart)} common points; window 32 px, as shipped",
+    )
 
 
 def _compared(

@@ -27,9 +27,12 @@ from palpate.vision import (
 )
 from palpate.vision.resection import resected
 
-__all__ = ["measure"]
+__all__ = ["TENSION", "TENSION_REGION", "beside_dice", "measure"]
 
 REAL = SHARED / "real"
+TENSION = REAL / "gt4_dspec"
+# Columns and rows of the specimen: first, last of each [px].
+TENSION_REGION = (100, 1700, 10, 800)
 MICRO = 1e6
 
 
@@ -82,11 +85,10 @@ def _spread(flows: list[RangeFlow]) -> np.ndarray:
 
 def _tension() -> list[Figure]:
     """Displacements of the D-shaped specimen beside DICe's, at DICe's points."""
-    folder = REAL / "gt4_dspec"
-    rig = read_rig(folder / "cal_vic3d.xml")
+    rig = read_rig(TENSION / "cal_vic3d.xml")
     grey = [
         tuple(
-            cv2.imread(str(folder / side / f"GT4-{k:04d}_{c}.tif"), cv2.IMREAD_GRAYSCALE).astype(
+            cv2.imread(str(TENSION / side / f"GT4-{k:04d}_{c}.tif"), cv2.IMREAD_GRAYSCALE).astype(
                 np.float32
             )
             for c, side in enumerate("LR")
@@ -94,11 +96,13 @@ def _tension() -> list[Figure]:
         for k in range(6)
     ]
     mask = np.zeros(grey[0][0].shape, dtype=bool)
-    mask[10:800, 100:1700] = True
+    left, right, top, bottom = TENSION_REGION
+    mask[top:bottom, left:right] = True
     flows = _followed(rig, grey, mask, StereoSettings(step=20), JointSettings(step=20))
-    gold = folder / "dice_gold" / "DICe_solution.e"
-    pixel = _exodus_pixels(gold)
-    apart = [_beside(flow, read_dice(gold, frame=k), pixel) for k, flow in enumerate(flows, 1)]
+    apart = [
+        beside_dice(f.pixel[ok], f.point[ok], f.displacement[ok], frame=k)
+        for k, f, ok in ((k, flow, is_valid(flow)) for k, flow in enumerate(flows, 1))
+    ]
     lateral = [float(np.median(np.hypot(one[:, 0], one[:, 1]))) for one in apart]
     return [
         Figure(FLOW, "real tension test, frames 1-5: median lateral difference from DICe, worst",
@@ -116,14 +120,29 @@ def _exodus_pixels(path) -> np.ndarray:
         return np.stack([np.array(file.variables[f"vals_nod_var{k}"][0]) for k in place], axis=1)
 
 
-def _beside(flow: RangeFlow, measured, pixel: np.ndarray) -> np.ndarray:
-    """Our displacement less theirs [um] in their frame, which is fitted to our points."""
-    ok = is_valid(flow)
-    near, which = cKDTree(flow.pixel[ok]).query(pixel)
+def beside_dice(
+    pixel: np.ndarray, point: np.ndarray, displacement: np.ndarray, *, frame: int
+) -> np.ndarray:
+    """Displacements of the tension test less DICe's at its points [um], in its frame.
+
+    Parameters
+    ----------
+    pixel : (n, 2) [px]         in the left camera, first picture
+    point : (n, 3) [m]          DICe's frame is fitted to these
+    displacement : (n, 3) [m]   all of them finite
+    frame : int                 1 to 5
+
+    Returns
+    -------
+    (k, 3) [um]                 at DICe's points within 15 px of one of these
+    """
+    gold = TENSION / "dice_gold" / "DICe_solution.e"
+    measured = read_dice(gold, frame=frame)
+    near, which = cKDTree(pixel).query(_exodus_pixels(gold))
     both = (near < 15.0) & np.isfinite(measured.displacement).all(axis=1)
-    ours, theirs = flow.point[ok][which[both]], measured.points[both]
+    ours, theirs = point[which[both]], measured.points[both]
     turn = _rotation(ours, theirs)
-    return MICRO * (flow.displacement[ok][which[both]] @ turn - measured.displacement[both])
+    return MICRO * (displacement[which[both]] @ turn - measured.displacement[both])
 
 
 def _rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
