@@ -42,10 +42,10 @@ def _row(table, number):
 
 def test_the_summary_has_the_papers_spread_and_error(found):
     row = _row(constants_summary({"joint": found}, Material(YOUNG, NU), TEST), 0)
-    assert (row["source"], row["probings"]) == ("paper", 17)
-    assert (row["nu, single: from"], row["to"]) == (0.1183, 0.2516)
+    assert (row["source"], row["single"]) == ("paper", 17)
+    assert (row["nu from"], row["nu to"]) == (0.1183, 0.2516)
     # 1.709 against a compression test of about 1.75; the paper says 2.4 %.
-    assert row["error of E (%)"] == pytest.approx(-2.34, abs=0.01)
+    assert row["E off (%)"] == pytest.approx(-2.34, abs=0.01)
     assert row["nu in 95 %"] is None
 
 
@@ -53,11 +53,11 @@ def test_the_summary_is_against_the_truth(found):
     truth = Material(YOUNG / 1.01, NU - 0.005)
     table = constants_summary({"joint": found}, truth, TEST)
     row = _row(table, 1)
-    assert row["error of E (%)"] == pytest.approx(1.0)
-    assert row["error of nu"] == pytest.approx(0.005)
+    assert row["E off (%)"] == pytest.approx(1.0)
+    assert row["nu off"] == pytest.approx(0.005)
     # Two probings, 0.02 and a tenth apart: the spread is that over the root of two.
-    assert row["sd"] == pytest.approx(0.02 / np.sqrt(2))
-    assert row["G, single: sd (%)"] == pytest.approx(100 * 0.1 / np.sqrt(2) / 1.05)
+    assert row["sd nu"] == pytest.approx(0.02 / np.sqrt(2))
+    assert row["sd G (%)"] == pytest.approx(100 * 0.1 / np.sqrt(2) / 1.05)
     assert (row["nu in 95 %"], row["E in 95 %"]) == ("yes", "yes")
     assert "compression test of a cylinder 61.20 kPa" in table.title
     far = constants_summary({"joint": found}, Material(0.5 * YOUNG, 0.4), TEST)

@@ -74,8 +74,8 @@ def constants_summary(
         f" compression test of a cylinder {_KPA * test.young_modulus:.2f} kPa"
     )
     columns = (
-        "source", "probings", "nu, single: from", "to", "sd", "G, single: sd (%)", "nu, all",
-        "error of nu", "error of E (%)", "nu in 95 %", "E in 95 %",
+        "source", "single", "nu from", "nu to", "sd nu", "sd G (%)", "all: nu", "nu off",
+        "E off (%)", "nu in 95 %", "E in 95 %",
     )  # fmt: skip
     return ResultTable(title, columns, (0, 0, 3, 3, 4, 2, 4, 4, 2, 0, 0), tuple(rows))
 
