@@ -296,7 +296,7 @@ class Pictures:
 
     Parameters
     ----------
-    samples : int                   rays through a pixel; 16 leave less noise than the sensor has
+    samples : int                   rays through a pixel; 9 leave less noise than the sensor has
     noise : float                   read noise [grey levels of 255]
     full_well : float or None       electrons at white: their number is noisy too
     response : float [px]           blur of lens and chip, standard deviation
@@ -307,7 +307,7 @@ class Pictures:
     lamp : float [m]                side of the lamp: the longer, the softer its shadows
     """
 
-    samples: int = 16
+    samples: int = 9
     noise: float = 1.5
     full_well: float | None = None
     response: float = 0.6

@@ -27,8 +27,8 @@ from palpate.vision import surface_map
 
 __all__ = ["Studio", "make_studio", "photographed"]
 
-# Edge of the drawn triangles [px]; a speckle of three pixels is drawn by nine of them.
-_EDGE = 1.0
+# Edge of the drawn triangles [px]; between its vertices the texture is linear and moves with them.
+_EDGE = 1.5
 # Reflectance of the rod, and how much light comes from everywhere, of all light.
 _ROD_GREY = 0.03
 _AMBIENT = 0.55
