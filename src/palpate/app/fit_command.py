@@ -11,10 +11,9 @@ from palpate.app.notes import print_notes
 from palpate.app.plots import write_plots
 from palpate.app.progress import ProgressCallback, progress_bar
 from palpate.app.residual_files import write_residuals
-from palpate.app.result_folder import default_folder, result_folder
+from palpate.app.result_folder import default_folder, disk_errors, result_folder
 from palpate.app.tables import constants_table, probes_table
 from palpate.bem import SurfaceSettings
-from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
 from palpate.records import Session, Status, read_session, require_probings, write_estimate
@@ -113,12 +112,7 @@ def _with_motion(session: Session, progress: ProgressCallback) -> Session:
 
 def _write(folder: Path, session: Session, result: FitResult) -> None:
     """All files of the result."""
-    try:
+    with disk_errors(folder):
         write_estimate(folder / "estimate.json", result.estimate)
         write_residuals(folder, session, result)
         write_plots(folder, session, result)
-    except OSError as error:
-        raise InputError(
-            f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
-            " choose another place with --out"
-        ) from error

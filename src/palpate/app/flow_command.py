@@ -3,8 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -31,8 +30,7 @@ from palpate.app.flow_tables import (
 from palpate.app.flow_view import make_flow_view
 from palpate.app.notes import print_notes
 from palpate.app.progress import ProgressCallback, progress_bar
-from palpate.app.result_folder import default_folder, result_folder
-from palpate.errors import InputError
+from palpate.app.result_folder import default_folder, disk_errors, result_folder
 from palpate.pipeline import MeasuredMotion, MotionSettings, SessionFlow, measure_motion
 from palpate.records import Session, read_session
 from palpate.vision import SurfaceMap, surface_map
@@ -137,7 +135,7 @@ def _write(
 ) -> list[MotionFigures]:
     """All files of the result."""
     start = time.perf_counter()
-    with _disk_errors(context.folder):
+    with disk_errors(context.folder):
         report = _with_rate(progress, len(context.found.motions))
         figures, files = _write_motions(context, report)
         heading = {
@@ -265,15 +263,3 @@ def _with_rate(progress: ProgressCallback, count: int) -> ProgressCallback:
         progress(escape(stage) + rate, fraction)
 
     return report
-
-
-@contextmanager
-def _disk_errors(folder: Path) -> Iterator[None]:
-    """Turn what a disk refuses into a message."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
-            " choose another place with --out"
-        ) from error

@@ -1,7 +1,6 @@
 """`palpate reproduce`: the paper's experiments on the virtual bench, from pictures to tables."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +12,7 @@ from palpate.app.notes import print_notes
 from palpate.app.paper_experiments import EXPERIMENTS, Experiment
 from palpate.app.paper_result import PaperResult, check_page, write_page, write_result
 from palpate.app.progress import ProgressCallback, progress_bar
-from palpate.app.result_folder import result_folder
+from palpate.app.result_folder import disk_errors, result_folder
 from palpate.app.result_table import terminal_table
 from palpate.errors import InputError
 from palpate.lab import choose_variant, read_lab_config
@@ -56,7 +55,7 @@ def reproduce(
     chosen = _chosen(experiment, page)
     console = Console()
     target = out or Path(f"paper-{experiment}")
-    with result_folder(target) as folder, _disk_errors(folder):
+    with result_folder(target) as folder, disk_errors(folder):
         measured = _measured(folder / _SESSIONS, _sessions(chosen), quick=quick)
         results = {name: one.result(measured) for name, one in chosen.items()}
         for name, result in results.items():
@@ -134,15 +133,3 @@ def _write_page(
     write_page(
         page, results, {name: _place(target, name, chosen) for name in results}, command=command
     )
-
-
-@contextmanager
-def _disk_errors(folder: Path) -> Iterator[None]:
-    """Turn what a disk refuses into a message."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
-            " choose another place with --out"
-        ) from error

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from palpate.errors import InputError
 
-__all__ = ["CONTENTS_FILE", "default_folder", "result_folder"]
+__all__ = ["CONTENTS_FILE", "default_folder", "disk_errors", "result_folder"]
 
 CONTENTS_FILE = "contents.txt"
 _MARK = "palpate result folder; files:"
@@ -68,6 +68,27 @@ def result_folder(target: Path | str) -> Iterator[Path]:
         _finish(staging, target)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextmanager
+def disk_errors(folder: Path) -> Iterator[None]:
+    """Turn what a disk refuses within the block into a message.
+
+    Parameters
+    ----------
+    folder : Path                   that is written into, for the message
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
+            " choose another place with --out"
+        ) from error
 
 
 def _check_target(target: Path) -> None:
