@@ -156,7 +156,7 @@ def test_the_rod_stands_on_the_tip_and_ends_before_the_cameras(body, kind):
     rig = make_head(Head(distance=0.4), BALL)
     tip = aimed(_probe(), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
     state = probed(body, _probe(), tip, sticking=False, finite=False).states[0]
-    rod = rod_at(tip, state, rig.cameras)
+    rod = rod_at(tip, state.place, rig.cameras)
     checked_mesh(rod)
     along = (rod.vertices - state.place) @ tip.direction
     assert along.max() == pytest.approx(5e-3 if kind == "sphere" else 0.0, abs=1e-12)

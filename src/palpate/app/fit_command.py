@@ -89,8 +89,7 @@ def fit(
         if note not in given.notes:
             console.print(f"Note: {note}", markup=False, highlight=False)
     console.print(
-        f"Result in {out or default_folder(session, 'result')}"
-        f" ({estimate.seconds.get('total', float('nan')):.1f} s)",
+        f"Result in {target} ({estimate.seconds.get('total', float('nan')):.1f} s)",
         markup=False,
         highlight=False,
     )

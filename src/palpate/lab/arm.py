@@ -13,7 +13,7 @@ from palpate.lab.contact import Press, Tip, press, press_to_force
 from palpate.lab.finite_elements import Body
 from palpate.lab.neo_hookean import solve_finite
 from palpate.lab.specimens import rod
-from palpate.records import Camera, Contact, ContactProfile
+from palpate.records import Camera, Contact, ContactProfile, camera_centre
 from palpate.shapes import Vector3
 
 __all__ = ["Probed", "aimed", "contact_told", "fine_place", "probed", "rod_at"]
@@ -62,7 +62,7 @@ def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generato
                                     that would run through the body
     """
     place = closest_points(mesh, probe.point[None])
-    on = place.barycentric[0] @ mesh.vertices[mesh.triangles[place.triangle[0]]]
+    on = place.position[0]
     normal = _smooth_normal(mesh, place)
     if place.distance[0] > _OFF * arm.radius:
         inside = "inside" if (on - probe.point) @ normal > 0.0 else "away from"
@@ -179,24 +179,24 @@ def contact_told(probed: Probed) -> Contact:
     return Contact(point=probed.probe.point, radius=radius, profile=profile)
 
 
-def rod_at(tip: Tip, state: Press, cameras: Sequence[Camera]) -> TriangleMesh:
+def rod_at(tip: Tip, place: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
     """The arm's rod at one instant, as long as half the way to the nearest camera.
 
     Parameters
     ----------
     tip : Tip
-    state : Press
+    place : (3,) float [m]          of the sphere's centre, or of the punch's face
     cameras : sequence of Camera
 
     Returns
     -------
     TriangleMesh                    closed, outward, object frame
     """
-    eyes = [-c.T_camera_object[:3, :3].T @ c.T_camera_object[:3, 3] for c in cameras]
-    length = _ROD_REACH * min(float(np.linalg.norm(eye - state.place)) for eye in eyes)
+    away = [np.linalg.norm(camera_centre(camera) - place) for camera in cameras]
+    length = _ROD_REACH * float(min(away))
     upright = rod(radius=tip.radius, length=length, flat=tip.flat)
     axes = np.stack([*_across(-tip.direction), -tip.direction])
-    return TriangleMesh(state.place + upright.vertices @ axes, upright.triangles)
+    return TriangleMesh(place + upright.vertices @ axes, upright.triangles)
 
 
 def _smooth_normal(mesh: TriangleMesh, place: SurfacePoints) -> Vector3:

@@ -72,6 +72,11 @@ class Material:
         if not -1.0 < self.poisson_ratio < 0.5:
             raise InputError(f"poisson_ratio is {self.poisson_ratio:g}; must be in (-1, 0.5)")
 
+    @property
+    def shear_modulus(self) -> float:
+        """G = E / (2 (1 + nu)) [Pa]."""
+        return 0.5 * self.young_modulus / (1.0 + self.poisson_ratio)
+
 
 @dataclass(frozen=True, slots=True)
 class Look:

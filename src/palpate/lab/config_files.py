@@ -1,7 +1,6 @@
 """Configurations of the virtual facility from files: `palpate-lab/1`, in TOML."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from palpate.records import TomlTable, read_support, read_toml
 __all__ = ["LAB_FORMAT", "read_lab_config"]
 
 LAB_FORMAT = "palpate-lab/1"
+_PLAIN = ("name", "seed")
 _TABLES = (
     "specimen", "material", "support", "look", "arm", "force_sensor", "position_sensor", "probe",
     "stage", "head", "calibration", "pictures",
@@ -52,7 +52,7 @@ def read_lab_config(path: Path | str) -> LabConfig:
     MeshError                       a mesh that is no closed surface
     """
     root = read_toml(Path(path))
-    root.check_keys(("format", "name", "seed", *_TABLES))
+    root.check_keys(("format", *_PLAIN, *_TABLES))
     if root.text("format") != LAB_FORMAT:
         root.fail("format", f"is '{root.text('format')}'; must be '{LAB_FORMAT}'")
 
@@ -64,15 +64,12 @@ def read_lab_config(path: Path | str) -> LabConfig:
         return settings_from_table(TomlTable(root.file, f"[{key}]", values), kind)
 
     probes = root.tables("probe", "[[probe]]") if "probe" in root.values else ()
-    table = TomlTable(root.file, "", {**root.values, "seed": root.values.get("seed", 1)})
     kinds = {
         "material": Material, "look": Look, "arm": Arm, "force_sensor": ForceSensor,
         "position_sensor": PositionSensor, "head": Head, "calibration": Calibration,
         "pictures": Pictures,
     }  # fmt: skip
-    plain: dict[str, Any] = {
-        key: table.values[key] for key in ("name", "seed") if key in table.values
-    }
+    plain = {"seed": 1, **{key: root.values[key] for key in _PLAIN if key in root.values}}
     return settings_from_table(
         TomlTable(root.file, "", plain),
         LabConfig,

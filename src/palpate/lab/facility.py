@@ -112,7 +112,7 @@ def _probings(bench: _Bench, tips: tuple[Tip, ...], say: Progress) -> None:
         before = rest
         for number, state in enumerate(found.states, start=1):
             after = rest + carried @ state.displacement
-            rods = (rod_at(tip, state, bench.rig.cameras),)
+            rods = (rod_at(tip, state.place, bench.rig.cameras),)
             name = _instant(probe, number)
             blurred = [(moment, rods) for moment in exposure(config, before, after)]
             _take(bench, name, blurred, 1000 * (k + 1) + number)
@@ -163,8 +163,7 @@ def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
         fine=(fine_place(tip, probe, young=young, poisson=poisson),),
     )
     held = held_nodes(solid, specimen.held)
-    shear = 0.5 * young / (1.0 + poisson)
-    return make_body(solid, held, shear_modulus=shear, poisson_ratio=poisson)
+    return make_body(solid, held, shear_modulus=material.shear_modulus, poisson_ratio=poisson)
 
 
 def _take(
@@ -254,11 +253,10 @@ def _probe_of_session(config: LabConfig, found: Probed, rng: np.random.Generator
 
 def _head_of_truth(config: LabConfig) -> str:
     material = config.material
-    poisson = material.poisson_ratio
     values = {
         "young_modulus": material.young_modulus,
-        "poisson_ratio": poisson,
-        "shear_modulus": 0.5 * material.young_modulus / (1.0 + poisson),
+        "poisson_ratio": material.poisson_ratio,
+        "shear_modulus": material.shear_modulus,
         "law": material.law,
         "seed": config.seed,
     }

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float32
 from numba import njit, prange
 
 from palpate.errors import CalibrationError, InputError
-from palpate.records import Camera
+from palpate.records import Camera, picture_size
 from palpate.shapes import Points
 from palpate.vision.pixel_grid import pixel_grid
 
@@ -92,7 +92,7 @@ def camera_picture(
     -------
     (rows, columns) float32         of the camera's size; every pixel the mean over its area
     """
-    columns, rows = _size(camera)
+    columns, rows = picture_size(camera)
     if view.fine == 1:
         whole = np.zeros((rows, columns), dtype=np.float32)
         left = round(float(camera.matrix[0, 2]) - view.centre[0])
@@ -109,15 +109,6 @@ def _is_ideal(camera: Camera) -> bool:
     """Whether a pinhole with square pixels is all there is to a camera."""
     k = camera.matrix
     return bool(k[0, 0] == k[1, 1] and k[0, 1] == 0.0 and not camera.distortion.any())
-
-
-def _size(camera: Camera) -> tuple[int, int]:
-    """Columns and rows of a camera."""
-    if camera.size is None:
-        raise InputError(
-            f"camera '{camera.name}' has no size; give the columns and rows of its pictures"
-        )
-    return camera.size
 
 
 def _bounds(
@@ -149,7 +140,7 @@ def _bounds(
 
 def _fine_grid(camera: Camera, fine: int) -> Float[np.ndarray, "2 rows columns"]:
     """Rays, in the plane z = 1, of the centres of all parts of a camera's pixels."""
-    columns, rows = _size(camera)
+    columns, rows = picture_size(camera)
     matrix = fine * camera.matrix
     # The first pixel's corner, (-0.5, -0.5), stays where it is.
     matrix[:2, 2] += 0.5 * (fine - 1)

@@ -21,7 +21,7 @@ from palpate.lab.sensor import (
     motion_blurred,
 )
 from palpate.lab.textures import natural, poor, speckle
-from palpate.records import Camera, Rig
+from palpate.records import Camera, Rig, camera_centre
 from palpate.shapes import PointScalars, Vertices
 from palpate.vision import surface_map
 
@@ -159,8 +159,8 @@ def _light(config: LabConfig, rig: Rig) -> Light:
     """A lamp beside the reference camera, and light from everywhere."""
     vertices = config.specimen.mesh.vertices
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    pose = rig.cameras[rig.reference].T_camera_object
-    eye = -pose[:3, :3].T @ pose[:3, 3]
+    reference = rig.cameras[rig.reference]
+    pose, eye = reference.T_camera_object, camera_centre(reference)
     distance = float(np.linalg.norm(eye - middle))
     place = eye + _LAMP_BESIDE * distance * (0.8 * pose[0, :3] - 0.6 * pose[1, :3])
     side = config.pictures.lamp

@@ -20,7 +20,6 @@ from palpate.lab.config import (
     Probe,
     Specimen,
 )
-from palpate.lab.contact import Press
 from palpate.lab.mitsuba_variant import Variant
 from palpate.lab.photographs import make_studio, photographed
 from palpate.records import Rig, Session, read_rig
@@ -72,9 +71,7 @@ def _instants(session: Session, config: LabConfig, rig: Rig) -> Iterator[tuple[s
         arm = Arm(radius=max(config.arm.radius, probing.contact.radius or 0.0))
         probe = Probe(probing.name, probing.contact.point, probing.force, depth=1.0)
         tip = aimed(probe, arm, session.mesh, rng=np.random.default_rng(0))
-        nothing = np.zeros((0, 3))
-        touching = Press(0.0, tip.point, np.zeros(3), 0.0, nothing, nothing)
-        yield probing.name, (rod_at(tip, touching, rig.cameras),)
+        yield probing.name, (rod_at(tip, tip.point, rig.cameras),)
 
 
 def _as_config(session: Session, rig: Rig) -> LabConfig:

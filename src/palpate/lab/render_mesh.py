@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, displacement_nodes, split_sides
-from palpate.records import Camera
+from palpate.records import Camera, camera_centre, picture_size
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
 from palpate.vision import project
 
@@ -146,8 +146,7 @@ def _seen_lengths(
     middle, normal = (a + b + c) / 3.0, np.cross(b - a, c - a)
     size = np.linalg.norm(normal, axis=1)
     for camera in cameras:
-        pose = camera.T_camera_object
-        toward = -pose[:3, :3].T @ pose[:3, 3] - middle
+        toward = camera_centre(camera) - middle
         facing = np.einsum("ma,ma->m", normal, toward)
         facing /= size * np.linalg.norm(toward, axis=1)
         pixel = project(camera, pieces.vertices)
@@ -166,12 +165,8 @@ def _in_picture(
     camera: Camera, pixel: Float[np.ndarray, "v 2"], triangles: Triangles
 ) -> Bool[np.ndarray, " m"]:
     """Triangles whose box reaches into a camera's picture, or nearly so."""
-    if camera.size is None:
-        raise InputError(
-            f"camera '{camera.name}' has no size; give the columns and rows of its pictures"
-        )
     inside = np.ones(len(triangles), dtype=bool)
-    for axis, size in enumerate(camera.size):
+    for axis, size in enumerate(picture_size(camera)):
         a, b, c = (pixel[column, axis] for column in triangles.T)
         inside &= np.maximum(np.maximum(a, b), c) > -_OUTSIDE * size
         inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _OUTSIDE) * size

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.errors import InputError
-from palpate.records import Camera, Rig
+from palpate.records import Rig, picture_size
 from palpate.shapes import PointIndices, Points, Triangles, Vertices
 from palpate.vision import SurfaceMap, surface_map, visible
 
@@ -61,7 +61,10 @@ def surface_maps(rig: Rig, vertices: Vertices, triangles: Triangles) -> tuple[Su
     InputError                      a camera without a size
     CalibrationError                a part of the surface beside or behind a camera
     """
-    return tuple(surface_map(camera, _shape(camera), vertices, triangles) for camera in rig.cameras)
+    return tuple(
+        surface_map(camera, picture_size(camera)[::-1], vertices, triangles)
+        for camera in rig.cameras
+    )
 
 
 def truth_map(
@@ -156,14 +159,6 @@ def _check(rig: Rig, rest: Vertices, loaded: Float[np.ndarray, "w 3"]) -> None:
         raise InputError(
             f"the mesh has {len(rest)} vertices at rest and {len(loaded)} loaded; must be the same"
         )
-
-
-def _shape(camera: Camera) -> tuple[int, int]:
-    if camera.size is None:
-        raise InputError(
-            f"camera '{camera.name}' has no size; give the columns and rows of its pictures"
-        )
-    return camera.size[1], camera.size[0]
 
 
 def _hidden(rig: Rig, maps: Sequence[SurfaceMap], points: Points, *, behind: float) -> PointIndices:

@@ -113,7 +113,7 @@ def compression_test(material: Material) -> CompressionTest:
     body = make_body(
         solid,
         held_nodes(solid, base),
-        shear_modulus=0.5 * material.young_modulus / (1.0 + material.poisson_ratio),
+        shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio,
     )
     plate = Tip(2.0 * _RADIUS, np.array([0.0, 0.0, _HEIGHT]), np.array([0.0, 0.0, -1.0]), flat=True)

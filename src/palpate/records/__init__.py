@@ -18,7 +18,7 @@ from palpate.records.probing import (
     Probing,
     observed_rows,
 )
-from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
+from palpate.records.rig import DISTORTION_TERMS, Camera, Rig, camera_centre, picture_size
 from palpate.records.rig_files import read_rig, rig_to_toml, write_rig
 from palpate.records.session import Session, require_probings
 from palpate.records.session_files import SESSION_FORMAT, read_session
@@ -45,7 +45,9 @@ __all__ = [
     "Status",
     "Step",
     "TomlTable",
+    "camera_centre",
     "observed_rows",
+    "picture_size",
     "read_displacement",
     "read_estimate",
     "read_rig",

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import CalibrationError
+from palpate.errors import CalibrationError, InputError
 from palpate.geometry import fixed_array
-from palpate.shapes import Matrix3
+from palpate.shapes import Matrix3, Vector3
 
-__all__ = ["DISTORTION_TERMS", "Camera", "Rig"]
+__all__ = ["DISTORTION_TERMS", "Camera", "Rig", "camera_centre", "picture_size"]
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6
@@ -118,3 +118,23 @@ def _check_pose(name: str, pose: Float[np.ndarray, "4 4"]) -> None:
         )
     if not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
         raise CalibrationError(f"camera '{name}': last row of the pose must be 0 0 0 1")
+
+
+def camera_centre(camera: Camera) -> Vector3:
+    """Where a camera stands, object frame [m]; (3,) float."""
+    pose = camera.T_camera_object
+    return -pose[:3, :3].T @ pose[:3, 3]
+
+
+def picture_size(camera: Camera) -> tuple[int, int]:
+    """Columns and rows of a camera's pictures.
+
+    Raises
+    ------
+    InputError                      the camera has none
+    """
+    if camera.size is None:
+        raise InputError(
+            f"camera '{camera.name}' has no size; give the columns and rows of its pictures"
+        )
+    return camera.size

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from palpate.records import Camera, Rig
+from palpate.records import Camera, Rig, camera_centre
 from palpate.shapes import Points, Vector3
 from palpate.vision.lens import (
     jacobians_kernel,
@@ -156,4 +156,4 @@ def rays(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> tuple[Vector3, Poi
     direction = np.column_stack([flat, np.ones(len(flat))])
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     pose = camera.T_camera_object
-    return -pose[:3, :3].T @ pose[:3, 3], direction @ pose[:3, :3]
+    return camera_centre(camera), direction @ pose[:3, :3]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import CalibrationError, InputError
-from palpate.records import Camera
+from palpate.records import Camera, camera_centre
 from palpate.shapes import Matrix3, Points, PointScalars, Vector3
 from palpate.vision.camera import normalised, project
 from palpate.vision.interpolation import interpolate, make_spline_picture
@@ -201,8 +201,8 @@ def remapped(
 
 def _arm(reference: Camera, other: Camera) -> Vector3:
     """From the centre of the reference to that of another camera, object frame [m]."""
-    arm = _centre(other) - _centre(reference)
-    distance = np.linalg.norm(_centre(reference))
+    arm = camera_centre(other) - camera_centre(reference)
+    distance = np.linalg.norm(camera_centre(reference))
     # Centres closer than rounding of their coordinates say no direction.
     if np.linalg.norm(arm) <= 1e-9 * max(float(distance), 1e-9):
         raise CalibrationError(
@@ -210,11 +210,6 @@ def _arm(reference: Camera, other: Camera) -> Vector3:
             " baseline. Are R and t of each camera's own, x_camera = R x_object + t?"
         )
     return arm
-
-
-def _centre(camera: Camera) -> Vector3:
-    pose = camera.T_camera_object
-    return -pose[:3, :3].T @ pose[:3, 3]
 
 
 def _sign(value: float) -> float:
@@ -244,7 +239,7 @@ def _rectified(
     for camera, origin in zip(cameras, origins, strict=True):
         pose = np.eye(4)
         pose[:3, :3] = rotation
-        pose[:3, 3] = -rotation @ _centre(camera)
+        pose[:3, 3] = -rotation @ camera_centre(camera)
         own = matrix.copy()
         own[:2, 2] = -origin
         turned.append(

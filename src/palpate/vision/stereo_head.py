@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.errors import InputError
-from palpate.records import Camera, Rig
+from palpate.records import Rig, camera_centre
 from palpate.shapes import Points, PointScalars
 from palpate.vision.disparity import DisparitySettings, Views, disparity_map
 from palpate.vision.rectification import (
@@ -157,7 +157,7 @@ def _partners(rig: Rig) -> tuple[int, ...]:
         return tuple(others)
     reference = rig.cameras[rig.reference]
     right = reference.T_camera_object[0, :3]
-    arm = {i: _centre(rig.cameras[i]) - _centre(reference) for i in others}
+    arm = {i: camera_centre(rig.cameras[i]) - camera_centre(reference) for i in others}
     unit = {i: arm[i] / max(float(np.linalg.norm(arm[i])), 1e-300) for i in others}
     pairs = list(permutations(others, 2))
     # Nearest to a right angle; of the two orders the one whose first arm lies along the rows.
@@ -165,8 +165,3 @@ def _partners(rig: Rig) -> tuple[int, ...]:
     along = [abs(float(unit[i] @ right)) - abs(float(unit[j] @ right)) for i, j in pairs]
     best = max(range(len(pairs)), key=lambda k: (round(bent[k], 9), along[k]))
     return pairs[best]
-
-
-def _centre(camera: Camera) -> Float[np.ndarray, "3"]:
-    pose = camera.T_camera_object
-    return -pose[:3, :3].T @ pose[:3, 3]

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.geometry import vertex_normals
-from palpate.records import Camera
+from palpate.records import Camera, camera_centre
 from palpate.shapes import Flags, Triangles, Vertices
 from palpate.vision.local_regression import LocalField, Scatter, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
@@ -81,9 +81,7 @@ def _field_at(
 
 def _facing(camera: Camera, vertices: Vertices, normal: Vertices) -> Flags:
     """True for the vertices whose normal points toward the camera."""
-    pose = camera.T_camera_object
-    eye = -pose[:3, :3].T @ pose[:3, 3]
-    toward = eye - vertices
+    toward = camera_centre(camera) - vertices
     toward = toward / np.linalg.norm(toward, axis=1)[:, None]
     return (toward * normal).sum(axis=1) > _FACING
 
