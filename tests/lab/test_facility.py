@@ -77,6 +77,8 @@ def test_truth_is_that_of_an_elastic_ball_under_a_round_tip(made):
     assert np.linalg.norm(force) == pytest.approx(hertz, rel=0.15)
     assert probe["contact_radius"] == pytest.approx(np.sqrt(both * 4e-3), rel=0.2)
     assert probe["load_steps"] == [0.5, 1.0]
+    # Where it was sent: the arm is not misplaced, only turned.
+    np.testing.assert_allclose(probe["contact_point"], [0.0, 0.0, 0.04], atol=1e-6)
 
 
 def test_truth_map_moves_what_the_camera_sees(made):

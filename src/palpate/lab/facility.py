@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from palpate.errors import InputError, RecordError
-from palpate.geometry import TriangleMesh, write_mesh
+from palpate.geometry import TriangleMesh, closest_points, write_mesh
 from palpate.lab.arm import Probed, aimed, contact_told, fine_place, probed, rod_at
 from palpate.lab.config import LabConfig, Probe
 from palpate.lab.contact import Tip
@@ -123,7 +123,7 @@ def _probings(bench: _Bench, tips: tuple[Tip, ...], say: Progress) -> None:
         )
         write_truth_map(bench.folder / f"truth_{probe.name}.npz", seen)
         session.append(_probe_of_session(config, found, _rng(config, _SENSORS, k)))
-        truth.append(_probe_of_truth(found))
+        truth.append(_probe_of_truth(config, found))
     _write(bench.folder, session, truth)
 
 
@@ -263,13 +263,15 @@ def _head_of_truth(config: LabConfig) -> str:
     return toml_table("", values)
 
 
-def _probe_of_truth(found: Probed) -> str:
+def _probe_of_truth(config: LabConfig, found: Probed) -> str:
     last = found.states[-1]
+    # The tip's axis goes through the sphere's centre, one radius above the place.
+    touched = closest_points(config.specimen.mesh, found.tip.point[None]).position[0]
     return toml_table(
         "[[probe]]",
         {
             "name": found.probe.name,
-            "contact_point": found.tip.point,
+            "contact_point": touched,
             "contact_radius": last.radius,
             "direction": found.tip.direction,
             "force": last.force,
