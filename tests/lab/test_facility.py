@@ -9,7 +9,8 @@ import pytest
 from lab.lab_configs import HALF_BALL, STAGE
 
 from palpate.errors import InputError
-from palpate.lab import choose_variant, make_session, read_lab_config
+from palpate.lab import choose_variant, facility, make_session, make_sessions, read_lab_config
+from palpate.lab.finite_elements import make_body
 from palpate.records import ContactProfile, read_rig, read_session
 from palpate.vision import project, read_pictures
 
@@ -145,6 +146,44 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_other_noise(made, tm
         pictures.append((out / "images" / "s1_c2.png").read_bytes())
     assert pictures[0] == (made["toy"] / "images" / "s1_c2.png").read_bytes()
     assert pictures[1] != pictures[0]
+
+
+def test_sessions_made_together_are_those_made_alone(made, tmp_path, monkeypatch):
+    config = read_lab_config(made["ball"].parent / "config.toml")
+    stage = read_lab_config(made["toy"].parent / "config.toml")
+    other = replace(config, seed=4)
+    wanted = [(config, tmp_path / "a"), (stage, tmp_path / "b"), (other, tmp_path / "c")]
+    for _, folder in wanted:
+        folder.mkdir()
+    bodies = []
+    monkeypatch.setattr(facility, "make_body", lambda *told, **named: bodies.append(
+        make_body(*told, **named)) or bodies[-1])  # fmt: skip
+    make_sessions(wanted, variant=choose_variant())
+    # One body for both balls, and the one of them that is told the same comes out the same.
+    assert len(bodies) == 1
+    for alone, folder in (("ball", "a"), ("toy", "b")):
+        names = sorted(file.relative_to(made[alone]) for file in made[alone].rglob("*.*"))
+        assert len(names) > 10
+        for name in names:
+            assert (tmp_path / folder / name).read_bytes() == (made[alone] / name).read_bytes()
+    (here,), (there,) = _truth(tmp_path / "a")["probe"], _truth(tmp_path / "c")["probe"]
+    assert here["direction"] != there["direction"]
+
+
+def test_bodies_are_shared_only_where_nothing_of_them_differs(tmp_path):
+    (tmp_path / "config.toml").write_text(HALF_BALL)
+    config = read_lab_config(tmp_path / "config.toml")
+    law = replace(config.material, law="neo-hookean")
+    same = replace(config, seed=9, arm=replace(config.arm, misalignment=0.0), material=law)
+    assert facility._same_bodies(config, same)
+    for other in (
+        replace(config, specimen=replace(config.specimen, element=8e-3)),
+        replace(config, material=replace(config.material, poisson_ratio=0.3)),
+        replace(config, arm=replace(config.arm, radius=5e-3)),
+        replace(config, probes=(replace(config.probes[0], depth=3e-3),)),
+        read_lab_config(tmp_path / "config.toml"),
+    ):
+        assert not facility._same_bodies(config, other)
 
 
 @pytest.mark.parametrize(

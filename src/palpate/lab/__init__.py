@@ -23,7 +23,7 @@ from palpate.lab.config import (
     Stage,
 )
 from palpate.lab.config_files import LAB_FORMAT, read_lab_config
-from palpate.lab.facility import make_session
+from palpate.lab.facility import make_session, make_sessions
 from palpate.lab.mitsuba_variant import Variant, choose_variant
 from palpate.lab.planned_pictures import planned_pictures
 from palpate.lab.specimens import SHAPES
@@ -46,6 +46,7 @@ __all__ = [
     "Variant",
     "choose_variant",
     "make_session",
+    "make_sessions",
     "planned_pictures",
     "read_lab_config",
 ]

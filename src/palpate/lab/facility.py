@@ -5,7 +5,7 @@ and the truth maps tell what really was.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -14,7 +14,7 @@ import numpy as np
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, closest_points, write_mesh
 from palpate.lab.arm import Probed, aimed, contact_told, fine_place, probed, rod_at
-from palpate.lab.config import LabConfig, Probe
+from palpate.lab.config import LabConfig, Probe, Stage
 from palpate.lab.contact import Tip
 from palpate.lab.finite_elements import Body, held_nodes, make_body, surface_values
 from palpate.lab.mitsuba_variant import Variant
@@ -27,9 +27,9 @@ from palpate.lab.tetrahedra import make_solid
 from palpate.lab.truth_maps import surface_maps, truth_map, write_truth_map
 from palpate.records import SESSION_FORMAT, Rig, read_rig, write_rig
 from palpate.shapes import Vertices
-from palpate.vision import project
+from palpate.vision import SurfaceMap, project
 
-__all__ = ["Progress", "make_session"]
+__all__ = ["Progress", "make_session", "make_sessions"]
 
 Progress = Callable[[str, float], None]
 # One stream of random numbers for each purpose, so that a further probing changes no other.
@@ -40,13 +40,15 @@ _SEEN = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bench:
-    """What is put up before the first picture."""
+    """What is put up before the first picture, and its two files as far as they are written."""
 
     config: LabConfig
     folder: Path
     rig: Rig
-    told: Rig
     studio: Studio
+    tips: tuple[Tip, ...]
+    session: list[str]
+    truth: list[str]
 
 
 def make_session(
@@ -69,87 +71,153 @@ def make_session(
                                     texture without contrast, a body that cannot be filled
     RecordError                     the folder cannot be written
     """
+    make_sessions([(config, folder)], variant=variant, progress=progress)
+
+
+def make_sessions(
+    wanted: Sequence[tuple[LabConfig, Path]],
+    *,
+    variant: Variant,
+    progress: Progress | None = None,
+) -> None:
+    """Measure virtual specimens, several sessions in one go.
+
+    Configurations that `dataclasses.replace` made from one another, with the same body, probes and
+    constants, share the factorisations, which are half of the work. Each session gets the files
+    that it would get alone.
+
+    Parameters
+    ----------
+    wanted : sequence of (LabConfig, Path)      each with its own empty folder
+    variant, progress               as for `make_session`
+
+    Raises
+    ------
+    InputError, RecordError         as `make_session`
+    """
     say = progress or _silent
+    try:
+        benches = [_bench(config, folder, variant) for config, folder in wanted]
+        say("texture and light", 0.0)
+        done = 0
+        for group in _alike(benches):
+            begin, share = done / len(benches), len(group) / len(benches)
+            if group[0].config.stage is None:
+                _probings(group, _part(say, begin, share))
+            else:
+                _steps(group[0], group[0].config.stage, _part(say, begin, share))
+            done += len(group)
+    except OSError as error:
+        raise RecordError(
+            f"{error.filename or wanted[0][1]}: cannot be written ({error.strerror})"
+        ) from error
+
+
+def _bench(config: LabConfig, folder: Path, variant: Variant) -> _Bench:
+    """Refuse what cannot be measured; put up texture, light and rig."""
     rig = _rig(config)
-    _check_view(rig, config.specimen.mesh)
+    mesh = config.specimen.mesh
+    _check_view(rig, mesh)
     tips = tuple(
-        aimed(probe, config.arm, config.specimen.mesh, rng=_rng(config, _ARM, k))
+        aimed(probe, config.arm, mesh, rng=_rng(config, _ARM, k))
         for k, probe in enumerate(config.probes)
     )
-    say("texture and light", 0.0)
     studio = make_studio(config, rig, variant, rng=_rng(config, _TEXTURE))
-    told = misjudged(rig, config.calibration, config.specimen.mesh, rng=_rng(config, _CALIBRATION))
-    bench = _Bench(config, folder, rig, told, studio)
-    try:
-        (folder / "images").mkdir()
-        write_mesh(folder / "mesh.ply", config.specimen.mesh)
-        write_rig(folder / "rig.toml", told)
-        write_rig(folder / "rig_true.toml", rig)
-        if config.stage is None:
-            _probings(bench, tips, say)
+    told = misjudged(rig, config.calibration, mesh, rng=_rng(config, _CALIBRATION))
+    (folder / "images").mkdir()
+    write_mesh(folder / "mesh.ply", mesh)
+    write_rig(folder / "rig.toml", told)
+    write_rig(folder / "rig_true.toml", rig)
+    return _Bench(
+        config, folder, rig, studio, tips, [_head_of_session(config)], [_head_of_truth(config)]
+    )
+
+
+def _alike(benches: Sequence[_Bench]) -> list[list[_Bench]]:
+    """Benches whose bodies are pressed at the same places, together; stages alone."""
+    groups: list[list[_Bench]] = []
+    for bench in benches:
+        alike = (one for one in groups if _same_bodies(one[0].config, bench.config))
+        group = next(alike, None)
+        if group is None:
+            groups.append([bench])
         else:
-            _steps(bench, say)
-    except OSError as error:
-        raise RecordError(f"{folder}: cannot be written ({error.strerror})") from error
+            group.append(bench)
+    return groups
 
 
-def _probings(bench: _Bench, tips: tuple[Tip, ...], say: Progress) -> None:
-    """Every probing: physics, pictures, readings, truth."""
-    config, studio = bench.config, bench.studio
-    rest = studio.mesh.vertices
-    at_rest = surface_maps(bench.rig, rest, studio.mesh.triangles)
-    _take(bench, "rest", [(rest, ())], 0)
-    session, truth = [_head_of_session(config)], [_head_of_truth(config)]
-    for k, (probe, tip) in enumerate(zip(config.probes, tips, strict=True)):
-        say(f"probing {probe.name}", 0.1 + 0.9 * k / len(tips))
+def _same_bodies(one: LabConfig, other: LabConfig) -> bool:
+    """Whether two configurations, one made from the other, need the same finite elements."""
+    a, b = one.specimen, other.specimen
+    return (
+        one.stage is None
+        and one.probes is other.probes
+        and (a.body is b.body and a.held is b.held and a.element == b.element)
+        and (one.arm.tip, one.arm.radius) == (other.arm.tip, other.arm.radius)
+        and replace(one.material, law="linear") == replace(other.material, law="linear")
+    )
+
+
+def _probings(benches: Sequence[_Bench], say: Progress) -> None:
+    """Every probing of one body on several benches: physics, pictures, readings, truth."""
+    at_rest = []
+    for bench in benches:
+        rest = bench.studio.mesh.vertices
+        at_rest.append(surface_maps(bench.rig, rest, bench.studio.mesh.triangles))
+        _take(bench, "rest", [(rest, ())], 0)
+    count = len(benches[0].config.probes)
+    for k, probe in enumerate(benches[0].config.probes):
+        say(f"probing {probe.name}", (k + 0.1) / (count + 0.1))
         # Small elements under this tip only: a body for each is less than one for all.
-        body = _body(config, probe, tip)
-        carried = surface_values(body.solid, rest)
-        found = probed(
-            body, probe, tip, sticking=config.arm.sticking,
-            finite=config.material.law == "neo-hookean",
-        )  # fmt: skip
-        before = rest
-        for number, state in enumerate(found.states, start=1):
-            after = rest + carried @ state.displacement
-            rods = (rod_at(tip, state.place, bench.rig.cameras),)
-            name = _instant(probe, number)
-            blurred = [(moment, rods) for moment in exposure(config, before, after)]
-            _take(bench, name, blurred, 1000 * (k + 1) + number)
-            before = after
-        whole = [(rod.vertices, rod.triangles) for rod in rods]
-        seen = truth_map(
-            bench.rig, rest, after, studio.mesh.triangles, others=whole, at_rest=at_rest
-        )
-        write_truth_map(bench.folder / f"truth_{probe.name}.npz", seen)
-        session.append(_probe_of_session(config, found, _rng(config, _SENSORS, k)))
-        truth.append(_probe_of_truth(config, found))
-    _write(bench.folder, session, truth)
+        body = _body(benches[0].config, probe, benches[0].tips[k])
+        for bench, maps in zip(benches, at_rest, strict=True):
+            _probing(bench, body, k, maps)
+    for bench in benches:
+        _write(bench)
 
 
-def _steps(bench: _Bench, say: Progress) -> None:
+def _probing(bench: _Bench, body: Body, k: int, at_rest: tuple[SurfaceMap, ...]) -> None:
+    """One probing on one bench."""
+    config, mesh, tip = bench.config, bench.studio.mesh, bench.tips[k]
+    rest, probe = mesh.vertices, config.probes[k]
+    carried = surface_values(body.solid, rest)
+    found = probed(
+        body, probe, tip, sticking=config.arm.sticking,
+        finite=config.material.law == "neo-hookean",
+    )  # fmt: skip
+    before = rest
+    for number, state in enumerate(found.states, start=1):
+        after = rest + carried @ state.displacement
+        rods = (rod_at(tip, state.place, bench.rig.cameras),)
+        blurred = [(moment, rods) for moment in exposure(config, before, after)]
+        _take(bench, _instant(probe, number), blurred, 1000 * (k + 1) + number)
+        before = after
+    whole = [(rod.vertices, rod.triangles) for rod in rods]
+    seen = truth_map(bench.rig, rest, after, mesh.triangles, others=whole, at_rest=at_rest)
+    write_truth_map(bench.folder / f"truth_{probe.name}.npz", seen)
+    bench.session.append(_probe_of_session(config, found, _rng(config, _SENSORS, k)))
+    bench.truth.append(_probe_of_truth(config, found))
+
+
+def _steps(bench: _Bench, stage: Stage, say: Progress) -> None:
     """A rigid object on a motion stage."""
     config, rest = bench.config, bench.studio.mesh.vertices
-    stage = config.stage
-    if stage is None:
-        raise InputError("there is no stage")
-    session, truth = [_head_of_session(config)], [_head_of_truth(config)]
     before = rest
     for k, motion in enumerate(stage_motions(stage)):
-        say(f"step s{k}", 0.2 + 0.8 * k / (stage.steps + 1))
+        say(f"step s{k}", k / (stage.steps + 1))
         after = rest @ motion[:3, :3].T + motion[:3, 3]
         _take(bench, f"s{k}", [(one, ()) for one in exposure(config, before, after)], k)
         before = after
         read = read_position(motion[:3, 3], config.position_sensor, rng=_rng(config, _SENSORS, k))
         images = f"images/s{k}_{{camera}}.png"
-        session.append(toml_table("[[step]]", {"name": f"s{k}", "images": images}))
-        truth.append(
+        bench.session.append(toml_table("[[step]]", {"name": f"s{k}", "images": images}))
+        bench.truth.append(
             toml_table(
                 "[[step]]",
                 {"name": f"s{k}", "R": motion[:3, :3], "t": motion[:3, 3], "encoder": read},
             )
         )
-    _write(bench.folder, session, truth)
+    _write(bench)
 
 
 def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
@@ -281,13 +349,18 @@ def _probe_of_truth(config: LabConfig, found: Probed) -> str:
     )
 
 
-def _write(folder: Path, session: list[str], truth: list[str]) -> None:
-    (folder / "session.toml").write_text("".join(session).rstrip() + "\n", encoding="utf-8")
-    (folder / "truth.toml").write_text("".join(truth).rstrip() + "\n", encoding="utf-8")
+def _write(bench: _Bench) -> None:
+    for name, tables in (("session.toml", bench.session), ("truth.toml", bench.truth)):
+        (bench.folder / name).write_text("".join(tables).rstrip() + "\n", encoding="utf-8")
 
 
 def _rng(config: LabConfig, stream: int, number: int = 0) -> np.random.Generator:
     return np.random.default_rng([config.seed, stream, number])
+
+
+def _part(say: Progress, begin: float, share: float) -> Progress:
+    """Progress of a part of the work."""
+    return lambda text, fraction: say(text, begin + share * fraction)
 
 
 def _silent(stage: str, fraction: float) -> None:
