@@ -3,11 +3,12 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["BEM", "ESTIMATION", "FLOW", "Figure", "Limit", "figure_from_plain", "plain"]
+__all__ = ["BEM", "ESTIMATION", "FACILITY", "FLOW", "Figure", "Limit", "figure_from_plain", "plain"]
 
 BEM = "Boundary element model"
 ESTIMATION = "Estimation"
 FLOW = "Range flow"
+FACILITY = "Virtual facility"
 Limit = float | tuple[float, float] | None
 
 
@@ -17,7 +18,7 @@ class Figure:
 
     Parameters
     ----------
-    section : str               BEM, ESTIMATION or FLOW
+    section : str               BEM, ESTIMATION, FLOW or FACILITY
     name : str                  what was measured, on what
     reached : float or None     None where it could not be measured; the note says why
     unit : str                  "", "%", "s", "GB" or "x"; percentages are given as percentages

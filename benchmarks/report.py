@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.figure import BEM, ESTIMATION, FLOW, Figure, Limit
+from benchmarks.figure import BEM, ESTIMATION, FACILITY, FLOW, Figure, Limit
 
 __all__ = ["as_markdown", "as_text", "number", "write_part"]
 
@@ -28,7 +28,7 @@ def as_markdown(
     failures : subject -> message   subjects that stopped before their figures
     """
     lines = [f"- {heading}: {text}" for heading, text in machine]
-    for section in (BEM, ESTIMATION, FLOW):
+    for section in (BEM, ESTIMATION, FLOW, FACILITY):
         rows = [_row(figure) for figure in figures if figure.section == section]
         if rows:
             lines += ["", f"## {section}", "", HEAD, RULE, *rows]

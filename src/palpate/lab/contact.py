@@ -22,6 +22,8 @@ __all__ = ["Press", "Tip", "press", "press_to_force", "touch"]
 _ROUNDS = 60
 # Normals and active nodes count as settled when forces change by less than this share.
 _SETTLED = 1e-10
+# A round and held body is not far from a half space: where the search for a force's depth begins.
+_GUESSED = 1.2
 # Nodes that would enter the tip at this many times its depth may come to touch it.
 _MARGIN = 1.3
 
@@ -174,7 +176,7 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
     start = touch(body.solid, tip)
-    reach = 0.02 * tip.radius
+    reach = _GUESSED * _half_space_depth(body, tip, force)
     near = _candidates(body, tip, start + _MARGIN * reach)
 
     def excess(depth: float) -> float:
@@ -190,6 +192,19 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
         near = _candidates(body, tip, start + _MARGIN * reach)
     depth = float(brentq(excess, low, reach, xtol=_SETTLED * reach, rtol=_SETTLED))
     return _state(body, tip, near, _sliding(near, tip, start + depth), start, depth)
+
+
+def _half_space_depth(body: Body, tip: Tip, force: float) -> float:
+    """How deep a force presses the tip into a flat body without end [m].
+
+    Source
+    ------
+    Johnson, Contact Mechanics (1985), equations 4.23 (sphere) and 3.36 (punch).
+    """
+    reduced = 2.0 * body.shear_modulus / (1.0 - body.poisson_ratio)
+    if tip.flat:
+        return force / (2.0 * tip.radius * reduced)
+    return float(np.cbrt((0.75 * force / reduced) ** 2 / tip.radius))
 
 
 def _facing(solid: Solid, tip: Tip) -> Bool[np.ndarray, " f"]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.sparse import csr_array
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, closest_points, write_mesh
@@ -170,17 +171,23 @@ def _probings(benches: Sequence[_Bench], say: Progress) -> None:
         say(f"probing {probe.name}", (k + 0.1) / (count + 0.1))
         # Small elements under this tip only: a body for each is less than one for all.
         body = _body(benches[0].config, probe, benches[0].tips[k])
+        drawn: Vertices | None = None
+        carried = None
         for bench, maps in zip(benches, at_rest, strict=True):
-            _probing(bench, body, k, maps)
+            rest = bench.studio.mesh.vertices
+            if drawn is None or carried is None or not np.array_equal(rest, drawn):
+                drawn, carried = rest, surface_values(body.solid, rest)
+            _probing(bench, body, carried, k, maps)
     for bench in benches:
         _write(bench)
 
 
-def _probing(bench: _Bench, body: Body, k: int, at_rest: tuple[SurfaceMap, ...]) -> None:
-    """One probing on one bench."""
+def _probing(
+    bench: _Bench, body: Body, carried: csr_array, k: int, at_rest: tuple[SurfaceMap, ...]
+) -> None:
+    """One probing on one bench; `carried` takes nodal values to the drawn vertices."""
     config, mesh, tip = bench.config, bench.studio.mesh, bench.tips[k]
     rest, probe = mesh.vertices, config.probes[k]
-    carried = surface_values(body.solid, rest)
     found = probed(
         body, probe, tip, sticking=config.arm.sticking,
         finite=config.material.law == "neo-hookean",
