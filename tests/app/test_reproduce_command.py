@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flow_samples import rig, sample
+from flow_samples import SHAPE, rig, sample
 
 from palpate.app import reproduce_command
 from palpate.app.lab_command import built_in
@@ -18,6 +18,7 @@ from palpate.errors import InputError
 from palpate.geometry import write_mesh
 from palpate.lab import Variant, read_lab_config
 from palpate.pipeline import MeasuredMotion, SessionFlow
+from palpate.pipeline.error_budget import ErrorSource
 from palpate.pipeline.paper_motion import METHODS, PaperSession
 from palpate.records import read_session
 
@@ -49,6 +50,7 @@ def session_of(config, folder):
     (folder / "rig.toml").write_text("")
     if config.stage is None:
         (folder / "session.toml").write_text(HEAD + PROBE)
+        _write_truth_map(folder / "truth_ear.npz")
         return read_session(folder), ["ear"]
     names = [f"s{k}" for k in range(config.stage.steps + 1)]
     steps = "".join(f'[[step]]\nname = "{n}"\nimages = "{n}_{{camera}}.png"\n' for n in names)
@@ -60,6 +62,14 @@ def session_of(config, folder):
     ]
     (folder / "truth.toml").write_text("".join(truth))
     return read_session(folder), names[1:]
+
+
+def _write_truth_map(file):
+    """Every pixel of the sample moved by one step."""
+    surface = sample().surface
+    pixel = np.flatnonzero(surface.triangle.ravel() >= 0)
+    point = surface.point.reshape(-1, 3)[pixel]
+    np.savez(file, shape=np.array(SHAPE), pixel=pixel, X=point, U=np.tile(STEP, (len(pixel), 1)))
 
 
 def moved(name, vector):
@@ -75,7 +85,7 @@ def bench(monkeypatch, tmp_path):
     """An empty folder and no facility: sessions come at once. Gives what was asked for."""
     asked = []
     # An estimate needs more than motions: see test_paper_constants.
-    for name in ("table3", "figure4"):
+    for name in ("table3", "budget", "figure4"):
         monkeypatch.delitem(EXPERIMENTS, name)
 
     def measured_session(config, folder, *, variant, progress):
@@ -152,7 +162,10 @@ def test_figures_are_of_both_methods(bench, tmp_path, name, rows):
     assert joint[2] == "joint"
     assert joint[3] == joint[4] == str(len(sample().flow.outcome))
     steps = 2 if name == "figure2" else 1
-    assert float(joint[5]) == pytest.approx(1.001 * 2.5 * steps)
+    assert float(joint[5]) == pytest.approx(2.5 * steps)
+    # A thousandth too long, and a tenth too short.
+    assert float(joint[6]) == pytest.approx(1e-3 * 2.5 * steps)
+    assert float(table[1][6]) == pytest.approx(0.1 * 2.5 * steps)
 
 
 def test_all_measures_every_session_once_and_makes_the_page(bench, tmp_path, capsys):
@@ -199,3 +212,26 @@ def test_nothing_is_left_of_a_run_that_fails(bench, tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"table\.md: cannot be written \(No space"):
         reproduce("table1")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_budget_makes_its_own_sessions(monkeypatch, tmp_path, capsys):
+    asked = []
+
+    def budget(config, folder, *, variant, draws, progress):
+        assert list(folder.iterdir()) == []
+        progress("making", 0.5)
+        asked.append((config, folder.name, draws))
+        errors = np.full((1, 3), 0.01)
+        return tuple(ErrorSource(name, "much", errors, errors) for name in ("none", "all of it"))
+
+    monkeypatch.setattr("palpate.app.paper_experiments.error_budget", budget)
+    monkeypatch.setattr(reproduce_command, "choose_variant", lambda: Variant("none", "no", None))
+    reproduce("budget", out=tmp_path / "b")
+    reproduce("budget", out=tmp_path / "q", quick=True)
+    (full, name, draws), (quick, _, few) = asked
+    assert (len(full.probes), len(quick.probes)) == (17, 3)
+    assert (name, draws, few) == ("budget", 5, 1)
+    (table,) = rows_of(tmp_path / "b")
+    assert [row[0] for row in table] == ["source", "none", "all of it"]
+    assert (tmp_path / "b" / "budget.png").is_file()
+    assert (tmp_path / "b" / "sessions" / "budget").is_dir()

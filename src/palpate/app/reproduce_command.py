@@ -1,6 +1,5 @@
 """`palpate reproduce`: the paper's experiments on the virtual bench, from pictures to tables."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,13 +8,13 @@ from rich.console import Console
 
 from palpate.app.lab_command import built_in
 from palpate.app.notes import print_notes
-from palpate.app.paper_experiments import EXPERIMENTS, Experiment
+from palpate.app.paper_experiments import EXPERIMENTS, Experiment, Workplace
 from palpate.app.paper_result import PaperResult, check_page, write_page, write_result
 from palpate.app.progress import ProgressCallback, progress_bar
 from palpate.app.result_folder import disk_errors, result_folder
 from palpate.app.result_table import terminal_table
 from palpate.errors import InputError
-from palpate.lab import choose_variant, read_lab_config
+from palpate.lab import Variant, choose_variant, read_lab_config
 from palpate.pipeline.paper_motion import PaperSession, measured_session, quickened
 
 __all__ = ["ALL", "reproduce"]
@@ -38,7 +37,7 @@ def reproduce(
     Parameters
     ----------
     experiment
-        table1, table2, table3, figure2, figure3, figure4, or all of them.
+        table1, table2, table3, budget, figure2, figure3, figure4, or all of them.
     out
         Result folder; it appears whole or not at all. Default: paper-EXPERIMENT in the current
         folder.
@@ -56,8 +55,7 @@ def reproduce(
     console = Console()
     target = out or Path(f"paper-{experiment}")
     with result_folder(target) as folder, disk_errors(folder):
-        measured = _measured(folder / _SESSIONS, _sessions(chosen), quick=quick)
-        results = {name: one.result(measured) for name, one in chosen.items()}
+        results = _results(folder / _SESSIONS, chosen, quick=quick)
         for name, result in results.items():
             place = _place(folder, name, chosen)
             place.mkdir(exist_ok=True)
@@ -92,23 +90,37 @@ def _sessions(chosen: dict[str, Experiment]) -> list[str]:
     return list(dict.fromkeys(name for one in chosen.values() for name in one.sessions))
 
 
-def _measured(folder: Path, names: Sequence[str], *, quick: bool) -> dict[str, PaperSession]:
-    """Make and measure sessions."""
-    variant, configs = choose_variant(), built_in()
+def _results(folder: Path, chosen: dict[str, Experiment], *, quick: bool) -> dict[str, PaperResult]:
+    """Make and measure sessions, each once, and what the experiments make of them."""
+    variant = choose_variant()
     print_notes([variant.why])
-    measured = {}
+    names = _sessions(chosen)
+    count = len(names) + len(chosen)
+    results = {}
     with progress_bar() as progress:
-        for k, name in enumerate(names):
-            config = read_lab_config(configs[name])
-            place = folder / name
-            place.mkdir(parents=True)
-            measured[name] = measured_session(
-                quickened(config) if quick else config,
-                place,
-                variant=variant,
-                progress=_part(progress, name, k, len(names)),
+        measured = {
+            name: _measured(
+                folder / name, name, variant, _part(progress, name, k, count), quick=quick
             )
-    return measured
+            for k, name in enumerate(names)
+        }
+        folder.mkdir(exist_ok=True)
+        for k, (name, one) in enumerate(chosen.items(), start=len(names)):
+            say = _part(progress, name, k, count)
+            say("evaluation", 0.0)
+            results[name] = one.result(measured, Workplace(folder, variant, quick, say))
+    return results
+
+
+def _measured(
+    folder: Path, name: str, variant: Variant, progress: ProgressCallback, *, quick: bool
+) -> PaperSession:
+    """A built-in configuration's session, measured."""
+    config = read_lab_config(built_in()[name])
+    folder.mkdir(parents=True)
+    return measured_session(
+        quickened(config) if quick else config, folder, variant=variant, progress=progress
+    )
 
 
 def _part(progress: ProgressCallback, name: str, number: int, count: int) -> ProgressCallback:

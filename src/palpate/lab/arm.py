@@ -156,7 +156,7 @@ def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) 
 
 def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
     """The same forces on the same nodes, and how far they push a body of finite strain."""
-    displacement = solve_finite(body, state.load).displacement
+    displacement = solve_finite(body, state.load, steps=1).displacement
     weight = np.linalg.norm(state.load, axis=1)
     farther = (weight @ (displacement - state.displacement) / weight.sum()) @ tip.direction
     return replace(
