@@ -40,7 +40,7 @@ PARTS = {
         "flow_baseline",
         "flow_real",
     ),
-    "facility": ("table3_repeats",),
+    "facility": ("facility_time", "table3_repeats"),
 }
 SUBJECTS = tuple(name for names in PARTS.values() for name in names)
 

@@ -9,13 +9,14 @@ from rich.console import Console
 
 from palpate.app.notes import print_notes
 from palpate.app.plots import write_plots
-from palpate.app.progress import ProgressCallback, progress_bar
+from palpate.app.progress import progress_bar
 from palpate.app.residual_files import write_residuals
 from palpate.app.result_folder import default_folder, disk_errors, result_folder
 from palpate.app.tables import constants_table, probes_table
 from palpate.bem import SurfaceSettings
 from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
+from palpate.progress import Progress
 from palpate.records import Session, Status, read_session, require_probings, write_estimate
 
 __all__ = ["fit"]
@@ -99,7 +100,7 @@ def fit(
     return 0
 
 
-def _with_motion(session: Session, progress: ProgressCallback) -> Session:
+def _with_motion(session: Session, progress: Progress) -> Session:
     """The session with displacements measured from the pictures where there is no file of them."""
     blind = [one.name for one in session.probings if one.displacement is None and one.images]
     if not blind:

@@ -29,9 +29,10 @@ from palpate.app.flow_tables import (
 )
 from palpate.app.flow_view import make_flow_view
 from palpate.app.notes import print_notes
-from palpate.app.progress import ProgressCallback, progress_bar
+from palpate.app.progress import progress_bar
 from palpate.app.result_folder import default_folder, disk_errors, result_folder
 from palpate.pipeline import MeasuredMotion, MotionSettings, SessionFlow, measure_motion
+from palpate.progress import Progress
 from palpate.records import Session, read_session
 from palpate.vision import SurfaceMap, surface_map
 from palpate.vision.dense_maps import dense_maps
@@ -131,7 +132,7 @@ def _settings(settings: MotionSettings, subset: int | None, step: int | None) ->
 
 
 def _write(
-    context: _Context, settings: MotionSettings, seconds: float, progress: ProgressCallback
+    context: _Context, settings: MotionSettings, seconds: float, progress: Progress
 ) -> list[MotionFigures]:
     """All files of the result."""
     start = time.perf_counter()
@@ -151,7 +152,7 @@ def _write(
 
 
 def _write_motions(
-    context: _Context, report: ProgressCallback
+    context: _Context, report: Progress
 ) -> tuple[list[MotionFigures], list[dict[str, str]]]:
     """Files and figures of every motion, in order."""
     motions = context.found.motions
@@ -252,7 +253,7 @@ def _instants(session: Session) -> int:
     return max(len(session.steps) - 1, 0) + loaded
 
 
-def _with_rate(progress: ProgressCallback, count: int) -> ProgressCallback:
+def _with_rate(progress: Progress, count: int) -> Progress:
     """The callback with the motions a second so far behind what is being done."""
     start = time.perf_counter()
 

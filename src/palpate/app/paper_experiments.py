@@ -24,7 +24,6 @@ from palpate.app.paper_tables import (
     vertex_summary,
     vertex_table,
 )
-from palpate.app.progress import ProgressCallback
 from palpate.app.result_table import Cell, ResultTable
 from palpate.lab import Variant, read_lab_config
 from palpate.lab.paper import (
@@ -49,6 +48,7 @@ from palpate.pipeline.paper_motion import (
     vertex_rows,
 )
 from palpate.pipeline.paper_truth import true_displacement
+from palpate.progress import Progress
 from palpate.shapes import PointScalars
 from palpate.vision import is_valid
 
@@ -77,7 +77,7 @@ class Workplace:
     folder: Path
     variant: Variant
     quick: bool
-    progress: ProgressCallback
+    progress: Progress
 
 
 @dataclass(frozen=True, slots=True)

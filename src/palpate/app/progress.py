@@ -1,29 +1,28 @@
 """A progress bar on the terminal that shows only where there is something to wait for."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
+from rich import progress as rich_progress
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-__all__ = ["ProgressCallback", "progress_bar"]
+from palpate.progress import Progress
 
-# What is being done, and which fraction of the work is behind it.
-ProgressCallback = Callable[[str, float], None]
+__all__ = ["progress_bar"]
 
 
 @contextmanager
-def progress_bar() -> Iterator[ProgressCallback]:
+def progress_bar() -> Iterator[Progress]:
     """A callback `(stage, fraction)` that moves a bar on stderr; the bar vanishes at the end.
 
     Where stderr is not a terminal nothing is shown.
     """
     console = Console(file=sys.stderr)
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
+    bar = rich_progress.Progress(
+        rich_progress.TextColumn("{task.description}"),
+        rich_progress.BarColumn(),
+        rich_progress.TimeElapsedColumn(),
         console=console,
         transient=True,
         disable=not console.is_terminal,

@@ -10,12 +10,13 @@ from palpate.app.lab_command import built_in
 from palpate.app.notes import print_notes
 from palpate.app.paper_experiments import EXPERIMENTS, Experiment, Workplace
 from palpate.app.paper_result import PaperResult, check_page, write_page, write_result
-from palpate.app.progress import ProgressCallback, progress_bar
+from palpate.app.progress import progress_bar
 from palpate.app.result_folder import disk_errors, result_folder
 from palpate.app.result_table import terminal_table
 from palpate.errors import InputError
 from palpate.lab import Variant, choose_variant, read_lab_config
 from palpate.pipeline.paper_motion import PaperSession, measured_session, quickened
+from palpate.progress import Progress, part_of
 
 __all__ = ["ALL", "reproduce"]
 
@@ -100,20 +101,24 @@ def _results(folder: Path, chosen: dict[str, Experiment], *, quick: bool) -> dic
     with progress_bar() as progress:
         measured = {
             name: _measured(
-                folder / name, name, variant, _part(progress, name, k, count), quick=quick
+                folder / name,
+                name,
+                variant,
+                part_of(progress, k / count, (k + 1) / count, prefix=f"{name}: "),
+                quick=quick,
             )
             for k, name in enumerate(names)
         }
         folder.mkdir(exist_ok=True)
         for k, (name, one) in enumerate(chosen.items(), start=len(names)):
-            say = _part(progress, name, k, count)
+            say = part_of(progress, k / count, (k + 1) / count, prefix=f"{name}: ")
             say("evaluation", 0.0)
             results[name] = one.result(measured, Workplace(folder, variant, quick, say))
     return results
 
 
 def _measured(
-    folder: Path, name: str, variant: Variant, progress: ProgressCallback, *, quick: bool
+    folder: Path, name: str, variant: Variant, progress: Progress, *, quick: bool
 ) -> PaperSession:
     """A built-in configuration's session, measured."""
     config = read_lab_config(built_in()[name])
@@ -121,11 +126,6 @@ def _measured(
     return measured_session(
         quickened(config) if quick else config, folder, variant=variant, progress=progress
     )
-
-
-def _part(progress: ProgressCallback, name: str, number: int, count: int) -> ProgressCallback:
-    """Progress of one session of several."""
-    return lambda stage, share: progress(f"{name}: {stage}", (number + share) / count)
 
 
 def _place(folder: Path, name: str, chosen: dict[str, Experiment]) -> Path:

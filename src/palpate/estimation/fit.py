@@ -1,7 +1,7 @@
 """From probings to elastic constants: the order of the steps, and nothing else."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ from palpate.estimation.settings import FitMethod, FitSettings
 from palpate.estimation.uncertainty import IntervalSet, interval_sets, scatters_of
 from palpate.estimation.validation import ProbeFit, left_out_constants, probe_fits
 from palpate.estimation.variable_projection import best_compliance, parabola_minimum
+from palpate.progress import Progress
 from palpate.records import Estimate, ProbeEstimate, Status
 
 __all__ = ["FitResult", "fit"]
@@ -71,7 +72,7 @@ def fit(
     probes: Sequence[ProbeObservations],
     *,
     settings: FitSettings | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> FitResult:
     """Elastic constants from all probings together and from each alone, with intervals.
 
@@ -133,7 +134,7 @@ def fit(
 class _Clock:
     """Wall time of each stage."""
 
-    def __init__(self, progress: Callable[[str, float], None]) -> None:
+    def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._seconds: dict[str, float] = {}
         self._stage = ""

@@ -4,7 +4,7 @@ The session is an ordinary one and holds nothing but what a bench would give. Be
 and the truth maps tell what really was.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,13 +26,13 @@ from palpate.lab.stage import stage_motions
 from palpate.lab.stereo_head import make_head, misjudged
 from palpate.lab.tetrahedra import make_solid
 from palpate.lab.truth_maps import surface_maps, truth_map, write_truth_map
+from palpate.progress import Progress, part_of, silent
 from palpate.records import SESSION_FORMAT, Rig, read_rig, write_rig
 from palpate.shapes import Vertices
 from palpate.vision import SurfaceMap, project
 
-__all__ = ["Progress", "make_session", "make_sessions"]
+__all__ = ["make_session", "make_sessions"]
 
-Progress = Callable[[str, float], None]
 # One stream of random numbers for each purpose, so that a further probing changes no other.
 _TEXTURE, _ARM, _SENSORS, _CALIBRATION, _PICTURES = range(5)
 # Share of the object's vertices that every camera must see in its picture.
@@ -96,17 +96,17 @@ def make_sessions(
     ------
     InputError, RecordError         as `make_session`
     """
-    say = progress or _silent
+    say = progress or silent
     try:
         benches = [_bench(config, folder, variant) for config, folder in wanted]
         say("texture and light", 0.0)
         done = 0
         for group in _alike(benches):
-            begin, share = done / len(benches), len(group) / len(benches)
+            begin, end = done / len(benches), (done + len(group)) / len(benches)
             if group[0].config.stage is None:
-                _probings(group, _part(say, begin, share))
+                _probings(group, part_of(say, begin, end))
             else:
-                _steps(group[0], group[0].config.stage, _part(say, begin, share))
+                _steps(group[0], group[0].config.stage, part_of(say, begin, end))
             done += len(group)
     except OSError as error:
         raise RecordError(
@@ -363,12 +363,3 @@ def _write(bench: _Bench) -> None:
 
 def _rng(config: LabConfig, stream: int, number: int = 0) -> np.random.Generator:
     return np.random.default_rng([config.seed, stream, number])
-
-
-def _part(say: Progress, begin: float, share: float) -> Progress:
-    """Progress of a part of the work."""
-    return lambda text, fraction: say(text, begin + share * fraction)
-
-
-def _silent(stage: str, fraction: float) -> None:
-    """Progress of a caller who does not want to know."""

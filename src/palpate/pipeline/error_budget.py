@@ -34,11 +34,11 @@ from palpate.pipeline.measure_motion import (
     measure_motion,
     with_measured_displacement,
 )
+from palpate.progress import Progress, part_of, silent
 from palpate.records import Estimate, ProbeEstimate, Session, read_rig, read_session, write_rig
 
 __all__ = ["ErrorSource", "error_budget"]
 
-Progress = Callable[[str, float], None]
 Change = Callable[[LabConfig], LabConfig]
 # Share of the time that goes into the sessions; estimates take the rest.
 _MAKING = 0.6
@@ -114,7 +114,7 @@ def error_budget(
     ------
     InputError, RecordError         as `make_sessions`
     """
-    say = progress or _silent
+    say = progress or silent
     seen, told = _seen(config), _told(config)
     exact = _exact(config)
     folders = [folder / _plain(source.name) for source in seen]
@@ -123,7 +123,7 @@ def error_budget(
     make_sessions(
         [(source.change(exact), one) for source, one in zip(seen, folders, strict=True)],
         variant=variant,
-        progress=lambda text, share: say(text, _MAKING * share),
+        progress=part_of(say, 0.0, _MAKING),
     )
     count = len(seen) + draws * len(told)
     done = 0
@@ -275,7 +275,3 @@ def _errors(estimate: Estimate | ProbeEstimate, truth: Material) -> list[float]:
 def _plain(name: str) -> str:
     """A source's name as a folder."""
     return name.replace(" ", "_")
-
-
-def _silent(_text: str, _share: float) -> None:
-    pass

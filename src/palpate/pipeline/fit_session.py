@@ -2,7 +2,7 @@
 estimation meet."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -46,9 +46,9 @@ from palpate.estimation import (
 )
 from palpate.geometry import interpolation_matrix
 from palpate.probe import ContactPatch, find_contact_patch
+from palpate.progress import Progress, silent
 from palpate.records import DisplacementField, Probing, Session, require_probings
 
-Progress = Callable[[str, float], None]
 FIT_STARTS = 0.8
 
 
@@ -124,7 +124,7 @@ def fit_session(
                                       bad contact
     SingularSystemError               the support does not hold the object
     """
-    say = progress or _silent
+    say = progress or silent
     start = time.perf_counter()
     probings = _chosen(session, probes)
     scale_error = max(_measured(probing).scale_error for probing in probings)
@@ -266,10 +266,6 @@ def surface_load(patch: ContactPatch) -> SurfaceLoad:
     if patch.contact.radius is not None:
         disc = PressureDisc(patch.contact.point, patch.contact.radius, patch.pressure)
     return SurfaceLoad(patch.triangles, patch.density, disc)
-
-
-def _silent(_text: str, _share: float) -> None:
-    pass
 
 
 def _chosen(session: Session, names: Sequence[str] | None) -> list[Probing]:

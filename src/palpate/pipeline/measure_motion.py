@@ -1,6 +1,6 @@
 """From a session's pictures to the displacement of its object's vertices."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from palpate.errors import InputError
 from palpate.geometry import closest_points, refined_surface
 from palpate.pipeline.object_pose import PoseChoice, posed_rig
+from palpate.progress import Progress, silent
 from palpate.records import DisplacementField, Probing, Rig, Session, read_rig
 from palpate.vision import (
     JointSettings,
@@ -41,7 +42,6 @@ __all__ = [
 SCALE_ERROR = 0.007
 # Points without texture are an outline or a blot; this share of them is a surface without paint.
 _MUCH = 0.1
-Progress = Callable[[str, float], None]
 Grey = tuple[Float[np.ndarray, "_ _"], ...]
 
 
@@ -149,7 +149,7 @@ def measure_motion(
     InputError                      no images, unknown probing
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
-    say = progress or _silent
+    say = progress or silent
     sequences = _sequences(session, probes)
     if session.rig is None:
         raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
@@ -398,7 +398,3 @@ def _typical_motion(flow: RangeFlow) -> float:
     """Root mean square of the displacement [m]."""
     square = np.nansum(flow.displacement**2, axis=1)[np.isfinite(flow.displacement[:, 0])]
     return float(np.sqrt(square.mean())) if len(square) else 0.0
-
-
-def _silent(_text: str, _share: float) -> None:
-    pass

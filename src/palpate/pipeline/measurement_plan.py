@@ -1,7 +1,7 @@
 """What a measurement will tell, before it is made: the smallest intervals that its cameras, its
 force sensor and its probings allow."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,13 +12,13 @@ from palpate.estimation import ProbeObservations, cramer_rao_bound
 from palpate.geometry import closest_points
 from palpate.pipeline.fit_session import make_object_model, session_observations
 from palpate.pipeline.measure_motion import SCALE_ERROR
+from palpate.progress import Progress
 from palpate.records import DisplacementField, Probing, Rig, Session, read_rig, require_probings
 from palpate.shapes import Points
 from palpate.vision import project_jacobian, surface_map, visible
 
 __all__ = ["MATCHING_NOISE", "MeasurementPlan", "PlannedProbing", "plan_measurement"]
 
-Progress = Callable[[str, float], None]
 # What a camera's match of a good speckle leaves at a vertex [px]; BENCHMARK.md has 0.005 to 0.02.
 MATCHING_NOISE = 0.01
 # Vertices within so many contact radii are hidden by the tool.

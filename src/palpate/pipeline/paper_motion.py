@@ -7,7 +7,7 @@ paper's own ones.
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -24,6 +24,7 @@ from palpate.pipeline.measure_motion import (
     SessionFlow,
     measure_motion,
 )
+from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, TomlTable, read_session, read_toml
 from palpate.shapes import Points, PointScalars, Vector3, Vertices
 from palpate.vision import RangeFlow, VertexDisplacement, is_valid
@@ -44,7 +45,6 @@ __all__ = [
 
 Method = Literal["lang-pai", "joint"]
 METHODS: tuple[Method, ...] = ("lang-pai", "joint")
-Progress = Callable[[str, float], None]
 # Share of the time that goes into making a session; measuring it takes the rest.
 _MAKING = 0.5
 # A quick run: steps, and by how much pictures are smaller.
@@ -130,17 +130,15 @@ def measured_session(
     ------
     InputError, RecordError         as `make_session` and `measure_motion`
     """
-    say = progress or _silent
-    make_session(
-        config, folder, variant=variant, progress=lambda text, share: say(text, _MAKING * share)
-    )
+    say = progress or silent
+    make_session(config, folder, variant=variant, progress=part_of(say, 0.0, _MAKING))
     session, found = read_session(folder), {}
     for k, method in enumerate(methods):
         begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
         found[method] = measure_motion(
             session,
             settings=MotionSettings(method=method, pose="given"),
-            progress=_part(say, f"{method}: ", begin, end),
+            progress=part_of(say, begin, end, prefix=f"{method}: "),
         )
     return PaperSession(session, found)
 
@@ -311,12 +309,3 @@ def _spread(values: PointScalars) -> Spread:
     if len(known) == 0:
         return Spread(np.nan, np.nan)
     return Spread(float(known.mean()), float(known.std()))
-
-
-def _part(say: Progress, prefix: str, begin: float, end: float) -> Progress:
-    """Progress of a part of the work."""
-    return lambda text, share: say(prefix + text, begin + (end - begin) * share)
-
-
-def _silent(_text: str, _share: float) -> None:
-    pass

@@ -12,7 +12,7 @@ What the source leaves open is settled so: its stereo is that of a commercial li
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.errors import InputError
+from palpate.progress import Progress, silent
 from palpate.records import Camera, Rig
 from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.camera import project
@@ -93,7 +94,7 @@ def lang_pai_flow(
     triangles: Triangles,
     *,
     settings: LangPaiSettings = LangPaiSettings(),
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[RangeFlow]:
     """Range flow of an object from its first instant to each later one.
 
@@ -127,7 +128,7 @@ def lang_pai_flow(
     Lang and Pai (2001), section 4.
     """
     _check_pictures(rig, pictures)
-    say = progress or _silent
+    say = progress or silent
     head = make_head(rig, common_shape(pictures))
     seen = _seen_mesh(head, vertices, triangles, settings.step)
     limits = _disparity_limits(head, vertices, triangles, settings.travel)
@@ -307,7 +308,3 @@ def _pixel_footprints(
     nearer = normal @ across.T / facing[:, None]
     slide = depth[:, None, None] * (across - nearer[..., None] * ray[:, None])
     return slide, -(depth**2 / parallax)[:, None] * ray
-
-
-def _silent(_text: str, _share: float) -> None:
-    pass
