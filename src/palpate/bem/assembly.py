@@ -29,7 +29,7 @@ from palpate.bem.quadrature import (
     triangle_rule,
     unit_gauss,
 )
-from palpate.geometry import QuadraticNodes, interpolation_matrix
+from palpate.geometry import QuadraticNodes, in_threads, interpolation_matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,9 +106,9 @@ def assemble(
     values = np.zeros((rows.shape[0], nodes.n_nodes * n_fields * LANES))
     near = np.concatenate([barycentric, weight[:, None]], axis=1)
     element, weights = _numbered_midpoints(nodes)
-    _integrate_blocks(
-        lanes, rows, collocation.point, collocation.vertex, collocation.triangle,
-        collocation.barycentric, np.array(triangles), element_nodes, sources,
+    in_threads(
+        _integrate_blocks, rows.shape[0], lanes, rows, collocation.point, collocation.vertex,
+        collocation.triangle, collocation.barycentric, np.array(triangles), element_nodes, sources,
         np.ascontiguousarray(quadratic_shapes(barycentric)), start, quadrature.ratios(),
         centre, radius, near, _polar_rule(quadrature), element, nodes.n_nodes, n_fields,
         weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data, values,
@@ -184,15 +184,15 @@ def _blocks_of_neighbours(
     return rows, point[rows].transpose(0, 2, 1).reshape(rows.shape[0], 3 * LANES).copy()
 
 
-@numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _integrate_blocks(
-    lanes, rows, points, row_vertex, row_triangle, row_barycentric, triangles, element_nodes,
-    sources, shapes, start, ratios, centre, radius, near, polar, nodes, n_nodes, n_fields,
-    indptr, indices, data, out,
+    begin, end, lanes, rows, points, row_vertex, row_triangle, row_barycentric, triangles,
+    element_nodes, sources, shapes, start, ratios, centre, radius, near, polar, nodes, n_nodes,
+    n_fields, indptr, indices, data, out,
 ):  # fmt: skip
     width = n_fields * LANES
     n_midpoints = indptr.size - 1
-    for b in numba.prange(rows.shape[0]):
+    for b in range(begin, end):
         buffer = np.empty((start[-1] - start[-2]) * width)
         middle = np.zeros(n_midpoints * width)
         ratio = np.empty(LANES)

@@ -24,6 +24,7 @@ from palpate.bem.quadrature import (
 )
 from palpate.bem.surface import BoundarySurface
 from palpate.errors import InputError
+from palpate.geometry import in_threads
 
 Density = Callable[
     [Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]],
@@ -176,7 +177,7 @@ def integrate_load(
     sources = np.zeros((points.weight.size, 6))
     sources[:, :3], sources[:, 3] = points.position, points.weight
     out = np.zeros((rows.shape[0], DISPLACEMENT_FIELDS * LANES))
-    _sum_points(lanes, sources, out)
+    in_threads(_sum_points, lanes.shape[0], lanes, sources, out)
     fields = out.reshape(-1, DISPLACEMENT_FIELDS, LANES).transpose(0, 2, 1).reshape(-1, 6)
     fields = fields[: blocks.n_rows].copy()
     _mend_touching_rows(surface, load, points, collocation, rows.ravel()[: blocks.n_rows], fields)
@@ -287,9 +288,9 @@ def _divided(
     return np.tile(triangle, 4), np.concatenate([np.stack(part, axis=1) for part in parts])
 
 
-@numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)
-def _sum_points(lanes, sources, out):
-    for b in numba.prange(lanes.shape[0]):
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _sum_points(begin, end, lanes, sources, out):
+    for b in range(begin, end):
         row = np.empty(DISPLACEMENT_FIELDS * LANES)
         for q in range(sources.shape[0]):
             displacement_fields(lanes[b], sources[q], row)

@@ -13,7 +13,7 @@ from palpate.bem.kelvin import DISPLACEMENT_FIELDS, LANES, TRACTION_FIELDS
 from palpate.bem.quadrature import Quadrature
 from palpate.bem.surface import BoundarySurface, integral_weights
 from palpate.errors import SingularSystemError
-from palpate.geometry import QuadraticNodes
+from palpate.geometry import QuadraticNodes, in_threads
 
 PAIRS = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
 SMALLEST_RCOND = 1e-14
@@ -194,10 +194,14 @@ def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndar
     n_free = system.unknowns.free_vertices.size
     column = np.full(system.surface.mesh.vertices.shape[0], -1)
     column[system.unknowns.free_vertices] = np.arange(n_free)
-    _traction_columns(system.traction_kernel.values, column, poisson_ratio, n_rows, matrix)
+    in_threads(
+        _traction_columns, column.size,
+        system.traction_kernel.values, column, poisson_ratio, n_rows, matrix,
+    )  # fmt: skip
     scale = -0.5 / system.traction_length
-    _displacement_columns(
-        system.displacement_kernel.values, n_free, poisson_ratio, scale, n_rows, matrix
+    sides = system.displacement_kernel.values
+    in_threads(
+        _displacement_columns, sides.shape[1], sides, n_free, poisson_ratio, scale, n_rows, matrix
     )
     weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
     share = weights[system.unknowns.held_sides] / system.traction_length**2
@@ -254,10 +258,10 @@ def solve(
     return lu_solve((factorised.lu, factorised.pivots), right, check_finite=False)
 
 
-@numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)
-def _traction_columns(values, column, nu, n_rows, matrix):
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _traction_columns(begin, end, values, column, nu, n_rows, matrix):
     a = 1 - 2 * nu
-    for node in numba.prange(column.size):
+    for node in range(begin, end):
         c = column[node]
         if c < 0:
             continue
@@ -278,22 +282,24 @@ def _traction_columns(values, column, nu, n_rows, matrix):
                 matrix[3 * c + 2, 2 * n_rows + row] = -d - f[5]
 
 
-@numba.njit(parallel=True, fastmath=True, error_model="numpy", cache=True)
-def _displacement_columns(values, first_column, nu, scale, n_rows, matrix):
-    for node in numba.prange(values.shape[1]):
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _displacement_columns(begin, end, values, first_column, nu, scale, n_rows, matrix):
+    for node in range(begin, end):
         c = first_column + node
         for b in range(values.shape[0]):
             first = b * LANES
             for i in range(min(LANES, n_rows - first)):
-                f = values[b, node, :, i] * scale
-                d = (3 - 4 * nu) * (f[0] + f[1] + f[2])
+                f = values[b, node, :, i]
+                xx, yy, zz = f[0] * scale, f[1] * scale, f[2] * scale
+                yz, zx, xy = f[3] * scale, f[4] * scale, f[5] * scale
+                d = (3 - 4 * nu) * (xx + yy + zz)
                 row = first + i
-                matrix[3 * c, row] = d + f[0]
-                matrix[3 * c, n_rows + row] = f[5]
-                matrix[3 * c, 2 * n_rows + row] = f[4]
-                matrix[3 * c + 1, row] = f[5]
-                matrix[3 * c + 1, n_rows + row] = d + f[1]
-                matrix[3 * c + 1, 2 * n_rows + row] = f[3]
-                matrix[3 * c + 2, row] = f[4]
-                matrix[3 * c + 2, n_rows + row] = f[3]
-                matrix[3 * c + 2, 2 * n_rows + row] = d + f[2]
+                matrix[3 * c, row] = d + xx
+                matrix[3 * c, n_rows + row] = xy
+                matrix[3 * c, 2 * n_rows + row] = zx
+                matrix[3 * c + 1, row] = xy
+                matrix[3 * c + 1, n_rows + row] = d + yy
+                matrix[3 * c + 1, 2 * n_rows + row] = yz
+                matrix[3 * c + 2, row] = zx
+                matrix[3 * c + 2, n_rows + row] = yz
+                matrix[3 * c + 2, 2 * n_rows + row] = d + zz

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from palpate.bem.assembly import FieldBlocks
 from palpate.bem.system import BoundarySystem
+from palpate.geometry import in_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,14 +85,14 @@ def _rows(
     """Scaled sum of some fields against some nodes, one row a collocation point."""
     lanes = blocks.rows.shape[1]
     out = np.empty((blocks.values.shape[0] * lanes, nodes.size))
-    _gather(blocks.values, nodes, np.array(fields), scale, out)
+    in_threads(_gather, blocks.values.shape[0], blocks.values, nodes, np.array(fields), scale, out)
     return out[: blocks.n_rows]
 
 
-@numba.njit(parallel=True, cache=True)
-def _gather(values, nodes, fields, scale, out):
+@numba.njit(nogil=True, cache=True)
+def _gather(begin, end, values, nodes, fields, scale, out):
     lanes = values.shape[3]
-    for b in numba.prange(values.shape[0]):
+    for b in range(begin, end):
         for i in range(lanes):
             row = out[b * lanes + i]
             for n in range(nodes.size):

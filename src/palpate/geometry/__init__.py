@@ -28,6 +28,7 @@ from palpate.geometry.registration import (
 )
 from palpate.geometry.self_intersection import intersecting_pairs
 from palpate.geometry.sides import CREASE_ANGLE, Sides, split_sides
+from palpate.geometry.threads import in_threads
 from palpate.geometry.triangle_mesh import (
     TriangleMesh,
     area_vectors,
@@ -56,6 +57,7 @@ __all__ = [
     "displacement_nodes",
     "enclosed_volume",
     "fixed_array",
+    "in_threads",
     "interpolation_matrix",
     "intersecting_pairs",
     "late_import",

@@ -13,8 +13,9 @@ once a point. Gain and offset of every camera are eliminated in closed form.
 from collections import namedtuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from palpate.geometry import in_threads
 from palpate.vision.camera import project_kernel
 from palpate.vision.joint_window import (
     deformed_frame_kernel,
@@ -53,8 +54,8 @@ NO_TEXTURE = 2
 LEFT = 3
 NOT_CONVERGED = 4
 
-# Points that one thread works on with one set of work arrays.
-_CHUNK = 8
+# Points that are worth a thread: each takes some 0.2 ms.
+_FEWEST = 8
 # Blocks along a side of a window whose residuals are taken as independent of each other.
 _BLOCKS = 3
 
@@ -67,7 +68,9 @@ Points = namedtuple("Points", "point tangent extent")
 # from the start [px], most iterations, least share of a window that shows the surface, whether
 # the gain may vary linearly over a window.
 Limits = namedtuple("Limits", "half bases tolerance reach iterations least_share shading")
-# Work arrays of one thread.
+# What `refine_joint` returns, less the state.
+_Found = namedtuple("_Found", "motion covariance score left own own_variance rough")
+# Work arrays of one thread. What takes them is inlined: passing so many arrays is slow to compile.
 _Work = namedtuple(
     "_Work",
     "window place sampled sums moments one mapping jacobian ones centre hessian inverse right total"
@@ -96,63 +99,44 @@ def refine_joint(first, moved, points, use, start, noise, limits):
     add [px], own_variance (n, c) of that per component [px^2], rough (n,) by how much what is left
     is worse for u than white noise as strong, state (n,)
     """
-    return _refine_all(*first, moved, *points, use, start, noise, *limits)
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _refine_all(
-    cameras, grey, along_column, along_row, surface, inner, moved, point, tangent, extent, use,
-    start, noise, half, bases, tolerance, reach, iterations, least_share, shading,
-):  # fmt: skip
-    """`refine_joint` with everything taken apart: parallel loops take no nested tuples."""
     count, views = use.shape
-    motion = np.full((count, 6, 3), np.nan)
-    covariance = np.full((count, 3, 3), np.nan)
-    score = np.full((count, views), np.nan)
-    left = np.full((count, views), np.nan)
-    own = np.full((count, views, 2), np.nan)
-    own_variance = np.full((count, views), np.nan)
-    rough = np.full(count, np.nan)
+    shapes = ((6, 3), (3, 3), (views,), (views,), (views, 2), (views,), ())
+    found = _Found(*(np.full((count, *shape), np.nan) for shape in shapes))
     state = np.full(count, NOT_CONVERGED)
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
-        first = First(cameras, grey, along_column, along_row, surface, inner)
-        points = Points(point, tangent, extent)
-        limits = Limits(half, bases, tolerance, reach, iterations, least_share, shading)
-        work = _make_work(views, half, bases)
-        for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, count)):
-            if not np.isfinite(start[i].sum()):
-                continue
-            state[i] = _refine_kernel(
-                first, moved, points, i, use[i], start[i], noise, limits, work, motion[i],
-                covariance[i], score[i], left[i], own[i], own_variance[i], rough,
-            )  # fmt: skip
-    return motion, covariance, score, left, own, own_variance, rough, state
+    known = np.isfinite(start).all(axis=(1, 2))
+    in_threads(
+        _refine_range, count, first, moved, points, use, start, known, noise, limits, found, state,
+        fewest=_FEWEST,
+    )  # fmt: skip
+    return *found, state
 
 
-@njit(cache=True, error_model="numpy")
-def _refine_kernel(
-    first, moved, points, i, use, start, noise, limits, work, motion, covariance, score, left, own,
-    own_variance, rough,
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refine_range(
+    begin, end, first, moved, points, use, start, known, noise, limits, found, state
 ):  # fmt: skip
-    """One point; returns its state."""
-    work.q[:] = start
-    state = _prepare_kernel(first, points, i, use, noise, limits, work)
-    if state == CONVERGED:
-        state = _iterate_kernel(first, moved, points, i, start, noise, limits, work)
-    if state != CONVERGED:
-        return state
-    motion[:] = work.q
-    cholesky_inverse_kernel(work.hessian, work.inverse)
-    for a in range(3):
-        for b in range(3):
-            covariance[a, b] = work.inverse[a * limits.bases, b * limits.bases]
-    rough[i] = _conclude_kernel(
-        first, moved, points, i, noise, limits, work, score, left, own, own_variance
-    )
-    return state
+    """`refine_joint` of the points from `begin` to `end`."""
+    work = _make_work(use.shape[1], limits.half, limits.bases)
+    for i in range(begin, end):
+        if not known[i]:
+            continue
+        _set_kernel(work.q, start[i])
+        state[i] = _prepare_kernel(first, points, i, use[i], noise, limits, work)
+        if state[i] == CONVERGED:
+            state[i] = _iterate_kernel(first, moved, points, i, start[i], noise, limits, work)
+        if state[i] == CONVERGED:
+            _conclude_kernel(first, moved, points, i, noise, limits, work, found)
 
 
 @njit(cache=True, error_model="numpy")
+def _set_kernel(to, values):
+    """Copy a matrix; a slice assignment would take a second to compile."""
+    for i in range(len(to)):
+        for k in range(to.shape[1]):
+            to[i, k] = values[i, k]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _make_work(views, half, bases):
     """Work arrays for one thread."""
     side = 2 * half + 1
@@ -180,7 +164,7 @@ def _make_work(views, half, bases):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _prepare_kernel(first, points, i, use, noise, limits, work):
     """Windows of all cameras and the factorised Gauss-Newton matrix of one point."""
     point, tangent, extent = points.point[i], points.tangent[i], points.extent[i]
@@ -213,7 +197,7 @@ def _prepare_kernel(first, points, i, use, noise, limits, work):
     return CONVERGED if cholesky_kernel(work.hessian) else NO_TEXTURE
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
     """Gauss-Newton steps until they are short; the motion is left in `work.q`."""
     point, tangent, extent = points.point[i], points.tangent[i], points.extent[i]
@@ -241,7 +225,7 @@ def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
     return NOT_CONVERGED
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _right_kernel(first, moved, points, i, c, limits, work):
     """Right-hand side of one camera at the present motion, in `work.right`.
 
@@ -258,10 +242,16 @@ def _right_kernel(first, moved, points, i, c, limits, work):
     return gain, share
 
 
-@njit(cache=True, error_model="numpy")
-def _conclude_kernel(first, moved, points, i, noise, limits, work, score, left, own, own_variance):
-    """What the match leaves in each camera; returns how much worse that is than white noise."""
+@njit(cache=True, error_model="numpy", inline="always")
+def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
+    """Motion, its covariance, and what the match leaves in each camera."""
     bases, views = limits.bases, len(noise)
+    score, left, own = found.score[i], found.left[i], found.own[i]
+    _set_kernel(found.motion[i], work.q)
+    cholesky_inverse_kernel(work.hessian, work.inverse)
+    for a in range(3):
+        for b in range(3):
+            found.covariance[i, a, b] = work.inverse[a * bases, b * bases]
     deformed_frame_kernel(work.q, points.tangent[i], points.extent[i], work.frame)
     work.meat[:] = 0.0
     seen = 0
@@ -296,7 +286,7 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, score, left, 
             cholesky_solve_kernel(work.one[c], work.right)
             own[c, 0] = -work.right[0]
             own[c, 1] = -work.right[bases]
-            own_variance[c] = left[c] * _mean_variance_kernel(work.one[c], work.right)
+            found.own_variance[i, c] = left[c] * _mean_variance_kernel(work.one[c], work.right)
     # Residuals of few blocks, bent toward zero by the fit of 3 bases unknowns.
     blocks = seen * _BLOCKS * _BLOCKS
     correction = blocks / max(blocks - 3.0 * bases, 1.0)
@@ -308,7 +298,7 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, score, left, 
         for k in range(3 * bases):
             for m in range(3 * bases):
                 robust += row[k] * work.meat[k, m] * row[m]
-    return correction * robust / (white * excess)
+    found.rough[i] = correction * robust / (white * excess)
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,7 +9,7 @@ No `fastmath` here: NaN means "not seen" and has to come through.
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit, prange
+from numba import njit
 
 __all__ = [
     "jacobian_kernel",
@@ -194,13 +194,13 @@ def _undistort(c, reach, x, y):
     return np.nan, np.nan
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def normalised_kernel(c, reach, pixels, out):
+@njit(cache=True, nogil=True, error_model="numpy")
+def normalised_kernel(begin, end, c, reach, pixels, out):
     """x / z and y / z (n, 2) of the rays that reach pixels (n, 2); NaN where none does."""
     plain = True
     for k in range(5, 13):
         plain = plain and c[k] == 0.0
-    for i in prange(len(pixels)):
+    for i in range(begin, end):
         y = (pixels[i, 1] - c[3]) / c[1]
         x = (pixels[i, 0] - c[2] - c[4] * y) / c[0]
         if plain:

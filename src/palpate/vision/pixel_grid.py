@@ -2,9 +2,10 @@
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit, prange
+from numba import njit
 
 from palpate.errors import InputError
+from palpate.geometry import in_threads
 from palpate.records import Camera
 from palpate.vision.camera import normalised, packed_camera
 from palpate.vision.lens import distort_kernel, lens_reach
@@ -53,7 +54,8 @@ def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 r
     middle = int(np.clip(k[0, 2], 0, columns - 1))
     grid = np.full((2, rows, columns), np.nan)
     grid[:, :, middle] = normalised(camera, np.stack([np.full(rows, float(middle)), row], 1)).T
-    _spread_kernel(packed_camera(camera), lens_reach(camera.distortion), middle, grid)
+    reach = lens_reach(camera.distortion)
+    in_threads(_spread_kernel, rows, packed_camera(camera), reach, middle, grid)
     # Where the lens is about to fold over neighbours do not help.
     left = np.argwhere(np.isnan(grid[0]))
     if len(left):
@@ -61,11 +63,11 @@ def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 r
     return grid
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _spread_kernel(c, reach, middle, grid):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spread_kernel(begin, end, c, reach, middle, grid):
     """Fill each row to both sides of its middle pixel; NaN from where that does not succeed."""
     columns = grid.shape[2]
-    for i in prange(grid.shape[1]):
+    for i in range(begin, end):
         y = (i - c[3]) / c[1]
         for side in (-1, 1):
             a, b = grid[0, i, middle], grid[1, i, middle]

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit, prange
+from numba import njit
 
 from palpate.errors import CalibrationError, InputError
+from palpate.geometry import in_threads
 from palpate.records import Camera
 from palpate.shapes import Flags, Points, Triangles, Vertices
 from palpate.vision.camera import project
@@ -87,8 +88,12 @@ def surface_map(
     low, high = corner[..., :2].min(axis=1), corner[..., :2].max(axis=1)
     rim = _RIM * (high - low)
     boxes = np.hstack([low - rim, high + rim])
-    inverse_depth, triangle = _nearest_hits(grid, corner, boxes)
-    return SurfaceMap(_hit_points(grid, inverse_depth, np.ascontiguousarray(pose)), triangle)
+    inverse_depth, triangle = np.zeros(shape), np.full(shape, -1)
+    bands = (shape[0] + _TILE - 1) // _TILE
+    in_threads(_hit_bands, bands, grid, corner, boxes, inverse_depth, triangle)
+    point = np.empty((*shape, 3))
+    in_threads(_hit_points, shape[0], grid, inverse_depth, np.ascontiguousarray(pose), point)
+    return SurfaceMap(point, triangle)
 
 
 def visible(surface: SurfaceMap, camera: Camera, points: Points, *, tolerance: float) -> Flags:
@@ -162,25 +167,27 @@ def _depth_at(
 
 
 # No fastmath here: NaN marks pixels without a ray.
-@njit(cache=True, parallel=True, error_model="numpy")
-def _nearest_hits(grid, corner, boxes):
-    """Inverse depth and triangle of the nearest hit of every pixel.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hit_bands(begin, end, grid, corner, boxes, inverse_depth, triangle):
+    """Inverse depth and triangle of the nearest hit of every pixel, in bands of one tile's height.
 
     `corner` (m, 3, 3): x / z, y / z and 1 / z of each vertex; `boxes` (m, 4): x, y from and to.
     """
-    rows, columns = grid.shape[1:]
-    inverse_depth = np.zeros((rows, columns))
-    triangle = np.full((rows, columns), -1, dtype=np.int64)
+    rows, columns = grid.shape[1], grid.shape[2]
     tiles = (columns + _TILE - 1) // _TILE
-    for band in prange((rows + _TILE - 1) // _TILE):
+    around = np.empty((tiles, 4))
+    for band in range(begin, end):
         top = band * _TILE
         bottom = min(rows, top + _TILE)
-        around = np.empty((tiles, 4))
+        part = grid[:, top:bottom]
+        depth_part, triangle_part = inverse_depth[top:bottom], triangle[top:bottom]
+        low_x = low_y = np.inf
+        high_x = high_y = -np.inf
         for tile in range(tiles):
             left = tile * _TILE
-            _bounds_kernel(grid[:, top:bottom, left : left + _TILE], around[tile])
-        low_x, low_y = around[:, 0].min(), around[:, 1].min()
-        high_x, high_y = around[:, 2].max(), around[:, 3].max()
+            _bounds_kernel(part[:, :, left : left + _TILE], around[tile])
+            low_x, low_y = min(low_x, around[tile, 0]), min(low_y, around[tile, 1])
+            high_x, high_y = max(high_x, around[tile, 2]), max(high_y, around[tile, 3])
         for e in range(len(boxes)):
             box = boxes[e]
             if box[0] > high_x or box[2] < low_x or box[1] > high_y or box[3] < low_y:
@@ -192,14 +199,8 @@ def _nearest_hits(grid, corner, boxes):
                 if box[1] > other[3] or box[3] < other[1]:
                     continue
                 left = tile * _TILE
-                _hit_kernel(
-                    grid[:, top:bottom, left : left + _TILE],
-                    corner[e],
-                    e,
-                    inverse_depth[top:bottom, left : left + _TILE],
-                    triangle[top:bottom, left : left + _TILE],
-                )
-    return inverse_depth, triangle
+                right = min(columns, left + _TILE)
+                _hit_kernel(part, left, right, corner[e], e, depth_part, triangle_part)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -217,15 +218,15 @@ def _bounds_kernel(grid, bounds):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _hit_kernel(grid, corner, number, inverse_depth, triangle):
+def _hit_kernel(grid, left, right, corner, number, inverse_depth, triangle):
     """Note one triangle at those of some pixels that it hits in front of what is noted there."""
-    x0, y0, near0 = corner[0]
-    x1, y1, near1 = corner[1]
-    x2, y2, near2 = corner[2]
+    x0, y0, near0 = corner[0, 0], corner[0, 1], corner[0, 2]
+    x1, y1, near1 = corner[1, 0], corner[1, 1], corner[1, 2]
+    x2, y2, near2 = corner[2, 0], corner[2, 1], corner[2, 2]
     # A triangle seen edge on has no area: its weights are infinite or NaN, and hit nothing.
     inverse = 1.0 / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
     for i in range(grid.shape[1]):
-        for j in range(grid.shape[2]):
+        for j in range(left, right):
             x, y = grid[0, i, j], grid[1, i, j]
             w0 = ((x1 - x) * (y2 - y) - (x2 - x) * (y1 - y)) * inverse
             w1 = ((x2 - x) * (y0 - y) - (x0 - x) * (y2 - y)) * inverse
@@ -237,13 +238,11 @@ def _hit_kernel(grid, corner, number, inverse_depth, triangle):
                     triangle[i, j] = number
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _hit_points(grid, inverse_depth, pose):
-    """The hits in the object frame, NaN where there is none."""
-    rows, columns = inverse_depth.shape
-    point = np.empty((rows, columns, 3))
-    for i in prange(rows):
-        for j in range(columns):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hit_points(begin, end, grid, inverse_depth, pose, point):
+    """The hits of some rows of pixels in the object frame, NaN where there is none."""
+    for i in range(begin, end):
+        for j in range(inverse_depth.shape[1]):
             if inverse_depth[i, j] > 0.0:
                 z = 1.0 / inverse_depth[i, j]
                 x = z * grid[0, i, j] - pose[0, 3]
@@ -252,5 +251,4 @@ def _hit_points(grid, inverse_depth, pose):
                 for a in range(3):
                     point[i, j, a] = pose[0, a] * x + pose[1, a] * y + pose[2, a] * z
             else:
-                point[i, j] = np.nan
-    return point
+                point[i, j, :] = np.nan

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit, prange
+from numba import njit
 
 from palpate.errors import InputError
+from palpate.geometry import in_threads
 from palpate.records import Rig
 from palpate.shapes import PointIndices, Points, PointScalars
 from palpate.vision.camera import normalised, packed_rig
@@ -23,6 +24,8 @@ __all__ = ["Triangulation", "triangulate"]
 _STEPS = 30
 # Of the distance from the camera: a step below rounding of the projection (1e-13 px).
 _CONVERGED = 1e-12
+# Points that are worth a thread: each takes some 4 us.
+_FEWEST = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +90,10 @@ def triangulate(
     weight = _weights(covariance, seen)
     n = pixels.shape[1]
     point, spread, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n)
-    _triangulate_all(packed_rig(rig), pixels, flat, seen, weight, point, spread, residual)
+    in_threads(
+        _triangulate_range, n, packed_rig(rig), pixels, flat, seen, weight, point, spread, residual,
+        fewest=_FEWEST,
+    )  # fmt: skip
     return Triangulation(point, spread, residual, seen.sum(axis=0, dtype=np.int64))
 
 
@@ -125,8 +131,9 @@ def _weights(
 @njit(cache=True, error_model="numpy")
 def _linear_start(cameras, flat, seen, i, point):
     """Least-squares point of the normalised rays; False where they do not fix one."""
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
-    row = np.zeros(3)
+    matrix, right, row = np.empty((3, 3)), np.empty(3), np.empty(3)
+    matrix[:, :] = 0.0
+    right[:] = 0.0
     for k in range(len(cameras)):
         if not seen[k, i]:
             continue
@@ -211,27 +218,19 @@ def _refine(cameras, pixels, seen, weight, i, point, inverse):
     return np.nan
 
 
-@njit(cache=True, error_model="numpy")
-def _triangulate_one(cameras, pixels, flat, seen, weight, i, point, covariance):
-    """Start, refine, covariance; the residual [px], NaN where there is no such point."""
-    count = 0
-    for k in range(len(cameras)):
-        count += seen[k, i]
-    square = np.nan
-    if count >= 2 and _linear_start(cameras, flat, seen, i, point):
-        square = _refine(cameras, pixels, seen, weight, i, point, covariance)
-    if np.isnan(square):
-        for m in range(3):
-            point[m] = np.nan
-            for n in range(3):
-                covariance[m, n] = np.nan
-    return np.sqrt(square / (2.0 * count))
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _triangulate_all(cameras, pixels, flat, seen, weight, point, covariance, residual):
-    """Each point by itself."""
-    for i in prange(len(point)):
-        residual[i] = _triangulate_one(
-            cameras, pixels, flat, seen, weight, i, point[i], covariance[i]
-        )
+@njit(cache=True, nogil=True, error_model="numpy")
+def _triangulate_range(
+    begin, end, cameras, pixels, flat, seen, weight, point, covariance, residual
+):  # fmt: skip
+    """Start, refine, covariance, residual [px] of each point; NaN where there is no such point."""
+    for i in range(begin, end):
+        count = 0
+        for k in range(len(cameras)):
+            count += seen[k, i]
+        square = np.nan
+        if count >= 2 and _linear_start(cameras, flat, seen, i, point[i]):
+            square = _refine(cameras, pixels, seen, weight, i, point[i], covariance[i])
+        if np.isnan(square):
+            point[i, :] = np.nan
+            covariance[i, :, :] = np.nan
+        residual[i] = np.sqrt(square / (2.0 * count))
