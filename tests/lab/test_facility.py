@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from lab.lab_configs import HALF_BALL, STAGE
 
-from palpate.errors import InputError
+from palpate.errors import InputError, MeshError
 from palpate.lab import choose_variant, facility, make_session, make_sessions, read_lab_config
 from palpate.lab.finite_elements import make_body
 from palpate.records import ContactProfile, read_rig, read_session
@@ -202,5 +202,22 @@ def test_what_cannot_be_measured_is_refused_before_a_picture_is_kept(tmp_path, o
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(InputError, match=text):
+        make_session(read_lab_config(tmp_path / "config.toml"), out, variant=choose_variant())
+    assert list(out.iterdir()) == []
+
+
+def test_a_body_that_cannot_be_filled_is_refused_before_anything_is_rendered(tmp_path, monkeypatch):
+    def refused(*_, **__):
+        raise MeshError("cannot be filled")
+
+    def rendered(*_, **__):
+        raise AssertionError("light was made")
+
+    monkeypatch.setattr(facility, "make_solid", refused)
+    monkeypatch.setattr(facility, "make_studio", rendered)
+    (tmp_path / "config.toml").write_text(HALF_BALL)
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(MeshError, match="cannot be filled"):
         make_session(read_lab_config(tmp_path / "config.toml"), out, variant=choose_variant())
     assert list(out.iterdir()) == []

@@ -13,21 +13,28 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from palpate.errors import InputError, RecordError
-from palpate.geometry import TriangleMesh, closest_points, write_mesh
-from palpate.lab.arm import Probed, aimed, contact_told, fine_place, probed, rod_at
+from palpate.geometry import TriangleMesh, write_mesh
+from palpate.lab.arm import aimed, fine_place, probed, rod_at
 from palpate.lab.config import LabConfig, Probe, Stage
 from palpate.lab.contact import Tip
 from palpate.lab.finite_elements import Body, held_nodes, make_body, surface_values
 from palpate.lab.mitsuba_variant import Variant
 from palpate.lab.photographs import Studio, exposure, make_studio, photographed
-from palpate.lab.readings import force_std, position_std, read_force, read_position
+from palpate.lab.readings import read_position
+from palpate.lab.session_tables import (
+    head_of_session,
+    head_of_truth,
+    instant_name,
+    probe_of_session,
+    probe_of_truth,
+)
 from palpate.lab.session_writing import toml_table
 from palpate.lab.stage import stage_motions
 from palpate.lab.stereo_head import make_head, misjudged
 from palpate.lab.tetrahedra import make_solid
 from palpate.lab.truth_maps import surface_maps, truth_map, write_truth_map
 from palpate.progress import Progress, part_of, silent
-from palpate.records import SESSION_FORMAT, Rig, read_rig, write_rig
+from palpate.records import Rig, read_rig, write_rig
 from palpate.shapes import Vertices
 from palpate.vision import SurfaceMap, project
 
@@ -40,14 +47,24 @@ _SEEN = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Planned:
+    """A session that can be measured as far as one can say without finite elements or light."""
+
+    config: LabConfig
+    folder: Path
+    rig: Rig
+    tips: tuple[Tip, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Bench:
     """What is put up before the first picture, and its two files as far as they are written."""
 
     config: LabConfig
     folder: Path
     rig: Rig
-    studio: Studio
     tips: tuple[Tip, ...]
+    studio: Studio
     session: list[str]
     truth: list[str]
 
@@ -97,16 +114,16 @@ def make_sessions(
     InputError, RecordError         as `make_session`
     """
     say = progress or silent
+    groups = _alike([_planned(config, folder) for config, folder in wanted])
+    done = 0
     try:
-        benches = [_bench(config, folder, variant) for config, folder in wanted]
-        say("texture and light", 0.0)
-        done = 0
-        for group in _alike(benches):
-            begin, end = done / len(benches), (done + len(group)) / len(benches)
-            if group[0].config.stage is None:
-                _probings(group, part_of(say, begin, end))
+        for group in groups:
+            begin, end = done / len(wanted), (done + len(group)) / len(wanted)
+            stage = group[0].config.stage
+            if stage is None:
+                _probings(group, variant, part_of(say, begin, end))
             else:
-                _steps(group[0], group[0].config.stage, part_of(say, begin, end))
+                _steps(_bench(group[0], variant), stage, part_of(say, begin, end))
             done += len(group)
     except OSError as error:
         raise RecordError(
@@ -114,15 +131,22 @@ def make_sessions(
         ) from error
 
 
-def _bench(config: LabConfig, folder: Path, variant: Variant) -> _Bench:
-    """Refuse what cannot be measured; put up texture, light and rig."""
-    rig = _rig(config)
-    mesh = config.specimen.mesh
+def _planned(config: LabConfig, folder: Path) -> _Planned:
+    """Refuse cameras that see too little, and an arm that misses."""
+    rig, mesh = _rig(config), config.specimen.mesh
     _check_view(rig, mesh)
     tips = tuple(
         aimed(probe, config.arm, mesh, rng=_rng(config, _ARM, k))
         for k, probe in enumerate(config.probes)
     )
+    return _Planned(config, folder, rig, tips)
+
+
+def _bench(planned: _Planned, variant: Variant) -> _Bench:
+    """Put up texture and light; write what the session knows before the first picture."""
+    config, folder, rig, mesh = (
+        planned.config, planned.folder, planned.rig, planned.config.specimen.mesh,
+    )  # fmt: skip
     studio = make_studio(config, rig, variant, rng=_rng(config, _TEXTURE))
     told = misjudged(rig, config.calibration, mesh, rng=_rng(config, _CALIBRATION))
     (folder / "images").mkdir()
@@ -130,20 +154,21 @@ def _bench(config: LabConfig, folder: Path, variant: Variant) -> _Bench:
     write_rig(folder / "rig.toml", told)
     write_rig(folder / "rig_true.toml", rig)
     return _Bench(
-        config, folder, rig, studio, tips, [_head_of_session(config)], [_head_of_truth(config)]
-    )
+        config, folder, rig, planned.tips, studio,
+        [head_of_session(config)], [head_of_truth(config)],
+    )  # fmt: skip
 
 
-def _alike(benches: Sequence[_Bench]) -> list[list[_Bench]]:
-    """Benches whose bodies are pressed at the same places, together; stages alone."""
-    groups: list[list[_Bench]] = []
-    for bench in benches:
-        alike = (one for one in groups if _same_bodies(one[0].config, bench.config))
+def _alike(sessions: Sequence[_Planned]) -> list[list[_Planned]]:
+    """Sessions whose bodies are pressed at the same places, together; stages alone."""
+    groups: list[list[_Planned]] = []
+    for session in sessions:
+        alike = (one for one in groups if _same_bodies(one[0].config, session.config))
         group = next(alike, None)
         if group is None:
-            groups.append([bench])
+            groups.append([session])
         else:
-            group.append(bench)
+            group.append(session)
     return groups
 
 
@@ -159,30 +184,44 @@ def _same_bodies(one: LabConfig, other: LabConfig) -> bool:
     )
 
 
-def _probings(benches: Sequence[_Bench], say: Progress) -> None:
-    """Every probing of one body on several benches: physics, pictures, readings, truth."""
-    at_rest = []
-    for bench in benches:
+def _probings(sessions: Sequence[_Planned], variant: Variant, say: Progress) -> None:
+    """Every probing of one body in several sessions: physics, pictures, readings, truth."""
+    config, tips = sessions[0].config, sessions[0].tips
+    say("finite elements", 0.0)
+    # Before any light is made: a body that cannot be filled or held is refused here.
+    body = _body(config, config.probes[0], tips[0])
+    benches, at_rest = [], []
+    for session in sessions:
+        say("texture and light", 0.02)
+        bench = _bench(session, variant)
         rest = bench.studio.mesh.vertices
         at_rest.append(surface_maps(bench.rig, rest, bench.studio.mesh.triangles))
         _take(bench, "rest", [(rest, ())], 0)
-    count = len(benches[0].config.probes)
-    for k, probe in enumerate(benches[0].config.probes):
-        say(f"probing {probe.name}", (k + 0.1) / (count + 0.1))
+        benches.append(bench)
+    for k, probe in enumerate(config.probes):
+        say(f"probing {probe.name}", 0.1 + 0.9 * k / len(tips))
         # Small elements under this tip only: a body for each is less than one for all.
-        body = _body(benches[0].config, probe, benches[0].tips[k])
-        drawn: Vertices | None = None
-        carried = None
-        for bench, maps in zip(benches, at_rest, strict=True):
-            rest = bench.studio.mesh.vertices
-            if drawn is None or carried is None or not np.array_equal(rest, drawn):
-                drawn, carried = rest, surface_values(body.solid, rest)
-            _probing(bench, body, carried, k, maps)
+        body = body if k == 0 else _body(config, probe, tips[k])
+        _probing(benches, body, k, at_rest)
     for bench in benches:
         _write(bench)
 
 
 def _probing(
+    benches: Sequence[_Bench], body: Body, k: int, at_rest: Sequence[tuple[SurfaceMap, ...]]
+) -> None:
+    """One probing on every bench."""
+    drawn: Vertices | None = None
+    carried = None
+    for bench, maps in zip(benches, at_rest, strict=True):
+        rest = bench.studio.mesh.vertices
+        # From nodal values to the drawn vertices: the same where cameras and mesh are.
+        if drawn is None or carried is None or not np.array_equal(rest, drawn):
+            drawn, carried = rest, surface_values(body.solid, rest)
+        _pressed(bench, body, carried, k, maps)
+
+
+def _pressed(
     bench: _Bench, body: Body, carried: csr_array, k: int, at_rest: tuple[SurfaceMap, ...]
 ) -> None:
     """One probing on one bench; `carried` takes nodal values to the drawn vertices."""
@@ -197,13 +236,13 @@ def _probing(
         after = rest + carried @ state.displacement
         rods = (rod_at(tip, state.place, bench.rig.cameras),)
         blurred = [(moment, rods) for moment in exposure(config, before, after)]
-        _take(bench, _instant(probe, number), blurred, 1000 * (k + 1) + number)
+        _take(bench, instant_name(probe, number), blurred, 1000 * (k + 1) + number)
         before = after
     whole = [(rod.vertices, rod.triangles) for rod in rods]
     seen = truth_map(bench.rig, rest, after, mesh.triangles, others=whole, at_rest=at_rest)
     write_truth_map(bench.folder / f"truth_{probe.name}.npz", seen)
-    bench.session.append(_probe_of_session(config, found, _rng(config, _SENSORS, k)))
-    bench.truth.append(_probe_of_truth(config, found))
+    bench.session.append(probe_of_session(config, found, _rng(config, _SENSORS, k)))
+    bench.truth.append(probe_of_truth(config, found))
 
 
 def _steps(bench: _Bench, stage: Stage, say: Progress) -> None:
@@ -284,76 +323,6 @@ def _check_view(rig: Rig, mesh: TriangleMesh) -> None:
                 f" be {100 * _SEEN:.0f} % or more: move it away, turn it, or shorten its focal"
                 " length"
             )
-
-
-def _instant(probe: Probe, number: int) -> str:
-    """Name of a probing's pictures: the last instant has the probing's own."""
-    return probe.name if number == probe.steps else f"{probe.name}_{number}"
-
-
-def _head_of_session(config: LabConfig) -> str:
-    support = "" if config.stage is not None else toml_table("[support]", config.specimen.support)
-    return (
-        toml_table("", {"format": SESSION_FORMAT, "name": config.name})
-        + toml_table("[object]", {"mesh": "mesh.ply", "length_unit": "m"})
-        + support
-        + toml_table("[rig]", {"cameras": "rig.toml"})
-    )
-
-
-def _probe_of_session(config: LabConfig, found: Probed, rng: np.random.Generator) -> str:
-    """What the bench knows of a probing: readings, and where the arm was sent."""
-    contact, last, probe = contact_told(found), found.states[-1], found.probe
-    force = read_force(last.force, config.force_sensor, rng=rng)
-    way = read_position(last.depth * found.tip.direction, config.position_sensor, rng=rng)
-    sigma = force_std(last.force, config.force_sensor)
-    loaded = [
-        f"images/{_instant(probe, number)}_{{camera}}.png" for number in range(1, probe.steps + 1)
-    ]
-    return toml_table(
-        "[[probe]]",
-        {
-            "name": probe.name,
-            "contact": {
-                "point": contact.point, "radius": contact.radius, "profile": contact.profile.value,
-            },
-            "force": force,
-            "force_std": sigma or None,
-            "tip_displacement": way,
-            "tip_displacement_std": position_std(config.position_sensor) or None,
-            "images": {"rest": "images/rest_{camera}.png", "loaded": loaded},
-        },
-    )  # fmt: skip
-
-
-def _head_of_truth(config: LabConfig) -> str:
-    material = config.material
-    values = {
-        "young_modulus": material.young_modulus,
-        "poisson_ratio": material.poisson_ratio,
-        "shear_modulus": material.shear_modulus,
-        "law": material.law,
-        "seed": config.seed,
-    }
-    return toml_table("", values)
-
-
-def _probe_of_truth(config: LabConfig, found: Probed) -> str:
-    last = found.states[-1]
-    # The tip's axis goes through the sphere's centre, one radius above the place.
-    touched = closest_points(config.specimen.mesh, found.tip.point[None]).position[0]
-    return toml_table(
-        "[[probe]]",
-        {
-            "name": found.probe.name,
-            "contact_point": touched,
-            "contact_radius": last.radius,
-            "direction": found.tip.direction,
-            "force": last.force,
-            "depth": last.depth,
-            "load_steps": [state.depth / last.depth for state in found.states],
-        },
-    )
 
 
 def _write(bench: _Bench) -> None:
