@@ -111,7 +111,9 @@ def test_forces_are_read_with_the_sensors_noise(session):
 def test_another_rig_is_told_and_the_first_one_stays(session, tmp_path):
     before = session.rig.read_bytes()
     file = tmp_path / "told.toml"
-    told = budget._with_rig(session, Calibration(centre=2.0), np.random.default_rng(1), file)
+    told = budget.with_misjudged_rig(
+        session, Calibration(centre=2.0), np.random.default_rng(1), file
+    )
     assert told.rig == file
     assert session.rig.read_bytes() == before
     off = [

@@ -37,7 +37,7 @@ from palpate.pipeline.measure_motion import (
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Estimate, ProbeEstimate, Session, read_rig, read_session, write_rig
 
-__all__ = ["ErrorSource", "error_budget"]
+__all__ = ["CALIBRATION", "REGISTRATION", "ErrorSource", "error_budget", "with_misjudged_rig"]
 
 Change = Callable[[LabConfig], LabConfig]
 # Share of the time that goes into the sessions; estimates take the rest.
@@ -45,8 +45,8 @@ _MAKING = 0.6
 # Where it touches; a robot's repeatability and the care with which its frame was found [m].
 _PLACEMENT = 3e-4
 # A calibration that leaves about 0.2 px at 640 x 480 and 0.8 m.
-_CALIBRATION = Calibration(focal=5e-4, centre=0.3, rotation=0.01, translation=1e-4)
-_REGISTRATION = Calibration(object_rotation=0.3, object_translation=3e-4)
+CALIBRATION = Calibration(focal=5e-4, centre=0.3, rotation=0.01, translation=1e-4)
+REGISTRATION = Calibration(object_rotation=0.3, object_translation=3e-4)
 # The session's mesh, this many times as coarse.
 _COARSER = 2.0
 
@@ -193,7 +193,7 @@ def _seen(config: LabConfig) -> tuple[_Seen, ...]:
 
 def _told(config: LabConfig) -> tuple[_Told, ...]:
     """Sources that change what the estimate is told."""
-    sensor, calibration, pose = config.force_sensor, _CALIBRATION, _REGISTRATION
+    sensor, calibration, pose = config.force_sensor, CALIBRATION, REGISTRATION
     return (
         _Told(
             "force noise",
@@ -204,12 +204,12 @@ def _told(config: LabConfig) -> tuple[_Told, ...]:
             "calibration",
             f"focal length {100 * calibration.focal:g} %, centre {calibration.centre:g} px, camera"
             f" {calibration.rotation:g}° and {1e3 * calibration.translation:g} mm",
-            lambda session, rng, file: _with_rig(session, calibration, rng, file),
+            lambda session, rng, file: with_misjudged_rig(session, calibration, rng, file),
         ),
         _Told(
             "registration",
             f"{pose.object_rotation:g}° and {1e3 * pose.object_translation:g} mm on each axis",
-            lambda session, rng, file: _with_rig(session, pose, rng, file),
+            lambda session, rng, file: with_misjudged_rig(session, pose, rng, file),
         ),
     )
 
@@ -239,10 +239,26 @@ def _with_forces(session: Session, sensor: ForceSensor, rng: np.random.Generator
     return replace(session, probings=probings)
 
 
-def _with_rig(
+def with_misjudged_rig(
     session: Session, error: Calibration, rng: np.random.Generator, file: Path
 ) -> Session:
-    """A session that is told another rig than the one that took its pictures."""
+    """A session that is told another rig than the one that took its pictures.
+
+    Parameters
+    ----------
+    session : Session               whose rig is the true one
+    error : Calibration             standard deviations
+    rng : Generator
+    file : Path                     where the other rig is written
+
+    Returns
+    -------
+    Session
+
+    Raises
+    ------
+    InputError                      a session without a rig
+    """
     if session.rig is None:
         raise InputError(f"{session.path}: has no rig")
     write_rig(file, misjudged(read_rig(session.rig), error, session.mesh, rng=rng))
