@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 help:
 	@echo "make demo   set up, then measure a virtual half ball: from pictures to constants"
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
-	@echo "make benchmark  measure every figure, write BENCHMARK.md (about 15 minutes)"
+	@echo "make benchmark  measure every figure, write BENCHMARK.md (about an hour)"
 	@echo "make lock   choose new pinned versions"
 	@echo "make clean  remove the environment and every cache"
 
