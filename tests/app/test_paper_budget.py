@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.app.paper_budget import budget_picture, budget_table
+from palpate.app.paper_budget import budget_picture, budget_table, sizes_table
 from palpate.pipeline.error_budget import ErrorSource
 
 # nu, G and E: two probings, one draw; and one probing, two draws.
@@ -20,7 +20,8 @@ def _row(table, number):
 def test_means_and_root_mean_squares_of_single_and_joint_errors():
     table = budget_table([NONE, FORCE])
     none, force = _row(table, 0), _row(table, 1)
-    assert (none["source"], force["size"]) == ("none", "1 N")
+    assert (none["source"], force["source"]) == ("none", "force noise")
+    assert sizes_table([NONE, FORCE]).rows[1] == ("force noise", "1 N")
     assert (none["draws"], force["draws"]) == (1, 2)
     assert none["E mean (%)"] == pytest.approx(3.5)
     assert none["E rms (%)"] == pytest.approx(100 * np.sqrt((0.03**2 + 0.04**2) / 2))

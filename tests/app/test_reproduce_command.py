@@ -231,7 +231,8 @@ def test_the_budget_makes_its_own_sessions(monkeypatch, tmp_path, capsys):
     (full, name, draws), (quick, _, few) = asked
     assert (len(full.probes), len(quick.probes)) == (17, 3)
     assert (name, draws, few) == ("budget", 5, 1)
-    (table,) = rows_of(tmp_path / "b")
+    table, sizes = rows_of(tmp_path / "b")
     assert [row[0] for row in table] == ["source", "none", "all of it"]
+    assert sizes[2] == ["all of it", "much"]
     assert (tmp_path / "b" / "budget.png").is_file()
     assert (tmp_path / "b" / "sessions" / "budget").is_dir()

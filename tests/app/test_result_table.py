@@ -46,3 +46,16 @@ def test_the_terminal_shows_names_as_they_are():
     text = console.export_text()
     for word in ("Lengths [a]", "paper [b]", "0.33", "488"):
         assert word in text
+
+
+def test_headings_are_broken_so_that_columns_are_as_narrow_as_their_numbers():
+    wide = ResultTable("Wide", ("source", *(["largest error (kPa)"] * 7)), (0, *([2] * 7)),
+                       (("tip misalignment", *([-1234.5] * 7)),))  # fmt: skip
+    for width, whole in ((90, True), (60, False)):
+        console = Console(width=width, record=True, file=io.StringIO())
+        console.print(terminal_table(wide))
+        text = console.export_text()
+        # Seven headings of 19 characters would take 140 columns.
+        assert (text.count("-1234.50") == 7) is whole
+        # Nothing is left out where there is no room: it goes on in the next line.
+        assert "…" not in text

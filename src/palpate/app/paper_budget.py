@@ -12,7 +12,7 @@ from palpate.app.plots import BLUE, GREY, ORANGE, STYLE
 from palpate.app.result_table import Cell, ResultTable
 from palpate.pipeline.error_budget import ErrorSource
 
-__all__ = ["budget_picture", "budget_table"]
+__all__ = ["budget_picture", "budget_table", "sizes_table"]
 
 # Columns of an ErrorSource's errors.
 _NU, _YOUNG = 0, 2
@@ -30,17 +30,28 @@ def budget_table(sources: Sequence[ErrorSource]) -> ResultTable:
         mean, single, joint = source.single.mean(axis=0), _rms(source.single), _rms(source.joint)
         rows.append(
             (
-                source.name, source.size, len(source.joint),
+                source.name, len(source.joint),
                 float(100 * mean[_YOUNG]), float(100 * single[_YOUNG]), float(mean[_NU]),
                 float(single[_NU]), float(100 * joint[_YOUNG]), float(joint[_NU]),
             )
         )  # fmt: skip
     columns = (
-        "source", "size", "draws", "E mean (%)", "E rms (%)", "nu mean", "nu rms",
+        "source", "draws", "E mean (%)", "E rms (%)", "nu mean", "nu rms",
         "all: E rms (%)", "all: nu rms",
     )  # fmt: skip
     title = "Error of single probings, and of all together, with one source of error at a time"
-    return ResultTable(title, columns, (0, 0, 0, 2, 2, 4, 4, 2, 4), tuple(rows))
+    return ResultTable(title, columns, (0, 0, 2, 2, 4, 4, 2, 4), tuple(rows))
+
+
+def sizes_table(sources: Sequence[ErrorSource]) -> ResultTable:
+    """How much of each source there was.
+
+    Parameters
+    ----------
+    sources : sequence of ErrorSource
+    """
+    rows = tuple((source.name, source.size) for source in sources)
+    return ResultTable("Sizes of the sources", ("source", "size"), (0, 0), rows)
 
 
 def budget_picture(sources: Sequence[ErrorSource]) -> Picture:

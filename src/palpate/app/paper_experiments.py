@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.app.lab_command import built_in
-from palpate.app.paper_budget import budget_picture, budget_table
+from palpate.app.paper_budget import budget_picture, budget_table, sizes_table
 from palpate.app.paper_constants import (
     constants_picture,
     constants_summary,
@@ -206,7 +206,7 @@ def _budget(_measured: Measured, work: Workplace) -> PaperResult:
         " calibration and registration are the same for all probings: more probings do not help"
         " against them.",
         budget_table(sources),
-        (),
+        (sizes_table(sources),),
         {"budget": budget_picture(sources)},
     )
 

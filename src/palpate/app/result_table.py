@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,8 @@ from rich.table import Table
 __all__ = ["Cell", "ResultTable", "csv_text", "markdown_text", "terminal_table"]
 
 Cell = str | int | float | None
+# Headings are broken between words, so that columns are as narrow as what is in them, or this.
+_HEADING = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +64,15 @@ def terminal_table(table: ResultTable) -> Table:
     shown = Table(
         title=escape(table.title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
+    rows = _texts(table)
     for k, name in enumerate(table.columns):
-        shown.add_column(escape(name), justify="right" if _numeric(table, k) else "left")
-    for row in _texts(table):
+        longest = max((len(row[k]) for row in rows), default=0)
+        shown.add_column(
+            escape(textwrap.fill(name, max(longest, _HEADING), break_long_words=False)),
+            justify="right" if _numeric(table, k) else "left",
+            overflow="fold",
+        )
+    for row in rows:
         shown.add_row(*map(escape, row))
     return shown
 
