@@ -19,7 +19,7 @@ from palpate.shapes import Vector3
 __all__ = ["Probed", "aimed", "contact_told", "fine_place", "probed", "rod_at"]
 
 # A point this far off the surface, in radii of the tip, was not meant to be on it.
-_OFF = 1.0
+_OFF = 0.25
 # Elements under the tip: so many across the touched circle.
 _ACROSS = 6.0
 # The rod ends before the nearest camera.
