@@ -74,7 +74,7 @@ def test_errors_of_the_arm_have_the_spread_that_was_asked_for():
     ("probe", "text"),
     [
         (_probe(point=0.5 * TOP), r"probe 'n01': its point is .* mm inside the body"),
-        (_probe(point=0.9 * TOP), r"its point is 4 mm inside the body"),
+        (_probe(point=0.9 * TOP), r"its point is 3.9. mm inside the body"),
         (_probe(point=1.5 * TOP), r"its point is 20 mm away from the body"),
         (_probe(direction=TOP), r"its direction \[0.0, 0.0, 1.0\] leads out of the body"),
     ],
