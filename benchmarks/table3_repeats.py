@@ -22,7 +22,7 @@ from palpate.pipeline.error_budget import CALIBRATION, REGISTRATION, with_misjud
 from palpate.pipeline.paper_motion import quickened
 from palpate.records import Estimate, ProbeEstimate, Session, read_session
 
-__all__ = ["measure"]
+__all__ = ["evaluated", "measure"]
 
 REPEATS = 20
 # As in the error budget.
@@ -63,12 +63,15 @@ def measure(options: Options) -> list[Figure]:
         for _, folder in wanted:
             folder.mkdir()
         make_sessions(wanted, variant=choose_variant(), progress=_shown)
-        sessions = [read_session(folder) for _, folder in wanted]
-        estimates = [_estimate(session) for session in sessions]
-        misjudged = [_estimate(_misjudged(session)) for session in sessions]
-    together = _repeats(estimates, config.material)
-    told = _repeats(misjudged, config.material)
-    alone = _repeats([one for each in estimates for one in each.probes], config.material)
+        return evaluated([read_session(folder) for _, folder in wanted], config.material)
+
+
+def evaluated(sessions: Sequence[Session], material: Material) -> list[Figure]:
+    """Figures of sessions that are repeats of each other, each in a folder named by its seed."""
+    estimates = [_estimate(session) for session in sessions]
+    misjudged = [_estimate(_misjudged(session)) for session in sessions]
+    together, told = _repeats(estimates, material), _repeats(misjudged, material)
+    alone = _repeats([one for each in estimates for one in each.probes], material)
     count, singles = len(estimates), len(alone.error)
     note = f"{count} seeds: texture, misalignment, readings and noise anew"
     return [
