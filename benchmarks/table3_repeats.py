@@ -17,8 +17,9 @@ from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
 from palpate.app.lab_command import built_in
 from palpate.lab import Material, choose_variant, make_sessions, read_lab_config
-from palpate.pipeline import MotionSettings, fit_session, measure_motion, with_measured_displacement
+from palpate.pipeline import fit_session
 from palpate.pipeline.error_budget import CALIBRATION, REGISTRATION, with_misjudged_rig
+from palpate.pipeline.paper_constants import pictures_measured
 from palpate.pipeline.paper_motion import quickened
 from palpate.records import Estimate, ProbeEstimate, Session, read_session
 
@@ -87,8 +88,7 @@ def evaluated(sessions: Sequence[Session], material: Material) -> list[Figure]:
 def _estimate(session: Session) -> Estimate:
     """Constants by the default method, the pose as given."""
     start = time.perf_counter()
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
-    estimate = fit_session(with_measured_displacement(session, found)).estimate
+    estimate = fit_session(pictures_measured(session)).estimate
     young, nu = estimate.young_modulus, estimate.poisson_ratio
     _said(
         f"{session.path.parent.name}: nu {nu.value:.4f} {np.round(nu.ci95, 4).tolist()},"

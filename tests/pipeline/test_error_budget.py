@@ -10,9 +10,12 @@ import pytest
 from lab.planned_sessions import planned_session
 
 from palpate.app.lab_command import built_in
+from palpate.errors import InputError
+from palpate.geometry import closest_points
 from palpate.lab import Calibration, ForceSensor, Material, Variant, read_lab_config
 from palpate.pipeline import error_budget as budget
-from palpate.records import Constant, ProbeEstimate, read_rig, read_session
+from palpate.pipeline.paper_constants import pictures_measured
+from palpate.records import Constant, DisplacementField, ProbeEstimate, read_rig, read_session
 
 NAMES = [
     "none", "image noise", "tip misalignment", "tip placement", "mesh size", "nonlinearity",
@@ -40,6 +43,28 @@ def changed(one, other, prefix=""):
         elif not (a is b or np.array_equal(a, b)):
             names.add(f"{prefix}{field.name}")
     return names
+
+
+def with_displacements(session):
+    """The session with some displacement of its vertices."""
+    point = session.mesh.vertices
+    field = DisplacementField(
+        points=point, displacement=np.zeros_like(point), std=None, vertex=None,
+        surface=closest_points(session.mesh, point), source="none",
+    )  # fmt: skip
+    probings = tuple(replace(probing, displacement=field) for probing in session.probings)
+    return replace(session, probings=probings)
+
+
+def test_what_was_measured_is_not_measured_again(session):
+    known = with_displacements(session)
+    assert pictures_measured(known) is known
+    # Other forces over the same pictures: nothing is left to measure.
+    forces = budget._with_forces(known, ForceSensor(noise=0.01), np.random.default_rng(1))
+    assert pictures_measured(forces) is forces
+    # There are no pictures in this folder.
+    with pytest.raises(InputError, match="rest_c0"):
+        pictures_measured(session)
 
 
 def test_where_it_begins_no_error_is_left(config):
@@ -111,10 +136,11 @@ def test_forces_are_read_with_the_sensors_noise(session):
 def test_another_rig_is_told_and_the_first_one_stays(session, tmp_path):
     before = session.rig.read_bytes()
     file = tmp_path / "told.toml"
-    told = budget.with_misjudged_rig(
-        session, Calibration(centre=2.0), np.random.default_rng(1), file
-    )
+    known = with_displacements(session)
+    told = budget.with_misjudged_rig(known, Calibration(centre=2.0), np.random.default_rng(1), file)
     assert told.rig == file
+    # What the first rig saw of the motion is not what this one would have seen.
+    assert all(probing.displacement is None for probing in told.probings)
     assert session.rig.read_bytes() == before
     off = [
         one.matrix[:2, 2] - true.matrix[:2, 2]
@@ -150,6 +176,7 @@ def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
 
     monkeypatch.setattr(budget, "make_sessions", make)
     monkeypatch.setattr(budget, "_source", source)
+    monkeypatch.setattr(budget, "pictures_measured", lambda session: session)
     said = []
     sources = budget.error_budget(
         config, tmp_path, variant=Variant("none", "", None), draws=3,

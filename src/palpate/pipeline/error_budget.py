@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.estimation import FitResult
+from palpate.geometry import mesh_quality
 from palpate.lab import (
     Arm,
     Calibration,
@@ -29,11 +29,7 @@ from palpate.lab.readings import force_std, read_force
 from palpate.lab.specimens import half_ball
 from palpate.lab.stereo_head import misjudged
 from palpate.pipeline.fit_session import fit_session
-from palpate.pipeline.measure_motion import (
-    MotionSettings,
-    measure_motion,
-    with_measured_displacement,
-)
+from palpate.pipeline.paper_constants import pictures_measured
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Estimate, ProbeEstimate, Session, read_rig, read_session, write_rig
 
@@ -129,18 +125,20 @@ def error_budget(
     count = len(seen) + draws * len(told)
     done = 0
     sources = []
-    for source, one in zip(seen, folders, strict=True):
+    # Its motion serves every source that changes no picture and no camera.
+    first = pictures_measured(read_session(folders[0]))
+    sessions = [first, *(read_session(one) for one in folders[1:])]
+    for source, session in zip(seen, sessions, strict=True):
         say(source.name, _MAKING + (1.0 - _MAKING) * done / count)
-        sources.append(_source(source.name, source.size, [read_session(one)], config.material))
+        sources.append(_source(source.name, source.size, [session], config.material))
         done += 1
-    first = read_session(folders[0])
     for number, other in enumerate(told):
-        sessions = []
+        drawn = []
         for draw in range(draws):
             rng = np.random.default_rng([config.seed, number, draw])
-            sessions.append(other.change(first, rng, folder / f"{_plain(other.name)}_{draw}.toml"))
+            drawn.append(other.change(first, rng, folder / f"{_plain(other.name)}_{draw}.toml"))
         say(other.name, _MAKING + (1.0 - _MAKING) * done / count)
-        sources.insert(-1, _source(other.name, other.size, sessions, config.material))
+        sources.insert(-1, _source(other.name, other.size, drawn, config.material))
         done += draws
     return tuple(sources)
 
@@ -160,7 +158,7 @@ def _exact(config: LabConfig) -> LabConfig:
 def _seen(config: LabConfig) -> tuple[_Seen, ...]:
     """Sources that change the pictures."""
     noise, turn = config.pictures.noise, config.arm.misalignment
-    edge = _mean_edge(config)
+    edge = mesh_quality(config.specimen.mesh).edge_mean
     return (
         _Seen("none", "flow and mesh alone", lambda exact: exact),
         _Seen(
@@ -215,12 +213,6 @@ def _told(config: LabConfig) -> tuple[_Told, ...]:
     )
 
 
-def _mean_edge(config: LabConfig) -> float:
-    """Mean edge of the session's mesh [m]."""
-    corner = config.specimen.mesh.vertices[config.specimen.mesh.triangles]
-    return float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
-
-
 def _coarse(config: LabConfig, edge: float) -> Specimen:
     """The same body with a coarser mesh of it for the session."""
     radius = float(config.specimen.mesh.vertices[:, 2].max())
@@ -254,7 +246,7 @@ def with_misjudged_rig(
 
     Returns
     -------
-    Session
+    Session                         whose motion is still to be measured with that rig
 
     Raises
     ------
@@ -263,21 +255,16 @@ def with_misjudged_rig(
     if session.rig is None:
         raise InputError(f"{session.path}: has no rig")
     write_rig(file, misjudged(read_rig(session.rig), error, session.mesh, rng=rng))
-    return replace(session, rig=file)
+    probings = tuple(replace(probing, displacement=None) for probing in session.probings)
+    return replace(session, rig=file, probings=probings)
 
 
 def _source(name: str, size: str, sessions: Sequence[Session], truth: Material) -> ErrorSource:
-    """Errors of the estimates of some sessions."""
-    results = [_estimated(session) for session in sessions]
+    """Errors of the estimates of some sessions; what was measured already is not measured anew."""
+    results = [fit_session(pictures_measured(session)) for session in sessions]
     single = [_errors(probe, truth) for result in results for probe in result.estimate.probes]
     joint = [_errors(result.estimate, truth) for result in results]
     return ErrorSource(name, size, np.array(single), np.array(joint))
-
-
-def _estimated(session: Session) -> FitResult:
-    """Constants by the default method, the pose taken as the session gives it."""
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
-    return fit_session(with_measured_displacement(session, found))
 
 
 def _errors(estimate: Estimate | ProbeEstimate, truth: Material) -> list[float]:

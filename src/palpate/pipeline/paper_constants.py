@@ -12,7 +12,11 @@ from palpate.lab.finite_elements import held_nodes, make_body
 from palpate.lab.specimens import cylinder
 from palpate.lab.tetrahedra import make_solid
 from palpate.pipeline.fit_session import fit_session
-from palpate.pipeline.measure_motion import with_measured_displacement
+from palpate.pipeline.measure_motion import (
+    MotionSettings,
+    measure_motion,
+    with_measured_displacement,
+)
 from palpate.pipeline.paper_motion import Method, PaperSession
 from palpate.records import Session, read_toml
 
@@ -21,6 +25,7 @@ __all__ = [
     "EstimatedConstants",
     "compression_test",
     "estimated_constants",
+    "pictures_measured",
     "true_material",
 ]
 
@@ -90,6 +95,27 @@ def estimated_constants(measured: PaperSession, method: Method) -> EstimatedCons
     """
     session = with_measured_displacement(measured.session, measured.found[method])
     return EstimatedConstants(session, fit_session(session))
+
+
+def pictures_measured(session: Session) -> Session:
+    """A facility's session with its motion by the default method, the pose as the session gives it.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    Session                         the same where every probing's motion is known
+
+    Raises
+    ------
+    InputError                      a motion that could not be measured
+    """
+    if all(probing.displacement is not None for probing in session.probings):
+        return session
+    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    return with_measured_displacement(session, found)
 
 
 def compression_test(material: Material) -> CompressionTest:
