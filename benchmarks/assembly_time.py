@@ -10,8 +10,8 @@ from benchmarks.meshes import ball, cap
 from benchmarks.options import Options
 from benchmarks.peers import laplace_times
 from palpate.bem import BoundarySurface, Quadrature, make_surface
-from palpate.bem.assembly import Collocation, assemble
-from palpate.bem.kelvin import DISPLACEMENT_FIELDS, TRACTION_FIELDS
+from palpate.bem.integrals.assembly import Collocation, assemble
+from palpate.bem.integrals.kelvin import DISPLACEMENT_FIELDS, TRACTION_FIELDS
 from palpate.geometry import TriangleMesh
 
 __all__ = ["lu_time", "measure"]

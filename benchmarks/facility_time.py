@@ -5,11 +5,11 @@ import numpy as np
 from benchmarks.clock import shortest
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
-from palpate.app.lab_command import built_in
 from palpate.lab import choose_variant, read_lab_config
-from palpate.lab.arm import aimed, rod_at
-from palpate.lab.photographs import make_studio, photographed
-from palpate.lab.stereo_head import make_head
+from palpate.lab.bench.arm import aimed, rod_at
+from palpate.lab.config_files import built_in
+from palpate.lab.pictures.photographs import make_studio, photographed
+from palpate.lab.pictures.stereo_head import make_head
 
 __all__ = ["measure"]
 

@@ -11,9 +11,10 @@ from scipy.spatial import cKDTree
 from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
+from benchmarks.resection import resected
 from palpate.records import Camera, Rig, read_rig
-from palpate.records.calibration_multidic import read_control_points
-from palpate.records.dice_files import read_dice
+from palpate.records.programs.calibration_multidic import read_control_points
+from palpate.records.programs.dice import read_dice
 from palpate.vision import (
     JointSettings,
     RangeFlow,
@@ -25,7 +26,6 @@ from palpate.vision import (
     stereo_points,
     triangulated_surface,
 )
-from palpate.vision.resection import resected
 
 __all__ = ["TENSION", "TENSION_REGION", "beside_dice", "measure"]
 

@@ -13,9 +13,10 @@ import numpy as np
 from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
-from palpate.vision import PlanarSettings, planar_flow
-from palpate.vision.interpolation import make_spline_picture
-from palpate.vision.planar_refinement import refine_planar
+from benchmarks.planar_flow import planar_flow
+from palpate.vision import PlanarSettings
+from palpate.vision.images.spline import make_spline_picture
+from palpate.vision.matching.planar_match import refine_planar
 
 __all__ = ["measure"]
 

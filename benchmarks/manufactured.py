@@ -16,7 +16,7 @@ from palpate.bem import (
     traction_column,
 )
 from palpate.bem.elastic_map import sorted_state
-from palpate.bem.kelvin import kelvin_displacement, kelvin_traction
+from palpate.bem.integrals.kelvin import kelvin_displacement, kelvin_traction
 from palpate.geometry import TriangleMesh
 
 __all__ = ["Field", "Outcome", "flat_normals", "kelvin_field", "linear_field", "solved"]

@@ -15,12 +15,12 @@ from jaxtyping import Float
 
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
-from palpate.app.lab_command import built_in
 from palpate.lab import Material, choose_variant, make_sessions, read_lab_config
+from palpate.lab.config_files import built_in
+from palpate.paper.budget import CALIBRATION, REGISTRATION, with_misjudged_rig
+from palpate.paper.constants import pictures_measured
+from palpate.paper.motion import quickened
 from palpate.pipeline import fit_session
-from palpate.pipeline.error_budget import CALIBRATION, REGISTRATION, with_misjudged_rig
-from palpate.pipeline.paper_constants import pictures_measured
-from palpate.pipeline.paper_motion import quickened
 from palpate.records import Estimate, ProbeEstimate, Session, read_session
 
 __all__ = ["evaluated", "measure"]

@@ -19,7 +19,7 @@ from palpate.bem import (
     support_columns,
     traction_column,
 )
-from palpate.bem.quadrature import ELEMENT_NODES, element_points
+from palpate.bem.integrals.quadrature import ELEMENT_NODES, element_points
 from palpate.geometry import TriangleMesh, unit_normals
 
 DEFAULT = Quadrature()

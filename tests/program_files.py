@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 from scipy.io import netcdf_file, savemat
 
-from palpate.records.measured_points import MeasuredPoints, measured_rows
+from palpate.records.programs.measured_points import MeasuredPoints, measured_rows
 
 # Four points at rest and their displacements [mm]; the last one failed.
 PLACE = np.array([[1.0, 2.0, 300.0], [4.0, 5.0, 301.0], [7.0, 8.0, 302.5], [3.0, 3.0, 299.0]])

@@ -1,15 +1,5 @@
 """Error classes of Palpate. Bad input raises; a numerical outcome is data (`Status`)."""
 
-__all__ = [
-    "CalibrationError",
-    "InputError",
-    "MeshError",
-    "NotConvergedError",
-    "PalpateError",
-    "RecordError",
-    "SingularSystemError",
-]
-
 
 class PalpateError(Exception):
     """Anything that Palpate raises on purpose; its text says what to do."""

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 
-__all__ = ["Progress", "part_of", "silent"]
-
 # What is being done, and which fraction of the work is behind it, 0 to 1.
 Progress = Callable[[str, float], None]
 

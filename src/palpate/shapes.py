@@ -7,20 +7,6 @@ one call or one dataclass: `n` points, `v` vertices, `m` triangles, `k` records 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-__all__ = [
-    "Flags",
-    "Indices",
-    "Matrix3",
-    "PointIndices",
-    "PointScalars",
-    "Points",
-    "TriangleScalars",
-    "TriangleVectors",
-    "Triangles",
-    "Vector3",
-    "Vertices",
-]
-
 Vector3 = Float[np.ndarray, "3"]
 Matrix3 = Float[np.ndarray, "3 3"]
 Points = Float[np.ndarray, "n 3"]

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from palpate.geometry import write_mesh
 from palpate.lab import Head
-from palpate.lab.specimens import half_ball
-from palpate.lab.stereo_head import make_head
+from palpate.lab.bodies.specimens import half_ball
+from palpate.lab.pictures.stereo_head import make_head
 from palpate.records import write_rig
 
 SESSION = """\

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 from surfaces import joined, sphere
 
-from palpate.lab.tetrahedra import Solid, make_solid, quadratic_solid
+from palpate.lab.bodies.tetrahedra import Solid, make_solid, quadratic_solid
 
 
 def half_ball(shared_data, name, **options):

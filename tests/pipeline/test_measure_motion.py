@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 
 from palpate.errors import CalibrationError, InputError
-from palpate.pipeline import (
-    MotionSettings,
-    fit_session,
-    measure_motion,
-    with_measured_displacement,
-)
+from palpate.pipeline import MotionSettings, fit_session, measure_motion, with_measured_displacement
 from palpate.records import Session, read_session
 from palpate.vision import JointSettings, Outcome
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from palpate.app.lab_command import built_in
 from palpate.lab import choose_variant, read_lab_config
-from palpate.pipeline.paper_constants import estimated_constants, true_material
-from palpate.pipeline.paper_motion import measured_session
+from palpate.lab.config_files import built_in
+from palpate.paper.constants import estimated_constants, true_material
+from palpate.paper.motion import measured_session
 
 
 @pytest.mark.slow

@@ -8,9 +8,9 @@ import pytest
 import scipy.io
 
 from palpate.errors import CalibrationError
-from palpate.records.calibration_parts import rotation_from_angles
-from palpate.records.rig_files import read_rig
-from palpate.vision.triangulation import triangulate
+from palpate.records.files.rig import read_rig
+from palpate.records.programs.calibration_parts import rotation_from_angles
+from palpate.vision.cameras.triangulation import triangulate
 
 # VIC-3D
 

@@ -22,7 +22,7 @@ from program_files import (
 
 from palpate.errors import InputError, RecordError
 from palpate.records.import_displacement import read_measured
-from palpate.records.measured_points import measured_rows
+from palpate.records.programs.measured_points import measured_rows
 
 # DICe --------------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from surfaces import box
 from palpate.errors import InputError, RecordError
 from palpate.records import observed_rows, read_displacement, write_displacement
 from palpate.records.import_displacement import on_object, on_surface
-from palpate.records.measured_points import MeasuredPoints
+from palpate.records.programs.measured_points import MeasuredPoints
 
 SIDE = 0.04
 NAN = np.full(3, np.nan)

@@ -9,10 +9,10 @@ import pytest
 
 from palpate.errors import MeshError, RecordError
 from palpate.records import read_session
+from palpate.records.files.placed import placed_files
+from palpate.records.files.session_edit import displacement_line, with_displacements
+from palpate.records.files.session_outline import import_plan, read_session_outline
 from palpate.records.import_pose import read_import_pose
-from palpate.records.placed_files import placed_files
-from palpate.records.session_edit import displacement_line, with_displacements
-from palpate.records.session_outline import import_plan, read_session_outline
 
 TURN = "R = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]"
 

@@ -9,7 +9,7 @@ from program_files import GOOD, MOVE, PLACE, check_four_points, vic3d_rows, writ
 
 from palpate.errors import RecordError
 from palpate.records.import_displacement import IMPORT_KINDS, read_measured
-from palpate.records.measured_points import measured_rows
+from palpate.records.programs.measured_points import measured_rows
 
 VIC3D = '"x","y","u","v","sigma","X","Y","Z","U","V","W"'
 MATCHID = (

@@ -8,5 +8,3 @@ Read first : `cli.py`, then `fit_command.py`.
 
 Nothing is imported here: `palpate --help` must not load the numerics.
 """
-
-__all__: list[str] = []

@@ -9,8 +9,6 @@ from rich.console import Console
 from palpate import __version__
 from palpate.errors import NotConvergedError, PalpateError
 
-__all__ = ["BAD_INPUT", "NOT_OK", "main", "make_app"]
-
 BAD_INPUT = 2
 NOT_OK = 3
 _INTERRUPTED = 130
@@ -30,44 +28,44 @@ def make_app() -> App:
         error_console=Console(stderr=True),
     )
     app.command(
-        "palpate.app.fit_command:fit",
+        "palpate.app.commands.fit:fit",
         name="fit",
         help="Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
     )
     app.command(
-        "palpate.app.check_command:check",
+        "palpate.app.commands.check:check",
         name="check",
         help="Say everything about a session that can be said without solving.",
     )
     app.command(
-        "palpate.app.flow_command:flow",
+        "palpate.app.commands.flow:flow",
         name="flow",
         help="Measure how the surface moved, from the pictures of calibrated cameras.",
     )
     app.command(
-        "palpate.app.import_command:import_displacements",
+        "palpate.app.commands.import_results:import_displacements",
         name="import",
         help="Take displacements measured by another program into a session.",
     )
     app.command(
-        "palpate.app.compression_command:compression",
+        "palpate.app.commands.compression:compression",
         name="compression",
         help="Young's modulus from compression tests of cylinders.",
     )
     lab = App(name="lab", help="Virtual measurements: made with their truth, or planned.")
     lab.command(
-        "palpate.app.lab_command:lab",
+        "palpate.app.commands.lab:lab",
         name=_MAKE,
         help="Measure a virtual specimen: pictures, forces and the truth as a session.",
     )
     lab.command(
-        "palpate.app.plan_command:plan",
+        "palpate.app.commands.plan:plan",
         name="plan",
         help="Say what the cameras of a session will see, and what it will tell.",
     )
     app.command(lab)
     app.command(
-        "palpate.app.reproduce_command:reproduce",
+        "palpate.app.commands.reproduce:reproduce",
         name="reproduce",
         help="Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
     )

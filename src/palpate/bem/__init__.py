@@ -9,64 +9,42 @@ Read first : `kelvin.py` (what is integrated), `system.py` (what is solved), `el
 comes out).
 """
 
-from palpate.bem.body_force import BodyForce, body_force_columns, dilation_factor
-from palpate.bem.contact_shape import ContactShape
 from palpate.bem.elastic_map import (
-    ElasticMap,
-    ElasticState,
-    load_right_hand,
-    load_shape,
-    make_elastic_map,
+    ElasticMap as ElasticMap,
+    ElasticState as ElasticState,
+    load_right_hand as load_right_hand,
+    load_shape as load_shape,
+    make_elastic_map as make_elastic_map,
 )
-from palpate.bem.half_space import PressureDisc
-from palpate.bem.interior import InteriorState, interior_state
-from palpate.bem.memory import check_memory
-from palpate.bem.quadrature import Quadrature
-from palpate.bem.right_hand import RightHand, joined, support_columns, traction_column
-from palpate.bem.surface import BoundarySurface, SurfaceSettings, make_surface
-from palpate.bem.surface_load import SurfaceLoad
-from palpate.bem.surface_point import PointEquations, point_equations
+from palpate.bem.integrals import (
+    BoundarySurface as BoundarySurface,
+    Quadrature as Quadrature,
+    SurfaceSettings as SurfaceSettings,
+    make_surface as make_surface,
+)
+from palpate.bem.interior import InteriorState as InteriorState, interior_state as interior_state
+from palpate.bem.loads import (
+    BodyForce as BodyForce,
+    ContactShape as ContactShape,
+    PressureDisc as PressureDisc,
+    RightHand as RightHand,
+    SurfaceLoad as SurfaceLoad,
+    body_force_columns as body_force_columns,
+    dilation_factor as dilation_factor,
+    joined as joined,
+    support_columns as support_columns,
+    traction_column as traction_column,
+)
 from palpate.bem.system import (
-    BoundarySystem,
-    FactorisedSystem,
-    assemble_system,
-    factorise,
-    solve,
+    BoundarySystem as BoundarySystem,
+    FactorisedSystem as FactorisedSystem,
+    PointEquations as PointEquations,
+    SystemSlope as SystemSlope,
+    assemble_system as assemble_system,
+    cached_system as cached_system,
+    check_memory as check_memory,
+    factorise as factorise,
+    point_equations as point_equations,
+    solve as solve,
+    system_slope as system_slope,
 )
-from palpate.bem.system_cache import cached_system
-from palpate.bem.system_slope import SystemSlope, system_slope
-
-__all__ = [
-    "BodyForce",
-    "BoundarySurface",
-    "BoundarySystem",
-    "ContactShape",
-    "ElasticMap",
-    "ElasticState",
-    "FactorisedSystem",
-    "InteriorState",
-    "PointEquations",
-    "PressureDisc",
-    "Quadrature",
-    "RightHand",
-    "SurfaceLoad",
-    "SurfaceSettings",
-    "SystemSlope",
-    "assemble_system",
-    "body_force_columns",
-    "cached_system",
-    "check_memory",
-    "dilation_factor",
-    "factorise",
-    "interior_state",
-    "joined",
-    "load_right_hand",
-    "load_shape",
-    "make_elastic_map",
-    "make_surface",
-    "point_equations",
-    "solve",
-    "support_columns",
-    "system_slope",
-    "traction_column",
-]

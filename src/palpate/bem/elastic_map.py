@@ -9,11 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.bem.contact_shape import ContactShape, contact_shape, shape_columns
-from palpate.bem.kelvin import check_material
-from palpate.bem.right_hand import RightHand, joined, load_columns
-from palpate.bem.surface import BoundarySurface, integral_weights
-from palpate.bem.surface_load import SurfaceLoad, integrate_load, loaded_triangles
+from palpate.bem.integrals import BoundarySurface, check_material, integral_weights
+from palpate.bem.loads import (
+    ContactShape,
+    RightHand,
+    SurfaceLoad,
+    contact_shape,
+    integrate_load,
+    joined,
+    load_columns,
+    loaded_triangles,
+    shape_columns,
+)
 from palpate.bem.system import BoundarySystem, FactorisedSystem, factorise, solve
 
 

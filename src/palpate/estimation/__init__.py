@@ -7,41 +7,29 @@ Depends on : `records`, `geometry`, `errors`, `shapes`; `reduced_model` also on 
 Read first : `observations.py`, `misfit.py`, then `fit.py`.
 """
 
-from palpate.estimation.cramer_rao import cramer_rao_bound
-from palpate.estimation.fit import FitResult, fit
-from palpate.estimation.likelihood_map import LikelihoodMap
-from palpate.estimation.observations import ProbeObservations, ResponseModel
-from palpate.estimation.reduced_model import ReducedModel, make_reduced_model
-from palpate.estimation.responses import (
-    FullModel,
-    FullResponse,
-    PointRows,
-    ProbeRows,
-    ReducedResponse,
-    reduced_response,
+from palpate.estimation.fit import FitResult as FitResult, fit as fit
+from palpate.estimation.intervals import (
+    IntervalSet as IntervalSet,
+    LikelihoodMap as LikelihoodMap,
+    ProbeFit as ProbeFit,
+    cramer_rao_bound as cramer_rao_bound,
 )
-from palpate.estimation.settings import FitMethod, FitSettings, IntervalMethod
-from palpate.estimation.uncertainty import IntervalSet
-from palpate.estimation.validation import ProbeFit
-
-__all__ = [
-    "FitMethod",
-    "FitResult",
-    "FitSettings",
-    "FullModel",
-    "FullResponse",
-    "IntervalMethod",
-    "IntervalSet",
-    "LikelihoodMap",
-    "PointRows",
-    "ProbeFit",
-    "ProbeObservations",
-    "ProbeRows",
-    "ReducedModel",
-    "ReducedResponse",
-    "ResponseModel",
-    "cramer_rao_bound",
-    "fit",
-    "make_reduced_model",
-    "reduced_response",
-]
+from palpate.estimation.observations import (
+    ProbeObservations as ProbeObservations,
+    ResponseModel as ResponseModel,
+)
+from palpate.estimation.responses import (
+    FullModel as FullModel,
+    FullResponse as FullResponse,
+    PointRows as PointRows,
+    ProbeRows as ProbeRows,
+    ReducedModel as ReducedModel,
+    ReducedResponse as ReducedResponse,
+    make_reduced_model as make_reduced_model,
+    reduced_response as reduced_response,
+)
+from palpate.estimation.settings import (
+    FitMethod as FitMethod,
+    FitSettings as FitSettings,
+    IntervalMethod as IntervalMethod,
+)

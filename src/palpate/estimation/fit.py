@@ -8,35 +8,47 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.estimation.global_search import (
+from palpate.estimation.intervals import (
+    FixedWeights,
+    IntervalSet,
+    LikelihoodMap,
+    ProbeFit,
+    Scatter,
+    ScoreNoise,
+    Scores,
+    identifiable_constants,
+    interval_sets,
+    left_out_constants,
+    likelihood_map,
+    probe_fits,
+    scatters_of,
+    scores_of,
+    with_displacement_error,
+    with_model_error,
+    with_prior_ranges,
+)
+from palpate.estimation.noise import (
+    Misfit,
+    ScoredMinimum,
+    noise_levels,
+    scored_minimum,
+    with_levels,
+)
+from palpate.estimation.notes import fit_notes
+from palpate.estimation.observations import ObservedRows, ProbeObservations, observed_rows_of
+from palpate.estimation.responses import ResponseTable, response_table
+from palpate.estimation.search import (
+    best_compliance,
     fitted_parameters,
     global_start,
+    nelder_mead_minimum,
+    parabola_minimum,
     poisson_grid,
     weighted_products,
 )
-from palpate.estimation.identifiability import (
-    identifiable_constants,
-    with_prior_ranges,
-)
-from palpate.estimation.likelihood_map import LikelihoodMap, likelihood_map
-from palpate.estimation.misfit import Misfit, with_levels
-from palpate.estimation.model_error import with_displacement_error, with_model_error
-from palpate.estimation.nelder_mead import nelder_mead_minimum
-from palpate.estimation.noise import noise_levels
-from palpate.estimation.notes import fit_notes
-from palpate.estimation.observations import ObservedRows, ProbeObservations, observed_rows_of
-from palpate.estimation.profile_likelihood import FixedWeights
-from palpate.estimation.response_table import ResponseTable, response_table
-from palpate.estimation.sandwich import Scatter, ScoreNoise, Scores, scores_of
-from palpate.estimation.scoring import ScoredMinimum, scored_minimum
 from palpate.estimation.settings import FitMethod, FitSettings
-from palpate.estimation.uncertainty import IntervalSet, interval_sets, scatters_of
-from palpate.estimation.validation import ProbeFit, left_out_constants, probe_fits
-from palpate.estimation.variable_projection import best_compliance, parabola_minimum
 from palpate.progress import Progress
 from palpate.records import Estimate, ProbeEstimate, Status
-
-__all__ = ["FitResult", "fit"]
 
 # Stages and how much of the time has passed when they start.
 _STAGES = {

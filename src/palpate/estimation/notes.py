@@ -4,14 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from palpate.estimation.identifiability import told_combination
-from palpate.estimation.misfit import Misfit
+from palpate.estimation.intervals import FixedWeights, Scatter, ScoreNoise, told_combination
+from palpate.estimation.noise import Misfit, ScoredMinimum
 from palpate.estimation.observations import CLAIMED_GROUPS, GROUP_COUNT
-from palpate.estimation.profile_likelihood import FixedWeights
-from palpate.estimation.sandwich import Scatter, ScoreNoise
-from palpate.estimation.scoring import ScoredMinimum
-
-__all__ = ["fit_notes"]
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
 _WORDS = {

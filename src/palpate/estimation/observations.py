@@ -6,18 +6,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
+from palpate.arrays import fixed_array
 from palpate.errors import InputError
-from palpate.geometry import fixed_array
 from palpate.shapes import Points, Vector3
-
-__all__ = [
-    "CLAIMED_GROUPS",
-    "GROUP_COUNT",
-    "ObservedRows",
-    "ProbeObservations",
-    "ResponseModel",
-    "observed_rows_of",
-]
 
 # Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
 GROUP_COUNT = 8

@@ -7,8 +7,6 @@ import numpy as np
 
 from palpate.errors import InputError
 
-__all__ = ["FitMethod", "FitSettings", "IntervalMethod"]
-
 
 class FitMethod(StrEnum):
     """How the misfit is minimised: variable projection on tabulated responses, or a simplex."""

@@ -6,11 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from palpate.geometry.fixed_array import fixed_array
+from palpate.arrays import fixed_array
 from palpate.geometry.triangle_mesh import TriangleMesh
 from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
-
-__all__ = ["SurfacePoints", "closest_points", "triangle_distances"]
 
 _POINTS_A_BLOCK = 4096
 

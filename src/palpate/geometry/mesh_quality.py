@@ -11,8 +11,6 @@ from palpate.errors import MeshError
 from palpate.geometry.self_intersection import intersecting_pairs
 from palpate.geometry.triangle_mesh import TriangleMesh, enclosed_volume, triangle_areas
 
-__all__ = ["MeshQuality", "checked_mesh", "mesh_quality"]
-
 # Height over longest edge below which a triangle has no usable normal in double precision.
 _DEGENERATE_HEIGHT = 1e-6
 _NEEDLE_ANGLE = np.radians(5.0)

@@ -9,8 +9,6 @@ from palpate.geometry.sides import split_sides
 from palpate.geometry.triangle_mesh import TriangleMesh
 from palpate.shapes import Triangles, Vertices
 
-__all__ = ["refined_surface"]
-
 
 def refined_surface(mesh: TriangleMesh, *, pieces: int = 4) -> tuple[Vertices, Triangles]:
     """Cut every triangle into smaller ones that lie on the smooth surface through the vertices.

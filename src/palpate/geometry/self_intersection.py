@@ -5,8 +5,6 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 
-__all__ = ["intersecting_pairs"]
-
 _PAIRS_A_BLOCK = 200_000
 # Relative to the bounding diagonal: far above rounding (1e-16), far below any real element.
 _TOUCH = 1e-10

@@ -4,19 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpate.arrays import fixed_array
 from palpate.errors import MeshError
-from palpate.geometry.fixed_array import fixed_array
 from palpate.shapes import Triangles, TriangleScalars, TriangleVectors, Vertices
-
-__all__ = [
-    "TriangleMesh",
-    "area_vectors",
-    "bounding_diagonal",
-    "enclosed_volume",
-    "triangle_areas",
-    "unit_normals",
-    "vertex_normals",
-]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

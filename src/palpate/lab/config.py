@@ -10,21 +10,6 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.shapes import Indices, Vector3
 
-__all__ = [
-    "Arm",
-    "Calibration",
-    "ForceSensor",
-    "Head",
-    "LabConfig",
-    "Look",
-    "Material",
-    "Pictures",
-    "PositionSensor",
-    "Probe",
-    "Specimen",
-    "Stage",
-]
-
 
 def _zeros() -> Vector3:
     return np.zeros(3)

@@ -1,11 +1,13 @@
 """Configurations of the virtual facility from files: `palpate-lab/1`, in TOML."""
 
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import read_mesh, triangle_areas
+from palpate.lab.bodies import SHAPES
 from palpate.lab.config import (
     Arm,
     Calibration,
@@ -21,10 +23,7 @@ from palpate.lab.config import (
     Stage,
 )
 from palpate.lab.config_table import settings_from_table
-from palpate.lab.specimens import SHAPES
 from palpate.records import TomlTable, read_support, read_toml
-
-__all__ = ["LAB_FORMAT", "read_lab_config"]
 
 LAB_FORMAT = "palpate-lab/1"
 _PLAIN = ("name", "seed")
@@ -109,3 +108,9 @@ def _specimen(root: TomlTable) -> Specimen:
 _ROUNDER = 3.0
 # The facility's own specimens stand on this plane.
 _BASE = {"point": [0, 0, 0], "normal": [0, 0, 1], "tolerance": 1e-9}
+
+
+def built_in() -> dict[str, Path]:
+    """Configurations that come with the program, by name."""
+    folder = Path(str(files("palpate.lab"))) / "configs"
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}

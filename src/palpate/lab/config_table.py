@@ -9,8 +9,6 @@ import numpy as np
 from palpate.errors import InputError
 from palpate.records import TomlTable
 
-__all__ = ["settings_from_table"]
-
 Settings = TypeVar("Settings")
 
 

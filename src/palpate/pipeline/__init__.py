@@ -8,41 +8,37 @@ Read first : `fit_session.py`, then `measure_motion.py`.
 """
 
 from palpate.pipeline.fit_session import (
-    ContactPoints,
-    ObjectModel,
-    fit_session,
-    make_object_model,
-    session_observations,
-    surface_load,
+    ContactPoints as ContactPoints,
+    ObjectModel as ObjectModel,
+    fit_session as fit_session,
+    make_object_model as make_object_model,
+    session_observations as session_observations,
+    surface_load as surface_load,
+)
+from palpate.pipeline.flow_files import (
+    file_stems as file_stems,
+    seen_vertices as seen_vertices,
+    write_flow_npz as write_flow_npz,
+    write_flow_vtp as write_flow_vtp,
+    write_vertices as write_vertices,
 )
 from palpate.pipeline.measure_motion import (
-    MeasuredMotion,
-    MotionSettings,
-    SessionFlow,
-    measure_motion,
-    with_measured_displacement,
+    MeasuredMotion as MeasuredMotion,
+    MotionSettings as MotionSettings,
+    SessionFlow as SessionFlow,
+    measure_motion as measure_motion,
+    with_measured_displacement as with_measured_displacement,
 )
 from palpate.pipeline.measurement_plan import (
-    MATCHING_NOISE,
-    MeasurementPlan,
-    PlannedProbing,
-    plan_measurement,
+    MATCHING_NOISE as MATCHING_NOISE,
+    MeasurementPlan as MeasurementPlan,
+    PlannedProbing as PlannedProbing,
+    plan_measurement as plan_measurement,
 )
-
-__all__ = [
-    "MATCHING_NOISE",
-    "ContactPoints",
-    "MeasuredMotion",
-    "MeasurementPlan",
-    "MotionSettings",
-    "ObjectModel",
-    "PlannedProbing",
-    "SessionFlow",
-    "fit_session",
-    "make_object_model",
-    "measure_motion",
-    "plan_measurement",
-    "session_observations",
-    "surface_load",
-    "with_measured_displacement",
-]
+from palpate.pipeline.motion_figures import (
+    MotionFigures as MotionFigures,
+    failed_figures as failed_figures,
+    motion_figures as motion_figures,
+    write_flow_document as write_flow_document,
+)
+from palpate.pipeline.residual_files import write_residuals as write_residuals

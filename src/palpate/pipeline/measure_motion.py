@@ -28,14 +28,6 @@ from palpate.vision import (
     vertex_displacement,
 )
 
-__all__ = [
-    "MeasuredMotion",
-    "MotionSettings",
-    "SessionFlow",
-    "measure_motion",
-    "with_measured_displacement",
-]
-
 # Motions of a fraction of a pixel are measured too long by structure finer than the pixels. With
 # the low-pass that is applied: by 0.1 % where speckles have a sigma of 1.7 px, 0.5 to 1.2 % where
 # it is 1 to 0.6 px (analytic textures).

@@ -17,8 +17,6 @@ from palpate.records import DisplacementField, Probing, Rig, Session, read_rig, 
 from palpate.shapes import Points
 from palpate.vision import project_jacobian, surface_map, visible
 
-__all__ = ["MATCHING_NOISE", "MeasurementPlan", "PlannedProbing", "plan_measurement"]
-
 # What a camera's match of a good speckle leaves at a vertex [px]; BENCHMARK.md has 0.005 to 0.02.
 MATCHING_NOISE = 0.01
 # Vertices within so many contact radii are hidden by the tool.

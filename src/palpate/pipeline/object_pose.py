@@ -20,8 +20,6 @@ from palpate.geometry import (
 from palpate.records import Rig
 from palpate.vision import StereoPoints, check_rig, project, rays, stereo_points
 
-__all__ = ["PoseChoice", "posed_rig"]
-
 PoseChoice = Literal["auto", "given", "register"]
 
 # Where the shape does not fix the pose, stereo points must lie this close to the mesh, in

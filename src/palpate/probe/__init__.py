@@ -8,28 +8,18 @@ Read first : `compression_test.py`.
 """
 
 from palpate.probe.compression_files import (
-    CompressionRecord,
-    metres_from_text,
-    read_compression,
+    CompressionRecord as CompressionRecord,
+    metres_from_text as metres_from_text,
+    read_compression as read_compression,
 )
 from palpate.probe.compression_test import (
-    CompressionResult,
-    CompressionSeries,
-    compression_series,
-    compression_test,
-    gent_lindley_factor,
+    CompressionResult as CompressionResult,
+    CompressionSeries as CompressionSeries,
+    compression_series as compression_series,
+    compression_test as compression_test,
+    gent_lindley_factor as gent_lindley_factor,
 )
-from palpate.probe.contact_patch import ContactPatch, find_contact_patch
-
-__all__ = [
-    "CompressionRecord",
-    "CompressionResult",
-    "CompressionSeries",
-    "ContactPatch",
-    "compression_series",
-    "compression_test",
-    "find_contact_patch",
-    "gent_lindley_factor",
-    "metres_from_text",
-    "read_compression",
-]
+from palpate.probe.contact_patch import (
+    ContactPatch as ContactPatch,
+    find_contact_patch as find_contact_patch,
+)

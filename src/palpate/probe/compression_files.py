@@ -10,8 +10,6 @@ from jaxtyping import Float
 from palpate.errors import InputError, RecordError
 from palpate.shapes import PointScalars
 
-__all__ = ["CompressionRecord", "metres_from_text", "read_compression"]
-
 METRES = {"um": 1e-6, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 NEWTONS = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216}
 DISPLACEMENT_WORDS = ("compression", "displacement", "extension", "crosshead", "stroke", "position")

@@ -14,14 +14,6 @@ from scipy import stats
 from palpate.errors import InputError
 from palpate.shapes import PointScalars
 
-__all__ = [
-    "CompressionResult",
-    "CompressionSeries",
-    "compression_series",
-    "compression_test",
-    "gent_lindley_factor",
-]
-
 SLOW_SHAPES = 3  # departures from the line that set the interval: second to fourth degree
 FALL_ALLOWED = 0.01  # of the used range: a displacement gauge trembles, an unloading goes back
 TOE_RATIO = 0.75  # first fifth of the range softer than this share of the whole: a toe

@@ -7,8 +7,6 @@ from typing import Any
 
 from palpate.errors import InputError
 
-__all__ = ["CONSTANT_NAMES", "Constant", "Estimate", "ProbeEstimate", "Status"]
-
 CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"

@@ -11,18 +11,19 @@ from jaxtyping import Float
 
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, mesh_quality
-from palpate.records.dice_files import read_dice
-from palpate.records.matchid_files import read_matchid
-from palpate.records.measured_points import MeasuredPoints, measured_rows
-from palpate.records.multidic_files import read_multidic
-from palpate.records.opencorr_files import read_opencorr
 from palpate.records.probing import DisplacementField
-from palpate.records.pyvale_files import read_pyvale
-from palpate.records.vic3d_files import read_vic3d
-from palpate.records.vtu_files import read_vtu
+from palpate.records.programs import (
+    MeasuredPoints,
+    measured_rows,
+    read_dice,
+    read_matchid,
+    read_multidic,
+    read_opencorr,
+    read_pyvale,
+    read_vic3d,
+    read_vtu,
+)
 from palpate.shapes import Flags
-
-__all__ = ["IMPORT_KINDS", "ImportedField", "on_object", "on_surface", "read_measured"]
 
 # A view of the object shows much of it: points that span three times as much, or a hundredth, are
 # in another unit (the units differ by factors of 10, 25.4 and 1000).

@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from palpate.records.measured_points import LENGTH_UNITS
-from palpate.records.toml_table import TomlTable, read_toml
-
-__all__ = ["read_import_pose"]
+from palpate.records.programs import LENGTH_UNITS
+from palpate.records.text import TomlTable, read_toml
 
 # Four typed digits leave a rotation this far from orthogonal; more is a slip of the pen.
 _TYPED = 1e-3

@@ -5,11 +5,10 @@ from enum import StrEnum
 
 import numpy as np
 
+from palpate.arrays import fixed_array
 from palpate.errors import InputError
-from palpate.geometry import SurfacePoints, fixed_array
+from palpate.geometry import SurfacePoints
 from palpate.shapes import Flags, PointIndices, Points, Vector3
-
-__all__ = ["Contact", "ContactProfile", "DisplacementField", "Images", "Probing", "observed_rows"]
 
 
 class ContactProfile(StrEnum):

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import fixed_array
 from palpate.errors import CalibrationError, InputError
-from palpate.geometry import fixed_array
 from palpate.shapes import Matrix3, Vector3
-
-__all__ = ["DISTORTION_TERMS", "Camera", "Rig", "camera_centre", "picture_size"]
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6

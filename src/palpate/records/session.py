@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.arrays import fixed_array
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, fixed_array
+from palpate.geometry import TriangleMesh
 from palpate.records.probing import Probing
 from palpate.records.step import Step
 from palpate.shapes import Indices, Vector3
-
-__all__ = ["Session", "require_probings"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

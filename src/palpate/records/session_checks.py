@@ -13,8 +13,6 @@ from palpate.geometry import (
 from palpate.records.probing import Contact, DisplacementField, Probing, observed_rows
 from palpate.shapes import Indices
 
-__all__ = ["check_contact", "check_observed_points", "plausibility_notes"]
-
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
 _UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"

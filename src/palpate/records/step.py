@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 from palpate.errors import InputError
 
-__all__ = ["Step"]
-
 
 @dataclass(frozen=True, slots=True)
 class Step:

@@ -4,10 +4,8 @@ import numpy as np
 
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
-from palpate.records.toml_table import TomlTable
+from palpate.records.text import TomlTable
 from palpate.shapes import Indices
-
-__all__ = ["read_support"]
 
 _SELECTORS = ("plane", "box", "triangles")
 

@@ -8,61 +8,48 @@ Depends on : `records`, `geometry`, `shapes`, `errors`.
 Read first : `range_flow.py`, then `joint_flow.py`.
 """
 
-from palpate.vision.camera import normalised, project, project_jacobian, rays
-from palpate.vision.dense_maps import dense_maps
-from palpate.vision.joint_flow import joint_flow
-from palpate.vision.joint_settings import JointSettings
-from palpate.vision.lang_pai import lang_pai_flow
-from palpate.vision.lang_pai_settings import LangPaiSettings
-from palpate.vision.lang_pai_vertices import lang_pai_vertices
-from palpate.vision.pictures import Pictures, read_pictures
-from palpate.vision.planar_flow import PlanarFlow, planar_flow
-from palpate.vision.planar_refinement import PlanarSettings
-from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, is_valid
-from palpate.vision.rig_check import RigCheck, check_rig
-from palpate.vision.scene import Scene, make_scene
-from palpate.vision.stereo import (
-    StereoPoints,
-    StereoSettings,
-    stereo_points,
-    triangulated_surface,
+from palpate.vision.cameras import (
+    SurfaceMap as SurfaceMap,
+    Triangulation as Triangulation,
+    camera_sigma as camera_sigma,
+    normalised as normalised,
+    pixel_grid as pixel_grid,
+    project as project,
+    project_jacobian as project_jacobian,
+    rays as rays,
+    surface_map as surface_map,
+    triangulate as triangulate,
+    visible as visible,
 )
-from palpate.vision.surface_map import SurfaceMap, surface_map, visible
-from palpate.vision.triangulation import Triangulation, triangulate
-from palpate.vision.vertex_displacement import vertex_displacement
-
-__all__ = [
-    "JointSettings",
-    "LangPaiSettings",
-    "Outcome",
-    "Pictures",
-    "PlanarFlow",
-    "PlanarSettings",
-    "RangeFlow",
-    "RigCheck",
-    "Scene",
-    "StereoPoints",
-    "StereoSettings",
-    "SurfaceMap",
-    "Triangulation",
-    "VertexDisplacement",
-    "check_rig",
-    "dense_maps",
-    "is_valid",
-    "joint_flow",
-    "lang_pai_flow",
-    "lang_pai_vertices",
-    "make_scene",
-    "normalised",
-    "planar_flow",
-    "project",
-    "project_jacobian",
-    "rays",
-    "read_pictures",
-    "stereo_points",
-    "surface_map",
-    "triangulate",
-    "triangulated_surface",
-    "vertex_displacement",
-    "visible",
-]
+from palpate.vision.dense_maps import dense_maps as dense_maps
+from palpate.vision.images import Pictures as Pictures, read_pictures as read_pictures
+from palpate.vision.joint import (
+    JointSettings as JointSettings,
+    Scene as Scene,
+    joint_flow as joint_flow,
+    make_scene as make_scene,
+    vertex_displacement as vertex_displacement,
+)
+from palpate.vision.lang_pai import (
+    LangPaiSettings as LangPaiSettings,
+    lang_pai_flow as lang_pai_flow,
+    lang_pai_vertices as lang_pai_vertices,
+)
+from palpate.vision.matching import PlanarSettings as PlanarSettings
+from palpate.vision.range_flow import (
+    CAUSES as CAUSES,
+    Outcome as Outcome,
+    RangeFlow as RangeFlow,
+    VertexDisplacement as VertexDisplacement,
+    cause_counts as cause_counts,
+    is_valid as is_valid,
+    measured_vertices as measured_vertices,
+)
+from palpate.vision.stereo import (
+    RigCheck as RigCheck,
+    StereoPoints as StereoPoints,
+    StereoSettings as StereoSettings,
+    check_rig as check_rig,
+    stereo_points as stereo_points,
+    triangulated_surface as triangulated_surface,
+)

@@ -6,8 +6,6 @@ from scipy.ndimage import map_coordinates
 
 from palpate.vision.range_flow import RangeFlow, is_valid
 
-__all__ = ["dense_maps"]
-
 # Of a sum of four weights.
 _ROUNDING = 1e-9
 

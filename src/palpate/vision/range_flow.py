@@ -8,8 +8,6 @@ from jaxtyping import Float, Int
 
 from palpate.shapes import Flags, PointIndices, Points, PointScalars
 
-__all__ = ["Outcome", "RangeFlow", "VertexDisplacement", "is_valid"]
-
 
 class Outcome(IntEnum):
     """What became of a point of the surface; everything but `VALID` is a reason to reject."""
@@ -22,6 +20,10 @@ class Outcome(IntEnum):
     SCORE = 5  # looks different when loaded: covered by the tool, a highlight, a shadow
     REPROJECTION = 6  # the cameras contradict each other
     NEIGHBOURS = 7  # contradicts the motion around it
+
+
+# Reasons to reject, in the order of `Outcome`.
+CAUSES = tuple(outcome for outcome in Outcome if outcome is not Outcome.VALID)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,3 +94,13 @@ class VertexDisplacement:
     displacement: Float[np.ndarray, "v 3"]
     covariance: Float[np.ndarray, "v 3 3"]
     count: Int[np.ndarray, " v"]
+
+
+def cause_counts(flow: RangeFlow) -> dict[str, int]:
+    """How many points were rejected for each cause, by its name in lower case; zeros included."""
+    return {cause.name.lower(): int((flow.outcome == cause).sum()) for cause in CAUSES}
+
+
+def measured_vertices(vertices: VertexDisplacement) -> Flags:
+    """True for vertices that have a displacement, (v,) bool."""
+    return np.isfinite(vertices.displacement).all(axis=1)

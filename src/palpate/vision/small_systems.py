@@ -3,8 +3,6 @@
 import numpy as np
 from numba import njit
 
-__all__ = ["cholesky_inverse_kernel", "cholesky_kernel", "cholesky_solve_kernel"]
-
 # A pivot below this share of its diagonal is rounding: the unknowns are not determined.
 _SMALLEST_PIVOT = 1e-9
 

@@ -1,0 +1,185 @@
+"""`palpate compression`: Young's modulus of cylinders pressed between plates."""
+
+import json
+import math
+import os
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from palpate.errors import InputError
+from palpate.probe import (
+    CompressionRecord,
+    CompressionResult,
+    compression_series,
+    compression_test,
+    metres_from_text,
+    read_compression,
+)
+from palpate.records import Constant, constant_text, interval_text, modulus_unit
+
+
+def compression(
+    files: Annotated[list[Path], Parameter(consume_multiple=True, negative="")],
+    /,
+    *,
+    diameter: str | None = None,
+    height: str | None = None,
+    strain: str = "0..10%",
+    preload: float | None = None,
+    displacement_unit: str | None = None,
+    force_unit: str | None = None,
+    displacement_column: str | None = None,
+    force_column: str | None = None,
+    out: Path | None = None,
+) -> int:
+    """Young's modulus E = F l / (A delta) of one or more cylinders pressed between plates.
+
+    Several files give the mean over the specimens and their spread.
+
+    Parameters
+    ----------
+    files
+        Records of testing machines, or two columns: displacement (mm) and force (N).
+    diameter
+        Diameter of the cylinder with its unit, like 50mm; default: what the file says.
+    height
+        Height of the cylinder before loading, with its unit; default: what the file says.
+    strain
+        First and last strain of the straight line: 0..10% or 0..0.1, of the height.
+    preload
+        Force [N] from which on the plates count as in contact.
+    displacement_unit
+        um, mm, cm, m or in; default: what the file says, else mm.
+    force_unit
+        mN, N, kN, gf, kgf or lbf; default: what the file says, else N.
+    displacement_column
+        Name of the column, or a part of it; default: compression, displacement, extension, ...
+    force_column
+        Name of the column, or a part of it; default: load or force.
+    out
+        JSON file for the result.
+    """
+    strain_range = _strain_range(strain)
+    results = []
+    said: dict[str, list[str]] = {}
+    for file in files:
+        record = read_compression(
+            file,
+            displacement_unit=displacement_unit,
+            force_unit=force_unit,
+            displacement_column=displacement_column,
+            force_column=force_column,
+        )
+        result = compression_test(
+            record.displacement,
+            record.force,
+            diameter=_size(diameter, "diameter", record, record.diameter),
+            height=_size(height, "height", record, record.height),
+            strain_range=strain_range,
+            preload=preload,
+            source=str(file),
+        )
+        results.append(result)
+        for note in (*record.notes, *result.notes):
+            said.setdefault(note, []).append(file.name)
+    if out is not None:
+        _write(out, results)
+    console = Console()
+    console.print(_table(results))
+    for note, names in said.items():
+        whose = names[0] if len(names) == 1 else f"{len(names)} of {len(files)} files"
+        console.print(f"Note ({whose}): {note}", markup=False, highlight=False)
+    return 0
+
+
+def _size(given: str | None, name: str, record: CompressionRecord, found: float | None) -> float:
+    """A size of the cylinder from the command line, else from the file."""
+    if given is not None:
+        return metres_from_text(given, name=f"--{name}")
+    if found is None:
+        raise InputError(f"{record.source}: does not tell the {name}; give it, e.g. --{name} 50mm")
+    return found
+
+
+def _strain_range(text: str) -> tuple[float, float]:
+    """Both ends of `0..10%`, `0%..10%` or `0..0.1` as fractions of the height."""
+    match = re.fullmatch(r"\s*([\d.]+?)\s*(%?)\s*\.\.\s*([\d.]+)\s*(%?)\s*", text)
+    try:
+        low, high = (float(match[1]), float(match[3])) if match else (math.nan, math.nan)
+    except ValueError:
+        low = high = math.nan
+    if match is None or math.isnan(low) or (match[2] and not match[4]):
+        raise InputError(f'--strain is "{text}"; write both ends, like 0..10% or 0.02..0.1')
+    return (low / 100.0, high / 100.0) if match[4] else (low, high)
+
+
+def _write(path: Path, results: list[CompressionResult]) -> None:
+    """The series and each specimen as JSON, moduli in Pa; the file appears whole or not at all."""
+    series = compression_series(results)
+    record = {
+        "format": "palpate-compression/1",
+        "young_modulus": {
+            "value": series.young_modulus,
+            "spread": series.spread if len(results) > 1 else None,
+            "ci95": list(series.ci95),
+        },
+        "specimens": [asdict(result) for result in results],
+    }
+    staging = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        staging.write_text(json.dumps(_finite(record), indent=1, allow_nan=False) + "\n")
+        staging.replace(path)
+    except OSError as error:
+        staging.unlink(missing_ok=True)
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose another file with --out"
+        ) from error
+
+
+def _finite(value: Any) -> Any:
+    """The same record with None in place of numbers that JSON does not know."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _table(results: list[CompressionResult]) -> Table:
+    """One line per specimen, and their mean where there are several."""
+    series = compression_series(results)
+    factor, unit = modulus_unit(series.young_modulus)
+    table = Table(title="Compression tests", box=SIMPLE_HEAD)
+    table.add_column("file")
+    table.add_column(f"E ± 1 sigma ({unit})", justify="right")
+    table.add_column(f"95 % interval ({unit})", justify="right")
+    table.add_column("readings", justify="right")
+    table.add_column("off the line", justify="right")
+    for result in results:
+        constant = Constant(result.young_modulus, result.std, result.ci95)
+        table.add_row(
+            escape(Path(result.source).name),
+            constant_text(constant, factor=factor),
+            interval_text(constant, factor=factor),
+            str(result.readings),
+            f"{100.0 * result.nonlinearity:.1f} %",
+        )
+    if len(results) > 1:
+        mean = Constant(series.young_modulus, series.spread, series.ci95)
+        table.add_section()
+        table.add_row(
+            f"mean and spread of {len(results)}",
+            constant_text(mean, factor=factor),
+            interval_text(mean, factor=factor),
+            "",
+            "",
+        )
+    return table

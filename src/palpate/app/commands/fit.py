@@ -1,0 +1,126 @@
+"""`palpate fit`: a session in, a table and a result folder out."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from palpate.app.terminal import constants_table, print_notes, probes_table, progress_bar
+from palpate.bem import SurfaceSettings
+from palpate.estimation import FitResult, FitSettings
+from palpate.figures import write_plots
+from palpate.pipeline import (
+    fit_session,
+    measure_motion,
+    with_measured_displacement,
+    write_residuals,
+)
+from palpate.progress import Progress
+from palpate.records import (
+    Session,
+    Status,
+    default_folder,
+    disk_errors,
+    read_session,
+    require_probings,
+    result_folder,
+    write_estimate,
+)
+
+_NOT_OK = 3
+
+
+def fit(
+    session: Path,
+    /,
+    *,
+    out: Path | None = None,
+    probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    method: Literal["reduced", "nelder-mead"] = "reduced",
+    poisson_range: tuple[float, float] = (0.0, 0.4999),
+    surface: Literal["smooth", "flat"] = "smooth",
+    cache: Path | None = None,
+) -> int:
+    """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
+
+    Prints the constants with their intervals and leaves a folder with estimate.json and plots.
+
+    Parameters
+    ----------
+    session
+        Folder of the session, or a session file in it.
+    out
+        Result folder; it appears whole or not at all. Default: the session's folder name followed
+        by -result, in the current folder.
+    probe
+        Use these probings only.
+    method
+        How the constants are searched: over the reduced model, or by Nelder-Mead on the full one.
+    poisson_range
+        Poisson's ratios that are possible; -0.99 0.4999 for auxetic foams.
+    surface
+        What the mesh means: points of a smooth object (with edges where triangles turn by more than
+        40 degrees), or flat facets.
+    cache
+        Folder that keeps the surface integrals of this object for the next fit.
+
+    Returns
+    -------
+    int
+        0, or 3 where a constant cannot be told by the data.
+    """
+    console = Console()
+    # The target is tried first: no one should wait for a result that cannot be kept.
+    target = out or default_folder(session, "result")
+    with result_folder(target) as folder:
+        given = read_session(session, probes=probe)
+        require_probings(given)
+        print_notes(given.notes)
+        with progress_bar() as progress:
+            given = _with_motion(given, progress)
+            result = fit_session(
+                given,
+                method=method,
+                settings=FitSettings(poisson_range=poisson_range),
+                surface=SurfaceSettings(smooth=surface == "smooth"),
+                cache=cache,
+                progress=progress,
+            )
+            progress("tables and plots", 1.0)
+            _write(folder, given, result)
+    estimate = result.estimate
+    if len(estimate.probes) > 0:
+        console.print(probes_table(estimate))
+    console.print(constants_table(estimate))
+    for note in estimate.notes:
+        if note not in given.notes:
+            console.print(f"Note: {note}", markup=False, highlight=False)
+    console.print(
+        f"Result in {target} ({estimate.seconds.get('total', float('nan')):.1f} s)",
+        markup=False,
+        highlight=False,
+    )
+    if estimate.status is not Status.OK:
+        print(f"palpate: {estimate.status.value}: {estimate.status.advice}", file=sys.stderr)
+        return _NOT_OK
+    return 0
+
+
+def _with_motion(session: Session, progress: Progress) -> Session:
+    """The session with displacements measured from the pictures where there is no file of them."""
+    blind = [one.name for one in session.probings if one.displacement is None and one.images]
+    if not blind:
+        return session
+    flow = measure_motion(session, probes=blind, progress=progress)
+    print_notes(flow.notes)
+    return with_measured_displacement(session, flow)
+
+
+def _write(folder: Path, session: Session, result: FitResult) -> None:
+    """All files of the result."""
+    with disk_errors(folder):
+        write_estimate(folder / "estimate.json", result.estimate)
+        write_residuals(folder, session, result)
+        write_plots(folder, session, result)

@@ -1,0 +1,260 @@
+"""`palpate flow`: the pictures of a session in, the motion of its surface out."""
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.markup import escape
+
+from palpate.app.terminal import flow_table, print_notes, progress_bar
+from palpate.figures import make_flow_view, write_flow_pictures
+from palpate.pipeline import (
+    MeasuredMotion,
+    MotionFigures,
+    MotionSettings,
+    SessionFlow,
+    failed_figures,
+    file_stems,
+    measure_motion,
+    motion_figures,
+    seen_vertices,
+    write_flow_document,
+    write_flow_npz,
+    write_flow_vtp,
+    write_vertices,
+)
+from palpate.progress import Progress
+from palpate.records import Session, default_folder, disk_errors, read_session, result_folder
+from palpate.vision import SurfaceMap, dense_maps, surface_map
+
+_NOT_OK = 3
+# Before this a rate says more about the start than about the work [s].
+_RATE_STARTS = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Context:
+    """What the files of all motions of a session share."""
+
+    folder: Path
+    session: Session
+    found: SessionFlow
+    metres_per_unit: float
+    pictures: bool
+
+
+def flow(
+    session: Path,
+    /,
+    *,
+    out: Path | None = None,
+    probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    method: Literal["joint", "lang-pai"] = "joint",
+    pose: Literal["auto", "given", "register"] = "auto",
+    subset: int | None = None,
+    step: int | None = None,
+    pictures: bool = True,
+) -> int:
+    """Measure how the surface moved, from the pictures of calibrated cameras.
+
+    For every step, and every picture of a probing: the displacement of the mesh's vertices as CSV
+    (what `palpate fit` takes), the range flow as NPZ and VTP, and two pictures; for all of them a
+    table and flow.json.
+
+    Parameters
+    ----------
+    session
+        Folder of the session, or a session file in it.
+    out
+        Result folder; it appears whole or not at all. Default: the session's folder name followed
+        by -flow, in the current folder.
+    probe
+        Use these probings only.
+    method
+        All cameras matched jointly, or the matching and voting of Lang and Pai (2001).
+    pose
+        Where the object is: as the camera file says (given), as the pictures at rest show
+        (register), or registered only where they contradict the file (auto).
+    subset
+        Side of the matched window in pixels, odd: larger is less noise and less detail. Default:
+        the method's, 21 for joint.
+    step
+        Spacing of the measured points in pixels of the reference camera. Default: the method's, 5
+        for joint.
+    pictures
+        With --no-pictures none are drawn.
+
+    Returns
+    -------
+    int
+        0, or 3 where a step failed or nothing could be measured in it.
+    """
+    target = out or default_folder(session, "flow")
+    settings = _settings(MotionSettings(method=method, pose=pose), subset, step)
+    # The target is tried first: no one should wait for a result that cannot be kept.
+    with result_folder(target) as folder:
+        given = read_session(session, probes=probe)
+        print_notes(given.notes)
+        start = time.perf_counter()
+        with progress_bar() as progress:
+            report = _with_rate(progress, _instants(given))
+            found = measure_motion(given, settings=settings, progress=report)
+            seconds = time.perf_counter() - start
+            context = _Context(folder, given, found, given.metres_per_unit, pictures)
+            figures = _write(context, settings, seconds, progress)
+    print_notes(note for note in found.notes if note not in given.notes)
+    console = Console()
+    console.print(flow_table(figures, found.rig))
+    console.print(_closing(figures, seconds), markup=False, highlight=False)
+    console.print(f"Result in {target}", markup=False, highlight=False)
+    return _NOT_OK if _complaints(figures) else 0
+
+
+def _settings(settings: MotionSettings, subset: int | None, step: int | None) -> MotionSettings:
+    """Settings with the window and the spacing that were asked for, for the chosen method."""
+    asked = {"subset": subset, "step": step}
+    changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if settings.method == "joint":
+        return replace(settings, joint=replace(settings.joint, **changes))
+    return replace(settings, lang_pai=replace(settings.lang_pai, **changes))
+
+
+def _write(
+    context: _Context, settings: MotionSettings, seconds: float, progress: Progress
+) -> list[MotionFigures]:
+    """All files of the result."""
+    start = time.perf_counter()
+    with disk_errors(context.folder):
+        report = _with_rate(progress, len(context.found.motions))
+        figures, files = _write_motions(context, report)
+        heading = {
+            "session": context.session.name,
+            "settings": asdict(settings),
+            "csv_metres_per_unit": context.metres_per_unit,
+            "seconds": {"measuring": seconds, "writing": time.perf_counter() - start},
+            "notes": list(dict.fromkeys([*context.session.notes, *context.found.notes])),
+        }
+        path = context.folder / "flow.json"
+        write_flow_document(path, figures, files, context.found.rig, heading)
+    return figures
+
+
+def _write_motions(
+    context: _Context, report: Progress
+) -> tuple[list[MotionFigures], list[dict[str, str]]]:
+    """Files and figures of every motion, in order."""
+    motions = context.found.motions
+    stems = file_stems([motion.name for motion in motions])
+    maps: dict[tuple[int, int], SurfaceMap] = {}
+    figures, files = [], []
+    for number, (motion, stem) in enumerate(zip(motions, stems, strict=True)):
+        report(f"writing {motion.name}, {number + 1} of {len(motions)}", number / len(motions))
+        shape = (motion.first.shape[0], motion.first.shape[1])
+        if shape not in maps:
+            maps[shape] = _surface(context, shape)
+        one, names = _write_motion(context, motion, maps[shape], stem)
+        figures.append(one)
+        files.append(names)
+    return figures, files
+
+
+def _surface(context: _Context, shape: tuple[int, int]) -> SurfaceMap:
+    """What the reference camera sees of the mesh."""
+    rig, mesh = context.found.rig, context.session.mesh
+    return surface_map(rig.cameras[rig.reference], shape, mesh.vertices, mesh.triangles)
+
+
+def _write_motion(
+    context: _Context, motion: MeasuredMotion, surface: SurfaceMap, stem: str
+) -> tuple[MotionFigures, dict[str, str]]:
+    """Figures of one motion, and the names of its files by what they are."""
+    folder, mesh, rig = context.folder, context.session.mesh, context.found.rig
+    if motion.flow is None:
+        failed = failed_figures(motion.name, len(rig.cameras))
+        return _placed(failed, motion, motion.failure or "nothing was measured"), {}
+    camera, names = rig.cameras[rig.reference], [camera.name for camera in rig.cameras]
+    seen = seen_vertices(surface, mesh)
+    files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
+    write_flow_npz(
+        folder / files["range_flow"], motion.flow, name=motion.name, cameras=names,
+        dense=dense_maps(motion.flow),
+    )  # fmt: skip
+    write_flow_vtp(folder / files["points"], motion.flow, camera)
+    if motion.vertices is not None:
+        files["vertices"] = f"{stem}.csv"
+        write_vertices(
+            folder / files["vertices"],
+            mesh,
+            motion.vertices,
+            seen=seen,
+            metres_per_unit=context.metres_per_unit,
+        )
+    if context.pictures:
+        view = make_flow_view(motion.first, camera, surface, mesh)
+        files["picture"], files["quality"] = write_flow_pictures(
+            folder, stem, motion.name, motion.flow, motion.vertices, view
+        )
+    figures = motion_figures(motion.name, motion.flow, motion.vertices, seen=seen, camera=camera)
+    return _placed(figures, motion, motion.failure), files
+
+
+def _placed(figures: MotionFigures, motion: MeasuredMotion, failure: str | None) -> MotionFigures:
+    """Figures with the motion's place in the session."""
+    return replace(figures, probing=motion.probing, last=motion.last, failure=failure)
+
+
+def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
+    """Which motions went through the instant before; how much was measured, and how fast."""
+    lines = [
+        f"{f.name}: points followed through the instant before: {f.through_last}"
+        + (f", drift {1e6 * f.drift:.2g} µm" if math.isfinite(f.drift) else "")
+        for f in figures
+        if f.through_last
+    ]
+    points = sum(f.points for f in figures)
+    rate = f"{points / max(seconds, 1e-9):,.0f} points/s"
+    return "\n".join(
+        [*lines, f"{len(figures)} motions, {points} points in {seconds:.1f} s ({rate})"]
+    )
+
+
+def _complaints(figures: Sequence[MotionFigures]) -> int:
+    """Say what failed, on stderr; how many motions did."""
+    count = 0
+    for f in figures:
+        said = f.failure
+        if said is None and f.measured == 0:
+            said = (
+                f"not one vertex could be followed ({f.valid} of {f.points} points valid);"
+                " the table and the pictures say why"
+            )
+        if said is not None:
+            print(f"palpate: {f.name}: {said}", file=sys.stderr)
+            count += 1
+    return count
+
+
+def _instants(session: Session) -> int:
+    """How many motions there are to measure."""
+    images = [probing.images for probing in session.probings]
+    loaded = sum(len(given.loaded) for given in images if given is not None)
+    return max(len(session.steps) - 1, 0) + loaded
+
+
+def _with_rate(progress: Progress, count: int) -> Progress:
+    """The callback with the motions a second so far behind what is being done."""
+    start = time.perf_counter()
+
+    def report(stage: str, fraction: float) -> None:
+        seconds = time.perf_counter() - start
+        known = seconds > _RATE_STARTS and fraction > 0.0
+        rate = f" ({fraction * count / seconds:.2g} motions/s)" if known else ""
+        progress(escape(stage) + rate, fraction)
+
+    return report

@@ -1,0 +1,233 @@
+"""`palpate import`: displacements measured by other programs into a session."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from cyclopts import Parameter
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from palpate.app.terminal import print_notes
+from palpate.errors import InputError
+from palpate.records import (
+    ImportedField,
+    ImportItem,
+    SessionOutline,
+    displacement_line,
+    import_plan,
+    observed_rows,
+    on_object,
+    on_surface,
+    placed_files,
+    read_import_pose,
+    read_measured,
+    read_session_outline,
+    result_folder,
+    with_displacements,
+    write_displacement,
+)
+
+_Kind = Literal["dice", "vic3d", "matchid", "pyvale", "opencorr", "multidic", "duodic", "vtu"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Import:
+    """One result and what became of it."""
+
+    name: str
+    file: Path
+    imported: ImportedField
+
+
+def import_displacements(
+    kind: _Kind,
+    files: Annotated[list[Path], Parameter(consume_multiple=True, negative="")],
+    /,
+    *,
+    probe: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
+    to_object: Path | None = None,
+    length_unit: Literal["um", "mm", "cm", "m", "in"] | None = None,
+    frame: Annotated[list[int] | None, Parameter(consume_multiple=True, negative="")] = None,
+    drop_off_surface: Annotated[bool, Parameter(negative="")] = False,
+    replace: Annotated[bool, Parameter(negative="")] = False,
+    out: Path | None = None,
+) -> int:
+    """Take over displacements that another image correlation program measured.
+
+    Give one result file for each probing (loaded state against the reference), then the session:
+    palpate import vic3d n01.csv n02.csv SESSION. Writes NAME.csv for the probing NAME into the
+    session's folder and names it in session.toml, all of it or nothing.
+
+    Parameters
+    ----------
+    kind
+        The program: dice (.txt, .e), vic3d (.csv), matchid (.csv), pyvale (.csv, .dic3d),
+        opencorr (.csv), multidic or duodic (.mat), vtu.
+    files
+        Result files, and last the session: its folder, or a session file in it.
+    probe
+        Names of the probings, in the order of the files, or of the frames of one file. Default:
+        the files' names without suffix.
+    to_object
+        TOML file with the place of the program's frame: length_unit, R and t (or T, 4 x 4), where
+        x_object = R x_file + t. Default: both frames are the same.
+    length_unit
+        Unit of the files, where they do not tell. Default: mm, but vtu must be told.
+    frame
+        State to read from files that hold several, from 0; one for all, or one for each probing.
+        Default: the last one.
+    drop_off_surface
+        Leave out measured points that are not on the object: background, tool, holder.
+    replace
+        Replace displacements that the session already has.
+    out
+        Write the CSV files into this result folder instead, and leave the session as it is.
+    """
+    outline, plan = _targets(files, probe, frame, replace=replace or out is not None)
+    pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
+    print_notes((*outline.notes, *notes))
+    done = []
+    for item in plan:
+        measured = read_measured(kind, item.file, length_unit=length_unit, frame=item.frame)
+        placed = on_object(measured, pose) if to_object is not None else measured
+        imported = on_surface(placed, outline.mesh, drop_off_surface=drop_off_surface)
+        done.append(_Import(item.probe.name, item.file, imported))
+    if out is None:
+        _write_into_session(outline, done, replace=replace)
+    else:
+        _write_aside(outline, done, out)
+    _report(outline, done, out)
+    return 0
+
+
+def _targets(
+    files: Sequence[Path],
+    probes: Sequence[str] | None,
+    frames: Sequence[int] | None,
+    *,
+    replace: bool,
+) -> tuple[SessionOutline, tuple[ImportItem, ...]]:
+    """The session and what goes where; refused before anything is read of the files."""
+    if len(files) < 2:
+        raise InputError(
+            "give the result files and then the session, before the options:"
+            " palpate import KIND FILE... SESSION"
+        )
+    outline = read_session_outline(files[-1])
+    plan = import_plan(outline, files[:-1], probes=probes, frames=frames)
+    for target in (item.probe for item in plan):
+        if Path(target.name).name != target.name or target.name.startswith("."):
+            raise InputError(
+                f"{outline.path}: the probing '{target.name}' cannot give a file its name;"
+                " rename it: letters, digits, - and _"
+            )
+        if target.displacement is not None and not replace:
+            raise InputError(
+                f"{outline.path}: the probing '{target.name}' already has displacement ="
+                f' "{target.displacement}"; use --replace, or write elsewhere with --out'
+            )
+    return outline, plan
+
+
+def _write_into_session(outline: SessionOutline, done: Sequence[_Import], *, replace: bool) -> None:
+    """The CSV files and the session that names them, together or not at all."""
+    folder = outline.path.parent
+    targets = [folder / _csv_name(item) for item in done]
+    for target, item in zip(targets, done, strict=True):
+        if target.exists() and target.samefile(item.file):
+            raise InputError(
+                f"{target}: the result would replace its own source; move the source elsewhere, or"
+                " write elsewhere with --out"
+            )
+        if target.exists() and not replace:
+            raise InputError(
+                f"{target}: is there already; use --replace, or write elsewhere with --out"
+            )
+    # Bytes, so that line ends stay as they are.
+    text = outline.path.read_bytes().decode("utf-8")
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    names = {item.name: _csv_name(item) for item in done}
+    edited = mark + with_displacements(outline.path, text.removeprefix(mark), names)
+    with placed_files([*targets, outline.path]) as staged:
+        for path, item in zip(staged, done, strict=False):
+            write_displacement(path, item.imported.field, metres_per_unit=outline.metres_per_unit)
+        staged[-1].write_bytes(edited.encode("utf-8"))
+
+
+def _write_aside(outline: SessionOutline, done: Sequence[_Import], out: Path) -> None:
+    """The CSV files in a result folder."""
+    with result_folder(out) as folder:
+        for item in done:
+            write_displacement(
+                folder / _csv_name(item),
+                item.imported.field,
+                metres_per_unit=outline.metres_per_unit,
+            )
+
+
+def _csv_name(item: _Import) -> str:
+    return f"{item.name}.csv"
+
+
+def _report(outline: SessionOutline, done: Sequence[_Import], out: Path | None) -> None:
+    """What was read and where it went."""
+    console = Console()
+    console.print(_table(done))
+    said: dict[str, list[str]] = {}
+    for item in done:
+        for note in item.imported.notes:
+            said.setdefault(note, []).append(item.file.name)
+    for note, names in said.items():
+        whose = names[0] if len(names) == 1 else f"{len(names)} of {len(done)} files"
+        console.print(f"Note ({whose}): {note}", markup=False, highlight=False)
+    for item in done:
+        name = _csv_name(item)
+        if out is None:
+            told = f"{outline.path}, probing '{item.name}': {displacement_line(name)}"
+        else:
+            file = os.path.relpath(out / name, outline.path.parent)
+            told = f"Add to probing '{item.name}': {displacement_line(Path(file).as_posix())}"
+        console.print(told, markup=False, highlight=False, soft_wrap=True)
+
+
+def _table(done: Sequence[_Import]) -> Table:
+    """One line per file."""
+    table = Table(
+        title="Imported displacements (lengths in mm)",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    table.add_column("probing", no_wrap=True, min_width=4)
+    table.add_column("file", no_wrap=True, min_width=7)
+    for heading in ("points", "seen", "nan", "left out", "off", "|u|", "sigma"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for item in done:
+        imported = item.imported
+        field = imported.field
+        seen = observed_rows(field)
+        size = np.linalg.norm(field.displacement[seen], axis=1)
+        sigma = "-" if field.std is None else f"{1e3 * float(np.median(field.std[seen])):.4f}"
+        table.add_row(
+            escape(item.name),
+            escape(item.file.name),
+            str(imported.read),
+            str(int(seen.sum())),
+            str(imported.failed),
+            str(imported.nowhere + imported.off_surface),
+            f"{1e3 * imported.median_distance:.3f}",
+            f"{1e3 * float(np.median(size)):.3f}",
+            sigma,
+        )
+    table.caption = (
+        "seen: measured points; nan: failed ones, kept as rows of NaN; left out: failed without a"
+        " place, or off the surface; off: distance of the measured points from the surface;"
+        " medians of off, |u| and sigma"
+    )
+    return table

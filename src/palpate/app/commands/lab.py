@@ -1,0 +1,122 @@
+"""`palpate lab`: a virtual measurement in, a session with its truth out."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, get_args, get_type_hints
+
+from cyclopts import Parameter
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from palpate.app.terminal import print_notes, progress_bar
+from palpate.errors import InputError
+from palpate.lab import (
+    SHAPES,
+    Arm,
+    Head,
+    LabConfig,
+    Look,
+    Material,
+    built_in,
+    choose_variant,
+    make_session,
+    read_lab_config,
+)
+from palpate.records import result_folder
+
+
+def lab(
+    config: str | None = None,
+    out: Path | None = None,
+    /,
+    *,
+    seed: int | None = None,
+    list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Measure a virtual specimen: its pictures, forces and the truth as a session folder.
+
+    Parameters
+    ----------
+    config
+        A configuration (TOML, format palpate-lab/1), or the name of a built-in one.
+    out
+        Folder of the session; it appears whole or not at all.
+    seed
+        Another seed than the configuration's: other noise, another texture, other misalignments.
+    list_
+        Only list what can be configured, and the built-in configurations.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    console = Console()
+    if list_:
+        for table in _lists():
+            console.print(table)
+        return 0
+    if config is None or out is None:
+        raise InputError(
+            "give a configuration and a folder: palpate lab CONFIG.toml OUT; --list shows the"
+            f" built-in ones: {', '.join(built_in())}"
+        )
+    plan = read_lab_config(_file(config))
+    plan = plan if seed is None else replace(plan, seed=seed)
+    with result_folder(out) as folder:
+        variant = choose_variant()
+        print_notes([variant.why])
+        with progress_bar() as progress:
+            make_session(plan, folder, variant=variant, progress=progress)
+    console.print(_closing(plan, out), markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+def _file(config: str) -> Path:
+    """The file that a name means."""
+    path, known = Path(config), built_in()
+    if path.exists():
+        return path
+    if config in known:
+        return known[config]
+    raise InputError(
+        f"{config}: no such file, and no built-in configuration; there are: {', '.join(known)}"
+    )
+
+
+def _closing(config: LabConfig, out: Path) -> str:
+    what = (
+        f"{len(config.probes)} probings"
+        if config.stage is None
+        else f"{config.stage.steps} steps of a rigid motion"
+    )
+    then = "fit" if config.stage is None else "flow"
+    return f"{config.name}: {what} in {out}; next: palpate {then} {out}"
+
+
+def _lists() -> list[Table]:
+    """What there is to choose from."""
+    ready = _table("Built-in configurations", "name", "what")
+    for name, file in built_in().items():
+        first = file.read_text(encoding="utf-8").splitlines()[0]
+        ready.add_row(name, escape(first.lstrip("# ")))
+    shapes = _table("Specimens: shape, in \\[specimen]", "shape", "lengths (m)", "what")
+    for name, shape in SHAPES.items():
+        shapes.add_row(name, ", ".join((*shape.lengths, "edge")), shape.summary)
+    shapes.add_row("-", "mesh, element", 'any closed surface: mesh = "file.ply", and \\[support]')
+    words = _table("Choices", "key", "one of")
+    for kind, table, key in (
+        (Material, "material", "law"), (Look, "look", "texture"), (Arm, "arm", "tip"),
+        (Head, "head", "layout"),
+    ):  # fmt: skip
+        words.add_row(rf"\[{table}] {key}", ", ".join(get_args(get_type_hints(kind)[key])))
+    return [ready, shapes, words]
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column)
+    return table

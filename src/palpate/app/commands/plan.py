@@ -1,0 +1,121 @@
+"""`palpate lab plan`: what cameras will see and what a session will tell, before it is made."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from palpate.app.terminal import print_notes, progress_bar
+from palpate.errors import InputError
+from palpate.lab import choose_variant, planned_pictures
+from palpate.pipeline import MATCHING_NOISE, MeasurementPlan, plan_measurement
+from palpate.records import default_folder, modulus_unit, read_session, result_folder
+
+
+def plan(
+    session: Path,
+    /,
+    *,
+    young_modulus: float,
+    poisson_ratio: float = 0.3,
+    matching_noise: float = MATCHING_NOISE,
+    out: Path | None = None,
+) -> int:
+    """Say what to expect of a measurement: which precision, from which probings, in which view.
+
+    Renders the object with a good speckle as each camera will see it, at rest and with the tool at
+    each contact, and tells the smallest standard deviations that cameras and force allow.
+
+    Parameters
+    ----------
+    session
+        Folder of a session with a mesh, a rig, and probings with their forces; pictures need not
+        be there yet.
+    young_modulus
+        A guess of Young's modulus, Pa.
+    poisson_ratio
+        A guess of Poisson's ratio.
+    matching_noise
+        Standard deviation of one camera's match at a vertex, px; 0.01 is that of a good speckle.
+    out
+        Folder for the pictures. Default: the session's folder name followed by -plan, in the
+        current folder.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    console = Console()
+    target = out or default_folder(session, "plan")
+    with result_folder(target) as folder:
+        given = read_session(session)
+        print_notes(given.notes)
+        with progress_bar() as progress:
+            found = plan_measurement(
+                given,
+                young_modulus=young_modulus,
+                poisson_ratio=poisson_ratio,
+                matching_noise=matching_noise,
+                progress=progress,
+            )
+            variant = choose_variant()
+            progress("pictures", 0.8)
+            for name, picture in planned_pictures(given, variant=variant):
+                _save(folder / f"{name}.png", picture)
+        print_notes([variant.why])
+    for table in (_cameras(found), _probings(found, young_modulus, poisson_ratio)):
+        console.print(table)
+    console.print(f"Pictures in {target}", markup=False, highlight=False)
+    return 0
+
+
+def _save(file: Path, picture: np.ndarray) -> None:
+    if not cv2.imwrite(str(file), picture):
+        raise InputError(f"{file}: the picture cannot be written; choose another place with --out")
+
+
+def _cameras(found: MeasurementPlan) -> Table:
+    table = Table(title="What each camera sees", title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("camera")
+    table.add_column("of the free surface", justify="right")
+    for name, share in found.visible.items():
+        table.add_row(escape(name), f"{100 * share:.0f} %")
+    return table
+
+
+def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
+    """One row a probing, and one of all together."""
+    factor, unit = modulus_unit(young)
+    table = Table(
+        title=f"Standard deviations to expect, at E = {young / factor:.4g} {unit},"
+        f" nu = {poisson:g}",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        caption="seen: vertices that two cameras see; |u|, sigma: median displacement there, and of"
+        " its noise; bounds for noise, with 0.7 % of scale: real pictures tell no more",
+        caption_justify="left",
+    )
+    table.add_column("probing")
+    for column in ("seen", "|u| mm", "sigma mm", "nu", f"G {unit}", f"E {unit}"):
+        table.add_column(column, justify="right")
+    for one in found.probings:
+        table.add_row(
+            escape(one.name), str(one.seen), f"{1e3 * one.displacement:.3g}",
+            f"{1e3 * one.sigma:.2g}", *_deviations(one.precision, factor),
+        )  # fmt: skip
+    table.add_section()
+    table.add_row("all", "", "", "", *_deviations(found.precision, factor), style="bold")
+    return table
+
+
+def _deviations(precision: dict[str, float], factor: float) -> tuple[str, str, str]:
+    return (
+        f"{precision['poisson_ratio']:.2g}",
+        f"{precision['shear_modulus'] / factor:.2g}",
+        f"{precision['young_modulus'] / factor:.2g}",
+    )

@@ -1,0 +1,56 @@
+"""Checked read-only copies of arrays, for the constructors of frozen dataclasses."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palpate.errors import InputError
+
+
+def fixed_array(
+    value: ArrayLike,
+    *,
+    name: str,
+    shape: Sequence[int | None],
+    integer: bool = False,
+    nan_allowed: bool = False,
+) -> np.ndarray:
+    """Read-only float64 (or int64) copy of a value whose shape and finiteness were checked.
+
+    Parameters
+    ----------
+    value : array-like
+    name : str                      what the value is, for the message
+    shape : sizes, None = any       e.g. (None, 3) for points
+    integer : bool                  int64 instead of float64; fractions are refused
+    nan_allowed : bool              NaN stands for "not measured"; infinity is never allowed
+
+    Raises
+    ------
+    InputError                      wrong shape, not numeric, not finite, fractional index
+    """
+    wanted = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
+    try:
+        array: np.ndarray = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is not an array of numbers of shape {wanted}: {error}") from error
+    fits = array.ndim == len(shape) and all(
+        want is None or got == want for got, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        raise InputError(f"{name} has shape {array.shape}; must be {wanted}")
+    bad = np.isinf(array) if nan_allowed else ~np.isfinite(array)
+    if np.any(bad):
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"{name} has {int(bad.sum())} entries that are not finite, the first at index {where};"
+            " every entry must be a finite number"
+        )
+    if integer:
+        whole = array.astype(np.int64)
+        if np.any(whole != array):
+            raise InputError(f"{name} must hold whole numbers; got fractions")
+        array = whole
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,333 @@
+"""Integrals of the kernel fields over one six-node triangle: regular for many load points, near and
+singular for one.
+
+Regular: Gauss points, LANES load points at a time, so that everything vectorises. Near: the
+triangle is divided until every part is far enough for its rule. Singular: polar coordinates at the
+load point, whose Jacobian takes away the 1 / r that is left once the value at the load point is
+subtracted from the shape functions (the rest is the rigid-body sum of the assembly).
+"""
+
+import numba
+import numpy as np
+
+from palpate.bem.integrals.kelvin import (
+    LANES,
+    TRACTION_FIELDS,
+    displacement_fields,
+    traction_fields,
+)
+
+SHAPES = 6
+MAX_PARTS = 256
+SMALLEST_PART = 1e-6
+WIDEST_PANEL = 2.0
+
+
+@numba.njit(fastmath=True, error_model="numpy", cache=True)
+def fields_at_points(lanes, sources, n_fields, out):
+    """Fields at each quadrature point of a triangle, one row a point.
+
+    Parameters
+    ----------
+    lanes : (3 LANES,) float [m]            load points, coordinate-major
+    sources : (q, 6) float                  positions and weighted normals
+    n_fields : int                          9 for traction, 6 for displacement
+    out : (q * n_fields * LANES,) float     overwritten
+    """
+    width = n_fields * LANES
+    for q in range(sources.shape[0]):
+        row = out[q * width : (q + 1) * width]
+        if n_fields == TRACTION_FIELDS:
+            traction_fields(lanes, sources[q], row)
+        else:
+            displacement_fields(lanes, sources[q], row)
+
+
+@numba.njit(fastmath=True, error_model="numpy", cache=True)
+def add_shape_moment(fields, shape, out):
+    """Add the sum over quadrature points of shape value times fields.
+
+    Parameters
+    ----------
+    fields : (q * width,) float             one row a quadrature point
+    shape : (q,) float                      shape function at the points
+    out : (width,) float                    added to
+    """
+    width = out.size
+    n_points = shape.size
+    q = 0
+    while q + 3 <= n_points:
+        w0, w1, w2 = shape[q], shape[q + 1], shape[q + 2]
+        f = fields[q * width : (q + 3) * width]
+        for i in range(width):
+            out[i] += w0 * f[i] + w1 * f[width + i] + w2 * f[2 * width + i]
+        q += 3
+    while q < n_points:
+        w0 = shape[q]
+        f = fields[q * width : (q + 1) * width]
+        for i in range(width):
+            out[i] += w0 * f[i]
+        q += 1
+
+
+@numba.njit(error_model="numpy", cache=True)
+def shapes_at(b0, b1, b2, shape):
+    """Six shape functions at one point (`quadrature.quadratic_shapes`), written into shape (6,)."""
+    shape[0] = b0 * (2 * b0 - 1)
+    shape[1] = b1 * (2 * b1 - 1)
+    shape[2] = b2 * (2 * b2 - 1)
+    shape[3] = 4 * b0 * b1
+    shape[4] = 4 * b1 * b2
+    shape[5] = 4 * b2 * b0
+
+
+@numba.njit(error_model="numpy", cache=True)
+def surface_point(nodes, b0, b1, b2, shape, source):
+    """Shape functions, position and area normal at one point of a six-node triangle.
+
+    Parameters
+    ----------
+    nodes : (6, 3) float [m]
+    b0, b1, b2 : float                      barycentric coordinates
+    shape : (6,) float                      overwritten
+    source : (6,) float                     overwritten: position [m], normal times area per
+                                            reference area [m^2]
+    """
+    shapes_at(b0, b1, b2, shape)
+    c0, c1, c2 = 4 * b0 - 1, 4 * b1 - 1, 4 * b2 - 1
+    u0 = u1 = u2 = v0 = v1 = v2 = 0.0
+    for k in range(3):
+        source[k] = 0.0
+    for a in range(6):
+        slope_b, slope_c = 0.0, 0.0
+        if a == 0:
+            slope_b, slope_c = -c0, -c0
+        elif a == 1:
+            slope_b = c1
+        elif a == 2:
+            slope_c = c2
+        elif a == 3:
+            slope_b, slope_c = 4 * (b0 - b1), -4 * b1
+        elif a == 4:
+            slope_b, slope_c = 4 * b2, 4 * b1
+        else:
+            slope_b, slope_c = -4 * b2, 4 * (b0 - b2)
+        x, y, z = nodes[a, 0], nodes[a, 1], nodes[a, 2]
+        source[0] += shape[a] * x
+        source[1] += shape[a] * y
+        source[2] += shape[a] * z
+        u0 += slope_b * x
+        u1 += slope_b * y
+        u2 += slope_b * z
+        v0 += slope_c * x
+        v1 += slope_c * y
+        v2 += slope_c * z
+    source[3] = u1 * v2 - u2 * v1
+    source[4] = u2 * v0 - u0 * v2
+    source[5] = u0 * v1 - u1 * v0
+
+
+@numba.njit(error_model="numpy", cache=True)
+def add_point(point, source, weight, shape, own, n_fields, out):
+    """Add one quadrature point's share to the integrals of all six shape functions.
+
+    Parameters
+    ----------
+    point : (3,) float [m]                  load point
+    source : (6,) float                     position and area normal of the surface point
+    weight : float                          reference weight
+    shape, own : (6,) float                 shape functions there and at the load point (zero where
+                                            that is elsewhere)
+    n_fields : int                          9 for traction, 6 for displacement
+    out : (6, 9) float                      added to
+    """
+    rx, ry, rz = source[0] - point[0], source[1] - point[1], source[2] - point[2]
+    nx, ny, nz = source[3], source[4], source[5]
+    s = 1.0 / np.sqrt(rx * rx + ry * ry + rz * rz)
+    s3 = s * s * s * weight
+    if n_fields == TRACTION_FIELDS:
+        flux = 3.0 * (rx * nx + ry * ny + rz * nz) * s3 * s * s
+        for a in range(6):
+            w = shape[a] - own[a]
+            out[a, 0] += w * (ry * nz - rz * ny) * s3
+            out[a, 1] += w * (rz * nx - rx * nz) * s3
+            out[a, 2] += w * (rx * ny - ry * nx) * s3
+            w *= flux
+            out[a, 3] += w * rx * rx
+            out[a, 4] += w * ry * ry
+            out[a, 5] += w * rz * rz
+            out[a, 6] += w * ry * rz
+            out[a, 7] += w * rz * rx
+            out[a, 8] += w * rx * ry
+    else:
+        s3 *= np.sqrt(nx * nx + ny * ny + nz * nz)
+        for a in range(6):
+            w = shape[a] * s3
+            out[a, 0] += w * rx * rx
+            out[a, 1] += w * ry * ry
+            out[a, 2] += w * rz * rz
+            out[a, 3] += w * ry * rz
+            out[a, 4] += w * rz * rx
+            out[a, 5] += w * rx * ry
+
+
+@numba.njit(error_model="numpy", cache=True)
+def add_singular(point, nodes, corners, polar, own, n_fields, out):
+    """Add the integrals over the part of a triangle that has the load point as its first corner.
+
+    Parameters
+    ----------
+    point : (3,) float [m]                  load point
+    nodes : (6, 3) float [m]                six-node triangle
+    corners : (3, 3) float                  barycentric coordinates of the part's corners, the load
+                                            point first
+    polar : (p, 3) float                    radius and hyperbolic angle, from 0 to 1, and weight
+                                            times radius; the angle makes the integrand smooth
+                                            however flat the part is
+    own : (6,) float                        shape functions at the load point
+    n_fields : int                          9 for traction, 6 for displacement
+    out : (6, 9) float                      added to
+    """
+    shape, source = np.empty(6), np.empty(6)
+    b = np.empty(3)
+    scale = abs(
+        corners[0, 0] * (corners[1, 1] * corners[2, 2] - corners[1, 2] * corners[2, 1])
+        - corners[0, 1] * (corners[1, 0] * corners[2, 2] - corners[1, 2] * corners[2, 0])
+        + corners[0, 2] * (corners[1, 0] * corners[2, 1] - corners[1, 1] * corners[2, 0])
+    )
+    foot, height = _foot_and_height(nodes, corners)
+    first = np.arcsinh(-foot / height)
+    span = np.arcsinh((1 - foot) / height) - first
+    panels = max(1, int(np.ceil(span / WIDEST_PANEL)))
+    span /= panels
+    for panel in range(panels):
+        for p in range(polar.shape[0]):
+            s = polar[p, 0]
+            angle = first + span * (panel + polar[p, 1])
+            t = foot + height * np.sinh(angle)
+            weight = polar[p, 2] * scale * span * height * np.cosh(angle)
+            for k in range(3):
+                b[k] = (1 - s) * corners[0, k] + s * ((1 - t) * corners[1, k] + t * corners[2, k])
+            surface_point(nodes, b[0], b[1], b[2], shape, source)
+            add_point(point, source, weight, shape, own, n_fields, out)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _slopes_at(a, b0, b1, b2):
+    """Derivatives of one shape function along edges 01 and 02."""
+    if a == 0:
+        return 1 - 4 * b0, 1 - 4 * b0
+    if a == 1:
+        return 4 * b1 - 1, 0.0
+    if a == 2:
+        return 0.0, 4 * b2 - 1
+    if a == 3:
+        return 4 * (b0 - b1), -4 * b1
+    if a == 4:
+        return 4 * b2, 4 * b1
+    return -4 * b2, 4 * (b0 - b2)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _foot_and_height(nodes, corners):
+    """Where the perpendicular from the first corner meets the line of the others, and its length.
+
+    Both over the distance of these two; the foot is 0 at the second corner, 1 at the third.
+    Measured in the tangent plane at the first corner: there the integrand is large, and a bent
+    element's corners may lie elsewhere.
+    """
+    place = np.zeros((3, 3))
+    b0, b1, b2 = corners[0]
+    for a in range(6):
+        slope = _slopes_at(a, b0, b1, b2)
+        for k in range(1, 3):
+            change = slope[0] * (corners[k, 1] - b1) + slope[1] * (corners[k, 2] - b2)
+            for i in range(3):
+                place[k, i] += change * nodes[a, i]
+    edge2, along, away2 = 0.0, 0.0, 0.0
+    for i in range(3):
+        edge, away = place[2, i] - place[1, i], place[1, i] - place[0, i]
+        edge2 += edge * edge
+        along += edge * away
+        away2 += away * away
+    foot = -along / edge2
+    return foot, np.sqrt(max(away2 / edge2 - foot * foot, 1e-12))
+
+
+@numba.njit(error_model="numpy", cache=True)
+def add_near(point, nodes, rules, start, ratios, n_fields, out):
+    """Add the integrals over a triangle that does not hold the load point but is close to it.
+
+    The triangle is divided into four, and these again, until the load point is far enough from each
+    part for one of the rules.
+
+    Parameters
+    ----------
+    point : (3,) float [m]                  load point
+    nodes : (6, 3) float [m]                six-node triangle
+    rules : (q, 4) float                    barycentric points and weights of all rules
+    start : (k + 1,) int                    where each rule starts
+    ratios : (k,) float                     distance over radius from which each may be used
+    n_fields : int                          9 for traction, 6 for displacement
+    out : (6, 9) float                      added to
+    """
+    shape, source, own = np.empty(6), np.empty(6), np.zeros(6)
+    stack = np.zeros((MAX_PARTS, 10))
+    for k in range(3):
+        stack[0, 4 * k] = 1.0
+    stack[0, 9] = 1.0
+    top = 1
+    part = np.empty(10)
+    while top > 0:
+        top -= 1
+        for k in range(10):
+            part[k] = stack[top, k]
+        ratio = _ratio(point, nodes, part)
+        if ratio < ratios[-1] and part[9] > SMALLEST_PART and top + 4 <= MAX_PARTS:
+            _divide(part, stack[top : top + 4])
+            top += 4
+            continue
+        rule = 0
+        while rule < ratios.size - 1 and ratio < ratios[rule]:
+            rule += 1
+        for q in range(start[rule], start[rule + 1]):
+            b0 = rules[q, 0] * part[0] + rules[q, 1] * part[3] + rules[q, 2] * part[6]
+            b1 = rules[q, 0] * part[1] + rules[q, 1] * part[4] + rules[q, 2] * part[7]
+            surface_point(nodes, b0, b1, 1 - b0 - b1, shape, source)
+            add_point(point, source, rules[q, 3] * part[9], shape, own, n_fields, out)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _ratio(point, nodes, part):
+    """Distance of a point from the centre of a part of a triangle, over the part's radius."""
+    shape, source = np.empty(6), np.empty(6)
+    corner = np.empty((3, 3))
+    for k in range(3):
+        surface_point(nodes, part[3 * k], part[3 * k + 1], part[3 * k + 2], shape, source)
+        for i in range(3):
+            corner[k, i] = source[i]
+    distance2 = 0.0
+    for i in range(3):
+        centre = (corner[0, i] + corner[1, i] + corner[2, i]) / 3
+        distance2 += (point[i] - centre) ** 2
+        for k in range(3):
+            corner[k, i] -= centre
+    radius2 = 0.0
+    for k in range(3):
+        radius2 = max(radius2, corner[k, 0] ** 2 + corner[k, 1] ** 2 + corner[k, 2] ** 2)
+    return np.sqrt(distance2 / radius2)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _divide(part, children):
+    """The four quarters of a part (barycentric corners, then its share of the area)."""
+    for k in range(3):
+        after, before = (k + 1) % 3, (k + 2) % 3
+        for i in range(3):
+            own = part[3 * k + i]
+            children[k, i] = own
+            children[k, 3 + i] = 0.5 * (own + part[3 * after + i])
+            children[k, 6 + i] = 0.5 * (own + part[3 * before + i])
+            children[3, 3 * k + i] = 0.5 * (own + part[3 * after + i])
+    for k in range(4):
+        children[k, 9] = 0.25 * part[9]

@@ -1,0 +1,137 @@
+"""The surface as the boundary integrals see it: six-node triangles, and where fields live on
+them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from palpate.bem.integrals.quadrature import element_points, quadratic_shapes, triangle_rule
+from palpate.errors import InputError
+from palpate.geometry import (
+    CREASE_ANGLE,
+    QuadraticNodes,
+    Sides,
+    TriangleMesh,
+    displacement_nodes,
+    linear_nodes,
+    side_nodes,
+    split_sides,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceSettings:
+    """How the surface between the vertices is understood.
+
+    Attributes
+    ----------
+    smooth : bool             True: the vertices lie on a smooth object and its curvature is
+                              followed between them; False: the object has exactly the flat facets
+                              of the mesh
+    quadratic : bool          True: fields are quadratic on each triangle, fitted from the vertices
+                              around; False: linear elements, as in the paper
+    crease_angle : float [rad] angle between neighbouring triangles from which their edge is a real
+    edge of the object
+    """
+
+    smooth: bool = True
+    quadratic: bool = True
+    crease_angle: float = CREASE_ANGLE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundarySurface:
+    """Closed surface of six-node triangles, part of which is held.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+    sides : Sides
+    held : (m,) bool                  triangles of the support
+    element_nodes : (m, 6, 3) float   [m]
+    displacement : QuadraticNodes     continuous, one node a vertex
+    traction : QuadraticNodes         one node a side of a vertex
+    follows_dips : bool               whether elements under a load may take the shape of the dip
+                                      (`contact_shape`)
+    """
+
+    mesh: TriangleMesh
+    sides: Sides
+    held: Bool[np.ndarray, " m"]
+    element_nodes: Float[np.ndarray, "m 6 3"]
+    displacement: QuadraticNodes
+    traction: QuadraticNodes
+    follows_dips: bool
+
+
+def make_surface(
+    mesh: TriangleMesh,
+    held_triangles: Int[np.ndarray, " k"],
+    *,
+    settings: SurfaceSettings = SurfaceSettings(),
+) -> BoundarySurface:
+    """Prepare a closed mesh and its support for the boundary integrals.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh               closed, outward
+    held_triangles : (k,) int         triangles that do not move
+    settings : SurfaceSettings
+
+    Returns
+    -------
+    BoundarySurface
+
+    Raises
+    ------
+    InputError                        nothing is held, or everything is
+    """
+    held = np.zeros(mesh.triangles.shape[0], dtype=bool)
+    held[held_triangles] = True
+    if held.all() or not held.any():
+        raise InputError(
+            f"the support has {held.sum()} of {held.size} triangles; it must hold a part of "
+            "the surface and leave a part free; check the selectors of [support]"
+        )
+    sides = split_sides(mesh, held.astype(np.int64), crease_angle=settings.crease_angle)
+    displacement, traction = displacement_nodes(mesh, sides), side_nodes(mesh, sides)
+    geometry = displacement if settings.smooth else linear_nodes(displacement)
+    if not settings.quadratic:
+        displacement, traction = linear_nodes(displacement), linear_nodes(traction)
+    position = np.concatenate([mesh.vertices, geometry.weights @ mesh.vertices])
+    nodes = position[geometry.element]
+    follows_dips = settings.smooth and settings.quadratic
+    return BoundarySurface(mesh, sides, held, nodes, displacement, traction, follows_dips)
+
+
+def integral_weights(
+    surface: BoundarySurface, triangles: Int[np.ndarray, " k"]
+) -> Float[np.ndarray, " s"]:
+    """Weights that integrate a field given at the sides over some triangles.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    triangles : (k,) int
+
+    Returns
+    -------
+    (s,) float [m^2]          one a side of a vertex; integral = weights @ values
+    """
+    from_corner, from_middle = _element_integrals(surface.element_nodes[triangles])
+    nodes = surface.traction
+    weights = np.zeros(nodes.n_nodes)
+    np.add.at(weights, nodes.element[triangles, :3], from_corner)
+    middle = np.zeros(nodes.weights.shape[0])
+    np.add.at(middle, nodes.element[triangles, 3:] - nodes.n_nodes, from_middle)
+    return weights + nodes.weights.T @ middle
+
+
+def _element_integrals(
+    nodes: Float[np.ndarray, "k 6 3"],
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    rule = triangle_rule(7)
+    area = np.linalg.norm(element_points(nodes, rule.barycentric)[:, :, 3:], axis=2)
+    share = np.einsum("q,aq,kq->ka", rule.weight, quadratic_shapes(rule.barycentric), area)
+    return share[:, :3], share[:, 3:]

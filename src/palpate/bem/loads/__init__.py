@@ -1,0 +1,25 @@
+"""loads."""
+
+from palpate.bem.loads.body_force import (
+    BodyForce as BodyForce,
+    body_force_columns as body_force_columns,
+    dilation_factor as dilation_factor,
+)
+from palpate.bem.loads.contact_shape import (
+    ContactShape as ContactShape,
+    contact_shape as contact_shape,
+    shape_columns as shape_columns,
+)
+from palpate.bem.loads.half_space import PressureDisc as PressureDisc
+from palpate.bem.loads.right_hand import (
+    RightHand as RightHand,
+    joined as joined,
+    load_columns as load_columns,
+    support_columns as support_columns,
+    traction_column as traction_column,
+)
+from palpate.bem.loads.surface_load import (
+    SurfaceLoad as SurfaceLoad,
+    integrate_load as integrate_load,
+    loaded_triangles as loaded_triangles,
+)

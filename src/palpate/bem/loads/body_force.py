@@ -1,0 +1,94 @@
+"""A constant body force, such as gravity, by a particular solution: nothing is integrated over the
+volume.
+
+With b the force per volume and y the position, the hydrostatic stress -(b.y) times the unit tensor
+balances b. Its strain is a uniform dilation that varies linearly, which is the displacement
+
+    u_p = -(1 - 2 nu) / (2 G (1 + nu)) [(b.y) y - b |y|^2 / 2],      traction  t_p = -(b.y) n.
+
+The rest of the displacement has no body force: it sees the traction +(b.y) n on the free surface,
+whatever the material, and -u_p on the support. Both are right-hand sides of the same system.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.bem.integrals import ELEMENT_NODES, BoundarySurface, Quadrature, element_points
+from palpate.bem.loads.right_hand import RightHand, joined, support_columns, traction_column
+from palpate.bem.system import BoundarySystem
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyForce:
+    """Right-hand sides of a constant body force.
+
+    With x_0 and x_1 the solutions for the two columns, the displacement times the shear modulus is
+    x_0 + factor(nu) (x_1 + particular).
+
+    Attributes
+    ----------
+    right : RightHand                     two columns: the traction on the free surface, the moved
+                                          support
+    particular : (v, 3) float [m Pa]      particular displacement of every vertex over factor(nu)
+    """
+
+    right: RightHand
+    particular: Float[np.ndarray, "v 3"]
+
+
+def dilation_factor(poisson_ratio: float) -> float:
+    """(1 - 2 nu) / (2 (1 + nu)), how much of the particular solution there is.
+
+    Parameters
+    ----------
+    poisson_ratio : float [-]
+
+    Returns
+    -------
+    float [-]
+    """
+    return (1 - 2 * poisson_ratio) / (2 * (1 + poisson_ratio))
+
+
+def body_force_columns(
+    system: BoundarySystem,
+    force_density: Float[np.ndarray, "3"],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> BodyForce:
+    """Right-hand sides for a constant force per volume.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    force_density : (3,) float [N/m^3]    density times acceleration
+    quadrature : Quadrature
+
+    Returns
+    -------
+    BodyForce
+    """
+    surface = system.surface
+    held = surface.mesh.vertices[system.unknowns.held_vertices]
+    origin = held.mean(axis=0)
+    y = surface.mesh.vertices - origin
+    square = np.einsum("vi,vi->v", y, y)[:, None]
+    particular = 0.5 * square * force_density - (y @ force_density)[:, None] * y
+    free = np.flatnonzero(~surface.held)
+    traction = _hydrostatic_traction(surface, free, force_density, origin)
+    pressed = traction_column(system, free, traction, quadrature=quadrature)
+    return BodyForce(joined([pressed, support_columns(system, -particular)]), particular)
+
+
+def _hydrostatic_traction(
+    surface: BoundarySurface,
+    triangles: Int[np.ndarray, " k"],
+    force_density: Float[np.ndarray, "3"],
+    origin: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "k 6 3"]:
+    """(b.y) n at the six nodes of each triangle."""
+    points = element_points(surface.element_nodes[triangles], ELEMENT_NODES)
+    normal = points[:, :, 3:] / np.linalg.norm(points[:, :, 3:], axis=2)[:, :, None]
+    return ((points[:, :, :3] - origin) @ force_density)[:, :, None] * normal

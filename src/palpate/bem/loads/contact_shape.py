@@ -1,0 +1,142 @@
+"""Quadratic elements that know how a surface dips under a tool.
+
+Close to a contact the displacement is a smooth field plus the dip of a half space under the same
+pressure. Fitted midpoints catch the smooth part; the dip is known. So the midpoints near a load get
+what the fit of the dip misses, which goes to the right-hand side. No unknown is added, and the dip
+is linear in Poisson's ratio like the system.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+
+from palpate.bem.integrals import TRACTION_FIELDS, BoundarySurface, Quadrature, assemble
+from palpate.bem.loads.half_space import PressureDisc, disc_displacement
+from palpate.bem.loads.right_hand import RightHand
+from palpate.bem.system import PAIRS, BoundarySystem, restrict_collocation
+from palpate.geometry import QuadraticNodes, unit_normals
+
+REACH = 2.5
+SMALLEST_COSINE = 0.7
+NEGLIGIBLE = 2e-3
+SKEW = np.array([[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
+                 [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]])  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactShape:
+    """What the fitted midpoints near a load miss of the dip under it.
+
+    Attributes
+    ----------
+    midpoints : (p,) int              rows of `QuadraticNodes.weights` where more than 2e-3 of the
+                                      dip is missed; none where the mesh is fine enough
+    missing : (2, p, 3, 3) float      displacement times shear modulus per newton, constant and
+                                      slope in nu [1/m]; [.., i, j]: component i, force along j
+    """
+
+    midpoints: Int[np.ndarray, " p"]
+    missing: Float[np.ndarray, "2 p 3 3"]
+
+
+def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -> ContactShape:
+    """Compare the dip under a load with its own fit, at the midpoints around the load.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    disc : PressureDisc
+    triangle : int                    triangle at its centre, for the normal
+
+    Returns
+    -------
+    ContactShape
+    """
+    mesh, nodes = surface.mesh, surface.displacement
+    normals = unit_normals(mesh)
+    normal = normals[triangle]
+    middle = surface.element_nodes[:, 3:]
+    edge = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], -1, axis=1)
+    distance = np.linalg.norm(middle - disc.centre, axis=2)
+    reach = disc.radius + REACH * np.linalg.norm(edge, axis=2)
+    level = ~surface.held & (normals @ normal > SMALLEST_COSINE)
+    edge_level = np.ones(nodes.weights.shape[0], dtype=bool)
+    row = nodes.element[:, 3:] - nodes.n_nodes
+    edge_level[row[~level].ravel()] = False
+    chosen = (distance < reach) & edge_level[row] & ~surface.sides.cut[surface.sides.edge]
+    midpoints, first = np.unique(row[chosen], return_index=True)
+    position = middle[chosen][first]
+    weights = csr_array(nodes.weights[midpoints])
+    vertices = np.unique(weights.indices)
+    at_vertices = disc_displacement(disc, normal, mesh.vertices[vertices])
+    fitted = np.einsum("pv,svij->spij", weights[:, vertices].toarray(), at_vertices)
+    dip = disc_displacement(disc, normal, position)
+    missing = dip - fitted
+    counts = np.abs(missing).max(axis=(0, 2, 3)) > NEGLIGIBLE * np.abs(dip).max(initial=0.0)
+    return ContactShape(midpoints[counts], missing[:, counts])
+
+
+def shape_columns(
+    system: BoundarySystem,
+    shapes: Sequence[ContactShape],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> RightHand:
+    """Right-hand sides of what the midpoints miss, to be added to those of the loads themselves.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    shapes : sequence of k ContactShape
+    quadrature : Quadrature
+
+    Returns
+    -------
+    RightHand                         three columns a shape, quadratic in Poisson's ratio
+    """
+    surface = system.surface
+    nodes, triangles = _shape_nodes(surface.displacement, shapes)
+    chosen = np.zeros(surface.held.size, dtype=bool)
+    chosen[triangles] = True
+    blocks = assemble(
+        restrict_collocation(system.collocation, chosen), surface.mesh.triangles[triangles],
+        surface.element_nodes[triangles], nodes, n_fields=TRACTION_FIELDS, quadrature=quadrature,
+    )  # fmt: skip
+    fields = blocks.values.transpose(0, 3, 1, 2).reshape(-1, len(shapes), 2, 3, 3, 9)
+    fields = fields[: blocks.n_rows]
+    flux = fields[..., 3:6].sum(axis=-1) / 3
+    skew = np.einsum("rnsjck,ijk->isrnc", fields[..., :3], SKEW, optimize=True)
+    part_a = skew - flux.transpose(3, 2, 0, 1, 4)
+    part_b = -np.einsum("rnsjcij->isrnc", fields[..., 3 + np.array(PAIRS)])
+    zero, one = part_a + part_b, -2 * part_a
+    parts = (-zero[:, 0], -(zero[:, 1] + one[:, 0]), -one[:, 1])
+    balance = np.zeros((3, 3 * len(shapes)))
+    return RightHand(*(np.concatenate([p.reshape(-1, balance.shape[1]), balance]) for p in parts))
+
+
+def _shape_nodes(
+    nodes: QuadraticNodes, shapes: Sequence[ContactShape]
+) -> tuple[QuadraticNodes, Int[np.ndarray, " t"]]:
+    """18 nodes a shape, one for each entry of its `missing`, whose shape functions carry these
+    entries; and the triangles on which they do."""
+    used = np.unique(np.concatenate([shape.midpoints for shape in shapes]))
+    number = np.full(nodes.weights.shape[0], -1)
+    number[used] = np.arange(used.size)
+    parts = []
+    for k, shape in enumerate(shapes):
+        values = shape.missing.transpose(1, 0, 2, 3).reshape(-1, 18)
+        row = np.repeat(number[shape.midpoints], 18)
+        column = np.tile(18 * k + np.arange(18), shape.midpoints.size)
+        parts.append((row, column, values.ravel()))
+    row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    # One more row of zeros, for corners and for midpoints that miss nothing.
+    count = 18 * len(shapes)
+    weights = csr_array((value, (row, column)), shape=(used.size + 1, count))
+    local = number[nodes.element[:, 3:] - nodes.n_nodes]
+    triangles = np.flatnonzero((local >= 0).any(axis=1))
+    element = np.full((triangles.size, 6), count + used.size)
+    element[:, 3:] = count + np.where(local[triangles] >= 0, local[triangles], used.size)
+    return QuadraticNodes(element, count, weights), triangles

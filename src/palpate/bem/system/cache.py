@@ -1,0 +1,112 @@
+"""The integrals of an object kept on disk, found again by what they were computed from.
+
+Only on request: they are large (80 MB for 1000 vertices, four times that for 2000) and computed
+anew in a second or two.
+"""
+
+import hashlib
+import os
+import tempfile
+import zipfile
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.bem.integrals import BoundarySurface, FieldBlocks, Quadrature
+from palpate.bem.system.boundary import find_unknowns, place_collocation
+from palpate.bem.system.system import BoundarySystem, assemble_system
+from palpate.errors import InputError
+
+# Raised by whoever changes what is stored or how it is computed.
+FORMAT = 1
+KERNELS = ("traction", "displacement")
+
+
+def cached_system(
+    surface: BoundarySurface, folder: Path, *, quadrature: Quadrature = Quadrature()
+) -> BoundarySystem:
+    """The integrals of an object: read where this folder has them, else computed and kept there.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    folder : Path                 made if absent
+    quadrature : Quadrature
+
+    Returns
+    -------
+    BoundarySystem                the same to the last bit, whether read or computed
+
+    Raises
+    ------
+    InputError                    the folder cannot be written
+    """
+    path = folder / f"system-{content_hash(surface, quadrature)}.npz"
+    found = _read(path, surface)
+    if found is not None:
+        return found
+    system = assemble_system(surface, quadrature=quadrature)
+    try:
+        _write(path, system)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: the cache cannot be written ({error.strerror}); give another folder, or "
+            "leave the cache out"
+        ) from error
+    return system
+
+
+def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
+    """What the integrals depend on, in 32 hexadecimal digits.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    quadrature : Quadrature
+
+    Returns
+    -------
+    str
+    """
+    parts = [np.array([FORMAT]), surface.mesh.triangles, surface.element_nodes, surface.held]
+    for nodes in (surface.displacement, surface.traction):
+        weights = nodes.weights
+        parts += [nodes.element, weights.indptr, weights.indices, weights.data]
+    digest = hashlib.sha256(repr(astuple(quadrature)).encode())
+    for part in parts:
+        digest.update(repr((part.shape, part.dtype.str)).encode())
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
+    """The system in a file, or None where there is none that can be read."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            kernels = [(stored[f"{name}_values"], stored[f"{name}_rows"]) for name in KERNELS]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return None
+    unknowns = find_unknowns(surface)
+    collocation = place_collocation(surface, unknowns)
+    count = collocation.point.shape[0]
+    traction, displacement = (FieldBlocks(values, rows, count) for values, rows in kernels)
+    return BoundarySystem(surface, unknowns, collocation, traction, displacement)
+
+
+def _write(path: Path, system: BoundarySystem) -> None:
+    """Write whole or not at all: into a file beside it, which then takes its name."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    blocks = (system.traction_kernel, system.displacement_kernel)
+    arrays: dict[str, Any] = {}
+    for name, kernel in zip(KERNELS, blocks, strict=True):
+        arrays |= {f"{name}_values": kernel.values, f"{name}_rows": kernel.rows}
+    handle, partial = tempfile.mkstemp(dir=path.parent, suffix=".partial")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, **arrays)
+        os.replace(partial, path)
+    except BaseException:
+        os.unlink(partial)
+        raise

@@ -1,0 +1,115 @@
+"""Displacement of a point of the surface that need not be a vertex, as sharp as that of a vertex.
+
+Under a tool the displacement changes within an element, and what the vertices around say by
+interpolation is too soft. The integral equation written at the point itself knows the load there:
+the displacement follows from it once the vertices' displacements and the support's tractions are
+known.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.bem.integrals import BoundarySurface, Collocation, Quadrature, quadratic_shapes
+from palpate.bem.system.system import PAIRS, BoundarySystem, integral_equations, system_matrix
+
+AT_VERTEX = 1 - 1e-6
+FROM_EDGE = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointEquations:
+    """The integral equation at points of the surface, linear in Poisson's ratio.
+
+    For each point, own(nu) u = matrix(nu) x - right(nu) / G, with x the unknowns of the system.
+
+    Attributes
+    ----------
+    system : BoundarySystem               the equations, to write right-hand sides for
+    matrix : (2, p, 3, k) float           constant and slope
+    own : (2, p, 3, 3) float              constant and slope
+    """
+
+    system: BoundarySystem
+    matrix: Float[np.ndarray, "2 p 3 k"]
+    own: Float[np.ndarray, "2 p 3 3"]
+
+    def by_point(self, rows: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "p 3 c"]:
+        """Sort rows of a right-hand side by point.
+
+        Parameters
+        ----------
+        rows : (3 p + 3, c) float         as right-hand sides of `system` come
+
+        Returns
+        -------
+        (p, 3, c) float
+        """
+        return _sorted_rows(self.system, rows)
+
+
+def point_equations(
+    system: BoundarySystem,
+    triangle: Int[np.ndarray, " p"],
+    barycentric: Float[np.ndarray, "p 3"],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> PointEquations:
+    """Write the integral equation at points of the free surface.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    triangle : (p,) int
+    barycentric : (p, 3) float [-]        a point on an edge is moved by 2 % of its triangle
+    quadrature : Quadrature
+
+    Returns
+    -------
+    PointEquations
+    """
+    collocation = _collocation_at(system.surface, triangle, barycentric)
+    equations = integral_equations(
+        system.surface, system.unknowns, collocation, quadrature=quadrature
+    )
+    at_zero, at_one = (_sorted_rows(equations, system_matrix(equations, nu)) for nu in (0.0, 1.0))
+    total = equations.traction_kernel.values.sum(axis=1).transpose(0, 2, 1).reshape(-1, 9)
+    fields = np.empty((triangle.size, 9))
+    fields[equations.traction_kernel.rows.ravel()] = total
+    flux = fields[:, 3:6].sum(axis=1)[:, None, None] / 3 * np.eye(3)
+    x, y, z = fields[:, 0], fields[:, 1], fields[:, 2]
+    skew = np.stack([0 * x, z, -y, -z, 0 * x, x, y, -x, 0 * x], axis=1).reshape(-1, 3, 3)
+    a, b = skew - flux, -fields[:, 3 + np.array(PAIRS)]
+    return PointEquations(
+        equations, np.stack([at_zero, at_one - at_zero]), np.stack([a + b, -2 * a])
+    )
+
+
+def _collocation_at(
+    surface: BoundarySurface,
+    triangle: Int[np.ndarray, " p"],
+    barycentric: Float[np.ndarray, "p 3"],
+) -> Collocation:
+    at_vertex = barycentric.max(axis=1) > AT_VERTEX
+    corner = surface.mesh.triangles[triangle, barycentric.argmax(axis=1)]
+    inner = np.clip(barycentric, FROM_EDGE, None)
+    inner /= inner.sum(axis=1)[:, None]
+    point = np.einsum("ap,pai->pi", quadratic_shapes(inner), surface.element_nodes[triangle])
+    point[at_vertex] = surface.mesh.vertices[corner[at_vertex]]
+    return Collocation(
+        point,
+        np.where(at_vertex, corner, -1),
+        np.where(at_vertex, -1, triangle),
+        np.where(at_vertex[:, None], 0.0, inner),
+    )
+
+
+def _sorted_rows(
+    system: BoundarySystem, rows: Float[np.ndarray, "r c"]
+) -> Float[np.ndarray, "p 3 c"]:
+    count = system.collocation.point.shape[0]
+    order = system.traction_kernel.rows.ravel()[:count]
+    out = np.empty((count, 3, rows.shape[1]))
+    out[order] = rows[: 3 * count].reshape(3, count, -1).transpose(1, 0, 2)
+    return out

@@ -1,0 +1,314 @@
+"""The linear system of a held object, linear in Poisson's ratio, and its factorisation."""
+
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.linalg import get_lapack_funcs, lu_factor, lu_solve
+
+from palpate.bem.integrals import (
+    DISPLACEMENT_FIELDS,
+    LANES,
+    TRACTION_FIELDS,
+    BoundarySurface,
+    Collocation,
+    FieldBlocks,
+    Quadrature,
+    assemble,
+    integral_weights,
+    with_rigid_body_sum,
+)
+from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
+from palpate.errors import SingularSystemError
+from palpate.geometry import QuadraticNodes
+from palpate.threads import in_threads
+
+PAIRS = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
+SMALLEST_RCOND = 1e-14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundarySystem:
+    """Material-free matrices of one object on one support.
+
+    The system for the unknowns x = (displacement of the free vertices [m], traction of the held
+    sides times `traction_length` over the shear modulus [m], slack [m]) is matrix(nu) x =
+    right-hand side, its integral equations multiplied by 8 pi (1 - nu).
+
+    Collocation does not keep the balance of forces by itself. Three more equations demand that the
+    support's tractions balance the load, and three more unknowns, one uniform slack for each
+    component of all integral equations, make room for them. The slack is zero in the exact solution
+    and about 1e-4 of the displacement in a discrete one.
+
+    Attributes
+    ----------
+    surface : BoundarySurface
+    unknowns : Unknowns
+    collocation : Collocation
+    traction_kernel : FieldBlocks         against the displacement of every vertex
+    displacement_kernel : FieldBlocks     against the traction of every side of the support
+    traction_length : float [m]           scales tractions to displacements, so that columns are
+                                          alike
+    """
+
+    surface: BoundarySurface
+    unknowns: Unknowns
+    collocation: Collocation
+    traction_kernel: FieldBlocks
+    displacement_kernel: FieldBlocks
+
+    @property
+    def traction_length(self) -> float:
+        """Size of the object [m]: scales tractions to displacements, so that columns are alike."""
+        return float(np.ptp(self.surface.mesh.vertices, axis=0).max())
+
+    @property
+    def size(self) -> int:
+        """Number of scalar unknowns, the three of the slack included."""
+        return 3 * (self.unknowns.free_vertices.size + self.unknowns.held_sides.size + 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorisedSystem:
+    """The system at one Poisson's ratio, ready to be solved.
+
+    Attributes
+    ----------
+    poisson_ratio : float
+    lu, pivots : arrays                   LAPACK's factorisation
+    reciprocal_condition : float          estimate in the 1-norm
+    """
+
+    poisson_ratio: float
+    lu: Float[np.ndarray, "k k"]
+    pivots: Int[np.ndarray, " k"]
+    reciprocal_condition: float
+
+
+def assemble_system(
+    surface: BoundarySurface, *, quadrature: Quadrature = Quadrature()
+) -> BoundarySystem:
+    """Compute all integrals of an object on its support, once for all materials.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    quadrature : Quadrature
+
+    Returns
+    -------
+    BoundarySystem
+    """
+    unknowns = find_unknowns(surface)
+    collocation = place_collocation(surface, unknowns)
+    raw = integral_equations(surface, unknowns, collocation, quadrature=quadrature)
+    h = with_rigid_body_sum(raw.traction_kernel, collocation, surface.displacement)
+    return replace(raw, traction_kernel=h)
+
+
+def integral_equations(
+    surface: BoundarySurface,
+    unknowns: Unknowns,
+    collocation: Collocation,
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> BoundarySystem:
+    """Write the boundary integral equation at some points, without the value at the points
+    themselves.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    unknowns : Unknowns
+    collocation : Collocation
+    quadrature : Quadrature
+
+    Returns
+    -------
+    BoundarySystem                        as many rows as points; the traction kernel lacks the
+                                          rigid-body sum
+    """
+    triangles = surface.mesh.triangles
+    h = assemble(
+        collocation, triangles, surface.element_nodes, surface.displacement,
+        n_fields=TRACTION_FIELDS, quadrature=quadrature,
+    )  # fmt: skip
+    held = np.flatnonzero(surface.held)
+    index = np.full(surface.traction.n_nodes, -1)
+    index[unknowns.held_sides] = np.arange(unknowns.held_sides.size)
+    g = assemble(
+        restrict_collocation(collocation, surface.held), triangles[held],
+        surface.element_nodes[held], restricted_nodes(surface.traction, held, index),
+        n_fields=DISPLACEMENT_FIELDS, quadrature=quadrature,
+    )  # fmt: skip
+    return BoundarySystem(surface, unknowns, collocation, h, g)
+
+
+def restrict_collocation(collocation: Collocation, kept: Bool[np.ndarray, " m"]) -> Collocation:
+    """The same points, their triangles renumbered among the kept ones.
+
+    Parameters
+    ----------
+    collocation : Collocation
+    kept : (m,) bool
+
+    Returns
+    -------
+    Collocation
+    """
+    new = np.where(kept, np.cumsum(kept) - 1, -1)
+    triangle = np.where(collocation.triangle >= 0, new[collocation.triangle], -1)
+    return Collocation(collocation.point, collocation.vertex, triangle, collocation.barycentric)
+
+
+def restricted_nodes(
+    nodes: QuadraticNodes, elements: Int[np.ndarray, " k"], index: Int[np.ndarray, " n"]
+) -> QuadraticNodes:
+    """Nodes of some elements only, their own nodes renumbered.
+
+    Parameters
+    ----------
+    nodes : QuadraticNodes
+    elements : (k,) int
+    index : (n,) int          new number of each node, -1 where it is not needed
+
+    Returns
+    -------
+    QuadraticNodes
+    """
+    count = int(index.max()) + 1
+    corner = index[nodes.element[elements, :3]]
+    middle = nodes.element[elements, 3:] - nodes.n_nodes + count
+    kept = np.flatnonzero(index >= 0)
+    order = kept[np.argsort(index[kept])]
+    return QuadraticNodes(np.concatenate([corner, middle], axis=1), count, nodes.weights[:, order])
+
+
+def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndarray, "r k"]:
+    """The matrix at one Poisson's ratio, multiplied by 8 pi (1 - nu).
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    poisson_ratio : float
+
+    Returns
+    -------
+    (r, k) float              Fortran order; rows by component, then by collocation point in the
+                              order of the blocks; the last three are the balance of forces
+    """
+    n_rows = system.collocation.point.shape[0]
+    matrix = np.zeros((system.size, 3 * n_rows + 3))
+    n_free = system.unknowns.free_vertices.size
+    column = np.full(system.surface.mesh.vertices.shape[0], -1)
+    column[system.unknowns.free_vertices] = np.arange(n_free)
+    in_threads(
+        _traction_columns, column.size,
+        system.traction_kernel.values, column, poisson_ratio, n_rows, matrix,
+    )  # fmt: skip
+    scale = -0.5 / system.traction_length
+    sides = system.displacement_kernel.values
+    in_threads(
+        _displacement_columns, sides.shape[1], sides, n_free, poisson_ratio, scale, n_rows, matrix
+    )
+    weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
+    share = weights[system.unknowns.held_sides] / system.traction_length**2
+    for axis in range(3):
+        matrix[3 * n_free + axis : -3 : 3, 3 * n_rows + axis] = share
+        matrix[axis - 3, axis * n_rows : (axis + 1) * n_rows] = 8 * np.pi
+    return matrix.T
+
+
+def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
+    """Factorise the system at one Poisson's ratio.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    poisson_ratio : float     -1 < nu <= 0.5
+
+    Returns
+    -------
+    FactorisedSystem
+
+    Raises
+    ------
+    SingularSystemError       the support does not hold the object
+    """
+    matrix = system_matrix(system, poisson_ratio)
+    gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
+    norm = lange("1", matrix)
+    lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
+    rcond = float(gecon(lu, norm)[0])
+    if not rcond > SMALLEST_RCOND:
+        raise SingularSystemError(
+            f"the system of {system.size} equations is singular (reciprocal condition {rcond:.1e}, "
+            f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate "
+            "parts: run `palpate check`"
+        )
+    return FactorisedSystem(poisson_ratio, lu, pivots, rcond)
+
+
+def solve(
+    factorised: FactorisedSystem, right: Float[np.ndarray, "k c"]
+) -> Float[np.ndarray, "k c"]:
+    """Solve the factorised system for several right-hand sides.
+
+    Parameters
+    ----------
+    factorised : FactorisedSystem
+    right : (k, c) float      rows in the order of `system_matrix`
+
+    Returns
+    -------
+    (k, c) float [m]
+    """
+    return lu_solve((factorised.lu, factorised.pivots), right, check_finite=False)
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _traction_columns(begin, end, values, column, nu, n_rows, matrix):
+    a = 1 - 2 * nu
+    for node in range(begin, end):
+        c = column[node]
+        if c < 0:
+            continue
+        for b in range(values.shape[0]):
+            first = b * LANES
+            for i in range(min(LANES, n_rows - first)):
+                f = values[b, node, :, i]
+                d = a * (f[3] + f[4] + f[5]) / 3
+                row = first + i
+                matrix[3 * c, row] = -d - f[3]
+                matrix[3 * c, n_rows + row] = -a * f[2] - f[8]
+                matrix[3 * c, 2 * n_rows + row] = a * f[1] - f[7]
+                matrix[3 * c + 1, row] = a * f[2] - f[8]
+                matrix[3 * c + 1, n_rows + row] = -d - f[4]
+                matrix[3 * c + 1, 2 * n_rows + row] = -a * f[0] - f[6]
+                matrix[3 * c + 2, row] = -a * f[1] - f[7]
+                matrix[3 * c + 2, n_rows + row] = a * f[0] - f[6]
+                matrix[3 * c + 2, 2 * n_rows + row] = -d - f[5]
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _displacement_columns(begin, end, values, first_column, nu, scale, n_rows, matrix):
+    for node in range(begin, end):
+        c = first_column + node
+        for b in range(values.shape[0]):
+            first = b * LANES
+            for i in range(min(LANES, n_rows - first)):
+                f = values[b, node, :, i]
+                xx, yy, zz = f[0] * scale, f[1] * scale, f[2] * scale
+                yz, zx, xy = f[3] * scale, f[4] * scale, f[5] * scale
+                d = (3 - 4 * nu) * (xx + yy + zz)
+                row = first + i
+                matrix[3 * c, row] = d + xx
+                matrix[3 * c, n_rows + row] = xy
+                matrix[3 * c, 2 * n_rows + row] = zx
+                matrix[3 * c + 1, row] = xy
+                matrix[3 * c + 1, n_rows + row] = d + yy
+                matrix[3 * c + 1, 2 * n_rows + row] = yz
+                matrix[3 * c + 2, row] = zx
+                matrix[3 * c + 2, n_rows + row] = yz
+                matrix[3 * c + 2, 2 * n_rows + row] = d + zz

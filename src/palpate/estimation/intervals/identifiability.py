@@ -1,0 +1,119 @@
+"""Which constants the data tell, and what to say where they do not."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.estimation.intervals.profile_likelihood import FixedWeights
+from palpate.estimation.intervals.uncertainty import IntervalSet
+from palpate.estimation.search import best_compliance
+from palpate.records import Constant
+
+# nu is told where its interval leaves out at least a fifth of its prior range.
+_SHARE_OF_RANGE = 0.8
+# A modulus is told without nu where all nu change it by less than this factor.
+_VALLEY_FACTOR = 1.25
+_VALLEY_POINTS = 33
+
+
+def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dict[str, bool]:
+    """Whether the data tell each constant.
+
+    Poisson's ratio is not told where its interval covers four fifths of its range or more. Then a
+    modulus is told only where it hardly changes along the valley of the misfit. A modulus whose
+    interval has no upper end (no signal above the noise) is never told.
+
+    Parameters
+    ----------
+    intervals : IntervalSet         the reported one
+    weights : FixedWeights          for the valley
+
+    Returns
+    -------
+    constant's name -> bool
+    """
+    low, high = intervals.poisson_ratio.ci95
+    span = weights.poisson_range[1] - weights.poisson_range[0]
+    told = {"poisson_ratio": high - low < _SHARE_OF_RANGE * span}
+    for name in ("shear_modulus", "young_modulus"):
+        bounded = bool(np.isfinite(getattr(intervals, name).ci95[1]))
+        along = told["poisson_ratio"] or _valley(intervals, weights)[name] < _VALLEY_FACTOR
+        told[name] = bounded and along
+    if not (told["shear_modulus"] or np.isfinite(intervals.shear_modulus.ci95[1])):
+        told["poisson_ratio"] = False
+    return told
+
+
+def with_prior_ranges(
+    intervals: IntervalSet, identifiable: Mapping[str, bool], weights: FixedWeights
+) -> IntervalSet:
+    """Intervals as wide as the prior range for what the data cannot tell.
+
+    Where the data cannot tell nu, its best value is an accident of the noise: the middle of its
+    range is given, and the moduli that the valley of the misfit has there. A modulus that is
+    bounded only through the range of nu keeps its interval; without any signal it is (0, infinity).
+
+    Parameters
+    ----------
+    intervals : IntervalSet
+    identifiable : constant's name -> bool
+    weights : FixedWeights          for the valley
+    """
+    ratio, shear, young = (
+        intervals.poisson_ratio,
+        _modulus_in_range(intervals.shear_modulus),
+        _modulus_in_range(intervals.young_modulus),
+    )
+    if not identifiable["poisson_ratio"]:
+        middle = float(np.mean(weights.poisson_range))
+        uniform = float(np.ptp(weights.poisson_range) / np.sqrt(12.0))
+        ratio = Constant(middle, uniform, weights.poisson_range)
+        if np.isfinite(shear.ci95[1]):
+            compliance, _ = best_compliance(weights.at(np.array([middle])))
+            modulus = 1.0 / float(compliance[0, 0])
+            shear = _moved(shear, modulus)
+            young = _moved(young, 2 * modulus * (1 + middle))
+    return replace(intervals, poisson_ratio=ratio, shear_modulus=shear, young_modulus=young)
+
+
+def _moved(constant: Constant, value: float) -> Constant:
+    """The same interval about another value inside it."""
+    return replace(constant, value=float(np.clip(value, *constant.ci95)))
+
+
+def _modulus_in_range(modulus: Constant) -> Constant:
+    """The modulus itself, or all positive values where its interval has no upper end."""
+    if np.isfinite(modulus.ci95[1]):
+        return modulus
+    return Constant(modulus.value, np.inf, (0.0, np.inf))
+
+
+def told_combination(weights: FixedWeights) -> str:
+    """The combination of G and nu that the valley of the misfit keeps constant, in words."""
+    nu, modulus = _valley_line(weights)
+    shapes = {
+        "E = 2 G (1 + nu)": modulus * (1 + nu),
+        "G": modulus,
+        "G / (1 - nu)": modulus / (1 - nu),
+        "G / (1 - 2 nu)": modulus / (1 - 2 * nu),
+    }
+    change = {name: float(np.ptp(np.log(shape))) for name, shape in shapes.items()}
+    best = min(change, key=lambda name: change[name])
+    return f"{best} (it changes by {100 * change[best]:.1f} % over all of nu)"
+
+
+def _valley(intervals: IntervalSet, weights: FixedWeights) -> dict[str, float]:
+    """Factor by which each modulus changes along the valley inside the interval of nu."""
+    nu, modulus = _valley_line(weights, intervals.poisson_ratio.ci95)
+    lines = {"shear_modulus": modulus, "young_modulus": modulus * (1 + nu)}
+    return {name: float(np.exp(np.ptp(np.log(line)))) for name, line in lines.items()}
+
+
+def _valley_line(
+    weights: FixedWeights, ends: tuple[float, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Best shear modulus for every Poisson's ratio."""
+    low, high = ends or weights.poisson_range
+    nu = np.linspace(low, high, _VALLEY_POINTS)
+    return nu, 1.0 / best_compliance(weights.at(nu))[0][0]

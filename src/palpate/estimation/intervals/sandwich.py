@@ -1,0 +1,263 @@
+"""Covariance of (nu, log G): information, noise of the scores, and disagreement of the probings.
+
+Model-based first: Fisher information of the robust loss, with the noise as the residuals show it
+(never below the claim) and the spatial correlation of residuals. Then the probings are asked: if
+their scores scatter more than that explains (a force sensor that is off, a model error that is
+common to all points of a probing), the variance of the constant concerned is raised to the scatter,
+with Student's quantile for the probings that told it. Scatter that chance explains changes nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import chdtri, ndtri, stdtrit
+
+from palpate.estimation.noise import (
+    CorrelationFactor,
+    LocalProbe,
+    Misfit,
+    claimed_only,
+    correlation_factor,
+    force_components,
+    gaussian_moments,
+    score_moments,
+)
+
+DIRECTIONS = ("poisson_ratio", "shear_modulus", "young_modulus")
+_RIDGE = 1e-11
+_SURPRISE = 0.90
+_PRIOR_DEGREES = 3.0
+_TAIL = 0.975
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreNoise:
+    """Noise of the robust scores, pooled over the probings of a session.
+
+    Parameters
+    ----------
+    power, slope : float        mean square and mean slope of the score per component
+    degrees : float             degrees of freedom of the noise, infinite where it was claimed
+    correlation : CorrelationFactor
+    """
+
+    power: float
+    slope: float
+    degrees: float
+    correlation: CorrelationFactor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """Score and information of every probing in (nu, log G), true forces eliminated.
+
+    Parameters
+    ----------
+    score : (k, 2)
+    information : (k, 2, 2)     expected slope of the score
+    noise : (k, 2, 2)           model-based covariance of the score
+    curvature : (k, 2, 2)       second derivative of half the misfit at fixed weights
+    """
+
+    score: Float[np.ndarray, "k 2"]
+    information: Float[np.ndarray, "k 2 2"]
+    noise: Float[np.ndarray, "k 2 2"]
+    curvature: Float[np.ndarray, "k 2 2"]
+
+    def only(self, index: int) -> "Scores":
+        """One probing as a set of its own."""
+        chosen = slice(index, index + 1)
+        return Scores(
+            self.score[chosen],
+            self.information[chosen],
+            self.noise[chosen],
+            self.curvature[chosen],
+        )
+
+    def covariance(self) -> Float[np.ndarray, "2 2"]:
+        """Model-based covariance of (nu, log G)."""
+        inverse, ridge = _inverse(self.information.sum(0))
+        return inverse @ (self.noise.sum(0) + ridge) @ inverse
+
+    def curvature_variance(self, direction: Float[np.ndarray, " 2"]) -> float:
+        """Variance of a combination that the curvature of the misfit alone would claim."""
+        return float(direction @ _inverse(self.curvature.sum(0))[0] @ direction)
+
+    def scatter(self, direction: Float[np.ndarray, " 2"]) -> "Scatter":
+        """Disagreement of the probings about one combination of (nu, log G).
+
+        Parameters
+        ----------
+        direction : (2,) float
+
+        Returns
+        -------
+        Scatter
+        """
+        if len(self.score) < 2:
+            return Scatter(1.0, 0.0)
+        total = self.information.sum(0)
+        inverse, _ = _inverse(total)
+        influence = inverse @ direction
+        centred = self.score - self.information @ (inverse @ self.score.sum(0))
+        share = self.information @ inverse
+        crossed = share @ self.noise
+        common = share @ self.noise.sum(0) @ share.swapaxes(1, 2)
+        expected = self.noise - crossed - crossed.swapaxes(1, 2) + common
+        want = np.einsum("i,kij,j->k", influence, expected, influence)
+        want = np.maximum(want, 0.0)
+        if want.sum() <= 0:
+            return Scatter(1.0, 0.0)
+        ratio = float(((centred @ influence) ** 2).sum() / want.sum())
+        return Scatter(ratio, float(want.sum() ** 2 / (want**2).sum()))
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Scatter of the probings over what their claimed uncertainties explain.
+
+    Parameters
+    ----------
+    ratio : float               of variances
+    degrees : float             degrees of freedom, about the number of probings less one
+    """
+
+    ratio: float
+    degrees: float
+
+    @property
+    def is_surprising(self) -> bool:
+        """Whether chance gives so large a ratio in less than one of ten sessions."""
+        if self.degrees <= 0:
+            return False
+        return self.ratio > float(chdtri(self.degrees, 1 - _SURPRISE)) / self.degrees
+
+    @property
+    def factor(self) -> float:
+        """Factor on the variance, 1 where the probings agree."""
+        return self.ratio if self.is_surprising else 1.0
+
+
+def directions(poisson_ratio: float) -> dict[str, Float[np.ndarray, " 2"]]:
+    """Slopes of nu, log G and log E with respect to (nu, log G)."""
+    young = np.array([1.0 / (1.0 + poisson_ratio), 1.0])
+    return dict(zip(DIRECTIONS, (np.array([1.0, 0.0]), np.array([0.0, 1.0]), young), strict=True))
+
+
+def quantile_of(noise: ScoreNoise, scatter: Scatter) -> float:
+    """Half-width of a 95 % interval in standard deviations."""
+    degrees = min(noise.degrees, noise.correlation.degrees)
+    if scatter.is_surprising:
+        degrees = min(degrees, scatter.degrees + _PRIOR_DEGREES)
+    return float(ndtri(_TAIL) if np.isinf(degrees) else stdtrit(degrees, _TAIL))
+
+
+def scores_of(
+    misfit: Misfit, local: Sequence[LocalProbe], *, noise: ScoreNoise | None = None
+) -> tuple[Scores, ScoreNoise]:
+    """Scores of all probings at a minimum, and their noise.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    local : sequence of LocalProbe      at the minimum
+    noise : ScoreNoise or None          known from a joint fit, or to be measured here
+
+    Returns
+    -------
+    (Scores, ScoreNoise)
+    """
+    if noise is None:
+        noise = _noise_of(misfit, local)
+        turns = [
+            _projection(one, noise.slope, _force_moments(misfit, k)[1])
+            for k, one in enumerate(local)
+        ]
+        noise = replace(
+            noise,
+            correlation=correlation_factor(misfit.probes, local, turns, score_variance=noise.power),
+        )
+    parts = [_one(misfit, k, one, noise) for k, one in enumerate(local)]
+    score, information, spread, curvature = (
+        np.stack(column) for column in zip(*parts, strict=True)
+    )
+    return Scores(score, information, spread, curvature), noise
+
+
+def _one(
+    misfit: Misfit, index: int, one: LocalProbe, noise: ScoreNoise
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Score, information, covariance of the score and curvature of one probing."""
+    force_power, force_slope = _force_moments(misfit, index)
+    probe = misfit.probes[index]
+    gram = one.design.T @ one.design
+    row_weight = np.repeat(one.weight, probe.components.astype(np.int64))
+    score = one.design[:, :2].T @ (row_weight * one.residual)
+    turn = _projection(one, noise.slope, force_slope)
+    information = turn.T @ (noise.slope * gram) @ turn
+    information += force_slope * turn[2:].T @ turn[2:]
+    points = noise.power * noise.correlation.variance * (turn.T @ gram @ turn)
+    spread = points + force_power * turn[2:].T @ turn[2:]
+    weighted = (one.design * row_weight[:, None]).T @ one.design
+    weighted[2:, 2:] += one.force_weight * np.eye(3)
+    solved = np.linalg.solve(weighted[2:, 2:], weighted[2:, :2])
+    curvature = weighted[:2, :2] - weighted[:2, 2:] @ solved
+    return score, information, spread, curvature
+
+
+def _projection(one: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
+    """(5, 2) matrix that takes the force shifts out of the design of the constants."""
+    gram = slope * (one.design.T @ one.design)
+    force = gram[2:, 2:] + force_slope * np.eye(3)
+    return np.vstack([np.eye(2), -np.linalg.solve(force, gram[2:, :2])])
+
+
+def _force_moments(misfit: Misfit, index: int) -> tuple[float, float]:
+    """Moments of the force's score for forces as uncertain as they claim to be."""
+    count = max(force_components(misfit.probes[index]), 1)
+    return gaussian_moments(components=count, degrees=misfit.force_degrees)
+
+
+def _noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
+    """Moments of the robust score, as the residuals show them and never below a claim."""
+    squared = np.concatenate([one.squared for one in local])
+    components = np.concatenate([probe.components for probe in misfit.probes])
+    power, slope = score_moments(squared, components, degrees=misfit.degrees)
+    rows, lost = float(components.sum()), 2 + _absorbed(misfit, local)
+    spare = rows - lost
+    power *= rows / max(spare, 1.0)
+    if not claimed_only(misfit.probes):
+        # No spare rows: the noise cannot be told, and the quantile below becomes very large.
+        degrees = max(spare, 0.5)
+        return ScoreNoise(power, slope, degrees, CorrelationFactor(1.0, np.inf, 1.0))
+    count = round(float(components.mean()))
+    claimed_power, claimed_slope = gaussian_moments(components=count, degrees=misfit.degrees)
+    excess = power > claimed_power * (1 + 2 * np.sqrt(2 / max(spare, 1.0)))
+    raised = excess or bool((misfit.level > 1).any())
+    return ScoreNoise(
+        max(power, claimed_power) if raised else claimed_power,
+        min(slope, claimed_slope),
+        max(spare, 0.5) if raised else np.inf,
+        CorrelationFactor(1.0, np.inf, 1.0),
+    )
+
+
+def _absorbed(misfit: Misfit, local: Sequence[LocalProbe]) -> float:
+    """Degrees of freedom of the displacements that the free forces take up."""
+    total = 0.0
+    for one in local:
+        gram = one.design[:, 2:].T @ one.design[:, 2:]
+        total += float(np.trace(np.linalg.solve(gram + one.force_weight * np.eye(3), gram)))
+    return total
+
+
+def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse with a ridge far below any information that counts, and the ridge."""
+    size = np.diag(matrix)
+    size = np.maximum(size, max(1e-15 * float(size.max()), 1e-200))
+    ridge = _RIDGE * np.diag(size)
+    scale = np.sqrt(size)
+    unit = matrix / np.outer(scale, scale) + _RIDGE * np.eye(2)
+    return np.linalg.inv(unit) / np.outer(scale, scale), ridge

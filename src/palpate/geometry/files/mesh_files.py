@@ -1,0 +1,195 @@
+"""Triangle surfaces from and to files: PLY, OBJ, STL, OFF, MSH, VTU, VTP."""
+
+import re
+from io import StringIO
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from palpate.errors import InputError, MeshError
+from palpate.geometry.files.vtp_file import read_vtp
+from palpate.geometry.triangle_mesh import TriangleMesh
+from palpate.optional_imports import late_import
+from palpate.shapes import Triangles, Vertices
+
+_TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
+_MESHIO_SUFFIXES = (".msh", ".vtu")
+MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
+
+# Flat triangles of each cell of a surface, in the cell's own numbering (VTK and gmsh agree here).
+_FACETS = {
+    "triangle": [[0, 1, 2]],
+    "triangle6": [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]],
+    "quad": [[0, 1, 2], [0, 2, 3]],
+}
+_TETRAHEDRON_FACES = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
+
+
+def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh:
+    """Surface of an object from a file, in metres, with vertices that coincide welded into one.
+
+    Vertices that no triangle uses are left out; the others keep their order. Quadrangles are cut
+    in two, quadratic triangles in four; a file that holds tetrahedra and no triangles gives their
+    boundary. Whether the surface is closed is not asked here: see `checked_mesh`.
+
+    Parameters
+    ----------
+    path : path                     suffix .ply .obj .stl .off .msh .vtu .vtp
+    metres_per_unit : float         length of the file's unit, e.g. 0.001 for millimetres; > 0
+
+    Raises
+    ------
+    MeshError                       no such file, unknown suffix, unreadable, no triangles
+    InputError                      unit not positive; the optional package for MSH/VTU is missing
+    """
+    path = Path(path)
+    if not (np.isfinite(metres_per_unit) and metres_per_unit > 0.0):
+        raise InputError(f"metres_per_unit is {metres_per_unit}; must be positive")
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        raise MeshError(
+            f"{path}: mesh files of type '{suffix}' are not read;"
+            f" convert it to one of {' '.join(MESH_SUFFIXES)}"
+        )
+    if not path.is_file():
+        raise MeshError(f"{path}: no such file; check the name (relative to session.toml)")
+    vertices, triangles = _raw_surface(path, suffix)
+    if len(triangles) == 0:
+        raise MeshError(f"{path}: holds no triangles; give a closed triangle surface")
+    if not np.isfinite(vertices).all():
+        raise MeshError(f"{path}: has vertices that are not finite; write the file again")
+    return welded(TriangleMesh(vertices=vertices * metres_per_unit, triangles=triangles))
+
+
+def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
+    """Write a surface in metres; PLY and VTU keep every digit, OBJ and OFF eight decimals or more.
+
+    Parameters
+    ----------
+    path : path                     suffix .ply .obj .stl .off .msh .vtu
+    mesh : TriangleMesh
+
+    Raises
+    ------
+    MeshError                       unknown suffix, or the file cannot be written
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        _write_ply(path, mesh)
+    elif suffix in _TRIMESH_SUFFIXES:
+        trimesh = late_import("trimesh", extra=None, purpose=f"writing {path.name}")
+        trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).export(path)
+    elif suffix in _MESHIO_SUFFIXES:
+        meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
+        meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]).write(path)
+    else:
+        writable = " ".join((*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES))
+        raise MeshError(f"{path}: cannot write '{suffix}'; choose one of {writable}")
+
+
+def welded(mesh: TriangleMesh) -> TriangleMesh:
+    """The same surface with coinciding vertices made one and unused ones left out.
+
+    Vertices closer than 1e-7 of the bounding box, or than the last digits of single precision,
+    coincide. The first of each group stands for it; the order of the others is kept.
+    """
+    vertices = mesh.vertices
+    span = float(np.ptp(vertices, axis=0).max())
+    near = max(1e-7 * span, 4.0 * float(np.finfo(np.float32).eps) * float(abs(vertices).max()))
+    pairs = cKDTree(vertices).query_pairs(near, output_type="ndarray")
+    n = len(vertices)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, group = connected_components(links, directed=False)
+    _, first = np.unique(group, return_index=True)
+    triangles = first[group][mesh.triangles]
+    used, compact = np.unique(triangles, return_inverse=True)
+    return TriangleMesh(vertices=vertices[used], triangles=compact.reshape(-1, 3))
+
+
+def _raw_surface(path: Path, suffix: str) -> tuple[Vertices, Triangles]:
+    """Vertices and triangles as the file holds them."""
+    if suffix == ".vtp":
+        return read_vtp(path)
+    if suffix in _TRIMESH_SUFFIXES:
+        module = late_import("trimesh", extra=None, purpose=f"reading {path.name}")
+    else:
+        module = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
+    # The readers raise whatever their parsing ran into, and one of them ends the process.
+    try:
+        if suffix in _TRIMESH_SUFFIXES:
+            vertices, triangles = _plain_surface(module, path)
+        else:
+            vertices, triangles = _surface_of_cells(module.read(path))
+        return (
+            np.array(vertices, dtype=np.float64).reshape(-1, 3),
+            np.array(triangles, dtype=np.int64).reshape(-1, 3),
+        )
+    except (Exception, SystemExit) as error:
+        raise MeshError(
+            f"{path}: cannot be read as a {suffix[1:].upper()} surface ({error});"
+            " open it in a mesh program and save it again"
+        ) from error
+
+
+def _plain_surface(
+    trimesh: ModuleType, path: Path
+) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
+    """Vertices and triangles through trimesh, colours and textures left aside."""
+    if path.suffix.lower() != ".obj":
+        loaded = trimesh.load_mesh(path, process=False, maintain_order=True)
+        return loaded.vertices, loaded.faces
+    # Texture coordinates would split vertices, and half-textured files come out wrong: drop them.
+    kept = [
+        re.sub(r"(?<=\d)/\S*", "", line) if line[0] == "f" else line
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
+        if line.startswith(("v ", "f ", "v\t", "f\t"))
+    ]
+    text = StringIO("\n".join([*kept, ""]))
+    loaded = trimesh.load_mesh(text, file_type="obj", process=False, maintain_order=True)
+    return loaded.vertices, loaded.faces
+
+
+def _surface_of_cells(content: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
+    """Triangles of a mesh with cells of any kind: its surface cells, else its tetrahedra's skin."""
+    facets = [
+        block.data[:, corners]
+        for block in content.cells
+        if block.type in _FACETS
+        for corners in _FACETS[block.type]
+    ]
+    solids = [block.data[:, :4] for block in content.cells if block.type in ("tetra", "tetra10")]
+    if not facets and solids:
+        faces = np.concatenate(solids)[:, _TETRAHEDRON_FACES].reshape(-1, 3)
+        _, where, count = np.unique(
+            np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
+        )
+        facets = [faces[count[where.ravel()] == 1]]
+    points = np.zeros((len(content.points), 3))
+    points[:, : content.points.shape[1]] = content.points
+    empty = np.zeros((0, 3), dtype=np.int64)
+    return points, np.concatenate(facets) if facets else empty
+
+
+def _write_ply(path: Path, mesh: TriangleMesh) -> None:
+    """Binary PLY in double precision."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment metres\n"
+        f"element vertex {len(mesh.vertices)}\n"
+        "property double x\nproperty double y\nproperty double z\n"
+        f"element face {len(mesh.triangles)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    face = np.zeros(len(mesh.triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
+    face["count"] = 3
+    face["index"] = mesh.triangles
+    try:
+        path.write_bytes(header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())
+    except OSError as error:
+        raise MeshError(f"{path}: cannot be written ({error.strerror})") from error

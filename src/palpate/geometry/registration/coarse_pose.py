@@ -1,0 +1,211 @@
+"""A pose near enough for a fit to find its way: many starts, few points, a norm that tightens.
+
+The distance of a few hundred points from a cloud of surface samples is brought down from starts
+spread over the range of the guess, all at once; the pose whose points lie nearest is returned.
+"""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from palpate.geometry.closest_point import closest_points
+from palpate.geometry.registration.surface_fit import Pose, motion_pose, motion_scale, placed
+from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors, bounding_diagonal
+from palpate.shapes import Indices, PointIndices, Points, Vector3
+
+# Spacing of the surface samples as a share of the mesh's diagonal: finer than what a start must
+# resolve, the width of the fit's own basin.
+_SPACING = 1.0 / 50.0
+_ITERATIONS = 30
+# The norm's width shrinks by this a step, from the range of the guess to the samples' spacing.
+_SHRINK = 0.75
+# Poses whose cost is within this of the least are as good: the nearest to the start is taken.
+_AS_GOOD = 1.05
+
+
+def compact_groups(points: Points, count: int) -> PointIndices:
+    """Cut points into groups of equal size and small extent.
+
+    Halved across the longest side again and again, in the frame of their principal axes, so that
+    the groups do not depend on the frame.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    count : int                     at most so many groups: the power of two below
+
+    Returns
+    -------
+    (n,) int                        group of every point
+    """
+    centred = points - points.mean(axis=0)
+    own = centred @ np.linalg.eigh(centred.T @ centred)[1]
+    parts = [np.arange(len(points))]
+    while 2 * len(parts) <= min(count, len(points)):
+        halves = []
+        for part in parts:
+            axis = int(np.ptp(own[part], axis=0).argmax())
+            order = part[np.argsort(own[part, axis], kind="stable")]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        parts = halves
+    label = np.empty(len(points), dtype=np.int64)
+    for i, part in enumerate(parts):
+        label[part] = i
+    return label
+
+
+def even_sample(points: Points, count: int) -> Indices:
+    """Indices of points spread evenly: of each compact group the one nearest to its mean."""
+    if len(points) <= count:
+        return np.arange(len(points))
+    label = compact_groups(points, count)
+    groups = int(label.max()) + 1
+    size = np.bincount(label, minlength=groups)
+    mean = np.stack([np.bincount(label, points[:, a], groups) for a in range(3)], axis=1)
+    distance = np.linalg.norm(points - (mean / size[:, None])[label], axis=1)
+    order = np.lexsort((distance, label))
+    return order[np.searchsorted(label[order], np.arange(groups))]
+
+
+def facing_surface(mesh: TriangleMesh, eye: Vector3, *, angle: float) -> TriangleMesh:
+    """The triangles that turn their outside to an eye, or would after a turn by an angle.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    eye : (3,) float [m]            where it is looked at from
+    angle : float [rad]
+
+    Returns
+    -------
+    TriangleMesh                    the whole mesh where nothing would be left
+    """
+    area = area_vectors(mesh)
+    sight = eye - mesh.vertices[mesh.triangles].mean(axis=1)
+    cosine = np.einsum("ma,ma->m", area, sight)
+    limit = -np.sin(angle) * np.linalg.norm(area, axis=1) * np.linalg.norm(sight, axis=1)
+    facing = cosine > limit
+    return TriangleMesh(mesh.vertices, mesh.triangles[facing]) if facing.any() else mesh
+
+
+def coarse_pose(
+    mesh: TriangleMesh, points: Points, start: Pose, *, angle: float, distance: float
+) -> Pose:
+    """Pose of points on a surface from a rough guess.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             the part of the surface that may have been seen
+    points : (n, 3) float [m]       a few hundred, not on one line
+    start : (4, 4) float            the guess
+    angle : float [rad]             how far it may be turned from the truth
+    distance : float [m]            how far shifted
+
+    Returns
+    -------
+    (4, 4) float                    good to a fraction of a hundredth of the mesh's diagonal; the
+                                    start itself where the guess is better than a fiftieth
+
+    Source
+    ------
+    Chen and Medioni, Object modelling by registration of multiple range images (1992), for the
+    distance from tangent planes; the robust weight is Geman and McClure's.
+    """
+    spacing = _SPACING * bounding_diagonal(mesh)
+    if distance + 0.5 * angle * bounding_diagonal(mesh) < spacing:
+        return start
+    sample, normal = _surface_samples(mesh, spacing)
+    tree = cKDTree(sample)
+    first = placed(start, points)
+    centre = first.mean(axis=0)
+    tries = _spread_starts(first - centre, 0.6 * angle, 0.6 * distance)
+    place = np.stack([placed(motion_pose(one, centre), first) for one in tries])
+    width = distance
+    for _ in range(_ITERATIONS):
+        place = _stepped(place, tree, sample, normal, width)
+        width = max(_SHRINK * width, spacing)
+    best = _nearest_of_the_best(mesh, place, first)
+    return _rigid(points, place[best])
+
+
+def _surface_samples(mesh: TriangleMesh, spacing: float) -> tuple[Points, Points]:
+    """Points of the surface about `spacing` apart, and the normals there."""
+    corner = mesh.vertices[mesh.triangles]
+    area = area_vectors(mesh)
+    normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
+    done: list[tuple[np.ndarray, np.ndarray]] = []
+    while len(corner):
+        edge = corner[:, [1, 2, 0]] - corner
+        length = np.linalg.norm(edge, axis=2)
+        long = length.max(axis=1) > 1.5 * spacing
+        done.append((corner[~long].mean(axis=1), normal[~long]))
+        corner, normal = corner[long], normal[long]
+        row, k = np.arange(len(corner)), length[long].argmax(axis=1)
+        a, b, c = (corner[row, (k + j) % 3] for j in range(3))
+        middle = 0.5 * (a + b)
+        corner = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+        normal = np.concatenate([normal, normal])
+    return np.concatenate([one[0] for one in done]), np.concatenate([one[1] for one in done])
+
+
+def _spread_starts(offset: Points, angle: float, distance: float) -> Float[np.ndarray, "s 6"]:
+    """Motions over the range of the guess: a grid of shifts, and turns, along principal axes."""
+    axes = np.linalg.eigh(offset.T @ offset)[1].T
+    grid = np.stack(np.meshgrid(*[[0.0, -1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    shifts = np.hstack([np.zeros_like(grid), distance * grid @ axes])
+    turns = np.hstack([angle * np.concatenate([axes, -axes]), np.zeros((6, 3))])
+    return np.concatenate([shifts, turns])
+
+
+def _stepped(
+    place: Float[np.ndarray, "s n 3"],
+    tree: cKDTree,
+    sample: Float[np.ndarray, "p 3"],
+    normal: Float[np.ndarray, "p 3"],
+    width: float,
+) -> Float[np.ndarray, "s n 3"]:
+    """One robust step of every try towards the tangent planes of the nearest samples."""
+    distance, index = tree.query(place)
+    n = normal[index]
+    residual = np.einsum("sna,sna->sn", n, place - sample[index])
+    weight = 1.0 / (1.0 + (distance / width) ** 2) ** 2
+    centre = place.mean(axis=1)
+    offset = place - centre[:, None]
+    # All tries are one cloud of points: their motions have one scale.
+    scale = motion_scale(offset[0])
+    row = np.concatenate([np.cross(offset, n), n], axis=2) @ scale
+    weighted = (weight[..., None] * row).swapaxes(1, 2)
+    matrix = weighted @ row
+    # A little damping, so that what the shape does not tell stays where it is.
+    damping = 1e-3 * np.einsum("sii->s", matrix) / 6.0
+    matrix = matrix + damping[:, None, None] * np.eye(6)
+    step = -np.linalg.solve(matrix, weighted @ residual[..., None])[..., 0] @ scale.T
+    turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
+    return offset @ turn.swapaxes(1, 2) + (centre + step[:, 3:])[:, None]
+
+
+def _nearest_of_the_best(
+    mesh: TriangleMesh, place: Float[np.ndarray, "s n 3"], first: Points
+) -> int:
+    """Index of the try whose points lie nearest to the surface, by a truncated square.
+
+    Tries within a few per cent of the least cost are as good; of them the least moved is taken.
+    """
+    distance = closest_points(mesh, place.reshape(-1, 3)).distance.reshape(place.shape[:2])
+    typical = float(np.median(distance, axis=1).min())
+    width = max(4.0 * typical, 1e-4 * bounding_diagonal(mesh))
+    cost = np.minimum((distance / width) ** 2, 1.0).mean(axis=1)
+    moved = np.sqrt(((place - first) ** 2).sum(axis=2).mean(axis=1))
+    good = cost <= _AS_GOOD * cost.min()
+    return int(np.where(good, moved, np.inf).argmin())
+
+
+def _rigid(points: Points, place: Points) -> Pose:
+    """The pose that took points to places."""
+    a, b = points - points.mean(axis=0), place - place.mean(axis=0)
+    turn, _ = Rotation.align_vectors(b, a)
+    pose = np.eye(4)
+    pose[:3, :3] = turn.as_matrix()
+    pose[:3, 3] = place.mean(axis=0) - pose[:3, :3] @ points.mean(axis=0)
+    return pose

@@ -1,0 +1,246 @@
+"""Motions of an object that points on its surface cannot tell, found and named.
+
+What the points know about a motion is how far it moves them across the surface. A mesh of flat
+facets pretends to know more: a ball's facets, turned, no longer lie where they were. How much they
+pretend follows from the angles between neighbouring facets and is taken off, several times over.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from palpate.geometry.registration.surface_fit import Linearised, Pose, motion_pose, placed
+from palpate.geometry.sides import CREASE_ANGLE
+from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal, unit_normals
+from palpate.shapes import Flags, Points, PointScalars, TriangleScalars, Vector3
+
+# Below this share of the points' motion a part of a motion is not worth a word.
+_NAMED = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Facets:
+    """How the facets of a mesh lie on the surface that they stand for.
+
+    Attributes
+    ----------
+    tilt : (m,) float [rad^2]       variance of the angle between a facet and the smooth surface,
+                                    both directions together
+    edge : (m, 3) bool              whether the side from corner k to k + 1 is an edge of the
+                                    object or the end of the surface
+    corner : (m, 3) bool            whether corner k touches one
+    """
+
+    tilt: TriangleScalars
+    edge: Bool[np.ndarray, "m 3"]
+    corner: Bool[np.ndarray, "m 3"]
+
+
+def facets_of(mesh: TriangleMesh) -> Facets:
+    """Tilt and edges of the facets of a mesh, open or closed.
+
+    A patch of a smooth surface, fitted by an equilateral triangle that turns by t to each of its
+    neighbours, has normals spread by t^2 / 4 about the facet's. Turns above the crease angle are
+    edges of the object.
+    """
+    # Vertices at one place are one: finer triangles of a surface may come unjoined.
+    grain = 1e-9 * bounding_diagonal(mesh)
+    _, vertex = np.unique(np.round(mesh.vertices / grain), axis=0, return_inverse=True)
+    corner = vertex.ravel()[mesh.triangles]
+    sides = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2)
+    ends = np.sort(sides.reshape(-1, 2), axis=1)
+    _, number, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    first = np.cumsum(count) - count
+    shared = count == 2
+    one, other = order[first[shared]], order[first[shared] + 1]
+    normal = unit_normals(mesh)
+    a, b = normal[one // 3], normal[other // 3]
+    turn = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ea,ea->e", a, b))
+    smooth = turn < CREASE_ANGLE
+    square, inner = np.zeros(len(ends)), np.zeros(len(ends), dtype=bool)
+    for half in (one[smooth], other[smooth]):
+        square[half], inner[half] = turn[smooth] ** 2, True
+    joined = inner.reshape(-1, 3)
+    total, edges = square.reshape(-1, 3).sum(axis=1), joined.sum(axis=1)
+    at_edge = np.zeros(len(mesh.vertices), dtype=bool)
+    at_edge[ends.reshape(-1, 3, 2)[~joined]] = True
+    return Facets(0.25 * total / np.maximum(edges, 1), ~joined, at_edge[corner])
+
+
+def near_edges(mesh: TriangleMesh, at: Linearised, facets: Facets, reach: PointScalars) -> Flags:
+    """True for points whose nearest point is within reach of an edge of the object.
+
+    They may belong to the face beyond the edge, and then say nothing about where on it they are.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    at : Linearised                 n points
+    facets : Facets                 of the mesh
+    reach : (n,) float [m]          how far noise may have moved each
+
+    Returns
+    -------
+    (n,) bool
+    """
+    corner = mesh.vertices[mesh.triangles[at.triangle]]
+    side = np.roll(corner, -1, axis=1) - corner
+    length = np.linalg.norm(side, axis=2)
+    double_area = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
+    # Above the side from k to k + 1 the point is as high as its weight at corner k + 2 says.
+    height = np.roll(at.barycentric, -2, axis=1) * double_area[:, None] / length
+    place = np.einsum("nk,nka->na", at.barycentric, corner)
+    away = np.linalg.norm(corner - place[:, None], axis=2)
+    close = (height <= reach[:, None]) & facets.edge[at.triangle]
+    close |= (away <= reach[:, None]) & facets.corner[at.triangle]
+    return close.any(axis=1)
+
+
+def pretended_information(
+    at: Linearised, tilt: PointScalars, weight: PointScalars
+) -> Float[np.ndarray, "6 6"]:
+    """What facets pretend to know about the scaled motions.
+
+    Parameters
+    ----------
+    at : Linearised                 n points
+    tilt : (n,) float [rad^2]       of the facet under each
+    weight : (n,) float             as in the normal equations
+
+    Returns
+    -------
+    (6, 6) float                    in units of `weight`
+    """
+    turned = np.cross(at.offset[:, None], np.eye(3)[None]).transpose(0, 2, 1)
+    moves = np.concatenate([-turned, np.broadcast_to(np.eye(3), turned.shape)], axis=2) @ at.scale
+    across = np.einsum("na,nai->ni", at.normal, moves)
+    share = 0.5 * tilt * weight
+    whole = np.einsum("nai,n,naj->ij", moves, share, moves)
+    return whole - np.einsum("ni,n,nj->ij", across, share, across)
+
+
+def holding(free: Float[np.ndarray, "k 6"], size: float) -> Float[np.ndarray, "k 6"]:
+    """What must be zero of a motion so that the free motions have no part in it.
+
+    Direction first, then place: the shift of a ball must not be taken for a turn about its centre.
+
+    Parameters
+    ----------
+    free : (k, 6) float             turn (rad) and shift (m) of each
+    size : float [m]                rms distance of the points from the centre of turning
+
+    Returns
+    -------
+    (k, 6) float                    to be multiplied by a motion
+    """
+    # A thousandth of a turn's say for the place: it decides only where no turn does.
+    return free * np.concatenate([np.full(3, size), np.full(3, 1e-3 / size)])
+
+
+def nearest_pose(
+    pose: Pose, start: Pose, points: Points, free: Float[np.ndarray, "k 6"], centre: Vector3
+) -> Pose:
+    """Of the poses that free motions make of one, the nearest to the start: see `holding`.
+
+    Parameters
+    ----------
+    pose, start : (4, 4) float
+    points : (n, 3) float [m]       in their own frame
+    free : (k, 6) float             motions about `centre`
+    centre : (3,) float [m]         of the points, in the pose
+
+    Returns
+    -------
+    (4, 4) float
+    """
+    if not len(free):
+        return pose
+    size = float(np.sqrt(((placed(pose, points) - centre) ** 2).sum(axis=1).mean()))
+    held = holding(free, size)
+    middle = points.mean(axis=0)
+    wanted = placed(start, middle[None])[0]
+    for _ in range(20):
+        turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
+        gap = np.concatenate([turn, placed(pose, middle[None])[0] - wanted])
+        step = -np.linalg.solve(held @ free.T, held @ gap)
+        pose = motion_pose(free.T @ step, centre) @ pose
+        if np.linalg.norm(step) < 1e-12 * size:
+            break
+    return pose
+
+
+def motion_texts(free: Float[np.ndarray, "k 6"], centre: Vector3, size: float) -> tuple[str, ...]:
+    """Free motions in words.
+
+    Parameters
+    ----------
+    free : (k, 6) float             turn (rad) and shift (m) of each
+    centre : (3,) float [m]         about which they turn
+    size : float [m]                rms distance of the points from it
+
+    Returns
+    -------
+    tuple of str                    no more than k
+    """
+    basis = np.linalg.qr((free * np.repeat([size, 1.0], 3)).T)[0].T / np.repeat([size, 1.0], 3)
+    shifts, turns = _separated(basis, size)
+    texts = [f"sliding along {_vector(shift)}" for shift in shifts]
+    if len(shifts) == 3:
+        texts = ["sliding in any direction"]
+    elif len(shifts) == 2:
+        texts = [f"sliding across {_vector(np.cross(*shifts))}"]
+    if len(turns) == 3:
+        pivot, gap = _pivot(turns, centre)
+        if gap < _NAMED * size:
+            return (*texts, f"turning about any axis through {_place(pivot)}")
+    return (*texts, *(_turn_text(turn, centre, size) for turn in turns))
+
+
+def _separated(
+    basis: Float[np.ndarray, "k 6"], size: float
+) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "t 6"]]:
+    """Pure shifts among the motions, as unit vectors, and turns without them."""
+    mix, strength, _ = np.linalg.svd(basis[:, :3] * size, full_matrices=True)
+    strength = np.concatenate([strength, np.zeros(len(basis) - len(strength))])
+    own = mix.T @ basis
+    turning = strength > _NAMED
+    shifts = own[~turning, 3:]
+    shifts = shifts / np.linalg.norm(shifts, axis=1)[:, None]
+    turns = own[turning] / strength[turning, None]
+    if len(shifts):
+        along = np.linalg.qr(shifts.T)[0]
+        turns[:, 3:] -= turns[:, 3:] @ along @ along.T
+    return shifts, turns
+
+
+def _pivot(turns: Float[np.ndarray, "3 6"], centre: Vector3) -> tuple[Vector3, float]:
+    """The point that no turn moves, and by how much the turns miss it [m]."""
+    # Velocity at centre + x: shift + turn x x.
+    cross = np.stack([np.cross(turn[:3], np.eye(3)).T for turn in turns])
+    x, *_ = np.linalg.lstsq(cross.reshape(-1, 3), -turns[:, 3:].ravel(), rcond=None)
+    left = cross @ x + turns[:, 3:]
+    return centre + x, float(np.sqrt((left**2).sum() / (turns[:, :3] ** 2).sum()))
+
+
+def _turn_text(turn: Float[np.ndarray, "6"], centre: Vector3, size: float) -> str:
+    axis = turn[:3] / np.linalg.norm(turn[:3])
+    place = centre + np.cross(turn[:3], turn[3:]) / (turn[:3] @ turn[:3])
+    pitch = float(axis @ turn[3:] / np.linalg.norm(turn[:3]))
+    # The point of the axis nearest to the origin of the frame, in which the mesh is known.
+    place = place - axis * (axis @ place)
+    how = "turning" if abs(pitch) < _NAMED * size else "turning and sliding along"
+    about = "about the axis" if how == "turning" else "the axis"
+    return f"{how} {about} {_vector(axis)} through {_place(place)}"
+
+
+def _vector(direction: Vector3) -> str:
+    unit = direction / np.linalg.norm(direction)
+    unit = unit * (1.0 if unit[np.abs(unit).argmax()] > 0.0 else -1.0)
+    return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.round(unit, 2) + 0.0) + ")"
+
+
+def _place(point: Vector3) -> str:
+    return "(" + ", ".join(f"{v:.1f}" for v in np.round(1e3 * point, 1) + 0.0) + ") mm"

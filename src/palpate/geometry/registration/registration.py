@@ -1,0 +1,350 @@
+"""Pose of an object from points measured on its surface.
+
+Robust iterative closest points: the distance from the surface is brought to its least in a robust
+norm, from a rough start. Motions that the shape cannot tell (of a ball about its centre, of a plate
+within its plane) are found from what the points know about each motion, less what the facets of the
+mesh pretend to know; they stay as they were at the start.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.arrays import fixed_array
+from palpate.errors import CalibrationError, InputError
+from palpate.geometry.registration.coarse_pose import (
+    coarse_pose,
+    compact_groups,
+    even_sample,
+    facing_surface,
+)
+from palpate.geometry.registration.free_motion import (
+    Facets,
+    facets_of,
+    holding,
+    motion_texts,
+    near_edges,
+    nearest_pose,
+    pretended_information,
+)
+from palpate.geometry.registration.surface_fit import (
+    TUKEY,
+    Linearised,
+    MeasuredPoints,
+    fit_pose,
+    linearised,
+    placed,
+    robust_weight,
+    unheld_basis,
+)
+from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
+from palpate.shapes import Flags, Points, PointScalars, Vector3
+
+# A pose has six unknowns; fewer than four times as many points leave no say to a robust norm.
+_FEWEST = 24
+# Points that search, and that bring the fit near, where there are more.
+_SEARCHING, _NEARING = 256, 1024
+# Residuals are taken to be correlated within so many compact groups at most: enough of them to
+# estimate a variance to a fifth, and few enough to be wider than a window of stereo matching.
+_GROUPS = 64
+# Facets' pretended information is taken off so many times: twice their angle.
+_PRETENCE = 4.0
+_STEPS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationSettings:
+    """How points are brought onto a mesh.
+
+    Parameters
+    ----------
+    angle : float [rad]             how far the start may be turned from the truth
+    distance : float [m]            how far it may be shifted
+    blur : float [-]                a motion is not fixed where the points on the surface are not
+                                    known along it to better than this share of the mesh's diagonal,
+                                    1 sigma: a third of a triangle of a mesh of some thousand
+    most_points : int               an even sample of so many is used where there are more
+
+    Raises
+    ------
+    InputError                      not positive, fewer than 24 points
+    """
+
+    angle: float = float(np.radians(5.0))
+    distance: float = 0.02
+    blur: float = 0.01
+    most_points: int = 6000
+
+    def __post_init__(self) -> None:
+        for name in ("angle", "distance", "blur"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{name} is {value:g}; must be positive")
+        if self.most_points < _FEWEST:
+            raise InputError(f"most_points is {self.most_points}; must be {_FEWEST} or more")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Where points lie on a mesh, and how well that is known.
+
+    Attributes
+    ----------
+    T_mesh_points : (4, 4) float [m]    x_mesh = T_mesh_points x_points
+    centre : (3,) float [m]             centroid of the points, mesh frame
+    covariance : (6, 6) float           of a turn about `centre` (rad) and a shift (m), both in the
+                                        mesh frame; with the free motions held
+    free : (k, 6) float                 motions of that kind that the shape does not fix: they are
+                                        as the start has them. Each moves the points by 1 m rms
+    weakest : (6,) float                the fixed motion that is known worst, of that kind
+    weakest_std : float [m]             how well the points are known along it; infinite where no
+                                        motion is fixed
+    residual : float [m]                rms distance of the points that agree from the surface
+    inliers : float [-]                 share of the points that agree
+    correlation : float [-]             how many points say what one says: factor in `covariance`
+    size : float [m]                    rms distance of the points from `centre`
+    diagonal : float [m]                of the mesh
+    iterations : int
+    converged : bool
+    """
+
+    T_mesh_points: Float[np.ndarray, "4 4"]
+    centre: Vector3
+    covariance: Float[np.ndarray, "6 6"]
+    free: Float[np.ndarray, "k 6"]
+    weakest: Float[np.ndarray, "6"]
+    weakest_std: float
+    residual: float
+    inliers: float
+    correlation: float
+    size: float
+    diagonal: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Knowledge:
+    """What the points know about motions at the pose that was found.
+
+    `std` (f,) and `fixed` (f, 6) are of the motions that are fixed, `free` (k, 6) of the others,
+    `held` (k, 6) what must be zero of a motion so that these have no part in it.
+    """
+
+    at: Linearised
+    fixed: Float[np.ndarray, "f 6"]
+    std: Float[np.ndarray, " f"]
+    free: Float[np.ndarray, "k 6"]
+    held: Float[np.ndarray, "k 6"]
+    covariance: Float[np.ndarray, "6 6"]
+    correlation: float
+    inlier: Flags
+
+
+def register(
+    points: Points,
+    std: PointScalars | Float[np.ndarray, "n 3 3"] | None,
+    mesh: TriangleMesh,
+    *,
+    start: Float[np.ndarray, "4 4"] | None = None,
+    eye: Vector3 | None = None,
+    settings: RegistrationSettings = RegistrationSettings(),
+) -> Registration:
+    """Find the pose in which measured points lie on the surface of a mesh.
+
+    Flat facets lie inside a curved object and bias its pose by their distance from it, which no
+    covariance shows: give the smooth surface, `TriangleMesh(*refined_surface(mesh))`.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]       of the surface, in any frame; wrong ones may be among them
+    std : (n,) float [m], (n, 3, 3) float [m^2] or None     1 sigma or covariance of each; None
+                                    where all are alike
+    mesh : TriangleMesh             open or closed
+    start : (4, 4) float or None    guess of the pose; the identity unless told
+    eye : (3,) float [m] or None    where the points were seen from, in their frame: what turns its
+                                    back to it is left out
+    settings : RegistrationSettings
+
+    Returns
+    -------
+    Registration                    also where the shape does not fix the pose: `check_registration`
+                                    refuses that. Correlated residuals widen the covariance by one
+                                    factor: the variance of the sums over compact groups of points
+                                    against that of as many independent points
+
+    Raises
+    ------
+    InputError                      fewer than 24 points, all on a line, sizes that do not match
+
+    Source
+    ------
+    Chen and Medioni (1992) for the method; Liang and Zeger, Longitudinal data analysis using
+    generalized linear models, Biometrika 73 (1986), for the sums over groups; Zhang, Kaess and
+    Singh, On degeneracy of optimization-based state estimation problems (2016), for holding what is
+    not fixed.
+    """
+    measured = _measured(points, std)
+    guess = np.eye(4) if start is None else fixed_array(start, name="start", shape=(4, 4))
+    chosen = measured.chosen(even_sample(measured.point, settings.most_points))
+    surface = mesh
+    if eye is not None:
+        surface = facing_surface(mesh, placed(guess, eye[None])[0], angle=settings.angle)
+    few = chosen.chosen(even_sample(chosen.point, _SEARCHING))
+    pose = coarse_pose(surface, few.point, guess, angle=settings.angle, distance=settings.distance)
+    some = chosen.chosen(even_sample(chosen.point, _NEARING))
+    near = fit_pose(surface, some, pose, held=np.zeros((0, 6)), iterations=_STEPS)
+    facets = facets_of(surface)
+    known = _knowledge(surface, chosen, near.pose, facets, settings.blur)
+    pose = nearest_pose(near.pose, guess, chosen.point, known.free, known.at.centre)
+    last = fit_pose(surface, chosen, pose, held=known.held, iterations=_STEPS)
+    known = _knowledge(surface, chosen, last.pose, facets, settings.blur)
+    return _registration(mesh, known, last.pose, near.iterations + last.iterations, last.converged)
+
+
+def check_registration(registration: Registration, *, pose_is_good: bool = False) -> None:
+    """Refuse a registration that does not hold.
+
+    Parameters
+    ----------
+    registration : Registration
+    pose_is_good : bool             the start is known to be right along the motions that the shape
+                                    does not fix
+
+    Raises
+    ------
+    CalibrationError                no convergence, points that do not lie on the mesh, a motion
+                                    that the shape does not fix
+    """
+    share = registration.residual / registration.diagonal
+    if not registration.converged or share > 0.03 or registration.inliers < 0.5:
+        raise CalibrationError(
+            f"the points cannot be brought onto the mesh: {1e3 * registration.residual:.2g} mm rms"
+            f" are left ({100 * share:.1f} % of its diagonal), {100 * registration.inliers:.0f} %"
+            " of them agree; is it the mesh of this object, in the right unit, and the guess of the"
+            " pose within 5 degrees and 20 mm?"
+        )
+    if len(registration.free) and not pose_is_good:
+        texts = motion_texts(registration.free, registration.centre, registration.size)
+        raise CalibrationError(
+            f"the shape of the object does not fix its pose: {' and '.join(texts)} leaves the"
+            " measured points on the surface. Calibrate with the object's frame, show the cameras"
+            " an edge or a corner of it, or say that the pose of the rig is good"
+        )
+
+
+def _measured(
+    points: Points, std: PointScalars | Float[np.ndarray, "n 3 3"] | None
+) -> MeasuredPoints:
+    """Checked points with a covariance each."""
+    points = fixed_array(points, name="points", shape=(None, 3))
+    n = len(points)
+    if n < _FEWEST:
+        raise InputError(f"there are {n} points; a pose needs {_FEWEST} or more")
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not spread[1] > 1e-6 * spread[0]:
+        raise InputError("the points lie on one line; a pose needs points spread over a surface")
+    if std is None:
+        return MeasuredPoints(points, np.zeros((n, 3, 3)))
+    if np.ndim(std) == 1:
+        std = fixed_array(std, name="std", shape=(n,))
+        if not std.min() > 0.0:
+            raise InputError(f"std goes down to {std.min():g}; must be positive")
+        return MeasuredPoints(points, std[:, None, None] ** 2 * np.eye(3))
+    covariance = fixed_array(std, name="covariance", shape=(n, 3, 3))
+    least = float(np.linalg.eigvalsh(covariance).min())
+    if not least > 0.0:
+        raise InputError(f"a covariance has the eigenvalue {least:g}; must be positive definite")
+    return MeasuredPoints(points, covariance)
+
+
+def _knowledge(
+    mesh: TriangleMesh, points: MeasuredPoints, pose: np.ndarray, facets: Facets, blur: float
+) -> _Knowledge:
+    """Split the motions into those that the points fix and the free ones."""
+    at = linearised(mesh, points, pose)
+    weight, scale = robust_weight(at)
+    inlier = weight > 0.0
+    used = inlier & ~near_edges(mesh, at, facets, TUKEY * scale * at.sigma)
+    information, correlation = _information(at, scale, used)
+    share = used / at.sigma**2
+    plain = at.row.T @ (share[:, None] * at.row)
+    pretended = pretended_information(at, facets.tilt[at.triangle], share)
+    # Into units of the real information, which knows the residuals' scale and correlation.
+    pretended *= np.trace(information) / max(float(np.trace(plain)), np.finfo(float).tiny)
+    values, vectors = np.linalg.eigh(information - _PRETENCE * pretended)
+    fixed = values >= (blur * bounding_diagonal(mesh)) ** -2
+    motions = (at.scale @ vectors).T
+    held = holding(motions[~fixed], _size(at))
+    basis = unheld_basis(held @ at.scale)
+    inner = basis @ np.linalg.pinv(basis.T @ information @ basis, hermitian=True) @ basis.T
+    return _Knowledge(
+        at=at,
+        fixed=motions[fixed],
+        std=1.0 / np.sqrt(values[fixed]),
+        free=motions[~fixed],
+        held=held,
+        covariance=at.scale @ inner @ at.scale.T,
+        correlation=correlation,
+        inlier=inlier,
+    )
+
+
+def _size(at: Linearised) -> float:
+    """Root mean square distance of the points from their centroid [m]."""
+    return float(np.sqrt((at.offset**2).sum(axis=1).mean()))
+
+
+def _information(
+    at: Linearised, scale: float, used: Flags
+) -> tuple[Float[np.ndarray, "6 6"], float]:
+    """Inverse covariance of the scaled motions, and the factor for correlated residuals."""
+    if scale <= 0.0:
+        share = used * at.sigma**-2
+        return at.row.T @ (share[:, None] * at.row), 1.0
+    if used.sum() <= 6:
+        return np.zeros((6, 6)), 1.0
+    unit = np.where(used, at.residual / (at.sigma * scale * TUKEY), 1.0)
+    # Tukey's function and its derivative.
+    pull = unit * (1.0 - unit**2) ** 2
+    slope = (1.0 - unit**2) * (1.0 - 5.0 * unit**2)
+    row = at.row[used] / at.sigma[used, None]
+    pull, slope = pull[used], slope[used]
+    count = len(row)
+    variance = (pull @ pull) / max(count - 6, 1) / (slope.sum() / count) ** 2
+    variance *= (TUKEY * scale) ** 2
+    score = row * pull[:, None]
+    alone = score.T @ score
+    label = compact_groups(at.offset[used], _GROUPS)
+    sums = np.stack([np.bincount(label, score[:, i]) for i in range(6)], axis=1)
+    groups = len(sums)
+    together = sums.T @ sums * groups / max(groups - 1, 1)
+    correlation = float(np.trace(np.linalg.pinv(alone, rcond=1e-10) @ together)) / 6.0
+    correlation = max(correlation, 1.0)
+    return row.T @ row / (variance * correlation), correlation
+
+
+def _registration(
+    mesh: TriangleMesh, known: _Knowledge, pose: np.ndarray, iterations: int, converged: bool
+) -> Registration:
+    at = known.at
+    weakest, weakest_std = np.zeros(6), float("inf")
+    if len(known.std):
+        worst = int(known.std.argmax())
+        weakest, weakest_std = known.fixed[worst], float(known.std[worst])
+    return Registration(
+        T_mesh_points=pose,
+        centre=at.centre,
+        covariance=known.covariance,
+        free=known.free,
+        weakest=weakest,
+        weakest_std=weakest_std,
+        residual=float(np.sqrt((at.residual[known.inlier] ** 2).mean())),
+        inliers=float(known.inlier.mean()),
+        correlation=known.correlation,
+        size=_size(at),
+        diagonal=bounding_diagonal(mesh),
+        iterations=iterations,
+        converged=converged,
+    )

@@ -1,0 +1,231 @@
+"""Least robust distance of points from a triangle surface by Gauss-Newton steps of their pose.
+
+A motion of the points is six numbers, a small turn about their centroid (rad) and a shift (m).
+Within the iteration they are scaled so that a unit moves the points by 1 m rms, whatever its kind.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from palpate.geometry.closest_point import closest_points
+from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal, unit_normals
+from palpate.shapes import Indices, PointIndices, Points, PointScalars, Vector3
+
+# Tukey's constant for 95 % efficiency with normal errors; what is farther out has no say.
+TUKEY = 4.685
+# Median of the absolute value of a normal variable, inverted.
+_PER_MEDIAN = 1.4826
+# A step that would move the fit by less than this share of its standard deviation ends it.
+_SMALL_STEP = 0.1
+
+Pose = Float[np.ndarray, "4 4"]
+Matrix6 = Float[np.ndarray, "6 6"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPoints:
+    """Points of a surface in their own frame, with their covariances.
+
+    Attributes
+    ----------
+    point : (n, 3) float [m]
+    covariance : (n, 3, 3) float [m^2]      zero where nothing is known
+    """
+
+    point: Points
+    covariance: Float[np.ndarray, "n 3 3"]
+
+    def chosen(self, rows: Indices) -> "MeasuredPoints":
+        """Some of the points."""
+        return MeasuredPoints(self.point[rows], self.covariance[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """Distances of n points from the surface, and how a motion changes them.
+
+    Attributes
+    ----------
+    centre : (3,) float [m]             about which motions turn
+    scale : (6, 6) float                motion of a unit of the scaled unknowns
+    offset : (n, 3) float [m]           of the points from the centre
+    normal : (n, 3) float               direction in which the distance grows
+    row : (n, 6) float [-]              derivative of the distance by the scaled unknowns
+    residual : (n,) float [m]           signed distance
+    sigma : (n,) float [m]              its expected standard deviation
+    triangle : (n,) int                 of the nearest point
+    barycentric : (n, 3) float          its weights there
+    """
+
+    centre: Vector3
+    scale: Matrix6
+    offset: Points
+    normal: Points
+    row: Float[np.ndarray, "n 6"]
+    residual: PointScalars
+    sigma: PointScalars
+    triangle: PointIndices
+    barycentric: Points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Where the iteration ended."""
+
+    pose: Pose
+    iterations: int
+    converged: bool
+
+
+def placed(pose: Pose, points: Points) -> Points:
+    """Points moved by a pose."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def motion_pose(motion: Float[np.ndarray, "6"], centre: Vector3) -> Pose:
+    """The rigid motion of a turn (rad) about a centre and a shift (m)."""
+    pose = np.eye(4)
+    turn = Rotation.from_rotvec(motion[:3]).as_matrix()
+    pose[:3, :3] = turn
+    pose[:3, 3] = centre - turn @ centre + motion[3:]
+    return pose
+
+
+def motion_scale(offset: Points) -> Matrix6:
+    """Motions, in columns, that move points by 1 m rms each and independently.
+
+    Parameters
+    ----------
+    offset : (n, 3) float [m]       from their centroid, not all on one line
+
+    Returns
+    -------
+    (6, 6) float                    turn (rad) and shift (m) of each
+    """
+    spread = offset.T @ offset / len(offset)
+    values, vectors = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
+    scale = np.eye(6)
+    scale[:3, :3] = (vectors / np.sqrt(values)) @ vectors.T
+    return scale
+
+
+def linearised(mesh: TriangleMesh, points: MeasuredPoints, pose: Pose) -> Linearised:
+    """Distances from the surface at a pose, and their derivatives.
+
+    At the inside of a triangle the distance is that from its plane; at an edge or a corner it is
+    the distance itself, so that points beyond an edge are drawn back.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    points : MeasuredPoints         n points, not on one line
+    pose : (4, 4) float [m]
+
+    Returns
+    -------
+    Linearised
+    """
+    place = placed(pose, points.point)
+    found = closest_points(mesh, place)
+    away = place - found.position
+    normal = unit_normals(mesh)[found.triangle]
+    beyond = (found.barycentric <= 0.0).any(axis=1)
+    beyond &= found.distance > 1e-9 * bounding_diagonal(mesh)
+    normal[beyond] = away[beyond] / found.distance[beyond, None]
+    residual = np.einsum("na,na->n", normal, away)
+    centre = place.mean(axis=0)
+    offset = place - centre
+    scale = motion_scale(offset)
+    row = np.hstack([np.cross(offset, normal), normal]) @ scale
+    own = normal @ pose[:3, :3]
+    variance = np.einsum("na,nab,nb->n", own, points.covariance, own)
+    return Linearised(
+        centre=centre,
+        scale=scale,
+        offset=offset,
+        normal=normal,
+        row=row,
+        residual=residual,
+        sigma=_sigma(residual, variance, 1e-7 * bounding_diagonal(mesh)),
+        triangle=found.triangle,
+        barycentric=found.barycentric,
+    )
+
+
+def _sigma(residual: PointScalars, variance: PointScalars, least: float) -> PointScalars:
+    """Standard deviation that a residual should have.
+
+    What the points' own noise does not explain is the surface's error, alike for all of them.
+    """
+    spread = _PER_MEDIAN * float(np.median(np.abs(residual)))
+    surface = max(spread**2 - float(np.median(variance)), 0.0)
+    return np.sqrt(np.maximum(variance + surface, least**2))
+
+
+def robust_weight(at: Linearised) -> tuple[PointScalars, float]:
+    """Tukey's weight of every residual, and the scale of the residuals in units of `sigma`."""
+    unit = at.residual / at.sigma
+    scale = _PER_MEDIAN * float(np.median(np.abs(unit)))
+    if scale <= 0.0:
+        return np.ones(len(unit)), 0.0
+    return np.maximum(1.0 - (unit / (TUKEY * scale)) ** 2, 0.0) ** 2, scale
+
+
+def fit_pose(
+    mesh: TriangleMesh,
+    points: MeasuredPoints,
+    pose: Pose,
+    *,
+    held: Float[np.ndarray, "k 6"],
+    iterations: int,
+) -> Fit:
+    """Bring points onto a surface.
+
+    The iteration ends where a step is small against what the points know, direction by direction.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    points : MeasuredPoints
+    pose : (4, 4) float             start
+    held : (k, 6) float             combinations of a step's turn and shift that must be zero
+    iterations : int                at most
+
+    Returns
+    -------
+    Fit
+    """
+    diagonal = bounding_diagonal(mesh)
+    for done in range(1, iterations + 1):
+        at = linearised(mesh, points, pose)
+        weight, _ = robust_weight(at)
+        weight = weight / at.sigma**2
+        free = unheld_basis(held @ at.scale)
+        row = at.row @ free
+        matrix = row.T @ (weight[:, None] * row)
+        step = -_solved(matrix, row.T @ (weight * at.residual), diagonal)
+        pose = motion_pose(at.scale @ free @ step, at.centre) @ pose
+        if step @ matrix @ step < _SMALL_STEP**2:
+            return Fit(pose, done, True)
+    return Fit(pose, iterations, False)
+
+
+def unheld_basis(held: Float[np.ndarray, "k 6"]) -> Float[np.ndarray, "6 f"]:
+    """Orthonormal basis of the motions of which all held combinations are zero."""
+    _, values, vectors = np.linalg.svd(held)
+    rank = int((values > 1e-9 * values.max()).sum()) if values.size else 0
+    return vectors[rank:].T
+
+
+def _solved(
+    matrix: Float[np.ndarray, "f f"], right: Float[np.ndarray, " f"], diagonal: float
+) -> np.ndarray:
+    """Least-squares step, short, and none in directions known no better than the object's size."""
+    values, vectors = np.linalg.eigh(matrix)
+    known = values > diagonal**-2
+    step = vectors[:, known] @ ((vectors[:, known].T @ right) / values[known])
+    # A tenth of the object: farther away the nearest points are others anyway.
+    return step * min(1.0, 0.1 * diagonal / max(float(np.linalg.norm(step)), 1e-300))

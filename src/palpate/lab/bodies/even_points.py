@@ -1,0 +1,257 @@
+"""Evenly spaced points on a surface and inside it, as the nodes of a mesh want them.
+
+Points come from many candidates, thinned until none is nearer to another than a share of the wanted
+spacing, and are then moved to the centres of the candidates that are nearest to them (Lloyd). The
+candidates are fixed sequences, not random numbers: the same surface gives the same points.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_normals
+from palpate.shapes import Points, PointScalars
+
+Spacing = Callable[[np.ndarray], np.ndarray]
+
+# Of the spacing: thinned points lie 1.0 to 2.0 times this apart, evened ones about 1.35 times.
+_NEAREST = 0.75
+# Candidates per square of the spacing: enough that a point's share of them shows its centre.
+_CANDIDATES = 40.0
+_ROUNDS = 8
+# Sharp edges are cut into pieces of at most this share of the spacing to choose points from.
+_PIECE = 0.25
+# The spacing grows by this much per metre from a fine place, so that neighbours differ little.
+_GROWTH = 0.3
+# Inner points keep off the surface by this share of the spacing: the height of an even tetrahedron
+# is 0.8 of its edge, and a flatter first layer is better than a sliver.
+_OFF_SURFACE = 0.6
+# Cells of a body centred lattice whose nearest points (0.87 cells) and second nearest (1 cell)
+# are about a spacing apart.
+_CELL = 1.08
+# Where the spacing changes the candidates lie this share of it apart, or no even choice is left.
+_CHOICE = 0.5
+_EIGHTHS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -> Spacing:
+    """Wanted spacing of points as a function of place.
+
+    Parameters
+    ----------
+    edge : float [m]                    far from the fine places
+    fine : (point (3,), radius, edge)   within `radius` of `point` at most that edge [m]
+
+    Returns
+    -------
+    (n, 3) -> (n,) float [m]            grows by 0.3 m/m outside a fine place
+    """
+
+    def spacing(points: np.ndarray) -> np.ndarray:
+        size = np.full(len(points), edge)
+        for centre, radius, small in fine:
+            beyond = np.clip(np.linalg.norm(points - centre, axis=1) - radius, 0.0, None)
+            size = np.minimum(size, small + _GROWTH * beyond)
+        return size
+
+    return spacing
+
+
+def surface_points(mesh: TriangleMesh, spacing: Spacing) -> Points:
+    """Points on a surface, its sharp edges and corners among them.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh                 closed
+    spacing : (n, 3) -> (n,) [m]
+
+    Returns
+    -------
+    (n, 3) float [m]
+    """
+    sharp = _thinned(_crease_candidates(mesh, spacing), spacing)
+    candidates, share = _surface_candidates(mesh, spacing)
+    points = _thinned(np.concatenate([sharp, candidates]), spacing)
+    for _ in range(_ROUNDS):
+        _, owner = cKDTree(points).query(candidates)
+        weight = np.bincount(owner, share, minlength=len(points))
+        centre = np.stack(
+            [np.bincount(owner, share * candidates[:, i], minlength=len(points)) for i in range(3)],
+            axis=1,
+        )
+        moves = weight > 0.0
+        moves[: len(sharp)] = False
+        points[moves] = centre[moves] / weight[moves, None]
+    points[len(sharp) :] = closest_points(mesh, points[len(sharp) :]).position
+    return points
+
+
+def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[np.ndarray, "k 3"]:
+    """Points inside a surface, clear of the points on it.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh                 closed, outward
+    spacing : (n, 3) -> (n,) [m]
+    shell : (n, 3) float [m]            the points on the surface
+
+    Returns
+    -------
+    (k, 3) float [m]                    a body centred lattice where the spacing is constant, points
+                                        of finer lattices where it falls
+    """
+    largest = float(spacing(mesh.vertices).max())
+    cell = _CELL * largest
+    corner = _lattice(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0), cell)
+    levels = []
+    while len(corner):
+        levels += [corner, corner + 0.5 * cell]
+        size = spacing(levels[-1])
+        split = (size < largest) & (cell > _CHOICE * (size - _GROWTH * cell))
+        cell *= 0.5
+        corner = (corner[split][:, None] + cell * _EIGHTHS).reshape(-1, 3)
+    points = np.concatenate(levels)
+    distance, _ = cKDTree(shell).query(points)
+    # Before the costly question of inside: what is left is too far from the surface to shade it.
+    points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
+    points = points[inside(mesh, points)]
+    gap = closest_points(mesh, points).distance
+    return points[gap > _OFF_SURFACE * spacing(points)]
+
+
+def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
+    """Which points lie inside a closed surface with outward normals.
+
+    Source
+    ------
+    Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal (2005):
+    the sign of the offset from the nearest point along the normal of the face, edge or vertex that
+    holds it.
+    """
+    place = closest_points(mesh, points)
+    normals = unit_normals(mesh)
+    corner = mesh.vertices[mesh.triangles]
+    along = np.roll(corner, -1, axis=1) - corner
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    cosine = -np.einsum("mva,mva->mv", along, np.roll(along, 1, axis=1))
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    at_vertex = np.zeros_like(mesh.vertices)
+    np.add.at(at_vertex, mesh.triangles, angle[:, :, None] * normals[:, None])
+    # An edge's pseudonormal is the sum of its two faces' normals; the offset is perpendicular to
+    # the edge, so the face of the nearest triangle alone has the wrong sign only for ties across
+    # a sharp edge, which the sum settles.
+    edge_of, at_edge = _edge_normals(mesh, normals)
+    zero = place.barycentric <= 1e-9
+    normal = normals[place.triangle].copy()
+    on_edge = zero.sum(axis=1) == 1
+    side = zero.argmax(axis=1)
+    normal[on_edge] = at_edge[edge_of[place.triangle[on_edge], (side[on_edge] + 1) % 3]]
+    on_vertex = zero.sum(axis=1) == 2
+    nearest = mesh.triangles[place.triangle, place.barycentric.argmax(axis=1)]
+    normal[on_vertex] = at_vertex[nearest[on_vertex]]
+    return np.einsum("na,na->n", points - place.position, normal) < 0.0
+
+
+def _edge_normals(
+    mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]
+) -> tuple[Int[np.ndarray, "m 3"], Float[np.ndarray, "e 3"]]:
+    """Edge from corner i to i + 1 of every triangle, and the sum of its faces' normals."""
+    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2)
+    _, where = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
+    where = where.reshape(-1, 3)
+    total = np.zeros((int(where.max()) + 1, 3))
+    np.add.at(total, where, normals[:, None])
+    return where, total
+
+
+def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
+    """Corners where sharp edges end or turn, then points along the sharp edges."""
+    normals = unit_normals(mesh)
+    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+    edge, where = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+    order = np.argsort(where.ravel(), kind="stable") // 3
+    pair = order.reshape(-1, 2)
+    turn = np.einsum("ea,ea->e", normals[pair[:, 0]], normals[pair[:, 1]])
+    edge = edge[turn < np.cos(CREASE_ANGLE)]
+    along = mesh.vertices[edge[:, 1]] - mesh.vertices[edge[:, 0]]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    degree = np.bincount(edge.ravel(), minlength=len(mesh.vertices))
+    straight = np.zeros((len(mesh.vertices), 3))
+    np.add.at(straight, edge[:, 0], along)
+    np.add.at(straight, edge[:, 1], -along)
+    sharp = np.linalg.norm(straight, axis=1) > 2.0 * np.sin(0.5 * CREASE_ANGLE)
+    ends_or_turns = (degree > 0) & ((degree != 2) | sharp)
+    corners = mesh.vertices[ends_or_turns | ((degree == 0) & _pointed(mesh, normals))]
+    piece, points = mesh.vertices[edge], [corners]
+    while len(piece):
+        points.append(piece.reshape(-1, 3))
+        middle = piece.mean(axis=1)
+        long = np.linalg.norm(piece[:, 1] - piece[:, 0], axis=1) > _PIECE * spacing(middle)
+        start, middle, end = piece[long, 0], middle[long], piece[long, 1]
+        piece = np.concatenate(
+            [np.stack(ends, axis=1) for ends in ((start, middle), (middle, end))]
+        )
+    return np.concatenate(points)
+
+
+def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " v"]:
+    """Vertices like the tip of a cone, around which no single edge is sharp."""
+    mean = np.zeros_like(mesh.vertices)
+    np.add.at(mean, mesh.triangles, normals[:, None])
+    mean /= np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None]
+    level = np.einsum("mva,ma->mv", mean[mesh.triangles], normals)
+    pointed = np.zeros(len(mesh.vertices), dtype=bool)
+    pointed[mesh.triangles[level < np.cos(CREASE_ANGLE)]] = True
+    return pointed
+
+
+def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, PointScalars]:
+    """Many points of a surface and the share of one wanted point that each stands for."""
+    corner, small = mesh.vertices[mesh.triangles], []
+    while len(corner):
+        longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
+        large = longest > spacing(corner.mean(axis=1))
+        small.append(corner[~large])
+        a, b, c = corner[large].transpose(1, 0, 2)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (bc, ca, ab))
+        corner = np.concatenate([np.stack(part, axis=1) for part in quarters])
+    corner = np.concatenate(small)
+    side = corner[:, 1:] - corner[:, :1]
+    share = 0.5 * np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
+    share /= spacing(corner.mean(axis=1)) ** 2
+    count = np.maximum(1, np.ceil(_CANDIDATES * share)).astype(np.int64)
+    row = np.repeat(np.arange(len(share)), count)
+    k = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    # Roberts' sequence of two dimensions; each triangle starts elsewhere in it.
+    u = (0.5 + 0.7548776662466927 * k + 0.6180339887498949 * row) % 1.0
+    v = (0.5 + 0.5698402909980532 * k + 0.4142135623730951 * row) % 1.0
+    fold = u + v > 1.0
+    u, v = np.where(fold, 1.0 - u, u), np.where(fold, 1.0 - v, v)
+    points = corner[row, 0] + u[:, None] * side[row, 0] + v[:, None] * side[row, 1]
+    return points, (share / count)[row]
+
+
+def _lattice(low: np.ndarray, high: np.ndarray, cell: float) -> Points:
+    """Corners of a cubic lattice over a box, centred in it."""
+    count = np.ceil((high - low) / cell).astype(int) + 1
+    start = 0.5 * (low + high) - 0.5 * cell * count
+    axes = [start[i] + cell * np.arange(count[i] + 1) for i in range(3)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _thinned(points: Points, spacing: Spacing) -> Float[np.ndarray, "k 3"]:
+    """Points in the given order, less those too near to one that was kept before them."""
+    if not len(points):
+        return points
+    tree = cKDTree(points)
+    reach = _NEAREST * spacing(points)
+    alive = np.ones(len(points), dtype=bool)
+    kept = []
+    for i in range(len(points)):
+        if alive[i]:
+            kept.append(i)
+            alive[tree.query_ball_point(points[i], reach[i], return_sorted=False)] = False
+    return points[kept]

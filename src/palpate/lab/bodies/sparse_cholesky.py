@@ -1,0 +1,171 @@
+"""Cholesky factor of a stiffness matrix by dense fronts, for bodies of many thousand nodes.
+
+Space is cut in two again and again; the nodes on the cuts come last. Each piece is a small dense
+matrix, where the processor is at its best: ten times faster than sparse elimination row by row.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.sparse import bsr_array, csr_array
+
+from palpate.errors import SingularSystemError
+
+# Below this many nodes a front is dense enough that a further cut saves nothing.
+_LEAF_NODES = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Front:
+    """Unknowns eliminated together: L11 of their own block, and L21 transposed."""
+
+    own: Int[np.ndarray, " k"]
+    later: Int[np.ndarray, " b"]
+    lower: Float[np.ndarray, "k k"]
+    coupling: Float[np.ndarray, "k b"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cholesky:
+    """Factor of a symmetric positive definite matrix.
+
+    Parameters
+    ----------
+    size : int                      number of unknowns
+    fronts : tuple                  in the order of elimination
+    """
+
+    size: int
+    fronts: tuple[_Front, ...]
+
+    def solve(self, right: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """Solution for `k` right-hand sides at once."""
+        x = self.half_solve(right)
+        for front in reversed(self.fronts):
+            own = x[front.own] - front.coupling @ x[front.later]
+            x[front.own] = solve_triangular(
+                front.lower, own, lower=True, trans="T", check_finite=False
+            )
+        return x
+
+    def half_solve(self, right: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """L^-1 times right-hand sides; A^-1 between two of them is the product of their halves."""
+        x = np.array(right, dtype=np.float64)
+        for front in self.fronts:
+            # Forces on a few nodes concern few fronts.
+            if x[front.own].any():
+                own = solve_triangular(front.lower, x[front.own], lower=True, check_finite=False)
+                x[front.own] = own
+                x[front.later] -= front.coupling.T @ own
+        return x
+
+
+def factorise(matrix: bsr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
+    """Factor of a matrix whose unknowns are three a node.
+
+    Parameters
+    ----------
+    matrix : (3 n, 3 n), blocks of 3 by 3   symmetric, positive definite
+    points : (n, 3) float [m]               place of each node, for the cuts
+
+    Raises
+    ------
+    SingularSystemError                     not positive definite
+
+    Source
+    ------
+    George, Nested dissection of a regular finite element mesh, SIAM Journal on Numerical Analysis
+    10 (1973) 345; Duff and Reid, The multifrontal solution of indefinite sparse symmetric linear
+    equations, ACM Transactions on Mathematical Software 9 (1983) 302. No pivoting, as the matrix is
+    positive definite.
+    """
+    graph = csr_array(
+        (np.ones(len(matrix.indices), dtype=np.int8), matrix.indices, matrix.indptr),
+        shape=(len(points), len(points)),
+    )
+    rows = csr_array(matrix)
+    done = np.zeros(len(points), dtype=bool)
+    place = np.empty(3 * len(points), dtype=np.int64)
+    fronts: list[_Front] = []
+    # One front at a time is in work; fresh memory for each would cost as much as its numbers.
+    work = np.empty(0)
+
+    def eliminate(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes that a piece leaves coupled, and what it adds to their matrix."""
+        nonlocal work
+        cut, halves = _cut(graph, points, nodes)
+        parts = [eliminate(half) for half in halves if len(half)]
+        done[cut] = True
+        reached = [graph[cut].indices] + [part[0] for part in parts]
+        later = np.unique(np.concatenate(reached))
+        later = later[~done[later]]
+        if work.size < (3 * (len(cut) + len(later))) ** 2:
+            work = np.empty((3 * (len(cut) + len(later))) ** 2)
+        front, rest = _front(rows, place, cut, later, parts, work)
+        fronts.append(front)
+        return later, rest
+
+    eliminate(np.arange(len(points)))
+    return Cholesky(3 * len(points), tuple(fronts))
+
+
+def _cut(
+    graph: csr_array, points: np.ndarray, nodes: np.ndarray
+) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Nodes that part a piece in two when they are taken out, and the two halves."""
+    if len(nodes) <= _LEAF_NODES:
+        return nodes, ()
+    links = graph[nodes][:, nodes]
+    cuts = []
+    for axis in range(3):
+        upper = np.zeros(len(nodes), dtype=bool)
+        order = np.argsort(points[nodes, axis], kind="stable")
+        upper[order[len(nodes) // 2 :]] = True
+        above = links @ upper.astype(np.int64)
+        cuts.append((~upper & (above > 0), upper))
+        cuts.append((upper & (above < np.diff(links.indptr)), upper))
+    cut, upper = min(cuts, key=lambda pair: int(pair[0].sum()))
+    return nodes[cut], (nodes[~upper & ~cut], nodes[upper & ~cut])
+
+
+def _front(
+    rows: csr_array,
+    place: np.ndarray,
+    own: np.ndarray,
+    later: np.ndarray,
+    parts: list[tuple[np.ndarray, np.ndarray]],
+    work: np.ndarray,
+) -> tuple[_Front, np.ndarray]:
+    """Eliminate a front's own unknowns; what is left over is for the front above.
+
+    The lower left of a front's matrix is filled by parts only: its upper triangle is what counts.
+    """
+    own, later = _unknowns(own), _unknowns(later)
+    everything = np.concatenate([own, later])
+    place[everything] = np.arange(len(everything))
+    size = len(everything)
+    full = work[: size * size].reshape(size, size)
+    full[len(own) :] = 0.0
+    full[: len(own)] = rows[own][:, everything].toarray()
+    for nodes, added in parts:
+        at = place[_unknowns(nodes)]
+        full[at[:, None], at] += added
+    k = len(own)
+    try:
+        lower = cholesky(full[:k, :k], lower=True, check_finite=False)
+    except LinAlgError as error:
+        raise SingularSystemError(
+            "the stiffness matrix is not positive definite: the body is held at too few places to"
+            " keep it from moving as a whole, or its material is not stable; hold more of it"
+        ) from error
+    coupling = solve_triangular(lower, full[:k, k:], lower=True, check_finite=False)
+    rest = coupling.T @ coupling
+    np.subtract(full[k:, k:], rest, out=rest)
+    return _Front(own, later, lower, coupling), rest
+
+
+def _unknowns(nodes: np.ndarray) -> np.ndarray:
+    """The three unknowns of each node."""
+    return (3 * nodes[:, None] + np.arange(3)).ravel()

@@ -1,0 +1,298 @@
+"""The facility's own test objects: closed surfaces that stand on the plane z = 0, glued there."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh
+
+# A ring of fewer vertices is no ring.
+_FEWEST = 6
+# The rod is a prism of about 2 pi times as many sides.
+_ROD_SIDES = 8.0
+# A round end larger than this sits on a thinner shaft, so that it hides less [m].
+_SHAFT = 4e-3
+# Bumps of the toy: direction from its middle, height over the radius, width in degrees.
+_BUMPS = (
+    ((0.55, 0.0, 0.80), 0.60, 15.0),  # ears
+    ((-0.55, 0.0, 0.80), 0.60, 15.0),
+    ((0.0, -0.95, 0.15), 0.35, 20.0),  # snout
+    ((0.0, 0.9, 0.45), -0.35, 32.0),  # dent in the back
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A kind of specimen.
+
+    Attributes
+    ----------
+    make : function                 keyword lengths and `edge` [m] -> TriangleMesh
+    lengths : names                 of its keyword lengths
+    summary : str                   one line for a list
+    """
+
+    make: Callable[..., TriangleMesh]
+    lengths: tuple[str, ...]
+    summary: str
+
+
+def half_ball(*, radius: float, edge: float) -> TriangleMesh:
+    """Half ball on its flat face, centre at the origin.
+
+    Parameters
+    ----------
+    radius, edge : float [m]        `edge` is about the length of a triangle's sides
+
+    Returns
+    -------
+    TriangleMesh                    closed, outward; vertices on the sphere
+
+    Raises
+    ------
+    InputError                      lengths that are not positive; an edge too long for the shape
+    """
+    _check(edge, radius=radius)
+    base = _segment((0.0, 0.0), (radius, 0.0), edge)
+    return _revolved(np.concatenate([base, _arc(radius, 0.0, 0.5 * np.pi, edge)[1:]]), edge)
+
+
+def glued_ball(*, radius: float, patch_radius: float, edge: float) -> TriangleMesh:
+    """Ball with a flat patch on which it is glued.
+
+    Parameters
+    ----------
+    radius : float [m]
+    patch_radius : float [m]        less than the radius
+    edge : float [m]
+
+    Returns
+    -------
+    TriangleMesh
+
+    Raises
+    ------
+    InputError                      lengths that are not positive; a patch wider than the ball
+    """
+    _check(edge, radius=radius, patch_radius=patch_radius)
+    if patch_radius >= radius:
+        raise InputError(
+            f"patch_radius is {patch_radius:g} m; must be less than the ball's radius of"
+            f" {radius:g} m"
+        )
+    below = np.arccos(patch_radius / radius)
+    arc = _arc(radius, -below, 0.5 * np.pi, edge)
+    arc[:, 1] += radius * np.sin(below)
+    base = _segment((0.0, 0.0), (patch_radius, 0.0), edge)
+    return _revolved(np.concatenate([base, arc[1:]]), edge)
+
+
+def cylinder(*, radius: float, height: float, edge: float) -> TriangleMesh:
+    """Upright cylinder.
+
+    Parameters
+    ----------
+    radius, height, edge : float [m]
+
+    Returns
+    -------
+    TriangleMesh
+
+    Raises
+    ------
+    InputError                      lengths that are not positive; an edge too long for the shape
+    """
+    _check(edge, radius=radius, height=height)
+    contour = [
+        _segment((0.0, 0.0), (radius, 0.0), edge),
+        _segment((radius, 0.0), (radius, height), edge)[1:],
+        _segment((radius, height), (0.0, height), edge)[1:],
+    ]
+    return _revolved(np.concatenate(contour), edge)
+
+
+def block(*, length: float, width: float, height: float, edge: float) -> TriangleMesh:
+    """Block along x, y and z, the middle of its base at the origin.
+
+    Parameters
+    ----------
+    length, width, height, edge : float [m]
+
+    Returns
+    -------
+    TriangleMesh
+
+    Raises
+    ------
+    InputError                      lengths that are not positive; an edge too long for the shape
+    """
+    size = np.array([length, width, height])
+    _check(edge, length=length, width=width, height=height)
+    cells = np.maximum(np.rint(size / edge), 1).astype(np.int64)
+    number: dict[tuple[int, ...], int] = {}
+    triangles = []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for side in (0, 1):
+            for i, j in np.ndindex(cells[u], cells[v]):
+                corner = []
+                for p, q in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)):
+                    place = [0, 0, 0]
+                    place[axis], place[u], place[v] = int(side * cells[axis]), int(p), int(q)
+                    corner.append(number.setdefault(tuple(place), len(number)))
+                a, b, c, d = corner
+                cut = [[a, b, c], [a, c, d]] if (i + j) % 2 == 0 else [[a, b, d], [b, c, d]]
+                triangles += cut if side else [one[::-1] for one in cut]
+    vertices = np.array(list(number), dtype=float) * (size / cells) - [length / 2, width / 2, 0.0]
+    return TriangleMesh(vertices, np.array(triangles))
+
+
+def toy(*, radius: float, edge: float) -> TriangleMesh:
+    """A head with two ears, a snout and a dent: irregular and not convex.
+
+    Parameters
+    ----------
+    radius : float [m]              of the ball that it grows from
+    edge : float [m]
+
+    Returns
+    -------
+    TriangleMesh
+
+    Raises
+    ------
+    InputError                      lengths that are not positive; an edge too long for the shape
+    """
+    ball = glued_ball(radius=radius, patch_radius=0.6 * radius, edge=edge)
+    middle = np.array([0.0, 0.0, 0.8 * radius])
+    away = ball.vertices - middle
+    direction = away / np.linalg.norm(away, axis=1)[:, None]
+    growth = np.zeros(len(away))
+    for toward, height, width in _BUMPS:
+        axis = np.array(toward) / np.linalg.norm(toward)
+        angle = np.degrees(np.arccos(np.clip(direction @ axis, -1.0, 1.0)))
+        growth += height * np.exp(-0.5 * (angle / width) ** 2)
+    # The base stays flat, and what is near it nearly so.
+    fade = np.clip(ball.vertices[:, 2] / (0.5 * radius), 0.0, 1.0)
+    scale = 1.0 + fade**2 * (3.0 - 2.0 * fade) * growth
+    return replace(ball, vertices=middle + away * scale[:, None])
+
+
+def rod(*, radius: float, length: float, flat: bool) -> TriangleMesh:
+    """The arm's rod, its end down: no specimen, it stands in the pictures.
+
+    Parameters
+    ----------
+    radius, length : float [m]
+    flat : bool                     a punch with its face at the origin; else a ball whose centre
+                                    is the origin, on a shaft of at most 4 mm radius
+
+    Returns
+    -------
+    TriangleMesh                    along z, upward
+
+    Raises
+    ------
+    InputError                      lengths that are not positive
+    """
+    _check(radius, radius=radius, length=length)
+    shaft = radius if flat else min(radius, _SHAFT)
+    if flat:
+        end = np.array([[0.0, 0.0], [radius, 0.0]])
+    else:
+        angle = np.linspace(-0.5 * np.pi, np.arccos(shaft / radius), 13)
+        end = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        end[0, 0] = 0.0
+    top = [[shaft, length], [0.0, length]]
+    return _revolved(np.concatenate([end, top]), radius / _ROD_SIDES)
+
+
+SHAPES = {
+    "half-ball": Shape(half_ball, ("radius",), "half ball on its flat face, as in the paper"),
+    "glued-ball": Shape(
+        glued_ball, ("radius", "patch_radius"), "ball glued on a flat patch of its surface"
+    ),
+    "block": Shape(block, ("length", "width", "height"), "block along x, y and z"),
+    "cylinder": Shape(cylinder, ("radius", "height"), "upright cylinder"),
+    "toy": Shape(toy, ("radius",), "head with ears, a snout and a dent: irregular, not convex"),
+}
+
+
+def _check(edge: float, **lengths: float) -> None:
+    for name, value in {**lengths, "edge": edge}.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} is {value:g} m; must be positive")
+    shortest = min(lengths, key=lambda name: lengths[name])
+    if edge > lengths[shortest]:
+        raise InputError(
+            f"edge is {edge:g} m, longer than the {shortest} of {lengths[shortest]:g} m; take a"
+            " fifth of it or less"
+        )
+
+
+def _segment(
+    start: tuple[float, float], end: tuple[float, float], edge: float
+) -> Float[np.ndarray, "k 2"]:
+    """Radius and height of evenly spaced rings along a straight line."""
+    length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
+    return np.linspace(start, end, max(int(np.rint(length / edge)), 1) + 1)
+
+
+def _arc(radius: float, start: float, end: float, edge: float) -> Float[np.ndarray, "k 2"]:
+    """Rings along an arc about the origin, by the angle over the horizontal [rad]."""
+    count = max(int(np.rint(radius * (end - start) / (0.87 * edge))), 2) + 1
+    angle = np.linspace(start, end, count)
+    contour = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if np.isclose(end, 0.5 * np.pi):
+        contour[-1, 0] = 0.0
+    return contour
+
+
+def _revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
+    """Surface of revolution about z, from the axis out, up, and back to the axis.
+
+    Parameters
+    ----------
+    contour : (k, 2) float [m]      radius and height of each ring; the first and last are on the
+                                    axis
+    edge : float [m]                spacing of the vertices on a ring
+    """
+    rings, vertices, count = [], [], 0
+    for k, (radius, height) in enumerate(contour):
+        size = 1 if radius == 0.0 else max(_FEWEST, int(np.rint(2.0 * np.pi * radius / edge)))
+        # Half a step off from ring to ring: triangles nearer to equilateral.
+        angle = 2.0 * np.pi * (np.arange(size) + 0.5 * (k % 2)) / size
+        place = [radius * np.cos(angle), radius * np.sin(angle), np.full(size, height)]
+        vertices.append(np.stack(place, axis=1))
+        rings.append(count + np.arange(size))
+        count += size
+    strips = [_strip(lower, upper, k % 2) for k, (lower, upper) in enumerate(pairwise(rings))]
+    return TriangleMesh(np.concatenate(vertices), np.concatenate(strips))
+
+
+def _strip(
+    lower: Int[np.ndarray, " n"], upper: Int[np.ndarray, " m"], odd: int
+) -> Int[np.ndarray, "t 3"]:
+    """Triangles between two rings, always across the shorter diagonal by angle."""
+    n, m = len(lower), len(upper)
+    if n == 1:
+        return np.stack([np.full(m, lower[0]), np.roll(upper, -1), upper], axis=1)
+    if m == 1:
+        return np.stack([lower, np.roll(lower, -1), np.full(n, upper[0])], axis=1)
+    triangles = []
+    i = j = 0
+    while i < n or j < m:
+        ahead_lower = (i + 1 + 0.5 * odd) / n
+        ahead_upper = (j + 1 + 0.5 * (1 - odd)) / m
+        a, b = lower[i % n], upper[j % m]
+        if j == m or (i < n and ahead_lower <= ahead_upper):
+            triangles.append([a, lower[(i + 1) % n], b])
+            i += 1
+        else:
+            triangles.append([a, upper[(j + 1) % m], b])
+            j += 1
+    return np.array(triangles)

@@ -1,0 +1,296 @@
+"""A solid body as quadratic tetrahedra, filled into a closed triangle surface.
+
+The programs that fill surfaces are either under licences that this project does not take in, or
+draw random numbers that cannot be fixed. Here evenly spaced points on and in the body are joined by
+Delaunay's rule, and what lies outside is dropped: the same surface gives the same bytes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import Delaunay
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError, MeshError
+from palpate.geometry import TriangleMesh, checked_mesh, closest_points
+from palpate.lab.bodies.even_points import (
+    Spacing,
+    inside,
+    make_spacing,
+    surface_points,
+    volume_points,
+)
+from palpate.shapes import Points, Triangles, Vertices
+
+# Corners of the edges with mid-side nodes 4 to 9, in the order of skfem.ElementTetP2.
+EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+# Faces of a tetrahedron of positive volume, counter-clockwise from outside: corners, then the
+# mid-side nodes of their edges 01, 12, 20.
+FACES = np.array([[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [0, 3, 2, 7, 9, 6], [1, 2, 3, 5, 9, 8]])
+# Tetrahedra flatter than this (1 is regular) between four points of the surface are not body but
+# the gap between two ways to cut a quadrilateral; inside, points of so flat ones are moved.
+_FLAT = 0.1
+_ROUNDS = 6
+# Shape functions of a six-node triangle at its centre.
+_CENTRE = np.array([-1.0, -1.0, -1.0, 4.0, 4.0, 4.0]) / 9.0
+# Nodes of the four triangles that the middles of its edges cut a six-node triangle into.
+QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+# A bent element may lose this much of its volume anywhere; beyond, it stays straight.
+_LEAST_VOLUME = 0.3
+# Of the local edge; a larger gap means that the points are too far apart for the shape.
+_LARGEST_DEVIATION = 0.4
+
+
+def _node_slopes() -> Float[np.ndarray, "10 10 3"]:
+    """Slopes of the ten shape functions at the ten nodes: [node, function, direction]."""
+    corner = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    place = np.concatenate([corner, corner[EDGES].mean(axis=1)])
+    level = np.column_stack([1.0 - place.sum(axis=1), place])
+    rise = np.concatenate([-np.ones((1, 3)), np.eye(3)])
+    at_corner = (4.0 * level - 1.0)[:, :, None] * rise
+    i, j = EDGES.T
+    at_edge = 4.0 * (level[:, i, None] * rise[j] + level[:, j, None] * rise[i])
+    return np.concatenate([at_corner, at_edge], axis=1)
+
+
+_SLOPES = _node_slopes()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """Quadratic tetrahedra with their outer faces; those at a round surface are bent to it.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float [m]          corners first, then one at the middle of each edge
+    elements : (m, 10) int            four corners (positive volume), then the middles of edges 01,
+                                      12, 02, 03, 13, 23
+    facets : (f, 6) int               outer faces, counter-clockwise from outside: three corners,
+                                      then the middles of edges 01, 12, 20
+    facet_triangle : (f,) int         triangle of the given surface nearest to each outer face
+    deviation : float [m]             largest distance between the outer faces and the given surface
+    """
+
+    nodes: Float[np.ndarray, "n 3"]
+    elements: Int[np.ndarray, "m 10"]
+    facets: Int[np.ndarray, "f 6"]
+    facet_triangle: Int[np.ndarray, " f"]
+    deviation: float
+
+    def __post_init__(self) -> None:
+        for name, shape in (("elements", (None, 10)), ("facets", (None, 6))):
+            fixed = fixed_array(getattr(self, name), name=name, shape=shape, integer=True)
+            object.__setattr__(self, name, fixed)
+        object.__setattr__(self, "nodes", fixed_array(self.nodes, name="nodes", shape=(None, 3)))
+        fixed = fixed_array(self.facet_triangle, name="facet_triangle", shape=(None,), integer=True)
+        object.__setattr__(self, "facet_triangle", fixed)
+
+
+def make_solid(
+    vertices: Vertices,
+    triangles: Triangles,
+    *,
+    edge: float,
+    fine: Sequence[tuple[Float[np.ndarray, "3"], float, float]] = (),
+) -> Solid:
+    """Fill a closed surface with quadratic tetrahedra.
+
+    Corners of outer faces lie on the surface, sharp edges (over 40 degrees) keep their points. Flat
+    faces are met exactly, round ones by bent elements; `Solid.deviation` says how well.
+
+    Parameters
+    ----------
+    vertices, triangles               closed surface, outward
+    edge : float [m]                  wanted length of an element's edge
+    fine : (point (3,), radius, edge) within `radius` of `point` elements of at most that edge [m];
+                                      they grow by 0.3 m/m around it
+
+    Returns
+    -------
+    Solid                             the same input gives the same bytes
+
+    Raises
+    ------
+    InputError                        an edge or radius that is not positive
+    MeshError                         the surface is open, crosses itself or bounds no one solid; or
+                                      its details are finer than `edge`
+    """
+    for name, value in [("edge", edge)] + [("edge of a fine place", small) for *_, small in fine]:
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} is {value}; must be positive, in metres")
+    for point, radius, _ in fine:
+        fixed_array(point, name="point of a fine place", shape=(3,))
+        if not (np.isfinite(radius) and radius >= 0.0):
+            raise InputError(f"radius of a fine place is {radius}; must not be negative")
+    mesh, _ = checked_mesh(TriangleMesh(vertices, triangles))
+    spacing = make_spacing(edge, fine)
+    shell = surface_points(mesh, spacing)
+    inner = volume_points(mesh, spacing, shell)
+    if len(shell) < 4 or not len(inner):
+        raise MeshError(
+            f"an edge of {1e3 * edge:.3g} mm leaves no point inside the body; use a smaller edge"
+        )
+    points, tetrahedra = _tetrahedra(mesh, shell, inner, spacing)
+    return quadratic_solid(points, tetrahedra, mesh=mesh, largest=_LARGEST_DEVIATION * edge)
+
+
+def quadratic_solid(
+    points: Points,
+    tetrahedra: Int[np.ndarray, "m 4"],
+    *,
+    mesh: TriangleMesh,
+    largest: float = np.inf,
+) -> Solid:
+    """Tetrahedra with nodes at the middles of their edges, and their outer faces.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    tetrahedra : (m, 4) int           of any orientation
+    mesh : TriangleMesh               the surface they fill
+    largest : float [m]               allowed distance between outer faces and surface
+
+    Raises
+    ------
+    MeshError                         a tetrahedron without volume, or faces farther off
+    """
+    tetrahedra = _turned(points, tetrahedra)
+    ends = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
+    edge, where = np.unique(ends, axis=0, return_inverse=True)
+    nodes = np.concatenate([points, points[edge].mean(axis=1)])
+    elements = np.concatenate([tetrahedra, len(points) + where.reshape(-1, 6)], axis=1)
+    facets = _outer(elements)
+    nodes = _bent(nodes, elements, np.unique(facets[:, 3:]), mesh)
+    centre = np.einsum("v,fva->fa", _CENTRE, nodes[facets])
+    place = closest_points(mesh, centre)
+    corners = closest_points(skin(nodes, facets), mesh.vertices).distance
+    deviation = float(max(place.distance.max(), corners.max()))
+    if deviation > largest:
+        raise MeshError(
+            f"the tetrahedra miss the surface by up to {1e3 * deviation:.3g} mm, more than"
+            f" {1e3 * largest:.3g} mm: the body has details or walls thinner than the elements;"
+            " use a smaller edge, or fine places there"
+        )
+    return Solid(nodes, elements, facets, place.triangle, deviation)
+
+
+def skin(nodes: Points, facets: Int[np.ndarray, "f 6"]) -> TriangleMesh:
+    """Outer faces as plain triangles over all their nodes: four a facet, in its order."""
+    return TriangleMesh(nodes, facets[:, QUARTERS].reshape(-1, 3))
+
+
+def _bent(
+    nodes: Points,
+    elements: Int[np.ndarray, "m 10"],
+    sides: Int[np.ndarray, " s"],
+    mesh: TriangleMesh,
+) -> Points:
+    """Nodes with the middles of outer edges put on the surface, where no element turns over."""
+    wanted = nodes.copy()
+    wanted[sides] = closest_points(mesh, nodes[sides]).position
+    straight = _volumes(nodes[elements[:, :4]])
+    while True:
+        bad = elements[_least_determinant(wanted[elements]) < 6.0 * _LEAST_VOLUME * straight]
+        moved = np.unique(bad)
+        moved = moved[(wanted[moved] != nodes[moved]).any(axis=1)]
+        if not len(moved):
+            return wanted
+        wanted[moved] = nodes[moved]
+
+
+def _least_determinant(corner: Float[np.ndarray, "m 10 3"]) -> Float[np.ndarray, " m"]:
+    """Least determinant of the map from the unit tetrahedron, at an element's nodes [m^3]."""
+    return np.linalg.det(np.einsum("mva,pvd->mpad", corner, _SLOPES)).min(axis=1)
+
+
+def _turned(points: Points, tetrahedra: Int[np.ndarray, "m 4"]) -> Int[np.ndarray, "m 4"]:
+    """Tetrahedra of positive volume."""
+    volume = _volumes(points[tetrahedra])
+    if np.any(volume == 0.0):
+        raise MeshError(
+            f"{int((volume == 0).sum())} tetrahedra have no volume, the first:"
+            f" {int(np.flatnonzero(volume == 0)[0])}; remove them"
+        )
+    swapped = tetrahedra[:, [0, 2, 1, 3]]
+    return np.where((volume < 0.0)[:, None], swapped, tetrahedra)
+
+
+def _volumes(corner: Float[np.ndarray, "m 4 3"]) -> Float[np.ndarray, " m"]:
+    """Signed volume of each tetrahedron [m^3]."""
+    side = corner[:, 1:] - corner[:, :1]
+    return np.einsum("ma,ma->m", side[:, 0], np.cross(side[:, 1], side[:, 2])) / 6.0
+
+
+def _shape(corner: Float[np.ndarray, "m 4 3"]) -> Float[np.ndarray, " m"]:
+    """Volume over that of the regular tetrahedron with the same mean square edge, 0 to 1."""
+    length = np.linalg.norm(corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]], axis=2)
+    return 6.0 * np.sqrt(2.0) * np.abs(_volumes(corner)) / np.mean(length**2, axis=1) ** 1.5
+
+
+def _outer(elements: Int[np.ndarray, "m 10"]) -> Int[np.ndarray, "f 6"]:
+    """Faces that belong to one element only."""
+    faces = elements[:, FACES].reshape(-1, 6)
+    _, where, count = np.unique(
+        np.sort(faces[:, :3], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return faces[count[where.ravel()] == 1]
+
+
+def _tetrahedra(
+    mesh: TriangleMesh, shell: Points, inner: Float[np.ndarray, "k 3"], spacing: Spacing
+) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "m 4"]]:
+    """Delaunay's tetrahedra of the points that fill the body, inner points evened out."""
+    count = len(shell)
+    points = np.concatenate([shell, inner])
+    for step in range(_ROUNDS + 1):
+        cells = Delaunay(points).simplices.astype(np.int64)
+        cells = _inner_cells(mesh, points, cells, count)
+        if step == _ROUNDS:
+            break
+        points[count:] = _evened(points, cells, spacing)[count:]
+    used, cells = np.unique(cells, return_inverse=True)
+    return points[used], cells.reshape(-1, 4)
+
+
+def _evened(points: Points, cells: Int[np.ndarray, "m 4"], spacing: Spacing) -> Points:
+    """Every point at the mean of its cells' centres, weighted by volume over wanted volume.
+
+    Source
+    ------
+    Chen and Xu, Optimal Delaunay triangulations, J. Comput. Math. 22 (2004) 299: the centroidal
+    patch update, which cannot leave the patch as circumcentres can.
+    """
+    corner = points[cells]
+    centre = corner.mean(axis=1)
+    weight = np.abs(_volumes(corner)) / spacing(centre) ** 3
+    total, moved = np.zeros(len(points)), np.zeros_like(points)
+    for k in range(4):
+        total += np.bincount(cells[:, k], weight, minlength=len(points))
+        for i in range(3):
+            moved[:, i] += np.bincount(cells[:, k], weight * centre[:, i], minlength=len(points))
+    used = total > 0.0
+    return np.where(used[:, None], moved / np.where(used, total, 1.0)[:, None], points)
+
+
+def _inner_cells(
+    mesh: TriangleMesh, points: Points, cells: Int[np.ndarray, "m 4"], count: int
+) -> Int[np.ndarray, "r 4"]:
+    """Cells inside the surface, less flat ones that only cover it."""
+    doubtful = np.flatnonzero((cells < count).all(axis=1))
+    corner = points[cells[doubtful]]
+    keep = np.ones(len(cells), dtype=bool)
+    solid = _shape(corner) > 1e-6
+    keep[doubtful[~solid]] = False
+    centre = corner[solid].mean(axis=1)
+    keep[doubtful[solid][~inside(mesh, centre)]] = False
+    cells = cells[keep]
+    while True:
+        faces = np.sort(cells[:, FACES[:, :3]], axis=2).reshape(-1, 3)
+        _, where, times = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
+        outer = (times[where.ravel()] == 1).reshape(-1, 4).sum(axis=1)
+        peel = (cells < count).all(axis=1) & (outer >= 2) & (_shape(points[cells]) < _FLAT)
+        if not peel.any():
+            return cells
+        cells = cells[~peel]

@@ -1,0 +1,196 @@
+"""The pinhole picture that a renderer makes, and from it the picture of a camera with its lens.
+
+A renderer knows square pixels and no lens. Where a camera has just that, its picture is rendered
+as it is, cut to what shows the bodies. Any other camera gets a finer pinhole picture, and each of
+its pixels is the mean over its own area of that one, the lens undone exactly.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Float32
+from numba import njit, prange
+
+from palpate.errors import CalibrationError, InputError
+from palpate.records import Camera, picture_size
+from palpate.shapes import Points
+from palpate.vision import pixel_grid
+
+# Parts of a pixel's side where a lens has to be undone: two keep what is rendered within 0.002 px
+# of its place.
+FINE = 2
+# Pixels kept around the bodies: the reach of the cubic interpolation.
+_MARGIN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class IdealView:
+    """A pinhole picture in the camera's own frame: square pixels, no lens.
+
+    Attributes
+    ----------
+    shape : (rows, columns) [px]
+    focal : float [px]
+    centre : (column, row) [px]     where the optical axis meets the picture; the first pixel's
+                                    centre is (0, 0); it may lie outside
+    fine : int                      its pixels along a pixel of the camera; 1: they are the camera's
+    """
+
+    shape: tuple[int, int]
+    focal: float
+    centre: tuple[float, float]
+    fine: int
+
+
+def ideal_view(camera: Camera, points: Points) -> IdealView:
+    """The pinhole picture that holds what a camera sees of some points.
+
+    Parameters
+    ----------
+    camera : Camera                 with a size
+    points : (n, 3) float [m]       object frame, all in front of the camera
+
+    Returns
+    -------
+    IdealView
+
+    Raises
+    ------
+    CalibrationError                points beside or behind the camera
+    InputError                      a camera without a size; one that sees nothing of the points
+    """
+    low, high = _bounds(camera, points)
+    k = camera.matrix
+    ideal = _is_ideal(camera)
+    fine = 1 if ideal else FINE
+    focal = fine * float(max(k[0, 0], k[1, 1]))
+    # Where lens and unequal pixels do little, the view's pixels are parts of the camera's.
+    axis = fine * k[:2, 2] + 0.5 * (fine - 1)
+    origin = np.floor(low * focal + axis).astype(np.int64) - _MARGIN
+    last = np.ceil(high * focal + axis).astype(np.int64) + _MARGIN
+    if ideal:
+        origin, last = np.maximum(origin, 0), np.minimum(last, np.array(camera.size) - 1)
+    centre = axis - origin
+    columns, rows = (int(count) for count in last - origin + 1)
+    return IdealView((rows, columns), focal, (float(centre[0]), float(centre[1])), fine)
+
+
+def camera_picture(
+    camera: Camera, view: IdealView, picture: Float32[np.ndarray, "fine_rows fine_columns"]
+) -> Float32[np.ndarray, "rows columns"]:
+    """What a camera sees, from its rendered ideal view; zero beyond that view.
+
+    Parameters
+    ----------
+    camera : Camera                 with a size
+    view : IdealView                of this camera
+    picture : (fine_rows, fine_columns) rendered; of the view's shape
+
+    Returns
+    -------
+    (rows, columns) float32         of the camera's size; every pixel the mean over its area
+    """
+    columns, rows = picture_size(camera)
+    if view.fine == 1:
+        whole = np.zeros((rows, columns), dtype=np.float32)
+        left = round(float(camera.matrix[0, 2]) - view.centre[0])
+        top = round(float(camera.matrix[1, 2]) - view.centre[1])
+        whole[top : top + view.shape[0], left : left + view.shape[1]] = picture
+        return whole
+    grid = _fine_grid(camera, view.fine) * view.focal
+    grid[0] += view.centre[0]
+    grid[1] += view.centre[1]
+    return _area_means(np.ascontiguousarray(picture), grid, view.fine)
+
+
+def _is_ideal(camera: Camera) -> bool:
+    """Whether a pinhole with square pixels is all there is to a camera."""
+    k = camera.matrix
+    return bool(k[0, 0] == k[1, 1] and k[0, 1] == 0.0 and not camera.distortion.any())
+
+
+def _bounds(
+    camera: Camera, points: Points
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Corners of the box, in the plane z = 1, of what is seen of some points."""
+    pose = camera.T_camera_object
+    x, y, depth = (points @ pose[:3, :3].T + pose[:3, 3]).T
+    behind = ~(depth > 0.0)
+    if behind.any():
+        raise CalibrationError(
+            f"camera '{camera.name}': {int(behind.sum())} of {len(points)} points of the bodies lie"
+            f" beside or behind it (depth {depth.min():.3g} to {depth.max():.3g} m); all must be in"
+            " front: check R, t, and how far the tool reaches"
+        )
+    flat = np.stack([x / depth, y / depth])
+    field = _fine_grid(camera, 1)
+    low = np.maximum(flat.min(axis=1), np.nanmin(field, axis=(1, 2)))
+    high = np.minimum(flat.max(axis=1), np.nanmax(field, axis=(1, 2)))
+    if not (low < high).all():
+        middle = np.median(flat, axis=1)
+        raise InputError(
+            f"camera '{camera.name}' sees nothing of the bodies: their middle lies"
+            f" {np.degrees(np.arctan(np.hypot(*middle))):.0f} degrees off its axis, outside its"
+            f" {camera.size} pixels; turn the camera towards the object"
+        )
+    return low, high
+
+
+def _fine_grid(camera: Camera, fine: int) -> Float[np.ndarray, "2 rows columns"]:
+    """Rays, in the plane z = 1, of the centres of all parts of a camera's pixels."""
+    columns, rows = picture_size(camera)
+    matrix = fine * camera.matrix
+    # The first pixel's corner, (-0.5, -0.5), stays where it is.
+    matrix[:2, 2] += 0.5 * (fine - 1)
+    matrix[2, 2] = 1.0
+    finer = replace(camera, size=(fine * columns, fine * rows), matrix=matrix)
+    return pixel_grid(finer, (fine * rows, fine * columns))
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _area_means(picture: np.ndarray, grid: np.ndarray, fine: int) -> np.ndarray:
+    """Mean of the picture over the fine x fine places of each pixel."""
+    rows, columns = grid.shape[1] // fine, grid.shape[2] // fine
+    means = np.empty((rows, columns), dtype=np.float32)
+    share = 1.0 / (fine * fine)
+    for i in prange(rows):
+        for j in range(columns):
+            total = 0.0
+            for a in range(fine * i, fine * (i + 1)):
+                for b in range(fine * j, fine * (j + 1)):
+                    total += _cubic_kernel(picture, grid[0, a, b], grid[1, a, b])
+            means[i, j] = total * share
+    return means
+
+
+@njit(cache=True, error_model="numpy")
+def _cubic_kernel(picture: np.ndarray, x: float, y: float) -> float:
+    """Keys' cubic interpolation; zero outside, and where x or y is NaN."""
+    rows, columns = picture.shape
+    if not (x > -2.0 and y > -2.0 and x < columns + 1.0 and y < rows + 1.0):
+        return 0.0
+    j, i = int(np.floor(x)), int(np.floor(y))
+    u, v = x - j, y - i
+    total = 0.0
+    for a in range(-1, 3):
+        if 0 <= i + a < rows:
+            line = 0.0
+            for b in range(-1, 3):
+                if 0 <= j + b < columns:
+                    line += _keys_kernel(abs(u - b)) * picture[i + a, j + b]
+            total += _keys_kernel(abs(v - a)) * line
+    return total
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _keys_kernel(s: float) -> float:
+    """Weight of a sample at distance s.
+
+    Source
+    ------
+    R. Keys, Cubic convolution interpolation for digital image processing, IEEE Trans. Acoustics,
+    Speech and Signal Processing 29 (1981), with a = -1/2.
+    """
+    if s < 1.0:
+        return 1.0 + s * s * (1.5 * s - 2.5)
+    return 2.0 + s * (-4.0 + s * (2.5 - 0.5 * s))

@@ -1,0 +1,241 @@
+"""From the light that reaches a camera to the grey levels that it stores.
+
+Grey levels are those of 8 bits, 255 is white, also where more bits are stored.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Int, UInt8, UInt16
+
+from palpate.errors import InputError
+
+WHITE = 255.0
+BITS = (8, 12)
+# Files of 16 bits carry the 12 at their high end, as machine vision cameras do.
+_SHIFT = 4
+# Radii of blur a step apart are blended [px]: a quarter of a pixel changes the picture's sharpness
+# by less than a tenth.
+_RADIUS_STEP = 0.25
+# Parts of a pixel's side by which the area of a disc is counted: good to 1 % for a disc of a pixel,
+# to 0.1 % from two pixels on.
+_PARTS = 32
+# Pixels darker than this share of the brightest are background when an exposure is chosen.
+_DARK = 0.02
+
+Picture = Float32[np.ndarray, "rows columns"]
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What a camera's chip does to the light.
+
+    Parameters
+    ----------
+    gain : float                    grey levels per unit of radiance
+    response : float [px]           standard deviation of a Gaussian blur: the lens's limit and the
+                                    spread of light between pixels
+    read_noise : float              standard deviation in grey levels, the same everywhere
+    full_well : float or None       electrons at white; their counting noise is the square root of
+                                    their number. None: no such noise
+    offset : float                  grey level of no light
+    bits : int                      8 or 12
+
+    Raises
+    ------
+    InputError                      out of range
+    """
+
+    gain: float
+    response: float = 0.6
+    read_noise: float = 1.0
+    full_well: float | None = 20_000.0
+    offset: float = 0.0
+    bits: int = 8
+
+    def __post_init__(self) -> None:
+        if not self.gain > 0.0:
+            raise InputError(f"gain of the sensor is {self.gain:g}; must be positive")
+        for name in ("response", "read_noise"):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(
+                    f"{name} of the sensor is {getattr(self, name):g}; must not be negative"
+                )
+        if self.full_well is not None and not self.full_well > 0.0:
+            raise InputError(
+                f"full_well of the sensor is {self.full_well:g} electrons; must be positive, or"
+                " none for a sensor without counting noise"
+            )
+        if not 0.0 <= self.offset < WHITE:
+            raise InputError(f"offset of the sensor is {self.offset:g}; must be in 0 to 255")
+        if self.bits not in BITS:
+            raise InputError(f"the sensor has {self.bits} bits; must be 8 or 12")
+
+
+def grey_picture(
+    radiance: Picture, sensor: Sensor, *, rng: np.random.Generator
+) -> UInt8[np.ndarray, "rows columns"] | UInt16[np.ndarray, "rows columns"]:
+    """A stored picture: blurred, counted, noisy, rounded and cut at black and white.
+
+    Parameters
+    ----------
+    radiance : (rows, columns) float32  not negative
+    sensor : Sensor
+    rng : Generator                     of the noise; another state for each picture
+
+    Returns
+    -------
+    (rows, columns) uint8, or uint16 with the 12 bits at the high end, as it goes into a file
+    """
+    light = np.maximum(radiance, 0.0)
+    if sensor.response > 0.0:
+        light = cv2.GaussianBlur(
+            light,
+            (0, 0),
+            sigmaX=sensor.response,
+            borderType=cv2.BORDER_REPLICATE,
+        )
+    grey = sensor.gain * light.astype(np.float64)
+    if sensor.full_well is not None:
+        per_grey = sensor.full_well / WHITE
+        grey = rng.poisson(grey * per_grey) / per_grey
+    grey += sensor.offset
+    if sensor.read_noise > 0.0:
+        grey += rng.normal(0.0, sensor.read_noise, grey.shape)
+    top = 2**sensor.bits - 1
+    level = np.clip(np.rint(grey * (top / WHITE)), 0, top)
+    return level.astype(np.uint8) if sensor.bits == 8 else level.astype(np.uint16) << _SHIFT
+
+
+def exposure_gain(
+    pictures: Sequence[Float32[np.ndarray, "_ _"]], *, level: float = 220.0, share: float = 0.995
+) -> float:
+    """Gain that brings the bright parts of the bodies to a grey level.
+
+    Parameters
+    ----------
+    pictures : sequence of (rows, columns) float32   radiance, together
+    level : float                   grey level wanted
+    share : float                   of the lit pixels that stay at or below it
+
+    Returns
+    -------
+    float                           grey levels per unit of radiance
+
+    Raises
+    ------
+    InputError                      pictures without light
+    """
+    values = np.concatenate([picture.ravel() for picture in pictures])
+    brightest = float(values.max(initial=0.0))
+    if not brightest > 0.0:
+        raise InputError("the pictures are black; put light on the bodies, or turn the cameras")
+    return level / float(np.quantile(values[values > _DARK * brightest], share))
+
+
+def motion_blurred(frames: Sequence[Picture]) -> Picture:
+    """Picture of a moving scene: the mean of frames taken evenly over the exposure.
+
+    Parameters
+    ----------
+    frames : sequence of (rows, columns) float32    radiance; enough that none is more than half a
+                                                    pixel from the next
+
+    Returns
+    -------
+    (rows, columns) float32
+
+    Raises
+    ------
+    InputError                      no frame
+    """
+    if not frames:
+        raise InputError("motion blur needs at least one frame")
+    return np.stack(list(frames)).mean(axis=0, dtype=np.float64).astype(np.float32)
+
+
+def blur_radius(
+    depth: Float[np.ndarray, "rows columns"], *, focus: float, aperture: float, focal: float
+) -> Float[np.ndarray, "rows columns"]:
+    """Radius of the disc that a point out of focus becomes.
+
+    Parameters
+    ----------
+    depth : (rows, columns) float [m]   along the axis; NaN, infinite: nothing there
+    focus : float [m]               depth that is sharp
+    aperture : float [m]            diameter of the lens's opening
+    focal : float [px]              of the camera matrix, i.e. sharp at `focus`
+
+    Returns
+    -------
+    (rows, columns) float [px]      NaN where the depth is; finite where it is infinite
+
+    Raises
+    ------
+    InputError                      lengths that are not positive
+
+    Source
+    ------
+    Similar triangles behind a thin lens: the diameter is aperture focal |1 / focus - 1 / depth|.
+    """
+    if not min(focus, aperture, focal) > 0.0:
+        raise InputError(
+            f"focus is {focus:g} m, aperture {aperture:g} m, focal length {focal:g} px; all must"
+            " be positive"
+        )
+    return 0.5 * aperture * focal * np.abs(1.0 / focus - 1.0 / depth)
+
+
+def defocused(radiance: Picture, radius: float | Float[np.ndarray, "rows columns"]) -> Picture:
+    """A picture out of focus: every pixel the mean over a disc around it.
+
+    Where the radius changes from pixel to pixel each takes its own, so that a sharp body has a
+    sharp outline before a blurred one, and a blurred one an outline a little too sharp.
+
+    Parameters
+    ----------
+    radiance : (rows, columns) float32
+    radius : float or (rows, columns) float [px]    NaN counts as 0
+
+    Returns
+    -------
+    (rows, columns) float32
+
+    Raises
+    ------
+    InputError                      a negative radius
+    """
+    wanted = np.nan_to_num(np.broadcast_to(radius, radiance.shape), nan=0.0)
+    if wanted.min() < 0.0:
+        raise InputError(f"radius of blur is {wanted.min():g} px; must not be negative")
+    low, high = float(wanted.min()), float(wanted.max())
+    steps = int(np.ceil((high - low) / _RADIUS_STEP))
+    if steps == 0:
+        return _disc_mean(radiance, low)
+    place = (wanted - low) * (steps / (high - low))
+    picture = np.zeros_like(radiance)
+    for k in range(steps + 1):
+        weight = np.maximum(1.0 - np.abs(place - k), 0.0)
+        if weight.any():
+            blurred = _disc_mean(radiance, low + k * (high - low) / steps)
+            picture += (weight * blurred).astype(np.float32)
+    return picture
+
+
+def _disc_mean(radiance: Picture, radius: float) -> Picture:
+    """Mean over a disc, weighted with the area of each pixel inside it; beyond the picture its
+    outermost pixels go on."""
+    if radius == 0.0:
+        return radiance
+    reach = int(np.ceil(radius + 0.5))
+    part = (np.arange((2 * reach + 1) * _PARTS) + 0.5) / _PARTS - 0.5 - reach
+    inside: Int[np.ndarray, "k k"] = (np.hypot(part, part[:, None]) < radius).astype(np.int64)
+    size = 2 * reach + 1
+    weight = inside.reshape(size, _PARTS, size, _PARTS).sum(axis=(1, 3)).astype(np.float64)
+    if not weight.any():  # far smaller than a pixel
+        return radiance
+    return np.asarray(
+        cv2.filter2D(radiance, -1, weight / weight.sum(), borderType=cv2.BORDER_REPLICATE)
+    )

@@ -1,0 +1,190 @@
+"""What the pictures show, pixel by pixel: the truth that an estimate from them is held against."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.errors import InputError
+from palpate.records import Rig, picture_size
+from palpate.shapes import PointIndices, Points, Triangles, Vertices
+from palpate.vision import SurfaceMap, surface_map, visible
+
+# A point counts as hidden by its own body this far behind it, as a share of a pixel's width there:
+# depth is interpolated between pixel centres, and near the horizon the surface bends that much.
+_BEHIND = 0.1
+# Cameras that fit the bits of one byte.
+_MOST_CAMERAS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthMap:
+    """True motion of what the reference camera sees at rest.
+
+    Attributes
+    ----------
+    shape : (rows, columns)         of the reference camera
+    pixel : (n,) int                row * columns + column, of pixels that show the body at rest
+    point : (n, 3) float [m]        that their centres show, object frame
+    displacement : (n, 3) float [m] of that point
+    hidden_rest, hidden_loaded : (n,) int   bit i is set where camera i does not see the point: it
+                                    is outside the picture, or something hides it
+    """
+
+    shape: tuple[int, int]
+    pixel: PointIndices
+    point: Points
+    displacement: Points
+    hidden_rest: PointIndices
+    hidden_loaded: PointIndices
+
+
+def surface_maps(rig: Rig, vertices: Vertices, triangles: Triangles) -> tuple[SurfaceMap, ...]:
+    """What every camera of a rig sees of a surface.
+
+    Parameters
+    ----------
+    rig : Rig                       cameras with sizes
+    vertices : (v, 3) float [m]     object frame
+    triangles : (m, 3) int
+
+    Returns
+    -------
+    tuple of SurfaceMap             in the rig's order
+
+    Raises
+    ------
+    InputError                      a camera without a size
+    CalibrationError                a part of the surface beside or behind a camera
+    """
+    return tuple(
+        surface_map(camera, picture_size(camera)[::-1], vertices, triangles)
+        for camera in rig.cameras
+    )
+
+
+def truth_map(
+    rig: Rig,
+    rest: Vertices,
+    loaded: Float[np.ndarray, "w 3"],
+    triangles: Triangles,
+    *,
+    others: Sequence[tuple[np.ndarray, np.ndarray]] = (),
+    at_rest: Sequence[SurfaceMap] | None = None,
+) -> TruthMap:
+    """The truth of one pair of rest and loaded pictures.
+
+    Parameters
+    ----------
+    rig : Rig                       cameras with sizes, at most eight
+    rest, loaded : (v, 3) float [m] vertices of the mesh that was drawn
+    triangles : (m, 3) int
+    others : pairs of (w, 3) float [m] and (k, 3) int   vertices and triangles of other bodies in
+                                    the loaded pictures, as the tool; at rest they are absent
+    at_rest : sequence of SurfaceMap or None    `surface_maps` of the rest surface, for a body that
+                                    is loaded again and again
+
+    Returns
+    -------
+    TruthMap
+
+    Raises
+    ------
+    InputError                      too many cameras, one without a size, meshes that do not match,
+                                    a reference camera that sees nothing of the body
+    CalibrationError                a body beside or behind a camera
+    """
+    _check(rig, rest, loaded)
+    seen = surface_maps(rig, rest, triangles) if at_rest is None else at_rest
+    shown = seen[rig.reference]
+    pixel = np.flatnonzero(shown.triangle.ravel() >= 0)
+    if len(pixel) == 0:
+        raise InputError(
+            f"camera '{rig.cameras[rig.reference].name}' sees nothing of the body; turn it towards"
+            " the object"
+        )
+    point = shown.point.reshape(-1, 3)[pixel]
+    corner = triangles[shown.triangle.ravel()[pixel]]
+    weight = _weights(rest[corner], point)
+    displacement = np.einsum("nc,nca->na", weight, (loaded - rest)[corner])
+    moved = point + displacement
+    hidden_loaded = _hidden(rig, surface_maps(rig, loaded, triangles), moved, behind=_BEHIND)
+    if others:
+        # By itself: where a tool touches the body both surfaces are one, but the tool's near side
+        # is well in front.
+        tools = surface_maps(rig, *_joined(others))
+        hidden_loaded |= _hidden(rig, tools, moved, behind=0.0)
+    return TruthMap(
+        shown.triangle.shape,
+        pixel,
+        point,
+        displacement,
+        _hidden(rig, seen, point, behind=_BEHIND),
+        hidden_loaded,
+    )
+
+
+def write_truth_map(path: Path, truth: TruthMap) -> None:
+    """Write a truth map as `truth_nXX.npz`; the same map gives the same bytes.
+
+    Entries: `shape`, `pixel` (int32), `X` and `U` (float32, m), `hidden_rest` and `hidden_loaded`
+    (uint8).
+
+    Parameters
+    ----------
+    path : Path
+    truth : TruthMap
+    """
+    entries: dict[str, np.ndarray] = {
+        "shape": np.array(truth.shape),
+        "pixel": truth.pixel.astype(np.int32),
+        "X": truth.point.astype(np.float32),
+        "U": truth.displacement.astype(np.float32),
+        "hidden_rest": truth.hidden_rest.astype(np.uint8),
+        "hidden_loaded": truth.hidden_loaded.astype(np.uint8),
+    }
+    np.savez_compressed(path, allow_pickle=False, **entries)
+
+
+def _check(rig: Rig, rest: Vertices, loaded: Float[np.ndarray, "w 3"]) -> None:
+    if len(rig.cameras) > _MOST_CAMERAS:
+        raise InputError(
+            f"truth maps hold {_MOST_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
+        )
+    if len(rest) != len(loaded):
+        raise InputError(
+            f"the mesh has {len(rest)} vertices at rest and {len(loaded)} loaded; must be the same"
+        )
+
+
+def _hidden(rig: Rig, maps: Sequence[SurfaceMap], points: Points, *, behind: float) -> PointIndices:
+    """Bits of the cameras that do not see points; `behind` a surface by that share of a pixel."""
+    bits = np.zeros(len(points), dtype=np.int64)
+    for k, (camera, surface) in enumerate(zip(rig.cameras, maps, strict=True)):
+        pose = camera.T_camera_object
+        width = float((points @ pose[2, :3] + pose[2, 3]).min() / camera.matrix[0, 0])
+        seen = visible(surface, camera, points, tolerance=behind * width)
+        bits |= np.where(seen, 0, 1 << k)
+    return bits
+
+
+def _joined(
+    bodies: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
+    """Several meshes as one."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in bodies)])
+    triangles = [one + start for (_, one), start in zip(bodies, starts[:-1], strict=True)]
+    return np.concatenate([vertices for vertices, _ in bodies]), np.concatenate(triangles)
+
+
+def _weights(corner: Float[np.ndarray, "n 3 3"], point: Points) -> Float[np.ndarray, "n 3"]:
+    """Barycentric coordinates of points in their triangles' planes."""
+    a, b = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    normal = np.cross(a, b)
+    away = point - corner[:, 0]
+    area2 = np.einsum("na,na->n", normal, normal)
+    beside_b = np.einsum("na,na->n", np.cross(away, b), normal) / area2
+    beside_c = np.einsum("na,na->n", np.cross(a, away), normal) / area2
+    return np.stack([1.0 - beside_b - beside_c, beside_b, beside_c], axis=1)

@@ -1,0 +1,209 @@
+"""What can be said about measured motions in numbers, and flow.json."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.records import Camera, Rig
+from palpate.shapes import Flags
+from palpate.vision import (
+    CAUSES,
+    RangeFlow,
+    VertexDisplacement,
+    camera_sigma,
+    cause_counts,
+    is_valid,
+    measured_vertices,
+)
+
+FLOW_FORMAT = "palpate-flow/1"
+
+
+@dataclass(frozen=True, slots=True)
+class MotionFigures:
+    """What can be said about one measured motion in a line.
+
+    Attributes
+    ----------
+    name : str
+    probing : str or None           that it belongs to; None for a step of a sequence
+    last : bool                     at the full force, or a step
+    failure : str or None           why there is no motion, or no displacement of the vertices
+    points, valid : int             of the range flow
+    rejected : dict of str to int   points by cause, every cause in the order of `Outcome`
+    vertices : int                  of the mesh, seen by the reference camera
+    measured : int                  of these, with a displacement
+    lateral, depth : float [m]      median 1 sigma of a valid point, see `camera_sigma`; NaN: none
+    vertex_lateral, vertex_depth : float [m]    the same of the measured vertices
+    displacement : float [m]        median length over the valid points; NaN: none
+    reprojection : float [px]       median over the valid points; NaN: none
+    through_last : int              valid points followed through the instant before
+    drift : float [m]               rms difference between that way and the direct one; NaN: unknown
+    noise : tuple of c float [grey levels]      of each camera, in the rig's order
+    """
+
+    name: str
+    probing: str | None
+    last: bool
+    failure: str | None
+    points: int
+    valid: int
+    rejected: Mapping[str, int]
+    vertices: int
+    measured: int
+    lateral: float
+    depth: float
+    vertex_lateral: float
+    vertex_depth: float
+    displacement: float
+    reprojection: float
+    through_last: int
+    drift: float
+    noise: tuple[float, ...]
+
+
+def motion_figures(
+    name: str,
+    flow: RangeFlow,
+    vertices: VertexDisplacement | None,
+    *,
+    seen: Flags,
+    camera: Camera,
+) -> MotionFigures:
+    """Counts and medians of one motion, taken for a step that did not fail.
+
+    Parameters
+    ----------
+    name : str
+    flow : RangeFlow
+    vertices : VertexDisplacement or None   None: not one vertex has a displacement
+    seen : (v,) bool                vertices that the reference camera sees
+    camera : Camera                 the reference camera
+    """
+    valid = is_valid(flow)
+    lateral, depth = camera_sigma(flow.covariance[valid], camera)
+    vertex_lateral = vertex_depth = np.zeros(0)
+    measured = 0
+    if vertices is not None:
+        known = measured_vertices(vertices)
+        measured = int(known.sum())
+        seen = seen | known
+        vertex_lateral, vertex_depth = camera_sigma(vertices.covariance[known], camera)
+    return MotionFigures(
+        name=name,
+        probing=None,
+        last=True,
+        failure=None,
+        points=len(valid),
+        valid=int(valid.sum()),
+        rejected=cause_counts(flow),
+        vertices=int(seen.sum()),
+        measured=measured,
+        lateral=_median(lateral),
+        depth=_median(depth),
+        vertex_lateral=_median(vertex_lateral),
+        vertex_depth=_median(vertex_depth),
+        displacement=_median(np.linalg.norm(flow.displacement[valid], axis=1)),
+        reprojection=_median(flow.reprojection[valid]),
+        through_last=int(flow.through_last[valid].sum()),
+        drift=float(flow.drift),
+        noise=tuple(float(level) for level in flow.noise),
+    )
+
+
+def failed_figures(name: str, cameras: int) -> MotionFigures:
+    """Figures of a motion that could not be measured at all, with some number of cameras."""
+    blank = math.nan
+    return MotionFigures(
+        name=name,
+        probing=None,
+        last=True,
+        failure="nothing was measured",
+        points=0,
+        valid=0,
+        rejected={cause.name.lower(): 0 for cause in CAUSES},
+        vertices=0,
+        measured=0,
+        lateral=blank,
+        depth=blank,
+        vertex_lateral=blank,
+        vertex_depth=blank,
+        displacement=blank,
+        reprojection=blank,
+        through_last=0,
+        drift=blank,
+        noise=(blank,) * cameras,
+    )
+
+
+def write_flow_document(
+    path: Path,
+    figures: Sequence[MotionFigures],
+    files: Sequence[Mapping[str, str]],
+    rig: Rig,
+    heading: Mapping[str, Any],
+) -> None:
+    """Write flow.json: all figures in SI units; what is not known (NaN) becomes null.
+
+    Parameters
+    ----------
+    path : Path
+    figures : sequence of k MotionFigures
+    files : sequence of k mappings  what was written for each: kind to file name
+    rig : Rig
+    heading : mapping               further keys of the document, values that JSON knows
+
+    Raises
+    ------
+    OSError                         the file cannot be written
+    """
+    content = {
+        "format": FLOW_FORMAT,
+        "cameras": [camera.name for camera in rig.cameras],
+        "reference": rig.cameras[rig.reference].name,
+        **heading,
+        "motions": [_motion(f, rig, names) for f, names in zip(figures, files, strict=True)],
+    }
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, Any]:
+    """One entry of `motions`."""
+    noise = {camera.name: _known(level) for camera, level in zip(rig.cameras, f.noise, strict=True)}
+    return {
+        "name": f.name,
+        "probing": f.probing,
+        "last": f.last,
+        "failure": f.failure,
+        "points": f.points,
+        "valid": f.valid,
+        "rejected": dict(f.rejected),
+        "vertices": {"seen": f.vertices, "measured": f.measured},
+        "median_displacement": _known(f.displacement),
+        "median_sigma": {"lateral": _known(f.lateral), "depth": _known(f.depth)},
+        "median_vertex_sigma": {
+            "lateral": _known(f.vertex_lateral),
+            "depth": _known(f.vertex_depth),
+        },
+        "median_reprojection": _known(f.reprojection),
+        "through_last": f.through_last,
+        "drift": _known(f.drift),
+        "noise": noise,
+        "files": dict(files),
+    }
+
+
+def _median(values: Float[np.ndarray, " k"]) -> float:
+    """Median of what is known; NaN of nothing."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else math.nan
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

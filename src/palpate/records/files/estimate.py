@@ -1,0 +1,129 @@
+"""Estimates to and from JSON in the format `palpate-estimate/1`."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from palpate.errors import RecordError
+from palpate.records.estimate import CONSTANT_NAMES, Constant, Estimate, ProbeEstimate, Status
+
+ESTIMATE_FORMAT = "palpate-estimate/1"
+
+
+def write_estimate(path: Path | str, estimate: Estimate) -> None:
+    """Write an estimate as JSON; what is not known (NaN, infinity) becomes null.
+
+    Raises
+    ------
+    RecordError                     the file cannot be written
+    """
+    content: dict[str, Any] = {
+        "format": ESTIMATE_FORMAT,
+        "status": estimate.status.value,
+        "advice": estimate.status.advice,
+    }
+    content |= {name: _constant(getattr(estimate, name)) for name in CONSTANT_NAMES}
+    content |= {
+        "identifiable": dict(estimate.identifiable),
+        "probes": [_probe(probe) for probe in estimate.probes],
+        "seconds": dict(estimate.seconds),
+        "method": estimate.method,
+        "settings": dict(estimate.settings),
+        "notes": list(estimate.notes),
+    }
+    text = json.dumps(_plain(content), indent=1, allow_nan=False)
+    try:
+        Path(path).write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def read_estimate(path: Path | str) -> Estimate:
+    """Read an estimate back; null becomes NaN, and infinity at the ends of an interval.
+
+    Raises
+    ------
+    RecordError                     not there, not JSON, another format, a key missing
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise RecordError(f"{path}: is not valid JSON: {error}") from error
+    found = content.get("format") if isinstance(content, dict) else None
+    if found != ESTIMATE_FORMAT:
+        raise RecordError(f"{path}: format is {found!r}; this version reads '{ESTIMATE_FORMAT}'")
+    try:
+        return Estimate(
+            status=Status(content["status"]),
+            identifiable={name: content["identifiable"][name] for name in CONSTANT_NAMES},
+            probes=tuple(_read_probe(probe) for probe in content["probes"]),
+            seconds=content["seconds"],
+            method=content.get("method", ""),
+            settings=content.get("settings", {}),
+            notes=tuple(content.get("notes", ())),
+            **{name: _read_constant(content[name]) for name in CONSTANT_NAMES},
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RecordError(
+            f"{path}: is not a whole estimate (at {error}); write it again with 'palpate fit'"
+        ) from error
+
+
+def _constant(constant: Constant) -> dict[str, Any]:
+    return {"value": constant.value, "std": constant.std, "ci95": list(constant.ci95)}
+
+
+def _probe(probe: ProbeEstimate) -> dict[str, Any]:
+    content: dict[str, Any] = {"name": probe.name}
+    content |= {name: _constant(getattr(probe, name)) for name in CONSTANT_NAMES}
+    return content | {
+        "observed": probe.observed,
+        "missing": probe.missing,
+        "rejected": probe.rejected,
+        "rms_residual": probe.rms_residual,
+        "prediction_error": probe.prediction_error,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """JSON's own types; NumPy scalars and arrays become numbers and lists, NaN becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (bool, str, int)) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return _plain(value.tolist()) if hasattr(value, "tolist") else str(value)
+
+
+def _number(value: float | None, unknown: float = math.nan) -> float:
+    return unknown if value is None else float(value)
+
+
+def _read_constant(content: Mapping[str, Any]) -> Constant:
+    low, high = content["ci95"]
+    return Constant(
+        value=_number(content["value"]),
+        std=_number(content["std"]),
+        ci95=(_number(low, -math.inf), _number(high, math.inf)),
+    )
+
+
+def _read_probe(content: Mapping[str, Any]) -> ProbeEstimate:
+    error = content.get("prediction_error")
+    return ProbeEstimate(
+        name=content["name"],
+        observed=int(content["observed"]),
+        missing=int(content.get("missing", 0)),
+        rejected=int(content["rejected"]),
+        rms_residual=_number(content["rms_residual"]),
+        prediction_error=None if error is None else float(error),
+        **{name: _read_constant(content[name]) for name in CONSTANT_NAMES},
+    )

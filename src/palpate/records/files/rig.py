@@ -1,0 +1,137 @@
+"""Rigs from files, and into the format `rig.toml`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from palpate.errors import CalibrationError, RecordError
+from palpate.records.programs import (
+    METRES_PER_UNIT,
+    make_camera,
+    make_pose,
+    make_rig,
+    metres_per_unit,
+    numbers,
+    read_calibration,
+)
+from palpate.records.rig import Camera, Rig
+from palpate.records.text import TomlTable, nearest_word, read_toml
+
+_FILE = "rig.toml"
+_ROOT_KEYS = ("length_unit", "reference", "camera")
+_CAMERA_KEYS = ("name", "size", "K", "distortion", "R", "t")
+
+
+def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
+    """Read cameras from rig.toml or from the calibration file of another program.
+
+    Parameters
+    ----------
+    path : path                     a file, or a folder with rig.toml or a file per camera
+    length_unit : str or None       m, cm, mm or in: the unit of translations in a file that does
+                                    not say its own; None: the usual one of the program (m for
+                                    Kalibr; mm for VIC-3D, DICe, MatchID and MultiDIC)
+
+    Returns
+    -------
+    Rig                             in metres; x_camera = R x_object + t, the centre of the first
+                                    pixel is (0, 0)
+
+    Raises
+    ------
+    RecordError                     not there, not readable, of no known kind
+    CalibrationError                contents that are missing or contradictory; the text names the
+                                    file
+    InputError                      length_unit is no known unit
+    """
+    path = Path(path)
+    if path.is_dir() and (path / _FILE).is_file():
+        path = path / _FILE
+    if not path.exists():
+        beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
+        raise RecordError(f"{path}: no such file{nearest_word(path.name, beside)}")
+    if path.suffix.lower() != ".toml":
+        return read_calibration(path, length_unit=length_unit)
+    return _read_toml_rig(path, length_unit)
+
+
+def rig_to_toml(rig: Rig) -> str:
+    """Text of rig.toml for a rig, in metres, every digit kept."""
+    lines = ['length_unit = "m"', f"reference = {json.dumps(rig.cameras[rig.reference].name)}"]
+    for camera in rig.cameras:
+        pose = camera.T_camera_object
+        lines += ["", "[[camera]]", f"name = {json.dumps(camera.name)}"]
+        if camera.size is not None:
+            lines.append(f"size = [{camera.size[0]}, {camera.size[1]}]")
+        lines += [
+            f"K = {camera.matrix.tolist()}",
+            f"distortion = {camera.distortion.tolist()}",
+            f"R = {pose[:3, :3].tolist()}",
+            f"t = {pose[:3, 3].tolist()}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def write_rig(path: Path | str, rig: Rig) -> None:
+    """Write a rig as rig.toml; reading it again gives the same numbers.
+
+    Raises
+    ------
+    RecordError                     the file cannot be written
+    """
+    try:
+        Path(path).write_text(rig_to_toml(rig), encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _read_toml_rig(path: Path, length_unit: str | None) -> Rig:
+    """A rig in the format of SESSION.md."""
+    root = read_toml(path)
+    root.check_keys(_ROOT_KEYS)
+    if "length_unit" in root.values or length_unit is None:
+        length_unit = root.choice("length_unit", tuple(METRES_PER_UNIT))
+    metres = metres_per_unit(path, length_unit, usual=None)
+    cameras = []
+    for number, table in enumerate(root.tables("camera", "[[camera]]"), start=1):
+        named = TomlTable(path, f"[[camera]] number {number}", table.values)
+        cameras.append(_camera(named, metres))
+    names = [camera.name for camera in cameras]
+    reference = 0
+    if "reference" in root.values:
+        reference = names.index(root.choice("reference", names))
+    return make_rig(path, cameras, reference=reference)
+
+
+def _camera(table: TomlTable, metres: float) -> Camera:
+    table.check_keys(_CAMERA_KEYS)
+    name = table.text("name")
+    where = f"[[camera]] '{name}'"
+
+    def array(key: str, shape: tuple[int, ...] | None) -> np.ndarray:
+        return numbers(table.file, f"{where} {key}", table.get(key), shape)
+
+    rotation, translation = array("R", (3, 3)), array("t", (3,))
+    return make_camera(
+        table.file,
+        name,
+        size=_size(table, where),
+        matrix=array("K", (3, 3)),
+        distortion=array("distortion", None) if "distortion" in table.values else (),
+        pose=make_pose(rotation, metres * translation),
+    )
+
+
+def _size(table: TomlTable, where: str) -> tuple[int, int] | None:
+    """Columns and rows; a rig made from a file without them has none."""
+    if "size" not in table.values:
+        return None
+    value = table.values["size"]
+    whole = isinstance(value, list) and all(type(item) is int and item > 0 for item in value)
+    if not (whole and len(value) == 2):
+        raise CalibrationError(
+            f"{table.file}: {where} size is {value!r}; must be two whole numbers, columns and rows,"
+            " e.g. [640, 480]"
+        )
+    return value[0], value[1]

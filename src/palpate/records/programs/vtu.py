@@ -1,0 +1,123 @@
+"""Displacements of surface points from VTK's unstructured grids."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.errors import RecordError
+from palpate.optional_imports import late_import
+from palpate.records.programs.measured_points import (
+    MeasuredPoints,
+    ProgramPoints,
+    chosen_frame,
+    from_program,
+    metres_per_unit,
+)
+from palpate.records.text import nearest_word
+from palpate.shapes import Points
+
+_SUFFIXES = (".vtu", ".vtk")
+_MOVE = ("displacement", "displacements", "disp", "u")
+_PARTS = (("ux", "uy", "uz"), ("displacement_x", "displacement_y", "displacement_z"))
+_STD = ("displacement_std", "displacement_sigma", "std", "sigma")
+_SURFACE_CELLS = ("vertex", "line", "triangle", "quad", "polygon")
+
+
+def read_vtu(
+    path: Path, *, length_unit: str | None = None, frame: int | None = None
+) -> MeasuredPoints:
+    """Points of a grid with a displacement at each, through meshio.
+
+    The points are the places at rest. The displacement is the point data `displacement`,
+    `Displacement`, `U`, `u` or `disp` with three components, or `ux`, `uy`, `uz`; its standard
+    deviation, if any, `displacement_std`, `std` or `sigma` with three components or one. NaN
+    marks points that were not measured.
+
+    Parameters
+    ----------
+    path : Path                     suffix .vtu or .vtk
+    length_unit : str or None       must be said: the format names none
+    frame : int or None             a file holds one state: only 0 or None
+
+    Raises
+    ------
+    RecordError                     no such data, a 2-D vector, solid cells, unreadable, no unit
+    InputError                      the optional package meshio is missing
+
+    Source
+    ------
+    VTK file formats, "XML file formats", https://docs.vtk.org; the names are a habit (ParaView,
+    FEniCS, pyvista), not a standard.
+    """
+    chosen_frame(path, frame, 1)
+    content = _content(path)
+    data = {name.lower(): np.asarray(values) for name, values in content.point_data.items()}
+    solid = [block.type for block in content.cells if not block.type.startswith(_SURFACE_CELLS)]
+    if solid:
+        raise RecordError(
+            f"{path}: holds solid cells ({solid[0]}), whose inner points were not observed;"
+            " extract the surface first (ParaView: Extract Surface, then Merge to .vtu)"
+        )
+    metres, notes = metres_per_unit(path, found=None, given=length_unit, usual=None)
+    moved = _displacement(path, data)
+    points = np.zeros((len(moved), 3))
+    points[:, : content.points.shape[1]] = content.points
+    given = ProgramPoints(points, moved, np.zeros(len(moved), dtype=bool), _std(path, data))
+    return from_program(given, kind="vtu", source=path, metres=metres, notes=notes)
+
+
+def _content(path: Path) -> Any:
+    """The grid as meshio reads it."""
+    if path.suffix.lower() not in _SUFFIXES:
+        raise RecordError(
+            f"{path}: is no .vtu file; save it as an unstructured grid of VTK (.vtu or .vtk)"
+        )
+    if not path.is_file():
+        raise RecordError(f"{path}: no such file; check the name")
+    meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
+    # The readers raise whatever their parsing ran into, and one of them ends the process.
+    try:
+        return meshio.read(path)
+    except (Exception, SystemExit) as error:
+        raise RecordError(
+            f"{path}: cannot be read as {path.suffix[1:].upper()} ({error}); open it in ParaView"
+            " and save it again"
+        ) from error
+
+
+def _displacement(path: Path, data: Mapping[str, np.ndarray]) -> Points:
+    """The displacement, as a vector or as three scalars."""
+    for name in _MOVE:
+        if name in data and data[name].ndim == 2:
+            if data[name].shape[1] != 3:
+                raise RecordError(
+                    f"{path}: its point data '{name}' has {data[name].shape[1]} components; depth"
+                    " is needed: three"
+                )
+            return np.array(data[name], dtype=np.float64)
+    for parts in _PARTS:
+        if all(name in data and data[name].ndim == 1 for name in parts):
+            return np.stack([data[name] for name in parts], axis=1).astype(np.float64)
+    near = next(filter(None, (nearest_word(name, _MOVE) for name in data)), "")
+    raise RecordError(
+        f"{path}: has no point data 'displacement' (or U, u, disp; or ux, uy, uz){near}; it has:"
+        f" {', '.join(data) or 'no point data'}"
+    )
+
+
+def _std(path: Path, data: Mapping[str, np.ndarray]) -> Points | None:
+    """The standard deviation of the displacement, of each component or of all three."""
+    for name in _STD:
+        if name in data:
+            values = np.array(data[name], dtype=np.float64)
+            if values.ndim == 1:
+                values = np.repeat(values[:, None], 3, axis=1)
+            if values.shape[1] not in (1, 3):
+                raise RecordError(
+                    f"{path}: its point data '{name}' has {values.shape[1]} components; must be 1"
+                    " or 3, one standard deviation each"
+                )
+            return np.broadcast_to(values, (len(values), 3)).copy()
+    return None

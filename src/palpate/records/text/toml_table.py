@@ -1,0 +1,140 @@
+"""Reading TOML with messages that name the file, the table and the key."""
+
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from palpate.errors import RecordError
+from palpate.shapes import Vector3
+
+
+def nearest_word(word: str, allowed: Sequence[str]) -> str:
+    """Sentence part that offers the nearest allowed word, or nothing."""
+    near = get_close_matches(word.lower(), allowed, n=1, cutoff=0.6)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+@dataclass(frozen=True, slots=True)
+class TomlTable:
+    """One table of a TOML file, which knows where it stands.
+
+    Parameters
+    ----------
+    file : Path
+    name : str                      as a reader would write it, e.g. "[object]"
+    values : dict
+    """
+
+    file: Path
+    name: str
+    values: dict[str, Any]
+
+    def fail(self, key: str, what: str) -> NoReturn:
+        """Raise a `RecordError` about one key."""
+        place = f"{self.name} {key}".strip()
+        raise RecordError(f"{self.file}: {place}: {what}")
+
+    def check_keys(self, allowed: Sequence[str]) -> None:
+        """Refuse keys that are not of the format, with the nearest one that is."""
+        for key in self.values:
+            if key not in allowed:
+                near = nearest_word(key, allowed)
+                self.fail("", f"unknown key '{key}'{near} (allowed: {', '.join(allowed)})")
+
+    def get(self, key: str) -> Any:
+        """Value of a key that must be there."""
+        if key not in self.values:
+            self.fail("", f"the key '{key}' is missing")
+        return self.values[key]
+
+    def text(self, key: str) -> str:
+        """A non-empty string."""
+        value = self.get(key)
+        if not isinstance(value, str) or not value.strip():
+            self.fail(key, f"is {value!r}; must be a text in quotes")
+        return value
+
+    def choice(self, key: str, allowed: Sequence[str]) -> str:
+        """One of some words."""
+        value = self.text(key)
+        if value not in allowed:
+            near = nearest_word(value, allowed)
+            self.fail(key, f"is '{value}'{near} (allowed: {', '.join(allowed)})")
+        return value
+
+    def number(self, key: str) -> float:
+        """A finite number."""
+        value = self.get(key)
+        if not _is_number(value):
+            self.fail(key, f"is {value!r}; must be a finite number")
+        return float(value)
+
+    def vector(self, key: str) -> Vector3:
+        """Three finite numbers."""
+        value = self.get(key)
+        if not (isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))):
+            self.fail(key, f"is {value!r}; must be three finite numbers, e.g. [0, 0, -1.2]")
+        return np.array(value, dtype=np.float64)
+
+    def number_or_vector(self, key: str) -> Vector3:
+        """Three finite numbers, or one that stands for all three."""
+        value = self.get(key)
+        if _is_number(value):
+            return np.full(3, float(value))
+        if not isinstance(value, list):
+            self.fail(key, f"is {value!r}; must be a finite number, or three of them in brackets")
+        return self.vector(key)
+
+    def table(self, key: str, name: str) -> "TomlTable":
+        """A table inside this one, known to the reader under `name`."""
+        value = self.get(key)
+        if not isinstance(value, dict):
+            self.fail(key, f"is {value!r}; must be a table")
+        return TomlTable(self.file, name, value)
+
+    def tables(self, key: str, name: str) -> "tuple[TomlTable, ...]":
+        """An array of tables; one table alone counts as an array of one."""
+        value = self.get(key)
+        items = value if isinstance(value, list) else [value]
+        if not all(isinstance(item, dict) for item in items):
+            self.fail(key, f"is {value!r}; must be a table or a list of tables")
+        return tuple(TomlTable(self.file, name, item) for item in items)
+
+    def existing_file(self, key: str) -> Path:
+        """Path of a file that is there, relative to the file this table stands in."""
+        path = self.file.parent / self.text(key)
+        if not path.is_file():
+            beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
+            self.fail(key, f"no such file: {path}{nearest_word(path.name, beside)}")
+        return path
+
+
+def read_toml(path: Path) -> TomlTable:
+    """Root table of a TOML file.
+
+    Raises
+    ------
+    RecordError                     not there, not readable, not TOML (with line and column)
+    """
+    try:
+        content = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordError(f"{path}: is not a text file in UTF-8; save it as such") from error
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+    try:
+        return TomlTable(path, "", tomllib.loads(content))
+    except tomllib.TOMLDecodeError as error:
+        raise RecordError(f"{path}: is not valid TOML: {error}") from error
+
+
+def _is_number(value: object) -> bool:
+    """True for a finite int or float; a TOML boolean is none."""
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and math.isfinite(value)  # type: ignore[arg-type]

@@ -1,0 +1,28 @@
+"""cameras."""
+
+from palpate.vision.cameras.pixel_grid import pixel_grid as pixel_grid
+from palpate.vision.cameras.projection import (
+    camera_sigma as camera_sigma,
+    normalised as normalised,
+    packed_rig as packed_rig,
+    project as project,
+    project_jacobian as project_jacobian,
+    project_kernel as project_kernel,
+    rays as rays,
+)
+from palpate.vision.cameras.rectification import (
+    Rectified as Rectified,
+    from_disparity as from_disparity,
+    rectify_pair as rectify_pair,
+    rectify_triple as rectify_triple,
+    remapped as remapped,
+)
+from palpate.vision.cameras.surface_map import (
+    SurfaceMap as SurfaceMap,
+    surface_map as surface_map,
+    visible as visible,
+)
+from palpate.vision.cameras.triangulation import (
+    Triangulation as Triangulation,
+    triangulate as triangulate,
+)

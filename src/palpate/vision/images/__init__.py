@@ -1,0 +1,25 @@
+"""images."""
+
+from palpate.vision.images.features import (
+    Features as Features,
+    Matches as Matches,
+    find_features as find_features,
+    matched as matched,
+)
+from palpate.vision.images.normalisation import (
+    WINDOW as WINDOW,
+    EvenPicture as EvenPicture,
+    cropped as cropped,
+    make_even_picture as make_even_picture,
+    moments as moments,
+)
+from palpate.vision.images.pictures import Pictures as Pictures, read_pictures as read_pictures
+from palpate.vision.images.spline import (
+    SplinePicture as SplinePicture,
+    interpolate as interpolate,
+    make_spline_picture as make_spline_picture,
+    noise_share_kernel as noise_share_kernel,
+    sample_kernel as sample_kernel,
+    smoothing_gain as smoothing_gain,
+    spline_pictures as spline_pictures,
+)

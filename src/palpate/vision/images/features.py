@@ -1,0 +1,105 @@
+"""The same features in the pictures of two cameras, found without knowing anything of the cameras.
+
+Source: Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60(2), 2004: the
+features, and the ratio test, which of speckle patterns leaves one mistake in some hundred.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from palpate.vision.images.normalisation import EvenPicture
+
+# Larger pictures are halved: what is left of a speckle of two pixels is still a feature.
+_MOST_PIXELS = 2_500_000
+# Strongest features that are compared: a thousand of them are found again.
+_MOST = 4000
+# Half of OpenCV's threshold: contrast has been made even, and the ratio decides later.
+_CONTRAST = 0.02
+# The nearest descriptor must be this much nearer than the second: Lowe's figure.
+_RATIO = 0.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Features of one picture.
+
+    Attributes
+    ----------
+    point : (n, 2) float [px]       column, row
+    words : (n, 128) float32        descriptors
+    """
+
+    point: Float[np.ndarray, "n 2"]
+    words: Float[np.ndarray, "n 128"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Places of the same features in two pictures.
+
+    Attributes
+    ----------
+    first, second : (n, 2) float [px]   column, row
+    """
+
+    first: Float[np.ndarray, "n 2"]
+    second: Float[np.ndarray, "n 2"]
+
+    def chosen(self, rows: np.ndarray) -> "Matches":
+        """Some of the matches."""
+        return Matches(self.first[rows], self.second[rows])
+
+
+def find_features(picture: EvenPicture) -> Features:
+    """Strongest features of a picture.
+
+    Parameters
+    ----------
+    picture : EvenPicture
+
+    Returns
+    -------
+    Features                        none where there is no texture
+    """
+    grey: np.ndarray = picture.even
+    area: np.ndarray = picture.textured.astype(np.uint8)
+    scale = 1
+    while grey.size > _MOST_PIXELS:
+        size = (grey.shape[1] // 2, grey.shape[0] // 2)
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        area = cv2.resize(area, size, interpolation=cv2.INTER_NEAREST)
+        scale *= 2
+    sift = cv2.SIFT.create(
+        nfeatures=_MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True
+    )
+    keys, words = sift.detectAndCompute(grey, area)
+    if not keys:
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32))
+    point = np.array(cv2.KeyPoint.convert(keys), dtype=np.float64)
+    return Features((point + 0.5) * scale - 0.5, words)
+
+
+def matched(first: Features, second: Features) -> Matches:
+    """Features that choose each other, clearly.
+
+    Parameters
+    ----------
+    first, second : Features
+
+    Returns
+    -------
+    Matches                         good to half a pixel; one in a hundred may be mistaken
+    """
+    if len(first.point) < 2 or len(second.point) < 2:
+        return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
+    a, b = first.words, second.words
+    # Descriptors hold whole numbers and all sums stay below 2^24: exact in any order.
+    distance = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * (a @ b.T)
+    choice, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    nearest = np.partition(distance, 1, axis=1)[:, :2]
+    good = back[choice] == np.arange(len(choice))
+    good &= nearest[:, 0] < _RATIO**2 * nearest[:, 1]
+    return Matches(first.point[good], second.point[choice[good]])

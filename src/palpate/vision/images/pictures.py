@@ -1,0 +1,211 @@
+"""Grey pictures of all cameras of a rig, at one instant, from files."""
+
+import re
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import CalibrationError, RecordError
+from palpate.records import Camera, Rig
+from palpate.vision.images.decoder import decode_picture
+from palpate.vision.images.formats import page_count, picture_fault
+
+CAMERA_FIELD = "{camera}"
+# Luminance of ITU-R BT.601, in OpenCV's order blue, green, red.
+_LUMINANCE = np.array([0.114, 0.587, 0.299], dtype=np.float32)
+# 65535 becomes 255: grey levels mean the same whatever the depth of the file.
+_PER_GREY_LEVEL = 257.0
+# Integer levels this close together are a quantised constant: no picture of anything.
+_CONSTANT = 2
+# Cameras of 10, 12 and 14 bits put their levels at the low or at the high end of 16 bits.
+_WHITE_16 = [2**k - 1 for k in (10, 12, 14, 16)] + [2**16 - 2 ** (16 - k) for k in (10, 12, 14)]
+_NAMES_SHOWN = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures:
+    """What the cameras of a rig saw at one instant.
+
+    Attributes
+    ----------
+    grey : tuple of c (rows, columns) float32   grey levels, 255 is white, in the rig's order;
+                                                sizes may differ between the cameras
+    saturated : tuple of c float [-]            share of pixels at the white end; NaN where the file
+                                                (floating-point grey levels) has no such end
+    notes : tuple of str                        what was converted or left out, in sentences
+    """
+
+    grey: tuple[Float[np.ndarray, "_rows _columns"], ...]
+    saturated: tuple[float, ...]
+    notes: tuple[str, ...]
+
+
+def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Pictures:
+    """Read the picture of every camera of a rig and turn it into grey levels.
+
+    Read are PNG, JPEG, TIFF and BMP files. Grey levels of 16 bits are divided by 257, colours are
+    turned into luminance, floating-point levels are kept; a turn asked for by a file's orientation
+    tag is not made, for the calibration is that of the sensor.
+
+    Parameters
+    ----------
+    rig : Rig
+    pattern : str                   file name with `{camera}` in place of the camera's name
+    folder : Path                   that the pattern is relative to
+    what : str                      step or probing, for messages, e.g. "step 's3'"
+
+    Returns
+    -------
+    Pictures
+
+    Raises
+    ------
+    RecordError                     a file that is missing, cut off, damaged, of another kind, not
+                                    finite, or the same grey everywhere; no `{camera}`
+    CalibrationError                a picture of another size than its camera's
+    """
+    if CAMERA_FIELD not in pattern and len(rig.cameras) > 1:
+        raise RecordError(
+            f"{what}: the pattern of image files '{pattern}' has no {CAMERA_FIELD}, so all"
+            f" {len(rig.cameras)} cameras would read the same file; write {CAMERA_FIELD} in place"
+            f" of the camera's name ({', '.join(camera.name for camera in rig.cameras)})"
+        )
+    grey, saturated = [], []
+    cameras_of: dict[str, list[str]] = {}
+    for camera in rig.cameras:
+        path = _picture_file(camera, pattern, folder, what)
+        place = f"{what}, camera '{camera.name}': {path}"
+        levels, share, remarks = _read_picture(camera, path, place)
+        grey.append(levels)
+        saturated.append(share)
+        for remark in remarks:
+            cameras_of.setdefault(remark, []).append(camera.name)
+    notes = [
+        f"{what}, {'camera' if len(names) == 1 else 'cameras'} {', '.join(names)}: {remark}."
+        for remark, names in cameras_of.items()
+    ]
+    return Pictures(tuple(grey), tuple(saturated), tuple(notes))
+
+
+def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path:
+    """The file of one camera; where it is missing, what is there instead."""
+    path = folder / pattern.replace(CAMERA_FIELD, camera.name)
+    if path.exists():
+        return path
+    place = f"{what}, camera '{camera.name}': {path}: no such file"
+    if not path.parent.is_dir():
+        raise RecordError(f"{place}, for there is no folder {path.parent}")
+    beside = sorted(entry.name for entry in path.parent.iterdir())
+    head, *rest = (re.escape(part) for part in Path(pattern).name.split(CAMERA_FIELD))
+    expression = re.compile("(.+)".join([head, *rest]))
+    named = [found[1] for name in beside if rest and (found := expression.fullmatch(name))]
+    if named:
+        hint = f"; the pattern '{pattern}' fits the cameras {_listed(named)}"
+    elif near := get_close_matches(path.name, beside, n=3):
+        hint = f"; near it are {_listed(near)}"
+    else:
+        hint = f"; the folder has {_listed(beside)}" if beside else "; the folder is empty"
+    raise RecordError(f"{place}{hint}: check the pattern and the names of the cameras in the rig")
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+    return ", ".join(f"'{name}'" for name in names[:_NAMES_SHOWN]) + more
+
+
+def _read_picture(
+    camera: Camera, path: Path, place: str
+) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
+    """Grey levels, saturated share and remarks of one file."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{place}: cannot be read ({error.strerror})") from error
+    if fault := picture_fault(content):
+        raise RecordError(f"{place}: {fault}; copy or record it again")
+    stored, damage = decode_picture(content)
+    if stored is None or damage is not None:
+        said = f" ({damage})" if damage else ""
+        raise RecordError(f"{place}: is damaged, or of a kind that cannot be decoded{said}")
+    _check_size(camera, stored, place)
+    levels, remarks = _grey_levels(stored, place)
+    if (pages := page_count(content)) > 1:
+        remarks.append(f"the file holds {pages} pictures; the first was used")
+    return levels, _saturated_share(stored), remarks
+
+
+def _check_size(camera: Camera, stored: np.ndarray, place: str) -> None:
+    rows, columns = stored.shape[:2]
+    if camera.size is not None and camera.size != (columns, rows):
+        turned = "; the picture seems to be turned" if camera.size == (rows, columns) else ""
+        raise CalibrationError(
+            f"{place}: has {columns} x {rows} pixels, the camera was calibrated with"
+            f" {camera.size[0]} x {camera.size[1]} (columns x rows){turned}; a calibration holds"
+            " for pictures of its own size only, neither cut nor scaled"
+        )
+
+
+def _grey_levels(
+    stored: np.ndarray, place: str
+) -> tuple[Float[np.ndarray, "rows columns"], list[str]]:
+    """Grey levels from 0 to 255 of stored pixels, and what was done for it."""
+    if stored.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
+        raise RecordError(
+            f"{place}: has grey levels of type {stored.dtype}; must be of 8 or 16 bits without"
+            " sign, or floating-point"
+        )
+    channels = 1 if stored.ndim == 2 else stored.shape[2]
+    if channels not in (1, 3, 4):
+        raise RecordError(f"{place}: has {channels} channels; must be grey, RGB or RGB and alpha")
+    remarks = []
+    if channels == 4:
+        remarks.append("the alpha channel was left out")
+        stored = stored[..., :3]
+    _check_contents(stored, place)
+    grey = _single(stored)
+    if channels > 1:
+        remarks.append("colours were turned into luminance (0.299 R + 0.587 G + 0.114 B)")
+    grey = grey.reshape(stored.shape[:2]) if channels == 1 else grey @ _LUMINANCE
+    if stored.dtype == np.uint16:
+        remarks.append("grey levels of 16 bits were divided by 257 (65535 becomes 255)")
+        grey /= np.float32(_PER_GREY_LEVEL)
+    elif stored.dtype != np.uint8:
+        remarks.append("floating-point grey levels were kept as they are")
+    return np.ascontiguousarray(grey), remarks
+
+
+def _check_contents(stored: np.ndarray, place: str) -> None:
+    """Refuse pictures of nothing."""
+    whole = np.issubdtype(stored.dtype, np.integer)
+    missing = 0 if whole else int((~np.isfinite(_single(stored))).sum())
+    if missing:
+        raise RecordError(
+            f"{place}: has {missing} grey levels that are not finite; every pixel needs a number"
+        )
+    low, high = float(stored.min()), float(stored.max())
+    if high - low <= (_CONSTANT if whole else 0.0):
+        what = "black" if low == 0.0 else "of one grey"
+        raise RecordError(
+            f"{place}: is {what} all over (grey levels {low:g} to {high:g}); nothing can be"
+            " followed in it: check exposure, light and lens cap, or leave it out"
+        )
+
+
+def _single(stored: np.ndarray) -> Float[np.ndarray, "..."]:
+    """In single precision; what is too large for it becomes infinite."""
+    with np.errstate(over="ignore"):
+        return stored.astype(np.float32)
+
+
+def _saturated_share(stored: np.ndarray) -> float:
+    """Share of pixels at the white end of their scale."""
+    if not np.issubdtype(stored.dtype, np.integer):
+        return float("nan")
+    colours = stored[..., :3] if stored.ndim == 3 else stored[..., None]
+    white = int(colours.max())
+    if white not in ([255] if stored.dtype == np.uint8 else _WHITE_16):
+        return 0.0
+    return float((colours == white).any(axis=-1).mean())

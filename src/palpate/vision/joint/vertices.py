@@ -1,0 +1,92 @@
+"""Displacement of the mesh's vertices from range flow: robust local quadratics on the surface."""
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.geometry import vertex_normals
+from palpate.records import Camera, camera_centre
+from palpate.shapes import Flags, Triangles, Vertices
+from palpate.vision.matching import LocalField, Scatter, local_field
+from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
+
+# Radius of the points that speak for a vertex, in half windows: those whose windows hold it.
+_REACH = 1.2
+# Cosine beyond which a vertex is seen so obliquely that its points lie on one side of it.
+_FACING = 0.1
+# Twice the unknowns of a quadratic.
+_FEWEST = 12
+# A vertex known so many times worse than the usual point lies outside the points.
+_WORSE = 3.0
+
+
+def vertex_displacement(
+    flow: RangeFlow, camera: Camera, vertices: Vertices, triangles: Triangles
+) -> VertexDisplacement:
+    """Displacement, with covariance, of the vertices around which range flow was measured.
+
+    Parameters
+    ----------
+    flow : RangeFlow
+    camera : Camera                 the reference camera
+    vertices, triangles : (v, 3) float [m], (m, 3) int
+
+    Returns
+    -------
+    VertexDisplacement              NaN at vertices that face away from the camera, have fewer than
+                                    12 points around them, or lie outside them
+    """
+    displacement = np.full(vertices.shape, np.nan)
+    covariance = np.full((*vertices.shape, 3), np.nan)
+    count = np.zeros(len(vertices), dtype=np.int64)
+    valid = is_valid(flow)
+    normal = vertex_normals(vertices, triangles)
+    rows = np.flatnonzero(_facing(camera, vertices, normal))
+    if valid.any() and len(rows) > 0:
+        field = _field_at(flow, valid, vertices[rows], normal[rows], camera)
+        good = np.isfinite(field.displacement).all(axis=1) & (field.count >= _FEWEST)
+        # Beside the points a polynomial goes anywhere, and its variance says so.
+        trace = np.trace(field.covariance, axis1=1, axis2=2)
+        usual = np.median(np.trace(flow.covariance[valid], axis1=1, axis2=2))
+        with np.errstate(invalid="ignore"):
+            good &= trace < _WORSE**2 * usual
+        displacement[rows[good]] = field.displacement[good]
+        covariance[rows[good]] = field.covariance[good]
+        count[rows] = field.count
+    return VertexDisplacement(displacement, covariance, count)
+
+
+def _field_at(
+    flow: RangeFlow,
+    valid: Flags,
+    place: Float[np.ndarray, "k 3"],
+    normal: Float[np.ndarray, "k 3"],
+    camera: Camera,
+) -> LocalField:
+    """Local field at vertices."""
+    pose = camera.T_camera_object
+    depth = float(np.median(flow.point[valid] @ pose[2, :3] + pose[2, 3]))
+    half = (flow.subset // 2) * depth / camera.matrix[0, 0]
+    scatter = Scatter(
+        flow.point[valid],
+        flow.pixel[valid],
+        flow.displacement[valid],
+        flow.covariance[valid],
+        flow.bias[valid],
+        flow.subset,
+    )
+    return local_field(scatter, place, _tangents(normal), reach=_REACH * half, fewest=_FEWEST)
+
+
+def _facing(camera: Camera, vertices: Vertices, normal: Vertices) -> Flags:
+    """True for the vertices whose normal points toward the camera."""
+    toward = camera_centre(camera) - vertices
+    toward = toward / np.linalg.norm(toward, axis=1)[:, None]
+    return (toward * normal).sum(axis=1) > _FACING
+
+
+def _tangents(normal: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2 3"]:
+    """Two orthonormal tangents for each normal."""
+    other = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    first = np.cross(normal, other)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normal, first)], axis=1)

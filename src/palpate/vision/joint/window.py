@@ -1,0 +1,205 @@
+"""One camera's window on the moving surface: its pixels' surface points, and their later places."""
+
+import numpy as np
+from numba import njit
+
+from palpate.vision.cameras import project_kernel
+from palpate.vision.images import noise_share_kernel, sample_kernel
+from palpate.vision.matching import load_window_kernel
+
+
+@njit(cache=True, error_model="numpy")
+def load_camera_kernel(
+    camera, grey, along_column, along_row, surface, inner, point, tangent, extent, half,
+    least_share, shading, window, place, centre, ones,
+):  # fmt: skip
+    """Window of one camera with its pixels' surface points; False where it sees too little."""
+    x, y = project_kernel(camera, point[0], point[1], point[2])
+    rows, columns = grey.shape
+    if not (half <= x < columns - half - 1 and half <= y < rows - half - 1):
+        return False
+    column = int(np.rint(x))
+    row = int(np.rint(y))
+    centre[0] = column
+    centre[1] = row
+    scale = 1.0 / extent
+    t, s = tangent[0], tangent[1]
+    n0 = t[1] * s[2] - t[2] * s[1]
+    n1 = t[2] * s[0] - t[0] * s[2]
+    n2 = t[0] * s[1] - t[1] * s[0]
+    # Beyond this distance a pixel shows another part of the object, behind a silhouette.
+    far = 9.0
+    count = 0.0
+    for r in range(2 * half + 1):
+        for k in range(2 * half + 1):
+            weight = inner[row - half + r, column - half + k]
+            if weight > 0.0:
+                d0 = (surface[row - half + r, column - half + k, 0] - point[0]) * scale
+                d1 = (surface[row - half + r, column - half + k, 1] - point[1]) * scale
+                d2 = (surface[row - half + r, column - half + k, 2] - point[2]) * scale
+                if d0 * d0 + d1 * d1 + d2 * d2 > far:
+                    weight = np.float32(0.0)
+                else:
+                    place[0, r, k] = d0 * t[0] + d1 * t[1] + d2 * t[2]
+                    place[1, r, k] = d0 * s[0] + d1 * s[1] + d2 * s[2]
+                    place[2, r, k] = d0 * n0 + d1 * n1 + d2 * n2
+            if weight == 0.0:
+                place[0, r, k] = 0.0
+                place[1, r, k] = 0.0
+                place[2, r, k] = 0.0
+            window[3, r, k] = weight
+            count += weight
+    if count < least_share * (2 * half + 1) ** 2:
+        return False
+    inside, mean, square = load_window_kernel(
+        grey, along_column, along_row, column, row, half, shading, window
+    )
+    ones[0] = inside
+    ones[1] = mean
+    ones[2] = square
+    return square > 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def jacobian_kernel(camera, point, jacobian):
+    """Derivative of the pixel by the point, central differences (the projection is smooth)."""
+    depth = camera[19] * point[0] + camera[20] * point[1] + camera[21] * point[2] + camera[24]
+    h = 1e-4 * depth
+    for a in range(3):
+        d0 = h if a == 0 else 0.0
+        d1 = h if a == 1 else 0.0
+        d2 = h if a == 2 else 0.0
+        x1, y1 = project_kernel(camera, point[0] + d0, point[1] + d1, point[2] + d2)
+        x0, y0 = project_kernel(camera, point[0] - d0, point[1] - d1, point[2] - d2)
+        jacobian[0, a] = (x1 - x0) / (2.0 * h)
+        jacobian[1, a] = (y1 - y0) / (2.0 * h)
+
+
+@njit(cache=True, error_model="numpy")
+def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian, mapping):
+    """From the surface's motion to the window's polynomial in pixels, (2 bases, 3 bases).
+
+    Within the window the surface coordinates are taken as linear in the pixel; this shapes the
+    steps and the weights, not the solution.
+    """
+    b00 = b01 = b10 = b11 = 0.0
+    for a in range(3):
+        b00 += jacobian[0, a] * tangent[0, a]
+        b01 += jacobian[0, a] * tangent[1, a]
+        b10 += jacobian[1, a] * tangent[0, a]
+        b11 += jacobian[1, a] * tangent[1, a]
+    # Seen edge-on the linear map is singular; such a window adds nothing anyway.
+    determinant = b00 * b11 - b01 * b10
+    if abs(determinant) < 1e-12 * (abs(b00) + abs(b01) + abs(b10) + abs(b11)) ** 2:
+        determinant = np.inf
+    x, y = project_kernel(camera, point[0], point[1], point[2])
+    off0 = centre[0] - x
+    off1 = centre[1] - y
+    scale = 1.0 / (extent * determinant)
+    xi = ((b11 * off0 - b01 * off1) * scale, b11 * half * scale, -b01 * half * scale)
+    eta = ((b00 * off1 - b10 * off0) * scale, -b10 * half * scale, b00 * half * scale)
+    polynomial = np.zeros((6, 6))
+    polynomial[0, 0] = 1.0
+    for m in range(3):
+        polynomial[1, m] = xi[m]
+        polynomial[2, m] = eta[m]
+    _product_kernel(xi, xi, polynomial[3])
+    _product_kernel(xi, eta, polynomial[4])
+    _product_kernel(eta, eta, polynomial[5])
+    for a in range(2):
+        for m in range(bases):
+            for b in range(3):
+                for k in range(bases):
+                    mapping[a * bases + m, b * bases + k] = jacobian[a, b] * polynomial[k, m]
+
+
+@njit(cache=True, error_model="numpy")
+def _product_kernel(first, second, out):
+    """Product of two linear polynomials in two variables."""
+    out[0] = first[0] * second[0]
+    out[1] = first[0] * second[1] + first[1] * second[0]
+    out[2] = first[0] * second[2] + first[2] * second[0]
+    out[3] = first[1] * second[1]
+    out[4] = first[1] * second[2] + first[2] * second[1]
+    out[5] = first[2] * second[2]
+
+
+@njit(cache=True, error_model="numpy")
+def deformed_frame_kernel(q, tangent, extent, frame):
+    """Deformed tangents and unit normal, as rows; the tangents are the images of the unit ones."""
+    for a in range(3):
+        frame[0, a] = tangent[0, a] + q[1, a] / extent
+        frame[1, a] = tangent[1, a] + q[2, a] / extent
+    frame[2, 0] = frame[0, 1] * frame[1, 2] - frame[0, 2] * frame[1, 1]
+    frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[0, 0] * frame[1, 2]
+    frame[2, 2] = frame[0, 0] * frame[1, 1] - frame[0, 1] * frame[1, 0]
+    length = np.sqrt(frame[2, 0] ** 2 + frame[2, 1] ** 2 + frame[2, 2] ** 2)
+    for a in range(3):
+        frame[2, a] /= length
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent, half, sampled):
+    """Later picture where the moved surface points are seen; mean share of noise that is left."""
+    c = np.empty((8, 3), dtype=np.float32)
+    for a in range(3):
+        i = 13 + 3 * a
+        r0, r1, r2 = camera[i], camera[i + 1], camera[i + 2]
+        c[0, a] = (
+            r0 * (point[0] + q[0, 0]) + r1 * (point[1] + q[0, 1]) + r2 * (point[2] + q[0, 2])
+            + camera[22 + a]
+        )  # fmt: skip
+        for k in range(3):
+            value = r0 * frame[k, 0] + r1 * frame[k, 1] + r2 * frame[k, 2]
+            c[1 + k, a] = extent * value
+            c[4 + k, a] = r0 * q[3 + k, 0] + r1 * q[3 + k, 1] + r2 * q[3 + k, 2]
+    p00, p01, p02 = c[0, 0], c[0, 1], c[0, 2]
+    p10, p11, p12 = c[1, 0], c[1, 1], c[1, 2]
+    p20, p21, p22 = c[2, 0], c[2, 1], c[2, 2]
+    p30, p31, p32 = c[3, 0], c[3, 1], c[3, 2]
+    p40, p41, p42 = c[4, 0], c[4, 1], c[4, 2]
+    p50, p51, p52 = c[5, 0], c[5, 1], c[5, 2]
+    p60, p61, p62 = c[6, 0], c[6, 1], c[6, 2]
+    fx, fy, cx, cy, skew = (
+        np.float32(camera[0]), np.float32(camera[1]), np.float32(camera[2]),
+        np.float32(camera[3]), np.float32(camera[4]),
+    )  # fmt: skip
+    k1, k2, t1, t2, k3 = (
+        np.float32(camera[5]), np.float32(camera[6]), np.float32(camera[7]),
+        np.float32(camera[8]), np.float32(camera[9]),
+    )  # fmt: skip
+    k4, k5, k6 = np.float32(camera[10]), np.float32(camera[11]), np.float32(camera[12])
+    one = np.float32(1.0)
+    two = np.float32(2.0)
+    shares = np.float32(0.0)
+    inside = np.float32(0.0)
+    for r in range(2 * half + 1):
+        xi_line, eta_line, zeta_line = place[0, r], place[1, r], place[2, r]
+        line = sampled[r]
+        inner = weight[r]
+        for k in range(2 * half + 1):
+            xi = xi_line[k]
+            eta = eta_line[k]
+            zeta = zeta_line[k]
+            xx = xi * xi
+            xy = xi * eta
+            yy = eta * eta
+            z = p02 + xi * p12 + eta * p22 + zeta * p32 + xx * p42 + xy * p52 + yy * p62
+            x = p00 + xi * p10 + eta * p20 + zeta * p30 + xx * p40 + xy * p50 + yy * p60
+            y = p01 + xi * p11 + eta * p21 + zeta * p31 + xx * p41 + xy * p51 + yy * p61
+            inverse = one / z
+            a = x * inverse
+            b = y * inverse
+            r2 = a * a + b * b
+            radial = (one + r2 * (k1 + r2 * (k2 + r2 * k3))) / (
+                one + r2 * (k4 + r2 * (k5 + r2 * k6))
+            )
+            ab = two * a * b
+            xd = a * radial + t1 * ab + t2 * (r2 + two * a * a)
+            yd = b * radial + t1 * (r2 + two * b * b) + t2 * ab
+            column = fx * xd + skew * yd + cx
+            row = fy * yd + cy
+            line[k] = sample_kernel(moved, column, row)
+            shares += inner[k] * noise_share_kernel(column, row)
+            inside += inner[k]
+    return shares / inside

@@ -1,0 +1,152 @@
+"""The cameras of a rig as a stereo head: two side by side, or three in an L, made parallel."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.errors import InputError
+from palpate.records import Rig, camera_centre
+from palpate.shapes import Points, PointScalars
+from palpate.vision.cameras import Rectified, from_disparity, rectify_pair, rectify_triple, remapped
+from palpate.vision.lang_pai.disparity import DisparitySettings, Views, disparity_map
+from palpate.vision.lang_pai.voting import Instant
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoHead:
+    """Rectified cameras of a rig.
+
+    Disparity is counted in pixels of the longest baseline, from zero at infinity upwards.
+
+    Attributes
+    ----------
+    rectified : Rectified
+    order : tuple of c int          index in the rig of each of its cameras, the reference first
+    views : Views                   of the c cameras
+    parallax : float [px m]         disparity times depth
+    shape : (rows, columns) [px]    of the pictures as they were taken
+    canvas : (rows, columns) [px]   of the rectified ones
+    """
+
+    rectified: Rectified
+    order: tuple[int, ...]
+    views: Views
+    parallax: float
+    shape: tuple[int, int]
+    canvas: tuple[int, int]
+
+
+def make_head(rig: Rig, shape: tuple[int, int]) -> StereoHead:
+    """Rectify the reference camera of a rig and its partner, or the two that make an L with it.
+
+    Parameters
+    ----------
+    rig : Rig                       of more than three cameras the two whose directions from the
+                                    reference are nearest to a right angle are taken: the method has
+                                    no use for more
+    shape : (rows, columns) [px]    of the pictures
+
+    Returns
+    -------
+    StereoHead
+
+    Raises
+    ------
+    CalibrationError                cameras that cannot be made parallel
+    """
+    reference = rig.cameras[rig.reference]
+    order = (rig.reference, *_partners(rig))
+    used = [rig.cameras[i] for i in order]
+    if len(used) == 2:
+        rectified = rectify_pair(used[0], used[1], shape)
+    else:
+        rectified = rectify_triple(used[0], used[1], used[2], shape)
+    reference = rectified.cameras[0]
+    slope, offset = np.zeros(len(used)), np.zeros(len(used))
+    for i, axis in enumerate(rectified.axis, start=1):
+        other = rectified.cameras[i]
+        arm = other.T_camera_object[:3, 3] - reference.T_camera_object[:3, 3]
+        slope[i] = (reference.matrix @ arm)[axis]
+        offset[i] = (other.matrix - reference.matrix)[axis, 2]
+    parallax = float(np.abs(slope).max())
+    views = Views(np.array([0, *rectified.axis]), slope / parallax, offset)
+    canvas = rectified.maps[0].shape[1:]
+    return StereoHead(rectified, order, views, parallax, shape, canvas)
+
+
+def make_instant(
+    head: StereoHead,
+    pictures: Sequence[Float[np.ndarray, "_ _"]],
+    limits: tuple[float, float],
+    *,
+    settings: DisparitySettings,
+) -> Instant:
+    """Rectify the pictures of one instant and match them with each other.
+
+    Parameters
+    ----------
+    head : StereoHead
+    pictures : sequence of (rows, columns) float [grey levels]  of all cameras of the rig
+    limits : (least, greatest) [px]     disparities to try
+    settings : DisparitySettings
+
+    Returns
+    -------
+    Instant
+    """
+    flat = [remapped(head.rectified, k, pictures[i]) for k, i in enumerate(head.order)]
+    disparity = disparity_map(flat, head.views, limits, settings=settings)
+    # At zero lies infinity; trials end a pixel or two beyond the limits.
+    return Instant(np.stack(flat), np.where(disparity > 0.0, disparity, np.nan))
+
+
+def head_points(head: StereoHead, pixel: Int[np.ndarray, "n 2"], disparity: PointScalars) -> Points:
+    """Points of the object from pixels of the rectified reference and their disparities, (n, 3)."""
+    partner = int(np.argmax(np.abs(head.views.ratio))) - 1
+    shift = head.views.offset[partner + 1] + head.views.ratio[partner + 1] * disparity
+    return from_disparity(head.rectified, pixel.astype(np.float64), shift, partner=partner)
+
+
+def head_disparity(
+    head: StereoHead, points: Float[np.ndarray, "... 3"]
+) -> Float[np.ndarray, "..."]:
+    """Disparity of points of the object [px]."""
+    pose = head.rectified.cameras[0].T_camera_object
+    return head.parallax / (points @ pose[2, :3] + pose[2, 3])
+
+
+def common_shape(pictures: Sequence[Sequence[Float[np.ndarray, "_ _"]]]) -> tuple[int, int]:
+    """Rows and columns of pictures that are all of one size.
+
+    Raises
+    ------
+    InputError                      they are not
+    """
+    shapes = {picture.shape for instant in pictures for picture in instant}
+    if len(shapes) != 1:
+        raise InputError(
+            f"pictures are of {len(shapes)} sizes (rows x columns):"
+            f" {', '.join(f'{a} x {b}' for a, b in sorted(shapes))}; the method lang-pai rectifies"
+            " pictures of one size; take the method joint for mixed cameras"
+        )
+    return shapes.pop()
+
+
+def _partners(rig: Rig) -> tuple[int, ...]:
+    """Indices of the other camera, or of the left and the top one."""
+    others = [i for i in range(len(rig.cameras)) if i != rig.reference]
+    if len(others) == 1:
+        return tuple(others)
+    reference = rig.cameras[rig.reference]
+    right = reference.T_camera_object[0, :3]
+    arm = {i: camera_centre(rig.cameras[i]) - camera_centre(reference) for i in others}
+    unit = {i: arm[i] / max(float(np.linalg.norm(arm[i])), 1e-300) for i in others}
+    pairs = list(permutations(others, 2))
+    # Nearest to a right angle; of the two orders the one whose first arm lies along the rows.
+    bent = [float(np.linalg.norm(np.cross(unit[i], unit[j]))) for i, j in pairs]
+    along = [abs(float(unit[i] @ right)) - abs(float(unit[j] @ right)) for i, j in pairs]
+    best = max(range(len(pairs)), key=lambda k: (round(bent[k], 9), along[k]))
+    return pairs[best]

@@ -1,0 +1,372 @@
+"""A displacement of every pixel to start from, found without being told where to look.
+
+Dense inverse search (Kroeger et al., Fast optical flow using dense inverse search, ECCV 2016) is
+quick and finds most motions by itself. What it explains is kept. If both pictures have texture left
+that the other does not explain, the motion is continued from what is explained, then from features
+that are found whatever the motion. A last dense search on the moved picture, brought back by the
+motion found, gives the accuracy.
+
+All searches work on pictures with equal mean and contrast everywhere, so that lighting and gain do
+not matter. OpenCV's searches and everything here give the same result for any number of threads.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from palpate.errors import InputError
+from palpate.vision.images import WINDOW, EvenPicture, cropped, make_even_picture, moments
+from palpate.vision.matching.sparse_flow import Samples, feature_matches, interpolated, nodes
+
+# Correlation from which two windows count as the same: the texture has then three times the
+# variance of the noise, what `textured` asks for too, and windows with a dozen independent
+# speckles, which correlate by chance with a standard deviation of 1 / sqrt(12) = 0.3, reach it in
+# one of a hundred places.
+_SAME = 0.75
+# Texture wider than this [px, sigma of Gaussian speckles] leaves fewer than a dozen independent
+# speckles in a window: the pictures are halved then.
+_WIDE = 3.0
+# Two searches, there and back, may contradict each other by this much [px]. At first: the reach of
+# the last search. At the end: each is to be good to half a pixel.
+_FIRST_GAP, _LAST_GAP = 2.0, 1.0
+# The motion may differ from its mean around by this much [px]; it does not at all where it is
+# affine, and what fits noise does. As wide as the gap.
+_FIRST_ROUGH, _LAST_ROUGH = 2.0, 1.0
+# Share of the texture that may stay unexplained before more is tried: at worst a patch of 55 px in
+# a picture of 640 x 480.
+_LEFT_OVER = 0.01
+# Where less than this share is explained it may be by chance, and is not continued.
+_WORTH_CONTINUING = 0.1
+# Features come in, once, when a round of continuing the motion leaves more than this share of what
+# was lost before. Two rounds take the motion to where a feature or two leads, a third is spare.
+_PROGRESS = 0.7
+_ROUNDS = 3
+# Nobody follows a motion on fewer pixels: two windows.
+_SMALLEST = 2 * WINDOW
+# Scales at which searches stop: a quarter of the resolution is quick, half gives the accuracy.
+_ROUGH_SCALE, _FINE_SCALE = 2, 1
+# Stiffness of the last search. OpenCV's 20 is too smooth where faces meet, 5 follows the noise.
+_STIFFNESS = 10.0
+# OpenCV takes None for an array that is not given; its stubs do not say so.
+_NOT_GIVEN: Any = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseStart:
+    """A displacement of every pixel of the rest picture, for a refinement to start from.
+
+    Attributes
+    ----------
+    flow : (rows, columns, 2) float32 [px]  along columns and rows; every pixel has one, also where
+                                            it is not trusted
+    trusted : (rows, columns) bool          looks the same in both pictures, is found again on the
+                                            way back, and moves as what is around it
+    """
+
+    flow: Float[np.ndarray, "rows columns 2"]
+    trusted: Bool[np.ndarray, "rows columns"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Motion:
+    """From the rest picture to the moved one, and back [px]."""
+
+    there: Float[np.ndarray, "rows columns 2"]
+    back: Float[np.ndarray, "rows columns 2"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Flags:
+    """A flag at every pixel of the rest picture, and at every pixel of the moved one."""
+
+    rest: Bool[np.ndarray, "rows columns"]
+    moved: Bool[np.ndarray, "rows columns"]
+
+
+def dense_start(
+    rest: Float[np.ndarray, "_ _"],
+    moved: Float[np.ndarray, "_ _"],
+    *,
+    mask: Bool[np.ndarray, "_ _"] | None = None,
+) -> DenseStart:
+    """Find where every pixel of a picture went, to about half a pixel, without a seed.
+
+    Good for motions of 100 px and more together with turns and strains; gain and offset may differ.
+    Windows of 21 px must have texture, wider ones where the texture is wide. Not trusted is what
+    leaves the picture, what is hidden, and what is closer than half a window to a jump of the
+    motion. Where a small object moves far over a background with texture of its own, a mask helps.
+
+    Parameters
+    ----------
+    rest, moved : (rows, columns) float [grey levels]   of any scale
+    mask : (rows, columns) bool or None     pixels of the rest picture that matter; the others are
+                                            not trusted, and the longer searches leave them out
+
+    Returns
+    -------
+    DenseStart
+
+    Raises
+    ------
+    InputError      pictures of different or too small size, or with grey levels that are not finite
+    """
+    shape = rest.shape
+    _check(rest, moved, mask)
+    a, b = make_even_picture(rest), make_even_picture(moved)
+    wanted = a.textured if mask is None else a.textured & mask
+    if not wanted.any():
+        return DenseStart(np.zeros((*shape, 2), dtype=np.float32), np.zeros(shape, dtype=bool))
+    box = _bounds(wanted | b.textured)
+    a, b, wanted = cropped(a, box), cropped(b, box), np.ascontiguousarray(wanted[box])
+    sure = wanted
+    if a.width > _WIDE and min(wanted.shape) >= 2 * _SMALLEST:
+        half = dense_start(cv2.pyrDown(a.grey), cv2.pyrDown(b.grey), mask=wanted[::2, ::2])
+        there, sure = _doubled(half, wanted)
+    else:
+        there = _motion(a, b, _Flags(wanted, b.textured)).there
+    flow, trusted = _finished(a, b, there)
+    return _embedded(flow, trusted & sure, box, shape)
+
+
+def _check(
+    rest: Float[np.ndarray, "_ _"],
+    moved: Float[np.ndarray, "_ _"],
+    mask: Bool[np.ndarray, "_ _"] | None,
+) -> None:
+    """Refuse pictures that cannot be compared."""
+    shapes = [rest.shape, moved.shape] + ([] if mask is None else [mask.shape])
+    if len(set(shapes)) > 1:
+        raise InputError(
+            f"the pictures (and the mask) have shapes {shapes}; must be one shape: check that both"
+            " pictures are of one camera"
+        )
+    if min(rest.shape) < _SMALLEST:
+        raise InputError(
+            f"the pictures have {rest.shape[0]} rows and {rest.shape[1]} columns; must have"
+            f" {_SMALLEST} or more of each: windows of {WINDOW} px are compared"
+        )
+    for name, grey in (("rest", rest), ("moved", moved)):
+        bad = int((~np.isfinite(grey)).sum())
+        if bad:
+            raise InputError(
+                f"{bad} of {grey.size} grey levels of the {name} picture are not finite; all must"
+                " be: fill them, and leave them out by the mask"
+            )
+
+
+def _bounds(area: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:
+    """Rows and columns that hold an area and a window around it, and are not too few."""
+    bounds = []
+    for axis, size in ((1, area.shape[0]), (0, area.shape[1])):
+        used = np.flatnonzero(area.any(axis=axis))
+        low = max(0, min(int(used[0]) - WINDOW, size - _SMALLEST))
+        bounds.append(slice(low, min(size, max(int(used[-1]) + WINDOW + 1, low + _SMALLEST))))
+    return bounds[0], bounds[1]
+
+
+def _embedded(
+    flow: Float[np.ndarray, "r c 2"],
+    trusted: Bool[np.ndarray, "r c"],
+    box: tuple[slice, slice],
+    shape: tuple[int, ...],
+) -> DenseStart:
+    """The result for the whole picture; beyond the part that was searched the flow goes on."""
+    edges = (box[0].start, shape[0] - box[0].stop, box[1].start, shape[1] - box[1].stop)
+    whole = np.zeros(shape, dtype=bool)
+    whole[box] = trusted
+    return DenseStart(cv2.copyMakeBorder(flow, *edges, cv2.BORDER_REPLICATE), whole)
+
+
+def _doubled(
+    start: DenseStart, wanted: Bool[np.ndarray, "rows columns"]
+) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
+    """Flow and trust for pictures of twice the size; pixel i of a halved one is pixel 2 i."""
+    half = np.float32(0.5) * _grid(wanted.shape)
+    trust = _sampled(start.trusted.astype(np.float32), half) > 0.5
+    return np.float32(2.0) * _sampled(start.flow, half), trust & wanted
+
+
+def _grid(shape: tuple[int, ...]) -> Float[np.ndarray, "rows columns 2"]:
+    """Column and row of every pixel, float32."""
+    grid = np.empty((shape[0], shape[1], 2), dtype=np.float32)
+    grid[..., 0] = np.arange(shape[1])
+    grid[..., 1] = np.arange(shape[0])[:, None]
+    return grid
+
+
+def _sampled(values: np.ndarray, place: Float[np.ndarray, "rows columns 2"]) -> np.ndarray:
+    """Values at places between pixels, beyond the picture those of its edge."""
+    return cv2.remap(values, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _inside(place: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "rows columns"]:
+    """True where a place is within a picture of the same size."""
+    rows, columns = place.shape[:2]
+    column, row = place[..., 0], place[..., 1]
+    return (column >= 0.0) & (row >= 0.0) & (column <= columns - 1) & (row <= rows - 1)
+
+
+def _search(
+    rest: UInt8[np.ndarray, "rows columns"], moved: UInt8[np.ndarray, "rows columns"], scale: int
+) -> Float[np.ndarray, "rows columns 2"]:
+    """Dense inverse search that stops at a scale [px], float32."""
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    search.setFinestScale(scale)
+    if scale == _FINE_SCALE:
+        search.setVariationalRefinementAlpha(_STIFFNESS)
+    return search.calc(rest, moved, _NOT_GIVEN)
+
+
+def _fits(
+    a: EvenPicture,
+    b: EvenPicture,
+    there: Float[np.ndarray, "rows columns 2"],
+    gap: Float[np.ndarray, "rows columns 2"],
+    limits: tuple[float, float],
+) -> Bool[np.ndarray, "rows columns"]:
+    """True where the texture is found again, there and back agree, and the motion is smooth.
+
+    `gap` is what is left of there and back; `limits` on it and on the roughness [px].
+    """
+    place = _grid(a.grey.shape) + there
+    found = _sampled(b.grey, place)
+    mean, variance = moments(found)
+    common = cv2.blur(a.grey * found, (WINDOW, WINDOW)) - a.mean * mean
+    # Tiny against the rounding noise of one grey level: keeps 0 / 0 out.
+    score = common / np.sqrt(a.variance * variance + np.float32(1e-6))
+    rough = there - cv2.blur(there, (WINDOW, WINDOW))
+    return (
+        (score > _SAME)
+        & (_square(gap) < limits[0] ** 2)
+        & (_square(rough) < limits[1] ** 2)
+        & _inside(place)
+    )
+
+
+def _square(vectors: Float[np.ndarray, "rows columns 2"]) -> Float[np.ndarray, "rows columns"]:
+    """Squared length."""
+    return vectors[..., 0] ** 2 + vectors[..., 1] ** 2
+
+
+def _motion(a: EvenPicture, b: EvenPicture, textured: _Flags) -> _Motion:
+    """Both motions to within the reach of the last search, wherever they can be found."""
+    motion = _Motion(_search(a.even, b.even, _ROUGH_SCALE), _search(b.even, a.even, _ROUGH_SCALE))
+    features: Samples | None = None
+    staying, before = textured, np.inf
+    for _ in range(_ROUNDS):
+        explained = _explained(a, b, motion)
+        lost, share = _lost(staying, explained, textured)
+        # What is lost in one picture only is hidden in the other.
+        if share < _LEFT_OVER:
+            break
+        samples = _known(motion, explained, textured.rest)
+        chance = explained.rest[textured.rest].mean() < _WORTH_CONTINUING
+        if features is None and (chance or share > _PROGRESS * before):
+            areas = _feature_areas(textured, lost)
+            features = feature_matches(a.even, b.even, areas.rest, areas.moved)
+        samples = samples if features is None else samples.joined(features)
+        if not len(samples.point):
+            break
+        before = share
+        motion, inside = _repaired(a, b, motion, explained, samples)
+        staying = _Flags(textured.rest & inside.rest, textured.moved & inside.moved)
+    return motion
+
+
+def _explained(a: EvenPicture, b: EvenPicture, motion: _Motion) -> _Flags:
+    """Where the two motions say what became of the texture."""
+    grid = _grid(a.grey.shape)
+    limits = (_FIRST_GAP, _FIRST_ROUGH)
+    gap_there = motion.there + _sampled(motion.back, grid + motion.there)
+    gap_back = motion.back + _sampled(motion.there, grid + motion.back)
+    return _Flags(
+        _fits(a, b, motion.there, gap_there, limits), _fits(b, a, motion.back, gap_back, limits)
+    )
+
+
+def _lost(staying: _Flags, explained: _Flags, textured: _Flags) -> tuple[_Flags, float]:
+    """Areas as large as a window that are not explained, and the share that the smaller one has.
+
+    Both are shares of what is wanted of the rest picture: around a mask the moved one has more.
+    """
+    kernel = np.ones((WINDOW, WINDOW), dtype=np.uint8)
+    areas = [
+        cv2.morphologyEx((flag & ~known).astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
+        for flag, known in ((staying.rest, explained.rest), (staying.moved, explained.moved))
+    ]
+    smaller = min(int(area.sum()) for area in areas)
+    return _Flags(*areas), smaller / max(1, int(textured.rest.sum()))
+
+
+def _feature_areas(textured: _Flags, lost: _Flags) -> _Flags:
+    """Where to look for features: around what is lost, or everywhere if that is most of it."""
+    kernel = np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), dtype=np.uint8)
+    areas = []
+    for whole, part in ((textured.rest, lost.rest), (textured.moved, lost.moved)):
+        most = int(part.sum()) > 0.5 * int(whole.sum())
+        areas.append(whole if most else whole & (cv2.dilate(part.astype(np.uint8), kernel) > 0))
+    return _Flags(*areas)
+
+
+def _known(motion: _Motion, explained: _Flags, wanted: Bool[np.ndarray, "rows columns"]) -> Samples:
+    """Displacements at the nodes where they are explained, from both pictures.
+
+    Only of points of the rest picture that are wanted: beside the mask is another motion.
+    """
+    both = []
+    for flow, known in ((motion.there, explained.rest), (motion.back, explained.moved)):
+        row, column = (axis.ravel() for axis in nodes(known.shape))
+        at = known[row, column]
+        point = np.stack([column[at], row[at]], axis=1).astype(np.float64)
+        both.append(Samples(point, flow[row[at], column[at]].astype(np.float64)))
+    samples = both[0].joined(both[1].reversed())
+    last = np.array(wanted.shape[::-1]) - 1
+    column, row = np.clip(np.rint(samples.point).astype(np.int64), 0, last).T
+    at = wanted[row, column]
+    return Samples(samples.point[at], samples.displacement[at])
+
+
+def _repaired(
+    a: EvenPicture, b: EvenPicture, motion: _Motion, explained: _Flags, samples: Samples
+) -> tuple[_Motion, _Flags]:
+    """The motion continued from samples into what it does not explain, and searched anew.
+
+    Also where the continued motion stays in the picture: what leaves it is not to be found.
+    """
+    grid, motions, inside = _grid(a.grey.shape), [], []
+    for one, other, known, before, given in (
+        (a, b, explained.rest, motion.there, samples),
+        (b, a, explained.moved, motion.back, samples.reversed()),
+    ):
+        start = np.where(known[..., None], before, interpolated(given, a.grey.shape))
+        inside.append(_inside(grid + start))
+        change = _search(one.even, _brought_back(other, start), _ROUGH_SCALE)
+        motions.append(change + _sampled(start, grid + change))
+    return _Motion(*motions), _Flags(*inside)
+
+
+def _brought_back(
+    moved: EvenPicture, flow: Float[np.ndarray, "rows columns 2"]
+) -> UInt8[np.ndarray, "rows columns"]:
+    """The moved picture as it would look at rest, even grey where that is beyond its edge."""
+    place = _grid(moved.grey.shape) + flow
+    edge, even_grey = cv2.BORDER_CONSTANT, 128
+    return cv2.remap(
+        moved.even, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
+    )
+
+
+def _finished(
+    a: EvenPicture, b: EvenPicture, start: Float[np.ndarray, "rows columns 2"]
+) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
+    """The last search, there and back, on the picture brought back; flow and trust."""
+    moved = _brought_back(b, start)
+    change = _search(a.even, moved, _FINE_SCALE)
+    place = _grid(a.grey.shape) + change
+    flow = change + _sampled(start, place)
+    # The way back at another scale: what fits noise at one does not at the other.
+    gap = change + _sampled(_search(moved, a.even, _ROUGH_SCALE), place)
+    return flow, _fits(a, b, flow, gap, (_LAST_GAP, _LAST_ROUGH))

@@ -1,0 +1,134 @@
+"""What the motion around a point says about the point's own.
+
+Each neighbour carries its displacement along its own gradient to the point; the median of these is
+compared with the point's displacement in units of their own scatter (the normalised median test,
+first order).
+
+Source: Westerweel and Scarano, Universal outlier detection for PIV data, Experiments in Fluids 39
+(2005).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from palpate.shapes import Flags, Points, PointScalars
+
+_MOST = 12
+# Fewer neighbours have no majority when one of them is wrong.
+_FEWEST = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Motion of points as their valid neighbours see it; NaN where too few are near.
+
+    Attributes
+    ----------
+    displacement : (n, 3) float [m]
+    gradient : (n, 2, 3) float [-]
+    scatter : (n,) float [m]            median distance of the neighbours' words from it
+    """
+
+    displacement: Points
+    gradient: Float[np.ndarray, "n 2 3"]
+    scatter: PointScalars
+
+
+def predicted(
+    point: Points,
+    tangent: Float[np.ndarray, "n 2 3"],
+    displacement: Points,
+    gradient: Float[np.ndarray, "n 2 3"],
+    valid: Flags,
+    *,
+    reach: float,
+) -> Prediction:
+    """Motion of each point from its valid neighbours, without its own.
+
+    Parameters
+    ----------
+    point, tangent : (n, 3), (n, 2, 3) float
+    displacement, gradient : (n, 3) [m], (n, 2, 3)  used where valid
+    valid : (n,) bool
+    reach : float [m]                   neighbours farther away have no say
+
+    Returns
+    -------
+    Prediction
+    """
+    near = _nearest(point, valid, reach)
+    there = near >= 0
+    j = np.where(there, near, 0)
+    away = point[:, None] - point[j]
+    word = displacement[j].copy()
+    for a in range(2):
+        along = np.einsum("nki,nki->nk", away, tangent[j, a])
+        word += along[..., None] * gradient[j, a]
+    normal = np.cross(tangent[:, 0], tangent[:, 1])
+    moved = tangent + np.where(np.isfinite(gradient), gradient, 0.0)
+    turned = np.cross(moved[:, 0], moved[:, 1])
+    turn = turned / np.linalg.norm(turned, axis=1)[:, None] - normal
+    word += np.einsum("nki,nki->nk", away, normal[j])[..., None] * turn[j]
+    word[~there] = np.nan
+    enough = there.sum(axis=1) >= _FEWEST
+    middle = np.full_like(point, np.nan)
+    scatter = np.full(len(point), np.nan)
+    if enough.any():
+        middle[enough] = np.nanmedian(word[enough], axis=1)
+        rest = np.linalg.norm(word[enough] - middle[enough, None], axis=2)
+        scatter[enough] = np.nanmedian(rest, axis=1)
+    return Prediction(middle, predicted_gradient(tangent, gradient, near, enough), scatter)
+
+
+def predicted_gradient(
+    tangent: Float[np.ndarray, "n 2 3"],
+    gradient: Float[np.ndarray, "n 2 3"],
+    near: Int[np.ndarray, "n k"],
+    enough: Flags,
+) -> Float[np.ndarray, "n 2 3"]:
+    """Median gradient of the neighbours, turned to each point's own tangents."""
+    there = near >= 0
+    j = np.where(there, near, 0)
+    turn = np.einsum("nai,nkbi->nkab", tangent, tangent[j])
+    word = np.einsum("nkab,nkbi->nkai", turn, gradient[j])
+    word[~there] = np.nan
+    result = np.full_like(tangent, np.nan)
+    if enough.any():
+        result[enough] = np.nanmedian(word[enough], axis=1)
+    return result
+
+
+def median_around(
+    point: Points, value: PointScalars, valid: Flags, *, reach: float
+) -> PointScalars:
+    """Median of a value over each point and its valid neighbours; the value itself where alone."""
+    near = _nearest(point, valid, reach)
+    around = np.where(near >= 0, value[np.maximum(near, 0)], np.nan)
+    own = np.where(valid, value, np.nan)[:, None]
+    everything = np.hstack([own, around])
+    result = value.copy()
+    some = np.isfinite(everything).any(axis=1)
+    if some.any():
+        result[some] = np.nanmedian(everything[some], axis=1)
+    return result
+
+
+def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"]:
+    """Indices of the nearest valid neighbours, never the point itself; -1 where there are fewer."""
+    rows = np.flatnonzero(valid)
+    near = np.full((len(point), _MOST), -1)
+    if len(rows) == 0:
+        return near
+    many = min(_MOST + 1, len(rows))
+    _, found = cKDTree(point[rows]).query(point, k=many, distance_upper_bound=reach)
+    found = found.reshape(len(point), many)
+    index = np.where(found < len(rows), np.append(rows, -1)[np.minimum(found, len(rows))], -1)
+    index = np.where(index == np.arange(len(point))[:, None], -1, index)
+    # Those that are missing to the end; the order among the others stays.
+    order = np.argsort(index < 0, axis=1, kind="stable")
+    kept = np.take_along_axis(index, order, axis=1)[:, :_MOST]
+    near[:, : kept.shape[1]] = kept
+    return near

@@ -1,0 +1,183 @@
+"""`palpate fit` around the estimation: what it prints, writes, refuses and returns.
+
+The estimation itself is replaced here; its own tests say whether its numbers are right.
+"""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from palpate.app.commands import fit as fit_command
+from palpate.errors import NotConvergedError, SingularSystemError
+from palpate.estimation import FitResult, LikelihoodMap, ProbeFit
+from palpate.records import Constant, Estimate, ProbeEstimate, Status, read_estimate
+
+G = Constant(2.1e4, 150.0, (2.07e4, 2.13e4))
+NU = Constant(0.21, 0.006, (0.198, 0.222))
+E = Constant(5.1e4, 300.0, (5.04e4, 5.16e4))
+ALL_TOLD = {"shear_modulus": True, "poisson_ratio": True, "young_modulus": True}
+
+
+def _result(session):
+    """A made-up outcome for a session of one probing."""
+    field = session.probings[0].displacement
+    probe = ProbeFit(
+        name="n01",
+        predicted=0.9 * field.displacement,
+        residual=0.1 * field.displacement,
+        weight=np.ones_like(field.points),
+        left_out_predicted=None,
+    )
+    ratios, moduli = np.linspace(0.0, 0.49, 5), np.linspace(2.0e4, 2.2e4, 4)
+    deviance = (ratios[:, None] - 0.21) ** 2 + (moduli[None, :] / 2.1e4 - 1.0) ** 2
+    estimate = Estimate(
+        status=Status.OK,
+        shear_modulus=G,
+        poisson_ratio=NU,
+        young_modulus=E,
+        identifiable=ALL_TOLD,
+        probes=(ProbeEstimate("n01", G, NU, E, 168, 1, 0, 2.1e-5, None),),
+        seconds={"total": 1.25},
+        method="reduced",
+        settings={},
+        notes=("Told by the estimation.",),
+    )
+    return FitResult(
+        estimate=estimate,
+        likelihood=LikelihoodMap(ratios, moduli, deviance - deviance.min()),
+        probes=(probe,),
+    )
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """The estimation and the plots replaced; what they were asked for is collected."""
+    asked = []
+
+    def fit_session(session, *, method, settings, surface, cache, progress):
+        asked.append((session, method, settings, surface))
+        if progress is not None:
+            progress("fit", 1.0)
+        return _result(session)
+
+    def write_plots(folder, session, result):
+        (folder / "likelihood.png").write_bytes(b"png")
+
+    monkeypatch.setattr(fit_command, "fit_session", fit_session)
+    monkeypatch.setattr(fit_command, "write_plots", write_plots)
+    return asked
+
+
+def test_constants_are_printed_and_the_folder_is_written(palpate, calls, cube_session, tmp_path):
+    code, out, err = palpate("fit", cube_session)
+    assert (code, err) == (0, "")
+    for text in ("21.00 ± 0.15", "20.70 to 21.30", "0.2100 ± 0.0060", "51.00 ± 0.30", "kPa"):
+        assert text in out
+    assert "Note: Told by the estimation." in out
+    folder = tmp_path / "cube-result"
+    assert read_estimate(folder / "estimate.json") == _result(calls[0][0]).estimate
+    assert (folder / "likelihood.png").exists()
+
+
+def test_residuals_are_written_with_their_points(palpate, calls, cube_session, tmp_path):
+    palpate("fit", cube_session)
+    path = tmp_path / "cube-result" / "residuals" / "n01.csv"
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    assert table.dtype.names[:6] == ("x", "y", "z", "ux", "uy", "uz")
+    assert np.isnan(table["ux"][0])
+    # Nine digits are written.
+    np.testing.assert_allclose(table["predicted_uz"][1:], 0.9 * table["uz"][1:], rtol=1e-8)
+
+
+def test_options_reach_the_estimation(palpate, calls, cube_session, tmp_path):
+    options = ("--out", tmp_path / "mine", "--method", "nelder-mead", "--probe", "n01")
+    more = ("--poisson-range", "-0.5", "0.4", "--surface", "flat")
+    assert palpate("fit", cube_session, *options, *more)[0] == 0
+    session, method, settings, surface = calls[0]
+    assert ([p.name for p in session.probings], method) == (["n01"], "nelder-mead")
+    assert (settings.poisson_range, surface.smooth) == ((-0.5, 0.4), False)
+    assert json.loads((tmp_path / "mine" / "estimate.json").read_text())["status"] == "ok"
+
+
+def test_a_ratio_out_of_range_is_said(palpate, calls, cube_session):
+    code, _, err = palpate("fit", cube_session, "--poisson-range", "0", "0.7")
+    assert code == 2
+    assert "poisson_range is (0.0, 0.7)" in err
+    assert not calls
+
+
+def test_status_that_is_not_ok_ends_with_three_and_its_cure(
+    palpate, calls, cube_session, tmp_path, monkeypatch
+):
+    def fit_session(session, **options):
+        told = ALL_TOLD | {"poisson_ratio": False}
+        status = Status.from_identifiable(told)
+        result = _result(session)
+        estimate = dataclasses.replace(result.estimate, status=status, identifiable=told)
+        return dataclasses.replace(result, estimate=estimate)
+
+    monkeypatch.setattr(fit_command, "fit_session", fit_session)
+    code, out, err = palpate("fit", cube_session)
+    assert code == 3
+    assert "no" in out.split()
+    assert "poisson_ratio_not_identifiable: Poisson's ratio cannot be told" in err
+    assert (tmp_path / "cube-result" / "estimate.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--probe", "n1"), "no probing 'n1'; did you mean 'n01'"),
+        (("--method", "newton"), "newton"),
+        (("--out", "none/result"), "cannot be written"),
+    ],
+)
+def test_bad_input_ends_with_two_before_any_work(palpate, calls, cube_session, options, message):
+    code, out, err = palpate("fit", cube_session, *options)
+    assert (code, out, calls) == (2, "", [])
+    assert message in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (SingularSystemError("the support is a single triangle"), 2),
+        (NotConvergedError("1000 steps"), 3),
+    ],
+)
+def test_failures_leave_nothing(palpate, calls, cube_session, tmp_path, monkeypatch, error, code):
+    def fit_session(session, **options):
+        raise error
+
+    monkeypatch.setattr(fit_command, "fit_session", fit_session)
+    found, out, err = palpate("fit", cube_session)
+    assert (found, out) == (code, "")
+    assert err == f"palpate: {error}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["cube"]
+
+
+def test_a_disk_that_fills_up_leaves_nothing(palpate, calls, cube_session, tmp_path, monkeypatch):
+    def write_plots(folder, session, result):
+        raise OSError(28, "No space left on device", "likelihood.png")
+
+    monkeypatch.setattr(fit_command, "write_plots", write_plots)
+    code, _, err = palpate("fit", cube_session)
+    assert code == 2
+    assert "likelihood.png: cannot be written (No space left on device); nothing was left" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["cube"]
+
+
+def test_notes_of_the_session_are_said(palpate, calls, cube_session):
+    file = cube_session / "session.toml"
+    file.write_text(file.read_text().replace("[0, 0, -1.2]", "[0, 0, 1.2]"))
+    _, _, err = palpate("fit", cube_session)
+    assert "palpate: note: Probing n01: the force points out of the surface" in err
+
+
+def test_default_folder_is_named_after_the_session(palpate, calls, cube_session, tmp_path):
+    (cube_session / "session.toml").rename(cube_session / "noisy.toml")
+    assert palpate("fit", cube_session / "noisy.toml")[0] == 0
+    assert (tmp_path / "cube-noisy-result").is_dir()

@@ -1,0 +1,52 @@
+"""`palpate lab`: lists, sessions, and one message for what is wrong."""
+
+from lab.lab_configs import STAGE
+
+from palpate.lab.config_files import built_in
+from palpate.records import read_session
+
+
+def test_the_list_names_what_can_be_chosen(palpate):
+    code, out, _ = palpate("lab", "--list")
+    assert code == 0
+    assert all(name in out for name in built_in())
+    assert all(word in out for word in ("half-ball", "toy", "speckle", "punch", "neo-hookean"))
+    assert "[material] law" in out
+
+
+def test_a_configuration_becomes_a_session_that_passes_its_check(palpate, tmp_path):
+    (tmp_path / "toy.toml").write_text(STAGE)
+    code, out, err = palpate("lab", "toy.toml", "made")
+    assert code == 0
+    assert "2 steps of a rigid motion in made; next: palpate flow made" in out
+    assert "Mitsuba renders with" in err
+    assert len(read_session(tmp_path / "made").steps) == 3
+    assert (tmp_path / "made" / "contents.txt").is_file()
+
+
+def test_another_seed_makes_other_pictures(palpate, tmp_path):
+    (tmp_path / "toy.toml").write_text(STAGE.replace("steps = 2", "steps = 1"))
+    for seed in (1, 2):
+        assert palpate("lab", "toy.toml", f"made{seed}", "--seed", seed)[0] == 0
+    one, other = (tmp_path / f"made{seed}" / "images" / "s1_c0.png" for seed in (1, 2))
+    assert one.read_bytes() != other.read_bytes()
+
+
+def test_unknown_names_and_missing_folders_get_one_message(palpate, tmp_path):
+    code, out, err = palpate("lab", "half-bal", "made")
+    assert (code, out) == (2, "")
+    assert (
+        "half-bal: no such file, and no built-in configuration; there are: demo, half-ball" in err
+    )
+    code, _, err = palpate("lab", "make")
+    assert code == 2
+    assert "give a configuration and a folder" in err
+
+
+def test_nothing_is_left_where_a_probe_misses(palpate, tmp_path):
+    text = built_in()["demo"].read_text().replace("[0.000000, 0.000000, 0.040000]", "[0, 0, 0.09]")
+    (tmp_path / "off.toml").write_text(text)
+    code, _, err = palpate("lab", "off.toml", "made")
+    assert code == 2
+    assert "probe 'n01': its point is 50 mm away from the body" in err
+    assert not (tmp_path / "made").exists()

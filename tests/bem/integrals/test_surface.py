@@ -1,0 +1,65 @@
+"""The surface between the vertices, and integrals over it."""
+
+import numpy as np
+import pytest
+from elastic_bodies import cube_with_faces
+from surfaces import sphere
+
+from palpate.bem import SurfaceSettings, make_surface
+from palpate.bem.integrals.surface import integral_weights
+from palpate.errors import InputError
+
+
+def low_cap(mesh):
+    return np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.5)
+
+
+@pytest.mark.parametrize("held", [[], range(12)])
+def test_a_support_of_nothing_or_everything_is_refused(held):
+    mesh, _ = cube_with_faces(1)
+    with pytest.raises(InputError, match="must hold a part of the surface and leave a part free"):
+        make_surface(mesh, np.array(held, dtype=np.int64))
+
+
+def test_smooth_midpoints_lie_on_the_sphere():
+    mesh = sphere(3)
+    smooth = make_surface(mesh, low_cap(mesh)).element_nodes[:, 3:]
+    flat = make_surface(mesh, low_cap(mesh), settings=SurfaceSettings(smooth=False)).element_nodes[
+        :, 3:
+    ]
+    off_smooth = np.abs(np.linalg.norm(smooth, axis=2) - 1)
+    off_flat = np.abs(np.linalg.norm(flat, axis=2) - 1)
+    # Chords sag by h^2 / 8; the fit is two orders better away from the cut of the support.
+    assert np.median(off_smooth) < 0.1 * np.median(off_flat)
+
+
+def test_weights_integrate_quadratics_over_a_held_face():
+    mesh, face = cube_with_faces(3)
+    held = np.flatnonzero(face == 4)
+    surface = make_surface(mesh, held)
+    weights = integral_weights(surface, held)
+    x, y, _ = mesh.vertices[surface.sides.vertex].T
+    # The midpoint fit and the rule are exact for quadratics on flat ground.
+    for value, exact in ((1 + 0 * x, 1.0), (x, 0.5), (x * x, 1 / 3), (x * y, 0.25)):
+        np.testing.assert_allclose(weights @ value, exact, rtol=1e-12)
+    assert not weights[np.isin(surface.sides.vertex, np.flatnonzero(mesh.vertices[:, 2] > 0))].any()
+
+
+def test_area_of_a_smooth_sphere():
+    areas = []
+    for settings in (SurfaceSettings(), SurfaceSettings(smooth=False)):
+        mesh = sphere(3)
+        surface = make_surface(mesh, low_cap(mesh), settings=settings)
+        areas.append(integral_weights(surface, np.arange(mesh.triangles.shape[0])).sum())
+    smooth, flat = np.abs(np.array(areas) / (4 * np.pi) - 1)
+    # 258 vertices: facets miss about 2 %, curved elements much less.
+    assert 5e-3 < flat < 3e-2
+    assert smooth < 5e-4
+
+
+def test_linear_elements_do_not_follow_dips():
+    mesh, face = cube_with_faces(1)
+    held = np.flatnonzero(face == 4)
+    assert make_surface(mesh, held).follows_dips
+    for settings in (SurfaceSettings(smooth=False), SurfaceSettings(quadratic=False)):
+        assert not make_surface(mesh, held, settings=settings).follows_dips

@@ -1,0 +1,114 @@
+"""The known dip under a tool makes coarse elements see it."""
+
+import numpy as np
+import pytest
+from elastic_bodies import held_part
+from surfaces import sphere
+
+from palpate.bem import PressureDisc, SurfaceLoad, factorise, load_right_hand, load_shape, solve
+from palpate.bem.elastic_map import sorted_state
+from palpate.bem.loads.contact_shape import ContactShape, shape_columns
+from palpate.bem.system.system import system_matrix
+
+TOP = np.array([0.0, 0.0, 1.0])
+RADIUS = 0.25
+NU = 0.3
+
+
+def smooth(s):
+    return np.clip(1 - s**2, 0, None) ** 2
+
+
+def top_load(mesh, point=TOP, radius=RADIUS):
+    reach = np.linalg.norm(mesh.vertices[mesh.triangles] - point, axis=2).min(axis=1)
+    triangles = np.flatnonzero(reach < 2 * radius)
+
+    def density(triangle, barycentric, position):
+        return smooth(np.linalg.norm(position - point, axis=1) / radius)
+
+    return SurfaceLoad(triangles, density, PressureDisc(point, radius, smooth))
+
+
+def ball(subdivisions, **options):
+    mesh = sphere(subdivisions)
+    return held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3, **options)
+
+
+def pressed(system, *, shaped):
+    load = top_load(system.surface.mesh)
+    shape = load_shape(system.surface, load) if shaped else None
+    right = load_right_hand(system, [load], [shape])
+    x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.3, 0.0, -1.0])
+    return sorted_state(system, x, 1.0).displacement
+
+
+@pytest.fixture(scope="module")
+def fine():
+    system = ball(4)
+    return system.surface.mesh.vertices, pressed(system, shaped=True)
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return ball(2)
+
+
+def test_the_dip_brings_a_coarse_mesh_closer_to_a_fine_one(fine, coarse):
+    vertices, reference = fine
+    own = coarse.surface.mesh.vertices
+    same = np.linalg.norm(own[:, None] - vertices[None], axis=2).argmin(axis=1)
+    exact = reference[same]
+    with_dip, without = (
+        np.linalg.norm(pressed(coarse, shaped=shaped) - exact) / np.linalg.norm(exact)
+        for shaped in (True, False)
+    )
+    # The patch is narrower than an element here; half of the error at least must go.
+    assert with_dip < 0.5 * without
+    assert with_dip < 0.04
+
+
+def test_without_a_disc_or_on_facets_nothing_is_added(coarse):
+    load = top_load(coarse.surface.mesh)
+    assert load_shape(coarse.surface, SurfaceLoad(load.triangles, load.density)) is None
+    facets = ball(2, smooth=False).surface
+    assert load_shape(facets, load) is None
+
+
+def test_across_the_rim_of_the_support_nothing_is_added(coarse):
+    mesh, surface = coarse.surface.mesh, coarse.surface
+    cut = surface.sides.cut[surface.sides.edge].any(axis=1) & ~surface.held
+    corner = mesh.triangles[np.flatnonzero(cut)[0]]
+    assert load_shape(surface, top_load(mesh, mesh.vertices[corner].mean(axis=0))) is None
+
+
+def test_only_midpoints_around_the_patch_are_touched(coarse):
+    surface = coarse.surface
+    shape = load_shape(surface, top_load(surface.mesh))
+    row = surface.displacement.element[:, 3:] - surface.displacement.n_nodes
+    place = np.empty((surface.displacement.weights.shape[0], 3))
+    place[row.ravel()] = surface.element_nodes[:, 3:].reshape(-1, 3)
+    # 2.5 edges of at most 0.6 beyond the radius.
+    assert np.linalg.norm(place[shape.midpoints] - TOP, axis=1).max() < RADIUS + 2.5 * 0.6
+    assert (place[shape.midpoints][:, 2] > 0).all()
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_what_midpoints_miss_is_what_the_matrix_would_have_with_them(coarse, nu):
+    """Linear elements with the quadratic midpoints as `missing` are the quadratic elements."""
+    linear = ball(2, quadratic=False)
+    rng = np.random.default_rng(0)
+    vertices = coarse.surface.mesh.vertices
+    fields = np.zeros((2, *vertices.shape))
+    fields[:, coarse.unknowns.free_vertices] = rng.normal(
+        size=(2, coarse.unknowns.free_vertices.size, 3)
+    )
+    change = coarse.surface.displacement.weights - linear.surface.displacement.weights
+    missing = np.zeros((2, change.shape[0], 3, 3))
+    missing[..., 1] = np.stack([change @ field for field in fields])
+    columns = shape_columns(linear, [ContactShape(np.arange(change.shape[0]), missing)]).at(nu)
+    assert not columns[:, [0, 2]].any()
+    count = 3 * coarse.unknowns.free_vertices.size
+    field = (fields[0] + nu * fields[1])[coarse.unknowns.free_vertices].ravel()
+    difference = system_matrix(coarse, nu)[:, :count] - system_matrix(linear, nu)[:, :count]
+    # Sums of products of order one, by two orders of summation.
+    np.testing.assert_allclose(columns[:, 1], -difference @ field, atol=1e-10)

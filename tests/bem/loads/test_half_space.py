@@ -1,0 +1,102 @@
+"""Discs on a half space against Boussinesq, Cerruti, Hertz and the uniform disc."""
+
+import numpy as np
+import pytest
+from scipy.special import ellipe
+
+from palpate.bem import PressureDisc
+from palpate.bem.loads.half_space import disc_displacement
+
+RADIUS = 0.02
+CENTRE = np.array([0.1, -0.2, 0.3])
+NORMAL = np.array([1.0, 2.0, 2.0]) / 3
+PROFILES = {
+    "uniform": np.ones_like,
+    "hertz": lambda s: np.sqrt(np.clip(1 - s**2, 0, None)),
+    "smooth": lambda s: np.clip(1 - s**2, 0, None) ** 2,
+}
+
+
+def plane_axes():
+    e1 = np.array([2.0, -2.0, 1.0]) / 3
+    return e1, np.cross(NORMAL, e1)
+
+
+def tensor(profile, s, angle, nu):
+    """Displacement times shear modulus per newton at distance s radii, in axes (radial 0 angle,
+    second, outward)."""
+    e1, e2 = plane_axes()
+    s, angle = np.broadcast_arrays(np.asarray(s, dtype=float), angle)
+    place = RADIUS * s[:, None] * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
+    disc = PressureDisc(CENTRE, RADIUS, PROFILES[profile])
+    constant, slope = disc_displacement(disc, NORMAL, CENTRE + place)
+    frame = np.stack([e1, e2, NORMAL])
+    return np.einsum("ai,nij,bj->nab", frame, constant + nu * slope, frame)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_far_away_it_is_boussinesq_and_cerruti(profile, nu):
+    s, angle = np.array([60.0]), 0.7
+    r = RADIUS * s[0]
+    x, y = np.cos(angle), np.sin(angle)
+    found = tensor(profile, s, angle, nu)[0] * 2 * np.pi * r
+    half = 0.5 * (1 - 2 * nu)
+    # Johnson, eq. 3.18, 3.19 and 3.77 at the surface; the outward axis points away from the solid:
+    # pushed along x, the ground ahead rises, and pulled outward it draws away.
+    expected = [
+        [1 - nu + nu * x * x, nu * x * y, half * x],
+        [nu * x * y, 1 - nu + nu * y * y, half * y],
+        [-half * x, -half * y, 1 - nu],
+    ]
+    # A disc differs from a point by its second moment over the distance squared.
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_uniform_disc_settles_by_an_elliptic_integral(nu):
+    s = np.linspace(0, 0.95, 8)
+    found = tensor("uniform", s, 0.3, nu)[:, 2, 2]
+    # Cubic spline on 120 radii, finest in the middle; the slope is infinite at the rim.
+    exact = (1 - nu) / (2 * np.pi) * 4 * ellipe(s**2) / (np.pi * RADIUS)
+    np.testing.assert_allclose(found, exact, rtol=1e-4)
+
+
+def test_hertz_disc_settles_by_a_parabola():
+    s = np.linspace(0, 0.95, 9)
+    nu = 0.3
+    found = tensor("hertz", s, 1.0, nu)[:, 2, 2]
+    exact = 3 * (1 - nu) * (2 - s**2) / (16 * RADIUS)
+    np.testing.assert_allclose(found, exact, rtol=1e-4)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_radial_pull_of_a_normal_load(profile):
+    # By symmetry the load inside s pulls as if at the centre: u_r = (1 - 2 nu) / (4 pi r) * share
+    # within.
+    s = np.array([0.3, 0.6, 0.9, 1.5, 3.0])
+    share = {
+        "uniform": np.minimum(s, 1) ** 2,
+        "hertz": 1 - (1 - np.minimum(s, 1) ** 2) ** 1.5,
+        "smooth": 1 - (1 - np.minimum(s, 1) ** 2) ** 3,
+    }[profile]
+    nu = 0.2
+    found = tensor(profile, s, 0.0, nu)[:, 0, 2]
+    np.testing.assert_allclose(found, (1 - 2 * nu) / (4 * np.pi * RADIUS * s) * share, rtol=2e-3)
+
+
+def test_reciprocity_across_the_disc():
+    here, there = (tensor("smooth", [0.7, 2.0], angle, 0.3) for angle in (0.4, 0.4 + np.pi))
+    np.testing.assert_allclose(here, there.transpose(0, 2, 1), rtol=1e-9, atol=1e-9)
+
+
+def test_it_is_linear_in_poisson_ratio_and_scales_with_one_over_length():
+    low, middle, high = (tensor("smooth", [0.5], 0.2, nu) for nu in (0.0, 0.25, 0.5))
+    np.testing.assert_allclose(middle, 0.5 * (low + high), rtol=1e-12)
+    disc = PressureDisc(np.zeros(3), 1.0, PROFILES["smooth"])
+    twice = PressureDisc(np.zeros(3), 2.0, PROFILES["smooth"])
+    place = np.array([[0.3, 0.4, 0.0]])
+    up = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(
+        disc_displacement(disc, up, place), 2 * disc_displacement(twice, up, 2 * place), rtol=1e-12
+    )

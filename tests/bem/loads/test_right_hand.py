@@ -1,0 +1,140 @@
+"""Right-hand sides against the matrix and against each other."""
+
+import numpy as np
+import pytest
+from elastic_bodies import bump_load, cube_with_faces, held_part
+from surfaces import sphere
+
+from palpate.bem import (
+    RightHand,
+    SurfaceLoad,
+    factorise,
+    joined,
+    load_right_hand,
+    make_surface,
+    solve,
+    support_columns,
+    traction_column,
+)
+from palpate.bem.integrals.quadrature import element_points, triangle_rule
+from palpate.bem.integrals.surface import integral_weights
+from palpate.bem.loads.right_hand import load_columns, total_traction
+from palpate.bem.system.system import system_matrix
+
+
+@pytest.fixture(scope="module")
+def ball():
+    mesh = sphere(2)
+    return held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.5)
+
+
+def columns(system, seed=0):
+    rng = np.random.default_rng(seed)
+    return [RightHand(*rng.normal(size=(3, 4, k))) for k in (1, 2)]
+
+
+def test_at_is_the_polynomial_and_sums_add(ball):
+    a, _ = columns(ball)
+    b, _ = columns(ball, 1)
+    nu = 0.37
+    np.testing.assert_allclose(
+        a.at(nu), a.constant + nu * a.slope + nu**2 * a.curvature, rtol=1e-14
+    )
+    np.testing.assert_allclose((a + b).at(nu), a.at(nu) + b.at(nu), rtol=0, atol=1e-14)
+
+
+def test_joined_keeps_the_order(ball):
+    a, b = columns(ball)
+    both = joined([a, b])
+    assert np.array_equal(both.at(0.2), np.concatenate([a.at(0.2), b.at(0.2)], axis=1))
+
+
+def test_load_columns_are_kelvins_tensor():
+    fields = np.random.default_rng(2).normal(size=(5, 6))
+    nu = 0.3
+    xx, yy, zz, yz, zx, xy = fields.T
+    tensor = np.stack([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+    expected = 0.5 * ((3 - 4 * nu) * (xx + yy + zz) * np.eye(3)[:, :, None] + tensor)
+    balance = np.diag([1.0, 2.0, 3.0])
+    found = load_columns(fields, balance).at(nu)
+    np.testing.assert_allclose(found[:15].reshape(3, 5, 3).transpose(0, 2, 1), expected, rtol=1e-13)
+    assert np.array_equal(found[15:], balance)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_a_moved_support_is_what_the_matrix_would_take_away(ball, nu):
+    # Seen from a support elsewhere the same vertices are free: their columns times the motion,
+    # other sign.
+    surface = ball.surface
+    motion = np.random.default_rng(3).normal(size=surface.mesh.vertices.shape)
+    held = ball.unknowns.held_vertices
+    found = support_columns(ball, motion).at(nu)[:, 0]
+    free = type(ball.unknowns)(held, ball.unknowns.free_vertices, ball.unknowns.held_sides)
+    swapped = type(ball)(
+        surface, free, ball.collocation, ball.traction_kernel, ball.displacement_kernel,
+    )  # fmt: skip
+    matrix = system_matrix(swapped, nu)
+    np.testing.assert_allclose(
+        found, -matrix[:, : 3 * held.size] @ motion[held].ravel(), rtol=0, atol=1e-12
+    )
+
+
+def test_a_traction_over_triangles_is_that_load(ball):
+    """A uniform traction by elements and the same as a load of its own: two ways to integrate, one
+    answer."""
+    surface = ball.surface
+    triangles = np.flatnonzero(~surface.held)[5:9]
+    load = SurfaceLoad(triangles, lambda triangle, barycentric, position: np.ones(triangle.size))
+    direction = np.array([0.3, -0.5, 0.8])
+    from_load = load_right_hand(ball, [load]).at(0.3) @ direction
+    uniform = np.broadcast_to(direction, (triangles.size, 6, 3)).copy()
+    area = element_area(surface.element_nodes[triangles])
+    from_elements = traction_column(ball, triangles, uniform).at(0.3)[:, 0] / area
+    # The load's cells are a quarter of an element with a rule of degree 5; its own points see it
+    # through 3 panels.
+    error = np.abs(from_load - from_elements).max() / np.abs(from_elements).max()
+    assert error < 2e-4
+
+
+def element_area(nodes):
+    rule = triangle_rule(11)
+    normal = element_points(nodes, rule.barycentric)[..., 3:]
+    return (np.linalg.norm(normal, axis=2) @ rule.weight).sum()
+
+
+def test_total_of_a_quadratic_traction():
+    mesh, face = cube_with_faces(2)
+    surface = make_surface(mesh, np.flatnonzero(face == 4))
+    triangles = np.flatnonzero(face == 5)
+    x, y, _ = surface.element_nodes[triangles].transpose(2, 0, 1)
+    traction = np.stack([x * x, x * y, 1 + y], axis=2)
+    # Exact for quadratics on flat ground.
+    np.testing.assert_allclose(
+        total_traction(surface.element_nodes[triangles], traction),
+        [1 / 3, 1 / 4, 3 / 2],
+        rtol=1e-13,
+    )
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.499])
+def test_the_last_rows_balance_the_load(ball, nu):
+    mesh = ball.surface.mesh
+    load = bump_load(mesh, np.array([0.0, 0.0, 1.0]), 0.6)
+    x = solve(factorise(ball, nu), load_right_hand(ball, [load]).at(nu))
+    weights = integral_weights(ball.surface, np.flatnonzero(ball.surface.held))
+    traction = x[3 * ball.unknowns.free_vertices.size : -3].reshape(-1, 3, 3) / ball.traction_length
+    reaction = np.einsum("s,sij->ij", weights[ball.unknowns.held_sides], traction)
+    # An equation of the system: round-off times its condition.
+    np.testing.assert_allclose(reaction, -np.eye(3), atol=1e-9)
+    # The price: slack in the integral equations, far below the displacement.
+    assert np.abs(x[-3:]).max() < 5e-3 * np.abs(x[:-3]).max()
+
+
+def test_a_traction_at_shifted_points_too():
+    mesh, face = cube_with_faces(2)
+    system = held_part(mesh, np.isin(face, [0, 4]))
+    triangles = np.flatnonzero(~system.surface.held)
+    # A uniform normal pressure on the free part of a closed surface and its opposite cancel.
+    one = np.broadcast_to([1.0, 2.0, 3.0], (triangles.size, 6, 3)).copy()
+    both = traction_column(system, triangles, one) + traction_column(system, triangles, -one)
+    assert not both.at(0.3).any()

@@ -1,0 +1,117 @@
+"""Loads integrated over their own patch, against closed forms on flat ground."""
+
+import numpy as np
+import pytest
+from elastic_bodies import cube_with_faces, held_part
+from scipy.special import ellipe, ellipk
+
+from palpate.bem import SurfaceLoad
+from palpate.bem.loads.surface_load import integrate_load, load_points
+from palpate.errors import InputError
+from palpate.probe import find_contact_patch
+from palpate.records import Contact, ContactProfile
+
+CENTRE = np.array([0.5, 0.5, 1.0])
+RADIUS = 0.3
+# Integral of the pressure over the patch, and of pressure over distance from its centre.
+TOTAL = {"smooth": np.pi / 3, "uniform": np.pi, "hertz": 2 * np.pi / 3}
+AT_CENTRE = {"smooth": 16 * np.pi / 15, "uniform": 2 * np.pi, "hertz": np.pi**2 / 2}
+# Smooth pressures converge fast; jumps and square roots at the rim are caught by cells of 1/32 of a
+# triangle.
+TOLERANCE = {"smooth": 1e-4, "uniform": 3e-3, "hertz": 1e-3}
+
+
+@pytest.fixture(scope="module")
+def cube():
+    mesh, face = cube_with_faces(4)
+    return held_part(mesh, face == 4)
+
+
+def load_of(cube, profile, point=CENTRE, radius=RADIUS):
+    held = np.flatnonzero(cube.surface.held)
+    contact = Contact(point=point, radius=radius, profile=ContactProfile(profile))
+    patch = find_contact_patch(cube.surface.mesh, contact, held, name="test")
+    return SurfaceLoad(patch.triangles, patch.density)
+
+
+def fields_by_point(cube, load):
+    rows = cube.traction_kernel.rows.ravel()[: cube.traction_kernel.n_rows]
+    out = np.empty((rows.size, 6))
+    out[rows] = integrate_load(cube.surface, load, cube.collocation, cube.traction_kernel)
+    return out
+
+
+@pytest.mark.parametrize("profile", TOTAL)
+def test_points_of_a_round_patch(cube, profile):
+    points = load_points(cube.surface, load_of(cube, profile))
+    np.testing.assert_allclose(points.weight.sum(), 1, rtol=1e-12)
+    np.testing.assert_allclose(points.total, RADIUS**2 * TOTAL[profile], rtol=TOLERANCE[profile])
+    np.testing.assert_allclose(points.weight @ points.position, CENTRE, atol=2e-4)
+    assert np.linalg.norm(points.position - CENTRE, axis=1).max() < RADIUS
+    owner = cube.surface.mesh.vertices[cube.surface.mesh.triangles[points.triangle]].mean(axis=1)
+    assert np.linalg.norm(points.position - owner, axis=1).max() < 0.25
+
+
+@pytest.mark.parametrize("profile", TOTAL)
+def test_at_the_vertex_in_the_middle_of_a_patch(cube, profile):
+    fields = fields_by_point(cube, load_of(cube, profile))
+    middle = np.argmin(np.linalg.norm(cube.collocation.point - CENTRE, axis=1))
+    half = 0.5 * AT_CENTRE[profile] / (RADIUS * TOTAL[profile])
+    tolerance = TOLERANCE[profile] * 2 * half
+    np.testing.assert_allclose(fields[middle], [half, half, 0, 0, 0, 0], atol=tolerance)
+
+
+def test_uniform_patch_seen_from_every_vertex_of_its_face(cube):
+    fields = fields_by_point(cube, load_of(cube, "uniform"))
+    on_top = np.flatnonzero(cube.collocation.point[:, 2] == 1)
+    s = np.linalg.norm(cube.collocation.point[on_top] - CENTRE, axis=1) / RADIUS
+    inside, far = np.minimum(s, 1) ** 2, 1 / np.maximum(s, 1) ** 2
+    outer = 4 * s * (ellipe(far) - (1 - far) * ellipk(np.minimum(far, 1 - 1e-12)))
+    exact = np.where(s < 1, 4 * ellipe(inside), outer) / (np.pi * RADIUS)
+    found = fields[on_top, :3].sum(axis=1)
+    # The jump of the pressure runs through polar panels of a third of a triangle.
+    np.testing.assert_allclose(found, exact, rtol=8e-3)
+    assert (s < 1).sum() == 5
+
+
+def test_vertex_load_is_the_hat_of_its_vertex(cube):
+    points = load_points(cube.surface, load_of(cube, "vertex", radius=None))
+    # A third of the area of the triangles around: with this mesh's diagonals, six of 1/32.
+    np.testing.assert_allclose(points.total, 6 / 32 / 3, rtol=1e-12)
+    np.testing.assert_allclose(points.weight @ points.position, CENTRE, atol=1e-12)
+
+
+def test_vertex_load_seen_from_its_vertex(cube):
+    fields = fields_by_point(cube, load_of(cube, "vertex", radius=None))
+    middle = np.argmin(np.linalg.norm(cube.collocation.point - CENTRE, axis=1))
+    mesh = cube.surface.mesh
+    vertex = np.argmin(np.linalg.norm(mesh.vertices - CENTRE, axis=1))
+    potential = 0.0
+    for corner in mesh.triangles[(mesh.triangles == vertex).any(axis=1)]:
+        b, c = mesh.vertices[corner[corner != vertex]] - CENTRE
+        edge = np.linalg.norm(c - b)
+        foot = b @ (c - b) / edge
+        height = np.linalg.norm(b - foot * (c - b) / edge)
+        # The hat falls linearly to the far edge: half of the integral of 1 / r.
+        potential += 0.5 * height * (np.arcsinh((foot + edge) / height) - np.arcsinh(foot / height))
+    # Three panels of four Gauss points each way.
+    np.testing.assert_allclose(fields[middle, :3].sum(), potential / (6 / 32 / 3), rtol=1e-6)
+
+
+def test_far_away_a_patch_is_a_point(cube):
+    fields = fields_by_point(cube, load_of(cube, "smooth"))
+    r = CENTRE - cube.collocation.point
+    d = np.linalg.norm(r, axis=1)
+    far = d > 4 * RADIUS
+    np.testing.assert_allclose(
+        fields[far, :3].sum(axis=1),
+        1 / d[far],
+        rtol=0.02,  # second moment over distance squared
+    )
+    assert far.any()
+
+
+def test_a_load_beside_its_triangles_is_refused(cube):
+    load = SurfaceLoad(np.array([0, 1]), lambda triangle, b, x: np.zeros(triangle.size))
+    with pytest.raises(InputError, match="covers no part of the free surface"):
+        load_points(cube.surface, load)

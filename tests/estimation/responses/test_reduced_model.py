@@ -1,0 +1,102 @@
+"""The reduced model against new factorisations."""
+
+import numpy as np
+import pytest
+from elastic_bodies import bump_load, held_part
+from surfaces import sphere
+
+from palpate.bem import (
+    body_force_columns,
+    factorise,
+    joined,
+    load_right_hand,
+    solve,
+    support_columns,
+)
+from palpate.bem.system import system as system_module
+from palpate.errors import NotConvergedError, SingularSystemError
+from palpate.estimation.responses.reduced_model import make_reduced_model
+
+RATIOS = (-0.2, 0.0, 0.15, 0.3, 0.45, 0.4999)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    mesh = sphere(2)
+    system = held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3)
+    load = bump_load(mesh, np.array([0.0, 0.0, 1.0]), 0.5)
+    weight = body_force_columns(system, np.array([0.0, 0.0, -3.0]))
+    lifted = support_columns(system, np.ones_like(mesh.vertices) * [0.0, 0.0, 1.0])
+    quadratic = type(lifted)(lifted.constant, lifted.slope, 0.3 * weight.right.constant[:, :1])
+    return system, joined([load_right_hand(system, [load]), weight.right, quadratic])
+
+
+@pytest.fixture(scope="module")
+def model(problem):
+    return make_reduced_model(*problem)
+
+
+def solution(model, nu, columns=slice(None)):
+    weights, residual = model.coefficients(nu, columns)
+    return np.einsum("jc,jkc->kc", weights, model.directions[:-1][:, :, columns]), residual
+
+
+def true_solution(problem, nu):
+    system, right = problem
+    return solve(factorise(system, nu), right.at(nu))
+
+
+# Nine directions: the space holds 2e-6 over [0, 0.5), measured; outside it less.
+TOLERANCE = dict(zip(RATIOS, (1e-3, 1e-5, 1e-7, 1e-12, 1e-6, 1e-5), strict=True))
+
+
+@pytest.mark.parametrize("nu", RATIOS)
+def test_solution_at_every_poisson_ratio(problem, model, nu):
+    found, _ = solution(model, nu)
+    exact = true_solution(problem, nu)
+    error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
+    assert error.max() < TOLERANCE[nu]
+
+
+def test_the_residual_tells_where_it_is_poor(problem, model):
+    for nu in (nu for nu in RATIOS if nu != 0.3):
+        found, residual = solution(model, nu)
+        exact = true_solution(problem, nu)
+        error = (np.linalg.norm(found - exact, axis=0) / model.scale).max()
+        # Residual and error differ by the condition between two neighbouring matrices, K(nu0)^-1
+        # K(nu).
+        assert residual > 0.02 * error
+        assert residual < 1e-2
+
+
+def test_directions_are_added_until_the_whole_range_is_served(problem, model):
+    wide = make_reduced_model(*problem, poisson_range=(-0.9, 0.4999))
+    assert len(wide.directions) > len(model.directions)
+    # The residual is held under 1e-6; far from the centre the error is up to 50 times as large.
+    for nu in (-0.9, -0.4, 0.48):
+        found, residual = solution(wide, nu)
+        exact = true_solution(problem, nu)
+        assert residual <= 1e-6
+        assert np.abs(found - exact).max() < 5e-5 * np.abs(exact).max()
+
+
+def test_a_range_that_cannot_be_served_is_refused(problem):
+    with pytest.raises(NotConvergedError, match="narrow the range"):
+        make_reduced_model(*problem, poisson_range=(-0.999, 0.4999), tolerance=1e-30)
+
+
+def test_columns_can_be_asked_for_alone(model):
+    whole, _ = solution(model, 0.41)
+    some, _ = solution(model, 0.41, np.array([4, 1]))
+    np.testing.assert_allclose(some, whole[:, [4, 1]], rtol=1e-12, atol=1e-12)
+
+
+def test_at_the_centre_it_is_the_factorised_solution(problem, model):
+    found, _ = solution(model, 0.3)
+    np.testing.assert_allclose(found, true_solution(problem, 0.3), rtol=1e-9, atol=1e-9)
+
+
+def test_an_object_that_is_not_held_is_refused(problem, monkeypatch):
+    monkeypatch.setattr(system_module, "SMALLEST_RCOND", 1.0)
+    with pytest.raises(SingularSystemError, match="singular"):
+        make_reduced_model(*problem)

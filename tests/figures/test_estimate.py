@@ -1,0 +1,105 @@
+"""Pictures of an estimate: files, views, what they show."""
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from app.estimate_samples import constants, sample_result
+
+from palpate.figures.estimate import write_plots
+from palpate.figures.surface_view import best_direction, make_view, projected
+from palpate.geometry import TriangleMesh
+from palpate.records import Status, read_session
+
+
+@pytest.fixture
+def session(cube_session):
+    return read_session(cube_session)
+
+
+@pytest.fixture
+def result(session):
+    return sample_result(session)
+
+
+def png_size(path):
+    """Width and height [pixel] from the file's head."""
+    data = path.read_bytes()
+    assert data.startswith(b"\x89PNG")
+    return struct.unpack(">II", data[16:24])
+
+
+def test_all_pictures_are_written(tmp_path, session, result):
+    written = write_plots(tmp_path, session, result)
+    names = [str(path.relative_to(tmp_path)) for path in written]
+    assert names == ["likelihood.png", "probings.png", "displacement/n01.png"]
+    for path in written:
+        width, height = png_size(path)
+        # Wide enough to read, small enough for a page.
+        assert 500 <= width <= 1600
+        assert 200 <= height <= 1200
+
+
+def test_a_constant_that_is_not_told_can_be_drawn(tmp_path, session, result):
+    lost = constants(told=False)
+    probe = replace(result.estimate.probes[0], **lost)
+    estimate = replace(
+        result.estimate,
+        status=Status.POISSON_RATIO_NOT_IDENTIFIABLE,
+        identifiable={"shear_modulus": True, "poisson_ratio": False, "young_modulus": True},
+        probes=(probe,),
+    )
+    assert len(write_plots(tmp_path, session, replace(result, estimate=estimate))) == 3
+
+
+def test_outliers_only_can_be_drawn(tmp_path, session, result):
+    fit = replace(result.probes[0], weight=np.zeros_like(result.probes[0].weight))
+    assert len(write_plots(tmp_path, session, replace(result, probes=(fit,)))) == 3
+
+
+def test_nothing_measured_gives_no_picture(tmp_path, session, result):
+    probing = session.probings[0]
+    nothing = replace(probing.displacement, displacement=probing.displacement.points * np.nan)
+    empty = replace(session, probings=(replace(probing, displacement=nothing),))
+    assert len(write_plots(tmp_path, empty, result)) == 2
+
+
+def test_a_name_with_dollars_is_not_mathematics(tmp_path, session, result):
+    name = "cost $x^ and_$"
+    named = replace(session, probings=(replace(session.probings[0], name=name),))
+    estimate = replace(result.estimate, probes=(replace(result.estimate.probes[0], name=name),))
+    fit = replace(result.probes[0], name=name)
+    written = write_plots(tmp_path, named, replace(result, estimate=estimate, probes=(fit,)))
+    assert len(written) == 3
+
+
+def test_a_folder_that_is_not_there_is_an_error(tmp_path, session, result):
+    with pytest.raises(OSError, match="none"):
+        write_plots(tmp_path / "none", session, result)
+
+
+def test_the_view_faces_the_points():
+    rng = np.random.default_rng(1)
+    for normal in np.eye(3)[[0, 1, 2]].tolist():
+        normals = np.array(normal) + 0.1 * rng.normal(size=(40, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        direction = best_direction(normals, np.array(normal))
+        assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-12)
+        assert (normals @ direction > 0).all()
+
+
+def test_the_projection_is_a_rotation_and_shows_the_front(session):
+    mesh: TriangleMesh = session.mesh
+    direction = np.array([0.6, 0.0, 0.8])
+    view = make_view(mesh, direction)
+    rotation = view.R_view_object
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(projected(view, direction), [0, 0, 1], atol=1e-12)
+    # Of the cube's six faces two are turned to the viewer: a third of the triangles, and in the
+    # picture plane they cover 0.04^2 (0.6 + 0.8) square metres.
+    assert len(view.polygons) == len(mesh.triangles) // 3
+    a, b, c = view.polygons.transpose(1, 0, 2)
+    (p, q), (r, s) = (b - a).T, (c - a).T
+    assert 0.5 * (p * s - q * r).sum() == pytest.approx(0.04**2 * 1.4, rel=1e-9)

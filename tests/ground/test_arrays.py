@@ -1,0 +1,39 @@
+"""Checked read-only copies: what passes, and what each refusal says."""
+
+import numpy as np
+import pytest
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError
+
+
+def test_lists_become_read_only_float64():
+    array = fixed_array([[1, 2, 3]], name="points", shape=(None, 3))
+    assert array.dtype == np.float64
+    assert not array.flags.writeable
+
+
+def test_whole_numbers_become_int64():
+    array = fixed_array([0, 2], name="triangle", shape=(2,), integer=True)
+    assert array.dtype == np.int64
+
+
+def test_nan_may_stand_for_not_measured():
+    array = fixed_array([np.nan, 1.0], name="displacement", shape=(2,), nan_allowed=True)
+    assert np.isnan(array[0])
+
+
+@pytest.mark.parametrize(
+    ("value", "options", "message"),
+    [
+        ([[1, 2]], {"shape": (None, 3)}, r"p has shape \(1, 2\); must be \(n, 3\)"),
+        ([1, 2], {"shape": (3,)}, r"p has shape \(2,\); must be \(3\)"),
+        (["a"], {"shape": (1,)}, "p is not an array of numbers"),
+        ([1, np.nan], {"shape": (2,)}, r"1 entries that are not finite, the first at index \(1,\)"),
+        ([np.inf], {"shape": (1,), "nan_allowed": True}, "not finite"),
+        ([0.5], {"shape": (1,), "integer": True}, "must hold whole numbers"),
+    ],
+)
+def test_refusals_name_the_value(value, options, message):
+    with pytest.raises(InputError, match=message):
+        fixed_array(value, name="p", **options)

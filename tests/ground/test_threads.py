@@ -1,0 +1,57 @@
+"""Every thing is done once, whatever the number of threads, and errors come through."""
+
+import threading
+
+import numba
+import numpy as np
+import pytest
+
+from palpate.threads import in_threads
+
+
+@pytest.fixture(params=[1, 2])
+def threads(request):
+    if request.param > numba.config.NUMBA_NUM_THREADS:
+        pytest.skip("needs two threads")
+    before = numba.get_num_threads()
+    numba.set_num_threads(request.param)
+    yield request.param
+    numba.set_num_threads(before)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 100])
+@pytest.mark.parametrize("fewest", [1, 30])
+def test_every_thing_is_done_once(threads, count, fewest):
+    done = np.zeros(count, dtype=int)
+
+    def kernel(start, stop, amount):
+        done[start:stop] += amount
+
+    in_threads(kernel, count, 3, fewest=fewest)
+    np.testing.assert_array_equal(done, 3)
+
+
+def test_the_kernel_is_first_called_for_nothing():
+    ranges = []
+    in_threads(lambda start, stop: ranges.append((start, stop)), 5, fewest=5)
+    assert ranges == [(0, 0), (0, 5)]
+
+
+def test_two_threads_work_at_the_same_time(threads):
+    # Each of two ranges waits for the other one: alone, either would wait in vain.
+    together = threading.Barrier(threads)
+
+    def kernel(start, stop):
+        if stop > start:
+            together.wait(timeout=30.0)
+
+    in_threads(kernel, threads, fewest=1)
+
+
+def test_an_error_in_a_thread_comes_through(threads):
+    def kernel(start, stop):
+        if stop == 8:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        in_threads(kernel, 8)

@@ -1,0 +1,224 @@
+"""The facility: sessions that the rest of the program reads, with a truth that holds."""
+
+import tomllib
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from lab.lab_configs import HALF_BALL, STAGE
+
+from palpate.errors import InputError, MeshError
+from palpate.lab import choose_variant, make_session, make_sessions, read_lab_config
+from palpate.lab.bench import facility
+from palpate.lab.bodies.finite_elements import make_body
+from palpate.records import ContactProfile, read_rig, read_session
+from palpate.vision import project, read_pictures
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder by name of the configuration."""
+    folders = {}
+    for name, text in (("ball", HALF_BALL), ("toy", STAGE)):
+        folder = tmp_path_factory.mktemp(name)
+        (folder / "config.toml").write_text(text)
+        out = folder / "out"
+        out.mkdir()
+        make_session(read_lab_config(folder / "config.toml"), out, variant=choose_variant())
+        folders[name] = out
+    return folders
+
+
+def _truth(folder):
+    return tomllib.loads((folder / "truth.toml").read_text())
+
+
+def test_a_probed_specimen_is_an_ordinary_session(made):
+    session = read_session(made["ball"])
+    (probing,) = session.probings
+    assert session.notes == ()
+    assert len(session.held_triangles) > 20
+    assert probing.contact.profile is ContactProfile.HERTZ
+    np.testing.assert_array_equal(probing.contact.point, [0.0, 0.0, 0.04])
+    assert len(probing.images.loaded) == 2
+    rig = read_rig(session.rig)
+    for pattern in (probing.images.rest, *probing.images.loaded):
+        grey = read_pictures(rig, pattern, folder=made["ball"], what="it").grey
+        assert all(picture.shape == (160, 200) for picture in grey)
+        # Lit, not saturated, and full of contrast.
+        assert all(150 < picture.max() < 255 and picture[picture > 20].std() > 30
+                   for picture in grey)  # fmt: skip
+
+
+def test_readings_are_the_truth_with_the_sensors_noise(made):
+    (probing,) = read_session(made["ball"]).probings
+    (truth,) = _truth(made["ball"])["probe"]
+    force = np.array(truth["force"])
+    assert np.abs(probing.force - force).max() < 5 * 0.002
+    assert (probing.force != force).all()
+    way = truth["depth"] * np.array(truth["direction"])
+    assert np.abs(probing.tip_displacement - way).max() < 5 * 5e-5
+    np.testing.assert_allclose(probing.force_std, 0.002)
+    np.testing.assert_allclose(probing.tip_displacement_std, 5e-5)
+
+
+def test_truth_is_that_of_an_elastic_ball_under_a_round_tip(made):
+    truth = _truth(made["ball"])
+    (probe,) = truth["probe"]
+    assert (truth["young_modulus"], truth["poisson_ratio"]) == (52e3, 0.21)
+    assert truth["shear_modulus"] == pytest.approx(52e3 / 2.42)
+    direction, force = np.array(probe["direction"]), np.array(probe["force"])
+    # Straight down but for two degrees of misalignment about each axis, and free of friction.
+    assert 0.0 < np.degrees(np.arccos(-direction[2])) < 8.0
+    assert force @ direction > 0.99 * np.linalg.norm(force)
+    # Hertz for a sphere of 6 mm on one of 40 mm: 4/3 E* sqrt(R) d^1.5, R = 1 / (1/6 + 1/40) mm.
+    # The held base stiffens, and elements of 1 mm find some of it only.
+    both = 1.0 / (1.0 / 6e-3 + 1.0 / 40e-3)
+    hertz = 4.0 / 3.0 * 52e3 / (1.0 - 0.21**2) * np.sqrt(both) * 4e-3**1.5
+    assert np.linalg.norm(force) == pytest.approx(hertz, rel=0.15)
+    assert probe["contact_radius"] == pytest.approx(np.sqrt(both * 4e-3), rel=0.2)
+    assert probe["load_steps"] == [0.5, 1.0]
+    # Where it was sent: the arm is not misplaced, only turned.
+    np.testing.assert_allclose(probe["contact_point"], [0.0, 0.0, 0.04], atol=1e-6)
+
+
+def test_truth_map_moves_what_the_camera_sees(made):
+    content = np.load(made["ball"] / "truth_n01.npz")
+    rig = read_rig(made["ball"] / "rig_true.toml")
+    pixel = np.stack([content["pixel"] % 200, content["pixel"] // 200], axis=1)
+    assert content["shape"].tolist() == [160, 200]
+    np.testing.assert_allclose(
+        project(rig.cameras[0], content["X"].astype(float)), pixel, atol=0.01
+    )
+    # Down under the tip, and nowhere more than the tip went.
+    assert 1e-3 < np.linalg.norm(content["U"], axis=1).max() < 4.3e-3
+    assert content["U"][:, 2].mean() < 0.0
+    assert ((content["hidden_loaded"] & 1) > 0).sum() > 20
+
+
+def test_pictures_move_by_the_truth(made):
+    """Independent of the flow of this program: OpenCV's dense optical flow."""
+    content = np.load(made["ball"] / "truth_n01.npz")
+    rig = read_rig(made["ball"] / "rig_true.toml")
+    rest, loaded = (
+        cv2.imread(str(made["ball"] / "images" / f"{name}_c0.png"), 0) for name in ("rest", "n01")
+    )
+    engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    engine.setFinestScale(0)
+    flow = engine.calc(rest, loaded, None).reshape(-1, 2)[content["pixel"]]
+    point = content["X"].astype(float)
+    there = project(rig.cameras[0], point + content["U"])
+    truth = there - project(rig.cameras[0], point)
+    open_view = (content["hidden_rest"] | content["hidden_loaded"]) == 0
+    shape = tuple(content["shape"])
+    inner = np.zeros(shape, dtype=np.uint8)
+    inner.ravel()[content["pixel"][open_view]] = 1
+    inner = cv2.erode(inner, np.ones((13, 13))).ravel()[content["pixel"]] > 0
+    moved = np.linalg.norm(truth, axis=1)
+    seen = inner & (moved > 0.1)
+    assert seen.sum() > 1000
+    # Its own error on such pictures is 0.02 to 0.05 px, and its patches only shift.
+    error = np.median(np.linalg.norm(flow - truth, axis=1)[seen])
+    assert error < 0.03
+    assert error < 0.25 * np.median(moved[seen])
+
+
+def test_a_stage_moves_the_toy_rigidly(made):
+    session, truth = read_session(made["toy"]), _truth(made["toy"])
+    assert [step.name for step in session.steps] == ["s0", "s1", "s2"]
+    assert session.probings == ()
+    last = truth["step"][2]
+    angle = np.radians(6.0)
+    np.testing.assert_allclose(np.array(last["R"])[:2, :2],
+                               [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]],
+                               atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(last["t"], [2e-3, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(last["encoder"], last["t"], atol=1e-15)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_other_noise(made, tmp_path):
+    config = read_lab_config(made["toy"].parent / "config.toml")
+    pictures = []
+    for seed, name in ((1, "again"), (2, "other")):
+        out = tmp_path / name
+        out.mkdir()
+        make_session(replace(config, seed=seed), out, variant=choose_variant())
+        pictures.append((out / "images" / "s1_c2.png").read_bytes())
+    assert pictures[0] == (made["toy"] / "images" / "s1_c2.png").read_bytes()
+    assert pictures[1] != pictures[0]
+
+
+def test_sessions_made_together_are_those_made_alone(made, tmp_path, monkeypatch):
+    config = read_lab_config(made["ball"].parent / "config.toml")
+    stage = read_lab_config(made["toy"].parent / "config.toml")
+    other = replace(config, seed=4)
+    wanted = [(config, tmp_path / "a"), (stage, tmp_path / "b"), (other, tmp_path / "c")]
+    for _, folder in wanted:
+        folder.mkdir()
+    bodies = []
+    monkeypatch.setattr(facility, "make_body", lambda *told, **named: bodies.append(
+        make_body(*told, **named)) or bodies[-1])  # fmt: skip
+    make_sessions(wanted, variant=choose_variant())
+    # One body for both balls, and the one of them that is told the same comes out the same.
+    assert len(bodies) == 1
+    for alone, folder in (("ball", "a"), ("toy", "b")):
+        names = sorted(file.relative_to(made[alone]) for file in made[alone].rglob("*.*"))
+        assert len(names) > 10
+        for name in names:
+            assert (tmp_path / folder / name).read_bytes() == (made[alone] / name).read_bytes()
+    (here,), (there,) = _truth(tmp_path / "a")["probe"], _truth(tmp_path / "c")["probe"]
+    assert here["direction"] != there["direction"]
+
+
+def test_bodies_are_shared_only_where_nothing_of_them_differs(tmp_path):
+    (tmp_path / "config.toml").write_text(HALF_BALL)
+    config = read_lab_config(tmp_path / "config.toml")
+    law = replace(config.material, law="neo-hookean")
+    same = replace(config, seed=9, arm=replace(config.arm, misalignment=0.0), material=law)
+    assert facility._same_bodies(config, same)
+    for other in (
+        replace(config, specimen=replace(config.specimen, element=8e-3)),
+        replace(config, material=replace(config.material, poisson_ratio=0.3)),
+        replace(config, arm=replace(config.arm, radius=5e-3)),
+        replace(config, probes=(replace(config.probes[0], depth=3e-3),)),
+        read_lab_config(tmp_path / "config.toml"),
+    ):
+        assert not facility._same_bodies(config, other)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("point = [0, 0, 0.04]", "point = [0, 0, 0.02]", "its point is .* mm inside the body"),
+        ("point = [0, 0, 0.04]", "point = [0, 0, 0.06]", "its point is .* mm away from the body"),
+        ("depth = 4e-3", "depth = 4e-3\ndirection = [0, 0, 1]", "leads out of the body"),
+        ("rows = 160", "rows = 160\nfocal = 2000", r"camera 'c0' has \d+ % of the object in its"),
+        ('size = 4e-3', 'size = 4e-3\ntexture = "poor"', "grey levels of contrast beside a noise"),
+        ("distance = 0.5", "distance = 0.05", "less than the object's size"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_measured_is_refused_before_a_picture_is_kept(tmp_path, old, new, text):
+    (tmp_path / "config.toml").write_text(HALF_BALL.replace(old, new))
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(InputError, match=text):
+        make_session(read_lab_config(tmp_path / "config.toml"), out, variant=choose_variant())
+    assert list(out.iterdir()) == []
+
+
+def test_a_body_that_cannot_be_filled_is_refused_before_anything_is_rendered(tmp_path, monkeypatch):
+    def refused(*_, **__):
+        raise MeshError("cannot be filled")
+
+    def rendered(*_, **__):
+        raise AssertionError("light was made")
+
+    monkeypatch.setattr(facility, "make_solid", refused)
+    monkeypatch.setattr(facility, "make_studio", rendered)
+    (tmp_path / "config.toml").write_text(HALF_BALL)
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(MeshError, match="cannot be filled"):
+        make_session(read_lab_config(tmp_path / "config.toml"), out, variant=choose_variant())
+    assert list(out.iterdir()) == []

@@ -1,0 +1,184 @@
+"""Rigid tips on an elastic body against Hertz, Boussinesq, laws and every refusal."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.errors import InputError
+from palpate.lab.bodies.contact import Tip, press, press_to_force, touch
+from palpate.lab.bodies.finite_elements import make_body, reaction
+from palpate.lab.bodies.tetrahedra import make_solid
+
+SHEAR, POISSON = 7e4, 0.3
+CONTACT_MODULUS = 2 * SHEAR / (1 - POISSON)
+SIZE = 0.2
+TOP = np.array([SIZE / 2, SIZE / 2, SIZE])
+DOWN = np.array([0.0, 0.0, -1.0])
+BALL = Tip(0.01, TOP, DOWN)
+FINE = 1e-3
+
+
+@pytest.fixture(scope="module")
+def block():
+    """A large block, fine where it is touched, glued to the ground."""
+    mesh = box((SIZE, SIZE, SIZE))
+    solid = make_solid(mesh.vertices, mesh.triangles, edge=0.05, fine=((TOP, 0.0025, FINE),))
+    held = solid.nodes[:, 2] == 0.0
+    return make_body(solid, held, shear_modulus=SHEAR, poisson_ratio=POISSON)
+
+
+def hertz(depth):
+    return 4 / 3 * CONTACT_MODULUS * np.sqrt(BALL.radius * depth**3)
+
+
+def test_a_ball_presses_as_hertz_says(block):
+    depths = np.array([2e-4, 4e-4])
+    states = press(block, BALL, depths)
+    for state, depth in zip(states, depths, strict=True):
+        # Hertz's half space is larger than the block (1 %), and the circle has 2 elements a radius.
+        assert -state.force[2] == pytest.approx(hertz(depth), rel=0.04)
+        assert state.radius == pytest.approx(np.sqrt(BALL.radius * depth), rel=0.06)
+        # Sideways forces are the mesh's own lack of symmetry.
+        assert np.abs(state.force[:2]).max() < 2e-3 * hertz(depth)
+    # The power 3/2, with errors of either depth cancelling in part.
+    power = np.log(states[1].force[2] / states[0].force[2]) / np.log(2.0)
+    assert power == pytest.approx(1.5, abs=0.03)
+
+
+def test_a_flat_punch_presses_as_boussinesq_says(block):
+    radius, depth = 0.002, 1e-4
+    (state,) = press(block, Tip(radius, TOP, DOWN, flat=True), np.array([depth]))
+    # The rim lies between nodes: the punch is smaller by up to a node's distance of 0.35 mm.
+    assert -state.force[2] == pytest.approx(2 * radius * CONTACT_MODULUS * depth, rel=0.08)
+    under = np.linalg.norm((block.solid.nodes - TOP)[:, :2], axis=1) < 0.9 * radius
+    under &= block.solid.nodes[:, 2] == SIZE
+    # None is in the punch; a corner between pressed middles may hang below it by a little.
+    assert (state.displacement[under, 2] < -depth * (1 - 1e-9)).all()
+    np.testing.assert_allclose(state.displacement[under, 2], -depth, rtol=0.05)
+
+
+def test_nothing_enters_the_tip_and_nothing_is_pulled(block):
+    depth = 4e-4
+    (state,) = press(block, BALL, np.array([depth]))
+    at = block.solid.nodes + state.displacement
+    offset = at - state.place
+    assert np.linalg.norm(offset, axis=1).min() > BALL.radius * (1 - 1e-9)
+    assert ((state.load * offset).sum(axis=1) >= 0.0).all()
+    # Forces are along the tip's normal: no friction.
+    assert np.abs(np.cross(state.load, offset)).max() < 1e-9 * BALL.radius
+    # Where a node is pushed it lies on the tip.
+    pushed = (state.load != 0.0).any(axis=1)
+    gap = np.linalg.norm(offset[pushed], axis=1) - BALL.radius
+    assert np.abs(gap).max() < 1e-8 * BALL.radius
+
+
+def test_reaction_equals_force(block):
+    for sticking in (False, True):
+        (state,) = press(block, BALL, np.array([3e-4]), sticking=sticking)
+        held = reaction(block, state.displacement, state.load)
+        np.testing.assert_allclose(held, -state.force, atol=1e-9)
+
+
+def test_a_press_to_a_force_is_the_press_to_its_depth(block):
+    (state,) = press(block, BALL, np.array([2.5e-4]))
+    found = press_to_force(block, BALL, -float(state.force[2]))
+    assert found.depth == pytest.approx(2.5e-4, rel=1e-6)
+    np.testing.assert_allclose(found.displacement, state.displacement, atol=1e-6 * 2.5e-4)
+
+
+def test_what_sticks_moves_with_the_tip(block):
+    depths = np.linspace(5e-5, 4e-4, 8)
+    slid, stuck = (press(block, BALL, depths, sticking=flag) for flag in (False, True))
+    before, after = stuck[-2:]
+    pushed = (before.load != 0.0).any(axis=1) & (after.load != 0.0).any(axis=1)
+    assert pushed.sum() > 10
+    moved = (after.displacement - before.displacement)[pushed]
+    np.testing.assert_allclose(
+        moved, np.tile((depths[-1] - depths[-2]) * DOWN, (len(moved), 1)), atol=1e-9
+    )
+    # Spence (1968): a sticking ball needs at most a few per cent more (2 % at nu 0.3).
+    ratio = stuck[-1].force[2] / slid[-1].force[2]
+    assert 1.0 < ratio < 1.04
+
+
+def test_touch_knows_where_the_surface_is(block):
+    assert touch(block.solid, BALL) == pytest.approx(-BALL.radius, abs=2e-6)
+    far = Tip(0.01, TOP - 0.05 * DOWN, DOWN)
+    assert touch(block.solid, far) == pytest.approx(0.04, abs=2e-6)
+    punch = Tip(0.002, TOP - 0.05 * DOWN, 3.0 * DOWN, flat=True)
+    assert touch(block.solid, punch) == pytest.approx(0.05, abs=1e-12)
+
+
+def test_a_tilted_way_gives_a_sideways_force(block):
+    tilt = np.array([np.sin(0.1), 0.0, -np.cos(0.1)])
+    (state,) = press(block, Tip(0.01, TOP, tilt), np.array([3e-4]))
+    # Without friction the force is the plane's normal, but for the dent's own slope.
+    assert abs(state.force[0]) < 0.02 * abs(state.force[2])
+    stuck = press(block, Tip(0.01, TOP, tilt), np.linspace(5e-5, 3e-4, 6), sticking=True)[-1]
+    # A flat bonded punch has 2 (1 - nu) / (2 - nu) of its normal stiffness sideways (0.82).
+    assert 0.04 < stuck.force[0] / abs(stuck.force[2]) < 0.09
+
+
+def test_what_sticks_is_let_go_where_it_would_be_pulled(block):
+    # Dragged along, the tip leaves what lies behind it.
+    steep = np.array([np.sin(1.4), 0.0, -np.cos(1.4)])
+    states = press(
+        block, Tip(0.01, TOP - 0.01 * DOWN, steep), np.linspace(1e-4, 1.5e-3, 15), sticking=True
+    )
+    for state in states:
+        offset = block.solid.nodes + state.displacement - state.place
+        push = (state.load * offset).sum(axis=1)
+        assert push.min() >= -1e-12 * push.max()
+    touched = [(state.load != 0.0).any(axis=1) for state in states]
+    assert any((before & ~after).any() for before, after in pairwise(touched))
+
+
+@pytest.mark.parametrize("depths", [[], [0.0], [-1e-4], [2e-4, 1e-4]])
+def test_bad_depths_are_refused(block, depths):
+    with pytest.raises(InputError, match="must be positive and increasing"):
+        press(block, BALL, np.array(depths))
+
+
+@pytest.mark.parametrize("force", [0.0, -1.0, np.nan])
+def test_bad_forces_are_refused(block, force):
+    with pytest.raises(InputError, match="must be positive, in newtons"):
+        press_to_force(block, BALL, force)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan])
+def test_bad_radii_are_refused(radius):
+    with pytest.raises(InputError, match="tip's radius"):
+        Tip(radius, TOP, DOWN)
+
+
+def test_a_tip_without_direction_is_refused():
+    with pytest.raises(InputError, match="zero vector"):
+        Tip(0.01, TOP, np.zeros(3))
+
+
+def test_a_tip_that_passes_the_body_is_refused(block):
+    with pytest.raises(InputError, match="passes the body"):
+        press(block, Tip(0.01, np.array([1.0, 0.0, SIZE]), DOWN), np.array([1e-4]))
+
+
+def test_a_tip_between_the_nodes_is_refused(block):
+    # In the middle of the largest facet on top a sphere meets no node.
+    corners = block.solid.nodes[block.solid.facets[:, :3]]
+    size = np.ptp(corners, axis=1).max(axis=1) * (corners[:, :, 2] == SIZE).all(axis=1)
+    widest = size.argmax()
+    corner = block.solid.nodes[block.solid.facets[widest, :3]].mean(axis=0)
+    with pytest.raises(InputError, match="no node"):
+        press(block, Tip(0.01, corner, DOWN), np.array([1e-4]))
+
+
+def test_a_tip_on_the_support_is_refused(block):
+    side = np.array([SIZE, SIZE / 2, 0.001])
+    with pytest.raises(InputError, match="nodes of the support"):
+        press(block, Tip(0.1, side, np.array([-1.0, 0.0, 0.0])), np.array([1e-3]))
+
+
+def test_a_sphere_deeper_than_its_radius_is_refused(block):
+    with pytest.raises(InputError, match="a sphere goes in by less than its radius"):
+        press(block, BALL, np.array([1e-4, BALL.radius]))

@@ -1,0 +1,173 @@
+"""Finite strain against the uniaxial closed form, derivatives, and the linear limit."""
+
+import numpy as np
+import pytest
+from lab.solids import half_ball
+from scipy.optimize import brentq
+from surfaces import box
+
+from palpate.errors import InputError, NotConvergedError
+from palpate.lab.bodies.finite_elements import (
+    facet_loads,
+    held_nodes,
+    make_body,
+    solve_loads,
+    traction_load,
+)
+from palpate.lab.bodies.neo_hookean import energy, inner_forces, solve_finite, tangent
+from palpate.lab.bodies.quadratic_elements import block_matrix, shape_gradients
+from palpate.lab.bodies.tetrahedra import make_solid
+from palpate.records import Contact, ContactProfile
+
+SHEAR = 7e4
+
+
+@pytest.fixture(scope="module")
+def block():
+    mesh = box((0.03, 0.02, 0.02))
+    solid = make_solid(mesh.vertices, mesh.triangles, edge=0.01)
+    return make_body(solid, solid.nodes[:, 2] == 0.0, shear_modulus=SHEAR, poisson_ratio=0.3)
+
+
+def wavy(block, size):
+    x = block.solid.nodes / 0.02
+    field = np.column_stack(
+        [np.sin(2 * x[:, 1]), x[:, 0] * x[:, 2], np.cos(x[:, 0]) - x[:, 2] ** 2]
+    )
+    return size * field
+
+
+def test_forces_are_the_slope_of_the_energy(block):
+    slopes, at, way = shape_gradients(block.solid), wavy(block, 2e-3), wavy(block, 1.0)[::-1]
+    step = 1e-7
+    ahead, behind = (energy(block, slopes, at + s * step * way) for s in (1, -1))
+    force = inner_forces(block, slopes, at)
+    # Central differences: step^2 against rounding over step.
+    assert (force * way).sum() == pytest.approx((ahead - behind) / (2 * step), rel=1e-6)
+
+
+def test_tangent_is_the_slope_of_the_forces(block):
+    slopes, at, way = shape_gradients(block.solid), wavy(block, 2e-3), wavy(block, 1.0)[::-1]
+    step = 1e-7
+    ahead, behind = (inner_forces(block, slopes, at + s * step * way) for s in (1, -1))
+    matrix = block_matrix(block.pairs, tangent(block, slopes, at))
+    found = (matrix @ way.ravel()).reshape(-1, 3)
+    other = (ahead - behind) / (2 * step)
+    np.testing.assert_allclose(found, other, atol=1e-6 * np.abs(other).max())
+
+
+def test_tangent_at_rest_is_the_linear_stiffness(block):
+    slopes = shape_gradients(block.solid)
+    matrix = block_matrix(block.pairs, tangent(block, slopes, np.zeros_like(block.solid.nodes)))
+    difference = abs(matrix - block.stiffness).max()
+    assert difference < 1e-12 * abs(block.stiffness).max()
+
+
+def test_a_turned_body_has_no_energy(block):
+    c, s = np.cos(1.0), np.sin(1.0)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    at = block.solid.nodes @ turn.T - block.solid.nodes
+    slopes = shape_gradients(block.solid)
+    assert abs(energy(block, slopes, at)) < 1e-12 * SHEAR * 0.03 * 0.02**2
+    assert np.abs(inner_forces(block, slopes, at)).max() < 1e-12 * SHEAR * 0.02**2
+
+
+@pytest.mark.parametrize("stretch", [0.7, 1.3])
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45])
+def test_uniaxial_stretch_is_in_equilibrium(block, stretch, poisson):
+    """Sides free: P = mu (b - 1/b) + lambda ln(a b^2) / b = 0 across; along, the nominal stress."""
+    lame = 2 * SHEAR * poisson / (1 - 2 * poisson)
+
+    def across(b):
+        return SHEAR * (b - 1 / b) + lame * np.log(stretch * b**2) / b
+
+    side = brentq(across, 0.3, 3.0, xtol=1e-15)
+    log = np.log(stretch * side**2)
+    nominal = SHEAR * (stretch - 1 / stretch) + lame * log / stretch
+    body = make_body(block.solid, block.held, shear_modulus=SHEAR, poisson_ratio=poisson)
+    nodes = block.solid.nodes
+    at = nodes * (np.array([side, side, stretch]) - 1.0)
+    inner = inner_forces(body, shape_gradients(block.solid), at)
+    ends = np.zeros_like(inner)
+    middle = nodes[block.solid.facets].mean(axis=1)
+    for z, sign in ((0.02, 1.0), (0.0, -1.0)):
+        chosen = np.flatnonzero(np.abs(middle[:, 2] - z) < 1e-9)
+        ends[:, 2] += sign * facet_loads(
+            block.solid, chosen, lambda x: np.full(x.shape[:2], nominal)
+        )
+    np.testing.assert_allclose(inner, ends, atol=1e-9 * SHEAR * 0.02**2)
+
+
+def top_load(block, force):
+    middle = block.solid.nodes[block.solid.facets].mean(axis=1)
+    chosen = np.flatnonzero(np.abs(middle[:, 2] - 0.02) < 1e-9)
+    share = facet_loads(block.solid, chosen, lambda x: np.ones(x.shape[:2]))
+    return np.outer(share / share.sum(), force)
+
+
+def test_drawn_block_without_sideways_strain_is_the_closed_form(block):
+    """Poisson's ratio 0: the clamped end changes nothing, as nothing moves sideways."""
+    body = make_body(block.solid, block.held, shear_modulus=SHEAR, poisson_ratio=0.0)
+    stretch = 1.3
+    # At nu = 0 lambda is 0, and free sides stay where they are (b = 1).
+    force = SHEAR * (stretch - 1 / stretch) * 0.03 * 0.02
+    found = solve_finite(body, top_load(block, np.array([0.0, 0.0, force])))
+    exact = (stretch - 1.0) * block.solid.nodes[:, 2]
+    np.testing.assert_allclose(found.displacement[:, 2], exact, atol=1e-9 * 0.02)
+    np.testing.assert_allclose(found.displacement[:, :2], 0.0, atol=1e-9 * 0.02)
+    np.testing.assert_allclose(found.reaction, [0.0, 0.0, -force], atol=1e-9 * abs(force))
+    stored = 0.5 * SHEAR * (stretch**2 - 1) - SHEAR * np.log(stretch)
+    assert found.energy == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=1e-9)
+
+
+def test_a_block_that_buckles_is_refused(block):
+    # Euler: pi^2 E I / (4 L^2) = 0.41 mu A for this block, the other end being free to sway.
+    body = make_body(block.solid, block.held, shear_modulus=SHEAR, poisson_ratio=0.0)
+    with pytest.raises(NotConvergedError, match="buckles"):
+        solve_finite(body, top_load(block, np.array([0.0, 0.0, -0.6 * SHEAR * 0.03 * 0.02])))
+
+
+def test_small_loads_converge_to_the_linear_body_at_first_order(block):
+    difference = []
+    for force in (0.4, 0.2):
+        load = top_load(block, np.array([0.5 * force, 0.0, -force]))
+        linear = solve_loads(block, load[:, :, None])[:, :, 0]
+        found = solve_finite(block, load, steps=1)
+        np.testing.assert_allclose(found.reaction, -load.sum(axis=0), atol=1e-9)
+        gap = np.linalg.norm(found.displacement - linear)
+        difference.append(gap / np.linalg.norm(linear))
+    assert difference[0] / difference[1] == pytest.approx(2.0, abs=0.1)
+
+
+def test_half_ball_pressed_far_goes_farther_than_linear(shared_data):
+    # A measured 2 mm (linear) at a contact radius of 5.5 mm goes 15 % farther.
+    data, solid, support = half_ball(
+        shared_data,
+        "pole_h80_nu020",
+        edge=0.012,
+        fine=((np.array([0.0, 0.0, 0.035]), 0.006, 0.003),),
+    )
+    nu = float(data["nu"])
+    shear = float(data["E"]) / 2 / (1 + nu)
+    body = make_body(solid, held_nodes(solid, support), shear_modulus=shear, poisson_ratio=nu)
+    contact = Contact(data["load_point"], 0.0055, ContactProfile.SMOOTH)
+    unit = traction_load(solid, contact, np.array([0.0, 0.0, -1.0]))
+    pole = np.linalg.norm(solid.nodes - data["load_point"], axis=1).argmin()
+    linear = solve_loads(body, unit[:, :, None])[:, :, 0]
+    force = 2e-3 / -linear[pole, 2]
+    found = solve_finite(body, force * unit)
+    np.testing.assert_allclose(found.reaction, [0.0, 0.0, force], atol=1e-8 * force)
+    assert 1.08 < -found.displacement[pole, 2] / 2e-3 < 1.22
+
+
+def test_no_steps_are_refused(block):
+    with pytest.raises(InputError, match="steps is 0"):
+        solve_finite(block, np.zeros_like(block.solid.nodes), steps=0)
+
+
+def test_a_load_beyond_bearing_is_refused(block):
+    # A point force on one node tears any mesh.
+    load = np.zeros_like(block.solid.nodes)
+    load[np.linalg.norm(block.solid.nodes - [0.015, 0.01, 0.02], axis=1).argmin(), 2] = -1e4
+    with pytest.raises(NotConvergedError, match="no equilibrium beyond"):
+        solve_finite(block, load, steps=1)

@@ -1,0 +1,192 @@
+"""The error budget: each source changes one thing, and only that, of a bench without errors.
+
+The sessions and their estimates are replaced: the chain behind them has tests of its own.
+"""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from lab.planned_sessions import planned_session
+
+from palpate.errors import InputError
+from palpate.geometry import closest_points
+from palpate.lab import Calibration, ForceSensor, Material, Variant, read_lab_config
+from palpate.lab.config_files import built_in
+from palpate.paper.budget import error_budget as budget
+from palpate.paper.constants import pictures_measured
+from palpate.records import Constant, DisplacementField, ProbeEstimate, read_rig, read_session
+
+NAMES = [
+    "none", "image noise", "tip misalignment", "tip placement", "mesh size", "nonlinearity",
+    "force noise", "calibration", "registration", "table 3",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def config():
+    return read_lab_config(built_in()["half-ball"])
+
+
+@pytest.fixture
+def session(tmp_path):
+    return read_session(planned_session(tmp_path))
+
+
+def changed(one, other, prefix=""):
+    """Names of the parts in which two configurations differ, by their numbers."""
+    names = set()
+    for field in fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if hasattr(a, "__dataclass_fields__") and field.name not in ("mesh", "body"):
+            names |= changed(a, b, f"{prefix}{field.name}.")
+        elif not (a is b or np.array_equal(a, b)):
+            names.add(f"{prefix}{field.name}")
+    return names
+
+
+def with_displacements(session):
+    """The session with some displacement of its vertices."""
+    point = session.mesh.vertices
+    field = DisplacementField(
+        points=point, displacement=np.zeros_like(point), std=None, vertex=None,
+        surface=closest_points(session.mesh, point), source="none",
+    )  # fmt: skip
+    probings = tuple(replace(probing, displacement=field) for probing in session.probings)
+    return replace(session, probings=probings)
+
+
+def test_what_was_measured_is_not_measured_again(session):
+    known = with_displacements(session)
+    assert pictures_measured(known) is known
+    # Other forces over the same pictures: nothing is left to measure.
+    forces = budget._with_forces(known, ForceSensor(noise=0.01), np.random.default_rng(1))
+    assert pictures_measured(forces) is forces
+    # There are no pictures in this folder.
+    with pytest.raises(InputError, match="rest_c0"):
+        pictures_measured(session)
+
+
+def test_where_it_begins_no_error_is_left(config):
+    noisy = replace(
+        config,
+        calibration=Calibration(1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
+        force_sensor=ForceSensor(1.0, 1.0, np.ones(3), 1.0),
+        pictures=replace(config.pictures, full_well=1e4, gain_drift=0.1),
+        material=replace(config.material, law="neo-hookean"),
+    )
+    exact = budget._exact(noisy)
+    assert changed(exact.calibration, Calibration()) == set()
+    assert changed(exact.force_sensor, ForceSensor()) == set()
+    assert (exact.arm.misalignment, exact.arm.placement) == (0.0, 0.0)
+    told = exact.pictures
+    assert (told.noise, told.full_well, told.gain_drift) == (0.0, None, 0.0)
+    assert exact.material.law == "linear"
+    assert (exact.arm.tip, exact.arm.radius) == (config.arm.tip, config.arm.radius)
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("none", set()),
+        ("image noise", {"pictures.noise"}),
+        ("tip misalignment", {"arm.misalignment"}),
+        ("tip placement", {"arm.placement"}),
+        ("mesh size", {"specimen.mesh"}),
+        ("nonlinearity", {"material.law"}),
+    ],
+)
+def test_a_source_changes_one_thing_only(config, name, parts):
+    (source,) = (one for one in budget._seen(config) if one.name == name)
+    exact = budget._exact(config)
+    assert changed(source.change(exact), exact) == parts
+
+
+def test_the_last_source_is_the_bench_itself(config):
+    last = budget._seen(config)[-1]
+    assert last.change(budget._exact(config)) is config
+
+
+def test_the_coarse_mesh_is_of_the_same_body(config):
+    (source,) = (one for one in budget._seen(config) if one.name == "mesh size")
+    coarse = source.change(budget._exact(config)).specimen
+    fine = config.specimen
+    assert len(fine.mesh.vertices) / len(coarse.mesh.vertices) == pytest.approx(4.0, rel=0.25)
+    # Vertices of both lie on the ball of 40 mm or on its base.
+    away = np.linalg.norm(coarse.mesh.vertices, axis=1)
+    on_ball = np.isclose(away, 0.04, atol=1e-9)
+    assert (on_ball | (np.abs(coarse.mesh.vertices[:, 2]) < 1e-12)).all()
+    assert coarse.body is fine.body
+    assert coarse.held is fine.held
+
+
+def test_forces_are_read_with_the_sensors_noise(session):
+    sensor = ForceSensor(noise=0.01)
+    errors = []
+    for seed in range(300):
+        told = budget._with_forces(session, sensor, np.random.default_rng(seed))
+        for one, true in zip(told.probings, session.probings, strict=True):
+            np.testing.assert_allclose(one.force_std, 0.01)
+            errors.append(one.force - true.force)
+    # 1800 numbers: their deviation is known to 1 / sqrt(3600), 1.7 %; four times that.
+    assert np.std(errors) == pytest.approx(0.01, rel=0.07)
+    assert (session.probings[0].force == [0, 0, -0.5]).all()
+
+
+def test_another_rig_is_told_and_the_first_one_stays(session, tmp_path):
+    before = session.rig.read_bytes()
+    file = tmp_path / "told.toml"
+    known = with_displacements(session)
+    told = budget.with_misjudged_rig(known, Calibration(centre=2.0), np.random.default_rng(1), file)
+    assert told.rig == file
+    # What the first rig saw of the motion is not what this one would have seen.
+    assert all(probing.displacement is None for probing in told.probings)
+    assert session.rig.read_bytes() == before
+    off = [
+        one.matrix[:2, 2] - true.matrix[:2, 2]
+        for one, true in zip(read_rig(file).cameras, read_rig(session.rig).cameras, strict=True)
+    ]
+    assert np.abs(off).min() > 0.0
+    assert 0.5 < np.std(off) < 5.0
+
+
+def test_errors_are_against_the_truth():
+    truth = Material(52e3, 0.21)
+    shear, nu, young = (
+        Constant(value, 0.1, (0.9 * value, 1.1 * value))
+        for value in (1.01 * truth.shear_modulus, 0.23, 0.97 * 52e3)
+    )
+    probe = ProbeEstimate("n01", shear, nu, young, 9, 0, 0, 1e-5, None)
+    np.testing.assert_allclose(budget._errors(probe, truth), [0.02, 0.01, -0.03])
+
+
+def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
+    made, estimated = [], []
+
+    def make(wanted, *, variant, progress):
+        progress("making", 1.0)
+        for one, folder in wanted:
+            made.append((one, folder.name))
+            planned_session(folder)
+
+    def source(name, size, sessions, truth):
+        estimated.append((name, [one.rig.name for one in sessions]))
+        assert truth is config.material
+        return budget.ErrorSource(name, size, np.zeros((2, 3)), np.zeros((len(sessions), 3)))
+
+    monkeypatch.setattr(budget, "make_sessions", make)
+    monkeypatch.setattr(budget, "_source", source)
+    monkeypatch.setattr(budget, "pictures_measured", lambda session: session)
+    said = []
+    sources = budget.error_budget(
+        config, tmp_path, variant=Variant("none", "", None), draws=3,
+        progress=lambda text, share: said.append(share),
+    )  # fmt: skip
+    assert [one.name for one in sources] == NAMES
+    assert [len(one.joint) for one in sources] == [1] * 6 + [3] * 3 + [1]
+    assert len(made) == 7
+    assert said == sorted(said)
+    assert said[-1] < 1.0
+    rigs = dict(estimated)
+    assert rigs["force noise"] == ["rig.toml"] * 3
+    assert len(set(rigs["calibration"] + rigs["registration"])) == 6

@@ -1,0 +1,102 @@
+"""Pictures of the paper's experiments: what they are made of, and what is refused."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from flow_samples import rig, sample
+
+from palpate.errors import InputError
+from palpate.paper.figures import flow_curves, flow_picture, stacked, vertex_curves, write_picture
+from palpate.paper.motion import PaperSession
+from palpate.paper.published import FlowRow, Spread, VertexRow
+from palpate.pipeline import MeasuredMotion, SessionFlow
+from palpate.records import Session, Step
+
+ORANGE, BLUE = (0xD5, 0x5E, 0x00), (0x00, 0x72, 0xB2)
+
+
+def measured(monkeypatch):
+    """The sample's motion under the name s1, and a lost one, s2."""
+    one = sample()
+    monkeypatch.setattr("palpate.paper.figures.surface_map", lambda *_: one.surface)
+    motions = (
+        MeasuredMotion("s1", None, True, one.picture, one.flow, one.vertices, None),
+        MeasuredMotion("s2", None, True, one.picture, None, None, "torn picture"),
+    )
+    session = Session(
+        name="", path=Path("session.toml"), mesh=one.mesh, held_triangles=np.zeros(0, dtype=int),
+        probings=(), density=None, gravity=None, rig=Path("rig.toml"), notes=(),
+        steps=(Step("s0", "0.png"), Step("s1", "1.png"), Step("s2", "2.png")),
+    )  # fmt: skip
+    return PaperSession(session, {"joint": SessionFlow(rig(), motions, ())})
+
+
+def flows(bias):
+    return tuple(
+        FlowRow(
+            step, Spread(1.0, 0.1 / step), Spread(2.5e-3 * step + bias, 1e-4), 0.0, 2.5e-3 * step, 5
+        )
+        for step in (1, 2, 3)
+    )
+
+
+def directions(error):
+    return tuple(VertexRow(step, Spread(np.radians(error), 0.1)) for step in (1, 2, 3))
+
+
+def height_of(picture, colour, columns):
+    """Mean row of the pixels of a colour in some columns."""
+    near = np.abs(picture[:, columns, :3].astype(int) - colour).max(axis=2) < 30
+    # Below the legend.
+    rows = np.nonzero(near[60:])[0]
+    assert len(rows)
+    return rows.mean()
+
+
+def test_a_motion_is_drawn_by_its_name(monkeypatch):
+    picture = flow_picture(measured(monkeypatch), "joint", "s1", "a title")
+    assert picture.dtype == np.uint8
+    assert picture.shape[1] == pytest.approx(8.4 * 150, abs=1)
+    # The length is drawn in colours: there is more than grey.
+    assert (np.ptp(picture[..., :3].astype(int), axis=2) > 60).mean() > 0.1
+
+
+def test_motions_that_are_not_there_are_refused(monkeypatch):
+    found = measured(monkeypatch)
+    with pytest.raises(InputError, match="no motion 's7' to draw; there are s1, s2"):
+        flow_picture(found, "joint", "s7", "")
+    with pytest.raises(InputError, match="'s2' cannot be drawn: torn picture"):
+        flow_picture(found, "joint", "s2", "")
+
+
+def test_pictures_are_stacked_from_the_top():
+    above, below = np.full((2, 5, 4), 1, np.uint8), np.full((3, 5, 4), 2, np.uint8)
+    assert stacked([above, below])[:, 0, 0].tolist() == [1, 1, 2, 2, 2]
+
+
+def test_a_larger_bias_is_drawn_higher():
+    picture = flow_curves({"x": {"lang-pai": flows(1e-3), "joint": flows(1e-5)}})
+    first_panel = slice(100, picture.shape[1] // 3)
+    assert height_of(picture, ORANGE, first_panel) < height_of(picture, BLUE, first_panel) - 50
+
+
+def test_directions_have_one_scale_in_all_panels():
+    tests = {
+        "x": {"joint": directions(1.0)}, "y": {"joint": directions(100.0)},
+        "z": {"joint": directions(1.0)},
+    }  # fmt: skip
+    picture = vertex_curves(tests)
+    third = picture.shape[1] // 3
+    rows = [height_of(picture, BLUE, slice(k * third + 95, (k + 1) * third - 20)) for k in range(3)]
+    assert rows[0] == pytest.approx(rows[2], abs=1.0)
+    assert rows[1] < rows[0] - 50
+
+
+def test_pictures_are_written_as_png_without_loss(tmp_path):
+    picture = np.random.default_rng(1).integers(0, 256, (12, 9, 4), dtype=np.uint8)
+    picture[..., 3] = 255
+    write_picture(tmp_path / "a.png", picture)
+    read = cv2.imread(str(tmp_path / "a.png"))
+    np.testing.assert_array_equal(read[..., ::-1], picture[..., :3])

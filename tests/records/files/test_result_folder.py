@@ -1,0 +1,85 @@
+"""Result folders appear whole or not at all."""
+
+import pytest
+
+from palpate.errors import InputError
+from palpate.records.files.result_folder import CONTENTS_FILE, result_folder
+
+
+def _make(target, **files):
+    with result_folder(target) as folder:
+        for name, text in files.items():
+            (folder / name).write_text(text)
+
+
+def test_a_folder_appears_with_what_was_written(tmp_path):
+    target = tmp_path / "result"
+    with result_folder(target) as folder:
+        (folder / "estimate.json").write_text("{}")
+        (folder / "residuals").mkdir()
+        (folder / "residuals" / "n01.csv").write_text("x")
+        assert not target.exists()
+    names = {str(path.relative_to(target)) for path in target.rglob("*")}
+    assert names == {"estimate.json", "residuals", "residuals/n01.csv", CONTENTS_FILE}
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_nothing_is_left_when_the_block_fails(tmp_path):
+    def spoil():
+        with result_folder(tmp_path / "result") as folder:
+            (folder / "estimate.json").write_text("{")
+            raise KeyError("half way")
+
+    with pytest.raises(KeyError, match="half way"):
+        spoil()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_older_result_is_replaced_whole(tmp_path):
+    _make(tmp_path / "result", first="1", both="1")
+    _make(tmp_path / "result", second="2", both="2")
+    names = {path.name: path.read_text() for path in (tmp_path / "result").iterdir()}
+    assert set(names) == {"second", "both", CONTENTS_FILE}
+    assert names["both"] == "2"
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_an_older_result_stays_when_the_next_one_fails(tmp_path):
+    _make(tmp_path / "result", first="1")
+
+    def spoil():
+        with result_folder(tmp_path / "result"):
+            raise KeyError("half way")
+
+    with pytest.raises(KeyError):
+        spoil()
+    assert (tmp_path / "result" / "first").read_text() == "1"
+
+
+def test_an_empty_folder_is_used_and_a_strangers_is_not(tmp_path):
+    (tmp_path / "result").mkdir()
+    _make(tmp_path / "result", first="1")
+    (tmp_path / "result" / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match=r"no result of Palpate's, the first: \['thesis\.txt'\]"):
+        _make(tmp_path / "result", second="2")
+    assert (tmp_path / "result" / "thesis.txt").read_text() == "years of work"
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path):
+    (tmp_path / "file").write_text("")
+    ran = []
+
+    def work(target):
+        with result_folder(target):
+            ran.append(target)
+
+    with pytest.raises(InputError, match=r"cannot be written: .* is not a folder; make it first"):
+        work(tmp_path / "none" / "result")
+    with pytest.raises(InputError, match="cannot be written"):
+        work(tmp_path / "file" / "result")
+    with pytest.raises(InputError, match="is not a folder; choose another name"):
+        work(tmp_path / "file")
+    # A system folder in which not even the administrator can make a folder.
+    with pytest.raises(InputError, match=r"/proc/result: the result folder cannot be written \("):
+        work("/proc/result")
+    assert ran == []

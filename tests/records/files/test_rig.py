@@ -1,0 +1,174 @@
+"""rig.toml: read, written, and refused with a reason."""
+
+import numpy as np
+import pytest
+
+from palpate.errors import CalibrationError, InputError, RecordError
+from palpate.records import Camera, Rig
+from palpate.records.files.rig import read_rig, rig_to_toml, write_rig
+
+TOML = """\
+length_unit = "mm"
+reference = "right"
+
+[[camera]]
+name = "left"
+size = [640, 480]
+K = [[1400.0, 0.5, 319.5], [0.0, 1410.0, 239.5], [0.0, 0.0, 1.0]]
+distortion = [0.1, -0.2, 0.001, 0.002, 0.3]
+R = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+t = [0, 0, 500]
+
+[[camera]]
+name = "right"
+K = [[1400.0, 0.0, 319.5], [0.0, 1400.0, 239.5], [0.0, 0.0, 1.0]]
+R = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+t = [-100, 5, 500]
+"""
+
+
+@pytest.fixture
+def toml_file(tmp_path):
+    """Function that writes rig.toml with a piece replaced and gives its path."""
+
+    def write(old="", new=""):
+        assert old in TOML
+        path = tmp_path / "rig.toml"
+        path.write_text(TOML.replace(old, new, 1) if old else TOML)
+        return path
+
+    return write
+
+
+def _assert_same(one, other):
+    assert one.reference == other.reference
+    for a, b in zip(one.cameras, other.cameras, strict=True):
+        assert (a.name, a.size) == (b.name, b.size)
+        np.testing.assert_array_equal(a.matrix, b.matrix)
+        np.testing.assert_array_equal(a.distortion, b.distortion)
+        # A rotation is made exact once more on reading: rounding.
+        np.testing.assert_allclose(a.T_camera_object, b.T_camera_object, rtol=0.0, atol=1e-15)
+
+
+def test_values_are_the_files_in_metres(toml_file):
+    rig = read_rig(toml_file())
+    left, right = rig.cameras
+    assert (left.name, left.size, right.size, rig.reference) == ("left", (640, 480), None, 1)
+    np.testing.assert_array_equal(left.matrix[0], [1400.0, 0.5, 319.5])
+    np.testing.assert_array_equal(left.distortion, [0.1, -0.2, 0.001, 0.002, 0.3, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(right.T_camera_object[:3, 3], [-0.1, 0.005, 0.5], rtol=1e-15)
+    np.testing.assert_array_equal(right.T_camera_object[:3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert rig.source.endswith("rig.toml")
+
+
+def test_unit_of_the_file_comes_before_the_callers(toml_file):
+    assert read_rig(toml_file(), length_unit="m").cameras[0].T_camera_object[2, 3] == 0.5
+    path = toml_file('length_unit = "mm"\n')
+    assert read_rig(path, length_unit="cm").cameras[0].T_camera_object[2, 3] == 5.0
+    with pytest.raises(RecordError, match="the key 'length_unit' is missing"):
+        read_rig(path)
+    with pytest.raises(InputError, match=r"length_unit is 'km'.*\(allowed: m, cm, mm, in\)"):
+        read_rig(path, length_unit="km")
+
+
+def test_first_camera_is_the_reference_where_none_is_named(toml_file):
+    assert read_rig(toml_file('reference = "right"\n')).reference == 0
+
+
+def test_folder_stands_for_its_rig(toml_file):
+    path = toml_file()
+    _assert_same(read_rig(path.parent), read_rig(path))
+
+
+def test_written_rig_reads_the_same(tmp_path):
+    rng = np.random.default_rng(0)
+    cameras = []
+    for name, size in (('odd "name"', (640, 480)), ("second", None)):
+        pose = np.eye(4)
+        pose[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        pose[:3, :3] *= np.linalg.det(pose[:3, :3])
+        pose[:3, 3] = rng.normal(size=3)
+        matrix = np.array([[1234.5678901234567, 0.1, 300.0], [0.0, 1e3 / 3.0, 200.0], [0, 0, 1.0]])
+        cameras.append(Camera(name, size, matrix, rng.normal(size=8), pose))
+    rig = Rig(tuple(cameras), 1, "here")
+    write_rig(tmp_path / "rig.toml", rig)
+    assert (tmp_path / "rig.toml").read_text() == rig_to_toml(rig)
+    _assert_same(read_rig(tmp_path / "rig.toml"), rig)
+
+
+def test_rounded_rotation_is_made_exact(toml_file):
+    c, s = np.round(np.cos(0.3), 8), np.round(np.sin(0.3), 8)
+    path = toml_file(
+        "R = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", f"R = [{c}, {-s}, 0, {s}, {c}, 0, 0, 0, 1]"
+    )
+    turn = read_rig(path).cameras[0].T_camera_object[:3, :3]
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(turn[0, 0], np.cos(0.3), atol=1e-8)
+
+
+def test_rendered_rig(shared_data):
+    rig = read_rig(shared_data / "halfball_images")
+    assert [camera.name for camera in rig.cameras] == ["c0", "c1", "c2"]
+    # Its README: 0.45 m away, all aiming at the object.
+    for camera in rig.cameras:
+        pose = camera.T_camera_object
+        assert np.linalg.norm(pose[:3, 3]) == pytest.approx(0.46, abs=0.02)
+        assert abs(pose[0, 3]) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("K = [[1400.0, 0.5", "k = [[1400.0, 0.5", r"unknown key 'k'"),
+        ("reference", "references", "unknown key 'references'; did you mean 'reference'"),
+        ('reference = "right"', 'reference = "righty"', "is 'righty'; did you mean 'right'"),
+        ("t = [0, 0, 500]\n", "", "number 1: the key 't' is missing"),
+        ('length_unit = "mm"', 'length_unit = "km"', "allowed: m, cm, mm, in"),
+    ],
+)
+def test_wrong_format_is_a_record_error(toml_file, old, new, message):
+    with pytest.raises(RecordError, match=message):
+        read_rig(toml_file(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[640, 480]", "[640, 480.5]", r"'left' size is \[640, 480.5\]; must be two whole numbers"),
+        ("[640, 480]", "[640]", "must be two whole numbers"),
+        ("[640, 480]", "[640, -480]", "must be two whole numbers"),
+        ("[0, 0, 500]", "[0, 500]", "'left' t has 2 numbers; must have 3"),
+        ("[0, 0, 500]", '["far", 0, 0]', "'left' t is .*; must be numbers"),
+        ("[0, 0, 500]", "[nan, 0, 0]", "'left' t is .*; must be finite"),
+        ("[1400.0, 0.5, 319.5]", "[-1400.0, 0.5, 319.5]", "rig.toml: camera 'left': focal lengths"),
+        ("[[1, 0, 0], [0, 1, 0]", "[[1, 0.1, 0], [0, 1, 0]", "R is not a rotation"),
+        ("[0.1, -0.2, 0.001, 0.002, 0.3]", "[0, 0, 0, 0, 0, 0, 0, 0, 1]", "9 distortion terms"),
+        ('name = "right"\nK', 'name = "left"\nK', "cameras share a name"),
+    ],
+)
+def test_wrong_numbers_are_a_calibration_error(toml_file, old, new, message):
+    path = toml_file(old, new)
+    if "share" in message:
+        path.write_text(path.read_text().replace('reference = "right"\n', ""))
+    with pytest.raises(CalibrationError, match=message):
+        read_rig(path)
+
+
+def test_one_camera_is_too_few(toml_file):
+    path = toml_file()
+    path.write_text(TOML[: TOML.rindex("[[camera]]")].replace('"right"', '"left"'))
+    with pytest.raises(CalibrationError, match="has 1 camera; depth needs at least two"):
+        read_rig(path)
+
+
+def test_files_that_are_not_there_or_not_written(tmp_path, toml_file):
+    toml_file()
+    with pytest.raises(RecordError, match=r"rg.toml: no such file; did you mean 'rig.toml'"):
+        read_rig(tmp_path / "rg.toml")
+    with pytest.raises(RecordError, match="no such file"):
+        read_rig(tmp_path / "nowhere" / "rig.toml")
+    with pytest.raises(RecordError, match="cannot be written"):
+        write_rig(tmp_path / "nowhere" / "rig.toml", read_rig(tmp_path))
+    (tmp_path / "other.toml").write_text("length_unit = ")
+    with pytest.raises(RecordError, match="is not valid TOML"):
+        read_rig(tmp_path / "other.toml")

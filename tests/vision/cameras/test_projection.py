@@ -1,0 +1,196 @@
+"""Projection and its inverse against OpenCV, finite differences, closed forms and laws."""
+
+import cv2
+import numba
+import numpy as np
+import pytest
+from vision_cameras import BARREL, RATIONAL, REAL, make_camera, moved, terms
+
+from palpate.records import Camera, Rig
+from palpate.vision.cameras.lens import lens_reach
+from palpate.vision.cameras.projection import (
+    normalised,
+    packed_camera,
+    packed_rig,
+    project,
+    project_jacobian,
+    project_kernel,
+    rays,
+)
+
+LENSES = {
+    "none": (),
+    "barrel": BARREL,
+    "pincushion": (0.25, 0.1, -1e-3, 5e-4, 0.05),
+    "rational": RATIONAL,
+    "real": REAL,
+}
+SINGLE = [tuple(0.08 * (i == k) for i in range(8)) for k in range(8)]
+
+
+def _points(count=200, half=0.12, seed=0):
+    return np.random.default_rng(seed).uniform(-half, half, (count, 3))
+
+
+def _grid(camera, step=7):
+    columns, rows = camera.size
+    column, row = np.meshgrid(np.arange(0.0, columns, step), np.arange(0.0, rows, step))
+    return np.stack([column.ravel(), row.ravel()], axis=1)
+
+
+def _opencv(camera, points):
+    """OpenCV's projection; it passes over the skew, which is added."""
+    pose, k = camera.T_camera_object, camera.matrix
+    turn = cv2.Rodrigues(pose[:3, :3])[0]
+    pixels = cv2.projectPoints(points, turn, pose[:3, 3], k, camera.distortion)[0][:, 0]
+    pixels[:, 0] += k[0, 1] / k[1, 1] * (pixels[:, 1] - k[1, 2])
+    return pixels
+
+
+@pytest.mark.parametrize("lens", [*LENSES.values(), *SINGLE])
+def test_projection_is_opencvs(lens):
+    camera, points = make_camera(lens=lens), _points()
+    # Both in double precision, pixels of some 500: rounding is 1e-12.
+    np.testing.assert_allclose(project(camera, points), _opencv(camera, points), atol=1e-10)
+
+
+def test_kernel_projects_as_the_arrays_do():
+    camera, points = make_camera(lens=RATIONAL), _points(20)
+    packed = packed_rig(Rig((camera, make_camera("c1")), 0, "here"))[0]
+    np.testing.assert_array_equal(packed, packed_camera(camera))
+    one = [project_kernel(packed, *point) for point in points]
+    np.testing.assert_allclose(one, project(camera, points), atol=1e-10)  # rounding
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_jacobian_is_the_finite_difference(lens):
+    camera, points = make_camera(lens=lens), _points(50)
+    pixels, jacobian = project_jacobian(camera, points)
+    np.testing.assert_allclose(pixels, project(camera, points), atol=1e-10)  # rounding
+    h = 1e-5
+    steps = [
+        (project(camera, points + h * axis) - project(camera, points - h * axis)) / (2 * h)
+        for axis in np.eye(3)
+    ]
+    # Central differences: truncation h^2 / 6 times third derivatives of order 1e5, rounding 1e-8.
+    np.testing.assert_allclose(jacobian, np.stack(steps, axis=-1), atol=1e-4)
+    assert np.abs(jacobian).max() > 1e3
+
+
+@pytest.mark.parametrize("lens", [*LENSES.values(), *SINGLE])
+def test_forward_and_inverse_agree_everywhere_in_the_picture(lens):
+    # The real lens is a long one: at 900 px it would fold over within the picture.
+    camera = make_camera(lens=lens, focal=6640.0 if lens == REAL else 900.0)
+    pixels = _grid(camera)
+    origin, direction = rays(camera, pixels)
+    back = project(camera, origin + 0.7 * direction)
+    # What the issue asks for.
+    np.testing.assert_allclose(back, pixels, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("lens", [BARREL, RATIONAL, SINGLE[2], SINGLE[3]])
+def test_inverse_is_opencvs(lens):
+    camera = make_camera(lens=lens, skew=0.0)
+    pixels = _grid(camera, step=31)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-15)
+    theirs = cv2.undistortPoints(pixels[:, None], camera.matrix, camera.distortion, criteria=stop)[
+        :, 0
+    ]
+    # Their fixed point stops at some 1e-9.
+    np.testing.assert_allclose(normalised(camera, pixels), theirs, atol=1e-8)
+
+
+def test_ray_of_a_pixel_passes_through_the_point_it_shows():
+    camera, points = make_camera(lens=RATIONAL), _points()
+    origin, direction = rays(camera, project(camera, points))
+    np.testing.assert_allclose(camera.T_camera_object @ [*origin, 1.0], [0, 0, 0, 1], atol=1e-15)
+    away = np.cross(points - origin, direction)
+    np.testing.assert_allclose(away, 0.0, atol=1e-14)  # rounding of 0.6 m
+    assert (np.einsum("na,na->n", points - origin, direction) > 0.0).all()
+
+
+def test_moving_the_object_frame_changes_nothing():
+    camera, points = make_camera(lens=RATIONAL), _points()
+    motion = np.eye(4)
+    motion[:3, :3] = cv2.Rodrigues(np.array([1.0, -2.0, 0.5]))[0]
+    motion[:3, 3] = [0.3, -0.1, 0.2]
+    other = moved(camera, motion)
+    there = points @ motion[:3, :3].T + motion[:3, 3]
+    np.testing.assert_allclose(project(other, there), project(camera, points), atol=1e-10)
+    turned = project_jacobian(other, there)[1] @ motion[:3, :3]
+    np.testing.assert_allclose(turned, project_jacobian(camera, points)[1], atol=1e-8)
+
+
+def test_reach_of_a_barrel_is_the_closed_form():
+    """r + k1 r^3 stops to rise at r^2 = 1 / (3 |k1|), where it is 2 r / 3."""
+    for k1 in (-0.5, -0.07):
+        assert lens_reach(terms((k1,))) == pytest.approx((-3.0 * k1) ** -0.5)
+    # 1 / (1 + k4 r^2) with k4 < 0 has its pole at r^2 = 1 / |k4|.
+    assert lens_reach(np.array([0, 0, 0, 0, 0, -0.04, 0, 0.0])) == pytest.approx(5.0)
+    assert lens_reach(np.zeros(8)) == np.inf
+    assert lens_reach(np.array([0.2, 0.1, 0, 0, 0.1, 0, 0, 0])) == np.inf
+
+
+def test_beyond_the_fold_there_is_no_ray_and_no_pixel():
+    k1 = -0.5
+    reach = (-3.0 * k1) ** -0.5
+    camera = Camera("c0", None, np.diag([100.0, 100.0, 1.0]), terms((k1,)), np.eye(4))
+    inside, outside = 0.999, 1.001
+    pixels = 100.0 * 2.0 / 3.0 * reach * np.array([[inside, 0.0], [0.0, outside]])
+    found = normalised(camera, pixels)
+    assert 0.9 * reach < found[0, 0] < reach
+    assert np.isnan(found[1]).all()
+    points = np.array([[reach * inside, 0.0, 1.0], [reach * outside, 0.0, 1.0]])
+    seen, jacobian = project_jacobian(camera, points)
+    np.testing.assert_array_equal(np.isnan(seen).any(axis=1), [False, True])
+    np.testing.assert_array_equal(np.isnan(project(camera, points)).any(axis=1), [False, True])
+    np.testing.assert_array_equal(np.isnan(jacobian).any(axis=(1, 2)), [False, True])
+
+
+def test_inverse_stays_on_the_branch_of_the_axis():
+    """k1 < 0 < k2 folds twice: the same radius is reached on two rising branches."""
+    lens = np.array([-0.9, 0.35, 0, 0, 0, 0, 0, 0.0])
+    reach = lens_reach(lens)
+    camera = Camera("c0", None, np.diag([500.0, 500.0, 1.0]), lens, np.eye(4))
+    radius = np.linspace(0.0, 0.99 * reach, 40)
+    place = 500.0 * radius * (1.0 - 0.9 * radius**2 + 0.35 * radius**4)
+    angle = np.linspace(0.0, 6.0, 40)
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    found = normalised(camera, place[:, None] * way)
+    # Near the fold 1e-13 in the picture is some 1e-11 in the ray.
+    np.testing.assert_allclose(found, radius[:, None] * way, atol=1e-10)
+    beyond = 500.0 * np.array([[1.1 * place.max() / 500.0, 0.0]])
+    assert np.isnan(normalised(camera, beyond)).all()
+
+
+def test_what_is_not_seen_is_nan():
+    camera = make_camera(turn=(0, 0, 0), shift=(0, 0, 0.5), lens=BARREL)
+    points = np.array([[0.0, 0.0, -0.4], [0.0, 0.0, -0.5], [0.01, 0.02, -0.6], [np.nan, 0, 0]])
+    for pixels in (project(camera, points), project_jacobian(camera, points)[0]):
+        np.testing.assert_array_equal(np.isnan(pixels).any(axis=1), [False, True, True, True])
+    pixels = np.array([[np.nan, 3.0], [300.0, 200.0]])
+    for lens in ((), BARREL):
+        flat = normalised(make_camera(lens=lens), pixels)
+        np.testing.assert_array_equal(np.isnan(flat).any(axis=1), [True, False])
+    assert project(camera, np.zeros((0, 3))).shape == (0, 2)
+
+
+def test_principal_point_of_a_tangential_lens():
+    """There the distorted place is 0, which is a ray along the axis and no division by zero."""
+    camera = make_camera(lens=(0.1, 0.0, 1e-3, 2e-3), turn=(0, 0, 0), shift=(0, 0, 1.0))
+    centre = camera.matrix[:2, 2][None]
+    np.testing.assert_allclose(normalised(camera, centre), 0.0, atol=1e-15)
+
+
+def test_any_number_of_threads_gives_the_same():
+    camera = make_camera(lens=RATIONAL)
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(threads)
+            results.append(normalised(camera, _grid(camera)))
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(*results)

@@ -1,0 +1,226 @@
+"""Triangulation against closed forms, OpenCV, Monte Carlo and laws."""
+
+import cv2
+import numba
+import numpy as np
+import pytest
+from vision_cameras import BARREL, RATIONAL, make_camera, moved
+
+from palpate.errors import InputError
+from palpate.records import Rig
+from palpate.vision.cameras.projection import project, project_jacobian
+from palpate.vision.cameras.triangulation import triangulate
+
+POSES = (
+    ((0.1, -0.2, 0.3), (0.01, -0.02, 0.6)),
+    ((0.1, 0.2, 0.3), (-0.01, 0.02, 0.65)),
+    ((-0.25, 0.0, 0.2), (0.0, 0.03, 0.7)),
+    ((0.4, 0.3, -0.1), (0.02, 0.0, 0.5)),
+)
+LENSES = (RATIONAL, BARREL, (), (0.2, 0.05))
+
+
+def _rig(count=3, *, lens=True):
+    cameras = [
+        make_camera(f"c{i}", turn=turn, shift=shift, lens=LENSES[i] if lens else ())
+        for i, (turn, shift) in enumerate(POSES[:count])
+    ]
+    return Rig(tuple(cameras), 0, "here")
+
+
+def _points(count=100, seed=1):
+    return np.random.default_rng(seed).uniform(-0.05, 0.05, (count, 3))
+
+
+def _seen(rig, points):
+    return np.stack([project(camera, points) for camera in rig.cameras])
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_exact_pixels_give_the_exact_points(count):
+    rig, points = _rig(count), _points()
+    found = triangulate(rig, _seen(rig, points), 0.02)
+    # 1e-13 px of rounding times a millimetre per pixel.
+    np.testing.assert_allclose(found.point, points, rtol=0.0, atol=1e-12)
+    assert found.residual.max() < 1e-10
+    assert (found.cameras == count).all()
+
+
+def test_noisy_pixels_give_opencvs_optimal_points():
+    """Two views: OpenCV moves the pixels the least to meet, then intersects the rays."""
+    rig = _rig(2, lens=False)
+    rng = np.random.default_rng(2)
+    pixels = _seen(rig, _points(30)) + rng.normal(0.0, 0.5, (2, 30, 2))
+    matrices = [camera.matrix @ camera.T_camera_object[:3] for camera in rig.cameras]
+    pose = rig.cameras[1].T_camera_object @ np.linalg.inv(rig.cameras[0].T_camera_object)
+    x, y, z = pose[:3, 3]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    inverse = [np.linalg.inv(camera.matrix) for camera in rig.cameras]
+    fundamental = inverse[1].T @ cross @ pose[:3, :3] @ inverse[0]
+    met = cv2.correctMatches(fundamental, pixels[0][None], pixels[1][None])
+    flat = cv2.triangulatePoints(*matrices, met[0][0].T, met[1][0].T)
+    theirs = (flat[:3] / flat[3]).T
+    found = triangulate(rig, pixels, 0.5)
+    # Their root of a polynomial of degree six is good to 1e-7 m: ours has the smaller residual.
+    np.testing.assert_allclose(found.point, theirs, rtol=0.0, atol=2e-7)
+    left = ((_seen(rig, theirs) - pixels) ** 2).sum(axis=(0, 2))
+    assert (4.0 * found.residual**2 <= left * (1.0 + 1e-12)).all()
+
+
+def test_point_is_the_minimum_of_the_weighted_distances():
+    """There the gradient vanishes: one more Gauss-Newton step is rounding."""
+    rig, sigma = _rig(3), 2.0
+    pixels = _seen(rig, _points()) + np.random.default_rng(9).normal(0.0, sigma, (3, 100, 2))
+    found = triangulate(rig, pixels, sigma)
+    gradient = np.zeros((100, 3))
+    for camera, seen in zip(rig.cameras, pixels, strict=True):
+        place, jacobian = project_jacobian(camera, found.point)
+        gradient += np.einsum("nij,ni->nj", jacobian, seen - place) / sigma**2
+    step = np.einsum("nij,nj->ni", found.covariance, gradient)
+    # The stop, 1e-12 of 0.6 m, times the slow rate of convergence at this much noise.
+    np.testing.assert_allclose(step, 0.0, atol=2e-12)
+
+
+def test_covariance_of_parallel_cameras_is_the_closed_form():
+    """sd of depth: z^2 sqrt(2) s / (f b); across, z s / (f sqrt(2)), at the middle."""
+    f, b, z, s = 900.0, 0.1, 0.8, 0.03
+    cameras = tuple(
+        make_camera(name, turn=(0, 0, 0), shift=(side * b / 2, 0, z), focal=f, skew=0.0)
+        for name, side in (("l", 1.0), ("r", -1.0))
+    )
+    rig = Rig(cameras, 0, "here")
+    found = triangulate(rig, _seen(rig, np.zeros((1, 3))), s)
+    sd = np.sqrt(np.diag(found.covariance[0]))
+    # The rows of make_camera have 1.01 f; columns at +-b/2 add a term of second order to x: none
+    # at the middle, by symmetry.
+    wanted = [z * s / (f * np.sqrt(2.0)), z * s / (1.01 * f * np.sqrt(2.0)), z**2 * s / (f * b)]
+    wanted[2] *= np.sqrt(2.0)
+    np.testing.assert_allclose(sd, wanted, rtol=1e-10)
+
+
+def test_covariance_is_that_of_many_trials():
+    """Pixels with their own anisotropic noise, three cameras with lenses."""
+    rig, count = _rig(3), 20_000
+    rng = np.random.default_rng(3)
+    root = np.array(
+        [[[0.2, 0.0], [0.1, 0.05]], [[0.1, 0.0], [0.0, 0.1]], [[0.3, 0.0], [-0.2, 0.1]]]
+    )
+    spread = np.einsum("cij,ckj->cik", root, root)
+    point = np.array([[0.02, -0.03, 0.01]])
+    noise = np.einsum("cij,cnj->cni", root, rng.normal(size=(3, count, 2)))
+    pixels = _seen(rig, point) + noise
+    covariance = np.repeat(spread[:, None], count, axis=1)
+    found = triangulate(rig, pixels, covariance)
+    whitened = np.linalg.solve(np.linalg.cholesky(found.covariance[0]), (found.point - point).T)
+    # Sampling: variances have a relative sd of sqrt(2 / n), 0.01; four of them.
+    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.04)
+    np.testing.assert_allclose(whitened.mean(axis=1), 0.0, atol=0.04)
+
+
+def test_residual_is_the_noise_less_the_three_unknowns():
+    rig, sigma = _rig(4), 0.1
+    points = _points(4000)
+    noise = np.random.default_rng(4).normal(0.0, sigma, (4, 4000, 2))
+    found = triangulate(rig, _seen(rig, points) + noise, sigma)
+    # Eight coordinates, three unknowns; sampling sd over 20000 degrees of freedom is 0.5 %.
+    mean = np.sqrt((found.residual**2).mean())
+    assert mean == pytest.approx(sigma * np.sqrt((8 - 3) / 8), rel=0.02)
+
+
+def test_one_sigma_is_the_round_covariance():
+    rig = _rig(3)
+    pixels = _seen(rig, _points(20)) + np.random.default_rng(5).normal(0.0, 0.1, (3, 20, 2))
+    round_one = np.broadcast_to(0.3**2 * np.eye(2), (3, 20, 2, 2)).copy()
+    one, other = triangulate(rig, pixels, 0.3), triangulate(rig, pixels, round_one)
+    np.testing.assert_allclose(one.point, other.point, atol=1e-14)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-10)
+
+
+def test_moving_the_object_frame_moves_points_and_covariances():
+    rig, points = _rig(3), _points()
+    pixels = _seen(rig, points) + np.random.default_rng(6).normal(0.0, 0.1, (3, 100, 2))
+    motion = np.eye(4)
+    motion[:3, :3] = cv2.Rodrigues(np.array([1.0, -2.0, 0.5]))[0]
+    motion[:3, 3] = [0.3, -0.1, 0.2]
+    other = Rig(tuple(moved(camera, motion) for camera in rig.cameras), 0, "here")
+    one, two = triangulate(rig, pixels, 0.1), triangulate(other, pixels, 0.1)
+    turn = motion[:3, :3]
+    np.testing.assert_allclose(two.point, one.point @ turn.T + motion[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(
+        two.covariance, turn @ one.covariance @ turn.T, rtol=1e-6, atol=1e-14
+    )
+    np.testing.assert_allclose(two.residual, one.residual, atol=1e-10)
+
+
+def test_order_of_the_cameras_does_not_matter():
+    rig = _rig(3)
+    pixels = _seen(rig, _points()) + np.random.default_rng(7).normal(0.0, 0.1, (3, 100, 2))
+    back = Rig(rig.cameras[::-1], 0, "here")
+    one, two = triangulate(rig, pixels, 0.1), triangulate(back, pixels[::-1], 0.1)
+    np.testing.assert_allclose(two.point, one.point, atol=1e-12)
+
+
+def test_cameras_that_do_not_see_a_point_are_left_out():
+    rig, points = _rig(3), _points(4)
+    pixels = _seen(rig, points)
+    pixels[2, 0] = np.nan
+    pixels[1:, 1] = np.nan
+    pixels[0, 2, 1] = np.nan
+    found = triangulate(rig, pixels, 0.1)
+    np.testing.assert_array_equal(found.cameras, [2, 1, 2, 3])
+    np.testing.assert_allclose(found.point[[0, 2, 3]], points[[0, 2, 3]], atol=1e-12)
+    pair = triangulate(Rig(rig.cameras[:2], 0, "here"), pixels[:2], 0.1)
+    np.testing.assert_allclose(found.covariance[0], pair.covariance[0], rtol=1e-10)
+    for lost in (found.point[1], found.covariance[1], found.residual[1]):
+        assert np.isnan(lost).all()
+
+
+def test_rays_that_meet_behind_a_camera_or_nowhere_give_nan():
+    cameras = tuple(
+        make_camera(name, turn=(0, 0, 0), shift=(x, 0, 1.0), skew=0.0)
+        for name, x in (("l", 0.05), ("r", -0.05))
+    )
+    rig = Rig(cameras, 0, "here")
+    # The left camera sees a point before both cameras farther right: 40 px; behind them, left.
+    pixels = np.array([[[340.0, 200.0], [300.0, 200.0], [320.0, 200.0]], [[300.0, 200.0]] * 3])
+    pixels[1, 1], pixels[1, 2] = [340.0, 200.0], [320.0, 200.0]
+    found = triangulate(rig, pixels, 0.1)
+    np.testing.assert_array_equal(np.isnan(found.point).all(axis=1), [False, True, True])
+    np.testing.assert_array_equal(np.isnan(found.residual), [False, True, True])
+    assert (found.cameras == 2).all()
+
+
+def test_any_number_of_threads_gives_the_same():
+    rig = _rig(3)
+    pixels = _seen(rig, _points(500)) + np.random.default_rng(8).normal(0.0, 0.1, (3, 500, 2))
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(threads)
+            results.append(triangulate(rig, pixels, 0.1))
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(results[0].point, results[1].point)
+    np.testing.assert_array_equal(results[0].covariance, results[1].covariance)
+
+
+def test_bad_input_is_refused():
+    rig = _rig(2)
+    pixels = _seen(rig, _points(3))
+    with pytest.raises(InputError, match=r"pixels are of 1 cameras; the rig has 2 \(c0, c1\)"):
+        triangulate(rig, pixels[:1], 0.1)
+    for sigma in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match=r"standard deviation .* must be positive"):
+            triangulate(rig, pixels, sigma)
+    covariance = np.broadcast_to(np.eye(2), (2, 3, 2, 2)).copy()
+    covariance[1, 2] = [[1.0, 2.0], [2.0, 1.0]]
+    with pytest.raises(InputError, match=r"point 2 in camera 1 .* must be positive definite"):
+        triangulate(rig, pixels, covariance)
+    covariance[1, 2] = np.nan
+    with pytest.raises(InputError, match="must be positive definite where the pixel"):
+        triangulate(rig, pixels, covariance)
+    pixels[1, 2] = np.nan
+    assert np.isnan(triangulate(rig, pixels, covariance).point[2]).all()
+    with pytest.raises(InputError, match=r"must be \(2, 2, 2, 2\)"):
+        triangulate(rig, pixels[:, :2], covariance)

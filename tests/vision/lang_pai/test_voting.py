@@ -1,0 +1,227 @@
+"""The vote of the cameras on textures that move by whole pixels, and against plain loops."""
+
+import numba
+import numpy as np
+import pytest
+from vision.textures import Speckle, Warp, noisy
+
+from palpate.errors import InputError
+from palpate.vision.lang_pai.correlation import COLUMNS, ROWS, correlation
+from palpate.vision.lang_pai.disparity import Views
+from palpate.vision.lang_pai.voting import Instant, VoteSettings, vote
+from palpate.vision.range_flow import Outcome
+
+SHAPE = (70, 90)
+VIEWS = Views(np.array([0, COLUMNS, ROWS]), np.array([0.0, 1.0, 0.7]), np.array([0.0, -3.4, 1.3]))
+REST, LOADED = 6.3, 7.1
+# Camera and shift of a planted error [px].
+RIGHT = (0, (0, 0))
+
+
+def _instant(motion, disparity, *, wrong=RIGHT, noise=0.0, seed=0):
+    """A flat texture that has moved by `motion`, seen by all cameras at one disparity.
+
+    In camera `wrong[0]` it has moved by `wrong[1]` more than it should.
+    """
+    texture = Speckle(SHAPE, 5)
+    pictures = []
+    for c in range(len(VIEWS.along)):
+        shift = np.array(motion, dtype=float)
+        if c > 0:
+            shift[VIEWS.along[c]] += VIEWS.offset[c] + VIEWS.ratio[c] * disparity
+        if c == wrong[0]:
+            shift += wrong[1]
+        picture = texture.image(Warp(lambda place, shift=shift: place - shift))
+        pictures.append(noisy(picture, noise, seed + c) if noise else picture)
+    return Instant(np.stack(pictures).astype(np.float32), np.full(SHAPE, disparity))
+
+
+def _pixels(step=5):
+    """Pixels whose search stays in all pictures."""
+    row, column = np.mgrid[14:50:step, 16:68:step]
+    return np.stack([column.ravel(), row.ravel()], axis=1)
+
+
+@pytest.mark.parametrize("motion", [(0, 0), (4, -3), (-6, 6), (6, 6)])
+@pytest.mark.parametrize("noise", [0.0, 1.5])
+def test_whole_pixels_are_found_exactly(motion, noise):
+    """To the very ends of the search range; no window of speckle looks like another one."""
+    pixel = _pixels()
+    found = vote(
+        _instant((0, 0), REST, noise=noise),
+        _instant(motion, LOADED, noise=noise, seed=10),
+        VIEWS,
+        pixel,
+    )
+    assert (found.outcome == Outcome.VALID).mean() > 0.99
+    good = found.outcome == Outcome.VALID
+    assert np.array_equal(
+        found.pixel[good] - pixel[good], np.broadcast_to(motion, pixel.shape)[good]
+    )
+    assert (found.agreed[good] == 3).all()
+    # Interpolation between pixels blurs by different amounts before and after; noise of 1.5 grey
+    # levels beside a contrast of 45.
+    assert np.median(found.score) > 0.95
+    if not noise:
+        assert not found.apart.any()
+
+
+@pytest.mark.parametrize(("fraction", "whole"), [(0.3, 0), (0.7, 1), (-0.3, 0), (-0.7, -1)])
+def test_a_fraction_of_a_pixel_is_rounded(fraction, whole):
+    """The paper has no sub-pixel step: the nearest pixel is most alike, nearly always."""
+    pixel = _pixels()
+    found = vote(_instant((0, 0), REST), _instant((2 + fraction, -1), LOADED), VIEWS, pixel)
+    good = found.outcome == Outcome.VALID
+    moved = found.pixel[good] - pixel[good]
+    assert good.mean() > 0.98
+    assert (moved == [2 + whole, -1]).all(axis=1).mean() > 0.97
+
+
+@pytest.mark.parametrize("camera", [0, 1, 2])
+@pytest.mark.parametrize("extra", [(3, 0), (0, 4), (-5, 2), (3, -6)])
+def test_one_camera_that_contradicts_is_enough_to_reject(camera, extra):
+    """A highlight, say, moves differently in one camera: no pixel is within one of 0 and of 3.
+
+    By two, the highest sum may be the pixel between, and the vote is won.
+    """
+    pixel = _pixels(7)
+    after = _instant((3, 1), LOADED, wrong=(camera, extra))
+    found = vote(_instant((0, 0), REST), after, VIEWS, pixel)
+    assert (found.outcome == Outcome.REPROJECTION).all()
+    assert (found.agreed < 3).all()
+    # Where the two that agree have the highest sum, the third is off by all of the extra.
+    winner = (found.pixel - pixel == [3, 1]).all(axis=1)
+    assert winner.mean() > 0.2
+    assert (found.agreed[winner] == 2).all()
+    np.testing.assert_allclose(found.apart[winner], np.hypot(*extra) / np.sqrt(3.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("camera", [0, 1, 2])
+@pytest.mark.parametrize("extra", [(1, 0), (0, -1), (1, 1)])
+def test_the_eight_pixels_around_the_best_count_as_agreement(camera, extra):
+    found = vote(
+        _instant((0, 0), REST),
+        _instant((3, 1), LOADED, wrong=(camera, extra)),
+        VIEWS,
+        _pixels(7),
+    )
+    good = found.outcome == Outcome.VALID
+    assert good.mean() > 0.95
+    assert (found.apart[good] <= np.sqrt(2.0)).all()
+    assert (found.apart[good] > 0.5).all()
+
+
+def test_it_is_the_vote_that_plain_loops_hold():
+    """Bad pictures, so that every outcome of a vote occurs; disparity differs between pixels."""
+    rng = np.random.default_rng(2)
+    before = _instant((0, 0), REST, noise=12.0)
+    after = _instant((2.4, -1.3), LOADED, noise=60.0, seed=7)
+    near = REST + rng.uniform(-0.5, 0.5, SHAPE)
+    far = np.where(rng.uniform(size=SHAPE) < 0.3, np.nan, LOADED + rng.uniform(-0.5, 0.5, SHAPE))
+    before, after = Instant(before.pictures, near), Instant(after.pictures, far)
+    pixel = _pixels(6)
+    settings = VoteSettings(window=5, search=9, least_score=0.35)
+    found = vote(before, after, VIEWS, pixel, settings=settings)
+    brute = [_brute_vote(before, after, one, settings) for one in pixel]
+    for k, (place, score, apart, agreed, outcome) in enumerate(brute):
+        assert found.pixel[k].tolist() == list(place)
+        assert found.outcome[k] == outcome
+        assert found.agreed[k] == agreed
+        np.testing.assert_allclose([found.score[k], found.apart[k]], [score, apart], atol=1e-6)
+    kinds = {Outcome(k) for k in found.outcome}
+    assert kinds == {Outcome.VALID, Outcome.SCORE, Outcome.REPROJECTION}
+
+
+def _brute_vote(before, after, pixel, settings):
+    half = settings.search // 2
+    start = before.disparity[pixel[1], pixel[0]]
+    offsets = [(x, y) for y in range(-half, half + 1) for x in range(-half, half + 1)]
+    table = np.full((3, len(offsets)), np.nan)
+    for k, offset in enumerate(offsets):
+        place = pixel + offset
+        end = after.disparity[place[1], place[0]]
+        for c in range(3):
+            if c == 0:
+                a, p, b, q = pixel, 0.0, place, 0.0
+            elif np.isnan(end):
+                continue
+            else:
+                a, p = _moved(pixel, c, start)
+                b, q = _moved(place, c, end)
+            table[c, k] = correlation(
+                before.pictures[c],
+                after.pictures[c],
+                a[None],
+                np.array([p]),
+                b[None],
+                np.array([q]),
+                window=settings.window,
+                along=int(VIEWS.along[c]),
+            )[0]
+    best = np.nanargmax(table.sum(axis=0))
+    own = np.nanargmax(table, axis=1)
+    away = np.array([np.subtract(offsets[k], offsets[best]) for k in own])
+    agreed = int((np.abs(away).max(axis=1) <= 1).sum())
+    outcome = Outcome.VALID if agreed == 3 else Outcome.REPROJECTION
+    if table[:, best].mean() < settings.least_score:
+        outcome = Outcome.SCORE
+    apart = np.sqrt((away**2).sum(axis=1).mean())
+    return pixel + offsets[best], table[:, best].min(), apart, agreed, outcome
+
+
+def _moved(pixel, camera, disparity):
+    shift = VIEWS.offset[camera] + VIEWS.ratio[camera] * disparity
+    whole = int(np.floor(shift))
+    return pixel + whole * np.eye(2, dtype=int)[VIEWS.along[camera]], shift - whole
+
+
+def test_each_reason_has_its_outcome():
+    before, after = _instant((0, 0), REST), _instant((1, 1), LOADED)
+    hidden, lost = before.disparity.copy(), after.disparity.copy()
+    hidden[20, 30] = np.nan
+    lost[23:37, 38:52] = np.nan
+    flat, unknown = before.pictures.copy(), after.pictures.copy()
+    flat[1, 30:40, 60:75] = 80.0
+    unknown[2, 50:, :] = np.nan
+    pixel = np.array([[30, 20], [45, 30], [64, 35], [1, 30], [30, 58], [30, 30]])
+    found = vote(Instant(flat, hidden), Instant(unknown, lost), VIEWS, pixel)
+    names = [Outcome(k).name for k in found.outcome]
+    assert names == ["HIDDEN", "LOST", "TEXTURE", "OUTSIDE", "OUTSIDE", "VALID"]
+    rejected = found.outcome != Outcome.VALID
+    assert np.isnan(found.score[rejected]).all()
+    assert not found.agreed[rejected].any()
+    assert np.array_equal(found.pixel[rejected], pixel[rejected])
+    pair = Views(*(a[:2] for a in (VIEWS.along, VIEWS.ratio, VIEWS.offset)))
+    two = vote(
+        Instant(flat[:2], hidden), Instant(unknown[:2], lost), pair, np.array([[30, 58], [30, 30]])
+    )
+    assert (two.outcome == Outcome.VALID).all()
+    assert (two.agreed == 2).all()
+
+
+def test_a_negative_is_no_match():
+    before, after = _instant((0, 0), REST), _instant((0, 0), REST)
+    negative = Instant(255.0 - after.pictures, after.disparity)
+    found = vote(before, negative, VIEWS, _pixels(), settings=VoteSettings(search=3))
+    assert (found.outcome != Outcome.VALID).all()
+    assert (found.outcome == Outcome.SCORE).mean() > 0.5
+
+
+def test_the_number_of_threads_does_not_matter():
+    before, after = _instant((0, 0), REST, noise=9.0), _instant((2, 2), LOADED, noise=9.0, seed=4)
+    threads = numba.get_num_threads()
+    first = vote(before, after, VIEWS, _pixels(3))
+    try:
+        numba.set_num_threads(1)
+        second = vote(before, after, VIEWS, _pixels(3))
+    finally:
+        numba.set_num_threads(threads)
+    for name in ("pixel", "score", "apart", "agreed", "outcome"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_bad_sizes_are_refused():
+    with pytest.raises(InputError, match="window is 6; must be an odd number"):
+        VoteSettings(window=6)
+    with pytest.raises(InputError, match="search range is 1; must be an odd number"):
+        VoteSettings(search=1)

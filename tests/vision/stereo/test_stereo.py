@@ -1,0 +1,337 @@
+"""Stereo points against analytic scenes, laws, rendered sets, and another program's matches."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from jaxtyping import Float
+from scipy.io import netcdf_file
+from scipy.spatial import cKDTree
+from vision.scenes import (
+    LENS,
+    SHAPE,
+    STILL,
+    Stage,
+    example,
+    example_views,
+    make_rig,
+    moved_frame,
+    noisy_views,
+    projected,
+)
+
+from palpate.errors import CalibrationError, InputError
+from palpate.records.files.rig import read_rig
+from palpate.records.rig import Camera, Rig
+from palpate.vision.cameras.projection import project
+from palpate.vision.images.pictures import read_pictures
+from palpate.vision.range_flow import Outcome
+from palpate.vision.stereo.stereo import (
+    StereoPoints,
+    StereoSettings,
+    stereo_points,
+    triangulated_surface,
+)
+
+RADIUS = 0.06  # of the example's dome [m]
+
+
+def _views(count: int = 3, lens: tuple[float, ...] = (), noise: float = 1.5) -> list[np.ndarray]:
+    return noisy_views(example_views("still", count, lens), noise, seed=count)
+
+
+def _above(stereo: StereoPoints) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of points from the dome along its normal, and the claimed standard deviation."""
+    x, y, z = stereo.point.T
+    normal = np.column_stack([x / RADIUS, y / RADIUS, np.ones_like(x)])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    height = (z + (x * x + y * y) / (2.0 * RADIUS)) * normal[:, 2]
+    return height, np.sqrt(np.einsum("ni,nij,nj->n", normal, stereo.covariance, normal))
+
+
+def _turned(camera: Camera, angle: float) -> Camera:
+    """A camera turned about its own x axis [rad]: its calibration has drifted."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.eye(4)
+    turn[1:3, 1:3] = [[c, -s], [s, c]]
+    return replace(camera, T_camera_object=turn @ camera.T_camera_object)
+
+
+@pytest.mark.parametrize(("count", "lens"), [(2, ()), (3, LENS), (4, ())])
+def test_points_lie_on_the_surface_as_well_as_they_claim(count, lens):
+    stage = example(count, lens)
+    stereo = stereo_points(stage.rig, _views(count, lens))
+    height, sigma = _above(stereo)
+    # 1140 points of the grid; windows of 9 px at the rim of either picture are lost.
+    assert len(height) > 950
+    # Windows overlap: some fifty independent ones give their mean square to 20 %.
+    assert 0.8 < np.sqrt(np.mean((height / sigma) ** 2)) < 1.2
+    # A pixel is 0.3 mm wide; a hundredth of one at 20 degrees between the cameras is 0.01 mm.
+    assert np.sqrt(np.mean(height**2)) < 1.5e-5
+    truth = stage.points(stage.rest_points(stage.rig.cameras[0], stereo.pixel, STILL))
+    beside = np.linalg.norm((stereo.point - truth)[:, :2], axis=1)
+    assert np.sqrt(np.mean(beside**2)) < 6e-6
+    assert stereo.cameras.max() == count
+    assert stereo.counts.sum() == 30 * 38
+    assert stereo.counts[Outcome.VALID] == len(stereo.pixel)
+
+
+def test_affine_windows_see_a_curved_surface_displaced():
+    """Bends of 0.05 px over half a window: quadratic windows follow them, affine ones do not."""
+    rig, views = example(2).rig, _views(2, noise=0.3)
+    mean = {}
+    for shape in ("affine", "quadratic"):
+        height, _ = _above(stereo_points(rig, views, settings=StereoSettings(shape=shape)))
+        mean[shape] = abs(float(height.mean()))
+    assert mean["quadratic"] < 2e-6
+    assert mean["affine"] > 10.0 * mean["quadratic"]
+
+
+def test_windows_shrink_at_an_edge_of_the_object():
+    """A roof: windows across the ridge are contradicted by smaller ones on one of its sides."""
+    stage = Stage(make_rig(2), lambda x, y: -0.8 * np.abs(x), seed=5)
+    views = noisy_views(stage.views(), 1.0, seed=5)
+    stereo = stereo_points(stage.rig, views)
+    ridge = projected(stage.rig.cameras[0], np.zeros((1, 3)))[0, 0]
+    near = np.abs(stereo.pixel[:, 0] - ridge) < 10.0
+    assert near.sum() > 50
+    assert np.median(stereo.window[near]) < 21
+    assert np.median(stereo.window[~near]) == 21
+    height = (stereo.point[:, 2] + 0.8 * np.abs(stereo.point[:, 0])) / np.hypot(1.0, 0.8)
+    # Windows of 21 px that end on the ridge see it rounded, by 0.8 * 10 px * 0.3 mm / 4 = 0.6 mm.
+    assert np.sqrt(np.mean(height[near] ** 2)) < 1e-4
+    assert np.sqrt(np.mean(height[~near] ** 2)) < 3e-5
+
+
+def test_points_turn_with_the_frame_and_do_not_depend_on_the_order_of_cameras():
+    rig, views = example(3).rig, _views(3)
+    stereo = stereo_points(rig, views)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    shift = np.array([0.1, -0.2, 0.3])
+    elsewhere = stereo_points(moved_frame(rig, turn, shift), views)
+    np.testing.assert_allclose(elsewhere.point, stereo.point @ turn.T + shift, atol=1e-9)
+    swapped = Rig(rig.cameras[::-1], 2, "scene")
+    other = stereo_points(swapped, views[::-1])
+    np.testing.assert_array_equal(other.pixel, stereo.pixel)
+    np.testing.assert_allclose(other.point, stereo.point, atol=1e-9)
+
+
+def test_a_camera_that_shows_something_else_drops_out():
+    rig, views = example(3).rig, _views(3)
+    two = stereo_points(Rig(rig.cameras[:2], 0, "scene"), views[:2])
+    blank = [*views[:2], np.full_like(views[2], 80.0)]
+    np.testing.assert_array_equal(stereo_points(rig, blank).point, two.point)
+    # Another texture, matched by chance nowhere that the neighbours would confirm.
+    strange = [*views[:2], np.ascontiguousarray(views[2][::-1, ::-1])]
+    kept = stereo_points(rig, strange, depth_range=(0.25, 0.35))
+    height, _ = _above(kept)
+    assert len(kept.pixel) >= 0.98 * len(two.pixel)
+    assert np.sqrt(np.mean(height**2)) < 2e-5
+
+
+def test_a_wrong_match_of_one_camera_is_left_out():
+    """One camera of four turned by 0.3 degrees (5 px): the other three agree without it."""
+    rig, views = example(4).rig, _views(4)
+    cameras = list(rig.cameras)
+    cameras[3] = _turned(cameras[3], np.radians(0.3))
+    stereo = stereo_points(Rig(tuple(cameras), 0, "scene"), views)
+    height, _ = _above(stereo)
+    assert stereo.cameras.max() <= 3
+    assert np.sqrt(np.mean(height**2)) < 2e-5
+
+
+def test_a_drifted_calibration_is_searched_all_the_same_and_rejected_for_what_it_is():
+    rig, views = example(2).rig, _views(2)
+    drifted = Rig((rig.cameras[0], _turned(rig.cameras[1], np.radians(0.5))), 0, "scene")
+    strict = stereo_points(drifted, views)
+    assert len(strict.pixel) == 0
+    assert strict.counts[Outcome.REPROJECTION] > 800
+    loose = stereo_points(drifted, views, settings=StereoSettings(reprojection=20.0))
+    assert len(loose.pixel) > 800
+    # Half a degree is 8.7 px, shared by two cameras and two coordinates each.
+    assert np.median(loose.residual) == pytest.approx(8.7 / np.sqrt(8.0), rel=0.1)
+
+
+def test_a_depth_range_serves_as_well_as_features():
+    rig, views = example(2).rig, _views(2)
+    stereo = stereo_points(rig, views)
+    ranged = stereo_points(rig, views, depth_range=(0.25, 0.36))
+    common = {tuple(pixel) for pixel in stereo.pixel} & {tuple(pixel) for pixel in ranged.pixel}
+    assert len(common) > 0.97 * len(stereo.pixel)
+    # A range that leaves the object out finds nothing there.
+    assert len(stereo_points(rig, views, depth_range=(0.5, 0.6)).pixel) < 20
+
+
+def test_mask_and_texture_decide_where_points_are():
+    rig, views = example(2).rig, _views(2, noise=0.5)
+    mask = np.zeros(SHAPE, dtype=bool)
+    mask[40:100, 60:120] = True
+    inside = stereo_points(rig, views, mask=mask, settings=StereoSettings(step=3))
+    assert inside.counts.sum() == 20 * 20
+    assert len(inside.pixel) > 350
+    assert (inside.pixel >= [60, 40]).all()
+    assert (inside.pixel < [120, 100]).all()
+    blank = views[0].copy()
+    blank[:, 95:] = 90.0
+    half = stereo_points(rig, [blank, views[1]])
+    # Windows of 9 px look 3 px ahead for texture on all sides.
+    assert half.pixel[:, 0].max() < 95
+    assert half.counts[Outcome.TEXTURE] > 15 * 30
+
+
+def test_unlike_cameras_are_paired():
+    """A picture of another size: the second camera is cropped."""
+    rig, views = example(2).rig, _views(2)
+    rows, columns = SHAPE[0] - 20, SHAPE[1] - 10
+    cropped = replace(rig.cameras[1], size=(columns, rows))
+    small = Rig((rig.cameras[0], cropped), 0, "scene")
+    stereo = stereo_points(small, [views[0], np.ascontiguousarray(views[1][:rows, :columns])])
+    height, _ = _above(stereo)
+    assert len(height) > 750
+    assert np.sqrt(np.mean(height**2)) < 1.5e-5
+
+
+def test_surface_faces_the_camera_and_ends_at_jumps():
+    rig, views = example(2).rig, _views(2)
+    stereo = stereo_points(rig, views)
+    vertices, triangles = triangulated_surface(stereo)
+    assert vertices.shape == stereo.point.shape
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    # The camera looks down on the dome from above.
+    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all()
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    # Two triangles a point but at the rim; each as large as half a step of the grid, 1.5 mm.
+    assert area == pytest.approx(0.5 * len(triangles) * (5 * 3e-4) ** 2, rel=0.1)
+    assert len(triangles) > 1.7 * len(vertices)
+    # The right half is moved back by 15 mm, ten steps: no triangle bridges the jump.
+    point = stereo.point.copy()
+    right = stereo.pixel[:, 0] > 95
+    point[right, 2] -= 0.015
+    _, torn = triangulated_surface(replace(stereo, point=point))
+    assert len(torn) < len(triangles)
+    assert (right[torn].all(axis=1) | ~right[torn].any(axis=1)).all()
+    # Six steps back is 80.5 degrees, a jump; five and a half is not.
+    point[right, 2] = stereo.point[right, 2] - 4e-3
+    assert len(triangulated_surface(replace(stereo, point=point))[1]) == len(triangles)
+
+
+def test_nothing_found_is_a_result():
+    rig, views = example(2).rig, _views(2)
+    stereo = stereo_points(rig, views, mask=np.zeros(SHAPE, dtype=bool))
+    assert len(stereo.pixel) == 0
+    assert stereo.counts.sum() == 0
+    vertices, triangles = triangulated_surface(stereo)
+    assert vertices.shape == triangles.shape == (0, 3)
+
+
+def test_input_is_checked():
+    rig, views = example(2).rig, _views(2)
+    with pytest.raises(InputError, match="1 pictures for 2 cameras"):
+        stereo_points(rig, views[:1])
+    with pytest.raises(InputError, match="mask is of"):
+        stereo_points(rig, views, mask=np.ones((3, 4), dtype=bool))
+    with pytest.raises(InputError, match="near and far"):
+        stereo_points(rig, views, depth_range=(0.3, 0.2))
+    with pytest.raises(InputError, match="have 0 features in common"):
+        stereo_points(rig, [views[0], np.full_like(views[1], 80.0)])
+    with pytest.raises(InputError, match="subset is 20"):
+        StereoSettings(subset=20)
+    with pytest.raises(InputError, match="step is 0"):
+        StereoSettings(step=0)
+    with pytest.raises(InputError, match="excess is 0; must be positive"):
+        StereoSettings(excess=0.0)
+    twins = Rig((rig.cameras[0], replace(rig.cameras[0], name="twin")), 0, "scene")
+    with pytest.raises(CalibrationError, match="same centre"):
+        stereo_points(twins, views)
+
+
+def _rendered(folder, pattern: str, truth: str):
+    """Stereo points of a rendered set and what they should be, in the reference camera's axes."""
+    rig = read_rig(folder / "rig.toml")
+    pictures = read_pictures(rig, pattern, folder=folder, what="rest")
+    stereo = stereo_points(rig, pictures.grey)
+    stored = np.load(folder / truth)
+    point = np.full((int(np.prod(stored["shape"])), 3), np.nan)
+    point[stored["pixel"]] = stored["X"]
+    point = point.reshape(*stored["shape"], 3)
+    column, row = stereo.pixel.astype(int).T
+    error = (stereo.point - point[row, column]) @ rig.cameras[0].T_camera_object[:3, :3].T
+    on_grid = int(np.isfinite(point[2::5, 2::5, 0]).sum())
+    return stereo, error, on_grid
+
+
+def test_rendered_half_ball(shared_data):
+    _, error, on_grid = _rendered(
+        shared_data / "halfball_images", "images/rest_{camera}.png", "truth_n01.npz"
+    )
+    seen = np.isfinite(error).all(axis=1)
+    # Off the object: points within a pixel of its outline.
+    assert (~seen).sum() < 0.01 * len(seen)
+    assert seen.sum() > 0.8 * on_grid
+    rms = np.sqrt(np.mean(error[seen] ** 2, axis=0))
+    # A hundredth of a pixel, 0.32 mm wide, at 11 degrees between the cameras; measured 2.6, 2.0 and
+    # 21 um, most of it near the outline.
+    assert (rms < [5e-6, 5e-6, 4e-5]).all()
+    assert np.median(np.abs(error[seen, 2])) < 8e-6
+
+
+def test_rendered_solid_with_edges(shared_data):
+    stereo, error, on_grid = _rendered(
+        shared_data / "rigid_translation_x", "images/s0_{camera}.png", "truth_s0.npz"
+    )
+    seen = np.isfinite(error).all(axis=1)
+    assert (~seen).sum() < 0.04 * len(seen)
+    assert seen.sum() > 0.85 * on_grid
+    # 0.54 mm a pixel, 7 degrees: a hundredth of a pixel is 45 um of depth. Edges every 30 px.
+    assert np.median(np.abs(error[seen, 2])) < 6e-5
+    # Measured 0.18 mm; 0.28 mm where windows do not shrink until they leave less.
+    assert np.sqrt(np.mean(error[seen, 2] ** 2)) < 2.3e-4
+    assert len(stereo.pixel) > 500
+
+
+def _gold(path) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2"]]:
+    """Pixels of a DICe solution, and where it finds them in the right camera."""
+    with netcdf_file(path, mmap=False) as file:
+        names = [b"".join(row).decode().strip("\0") for row in file.variables["name_nod_var"].data]
+        value = {
+            name: file.variables[f"vals_nod_var{i + 1}"].data[0].astype(np.float64)
+            for i, name in enumerate(names)
+        }
+    good = value["SIGMA"] > 0.0
+    left = np.stack([value["COORDINATE_X"], value["COORDINATE_Y"]], axis=1)
+    right = np.stack([value["STEREO_COORDINATES_X"], value["STEREO_COORDINATES_Y"]], axis=1)
+    return left[good], right[good]
+
+
+@pytest.mark.slow
+def test_matches_of_another_program_on_a_real_specimen(shared_data):
+    folder = shared_data / "real" / "gt4_dspec"
+    rig = read_rig(folder / "cal_vic3d.xml")
+    grey = [
+        cv2.imread(str(folder / side / f"GT4-0000_{k}.tif"), cv2.IMREAD_GRAYSCALE).astype(
+            np.float32
+        )
+        for k, side in enumerate("LR")
+    ]
+    mask = np.zeros(grey[0].shape, dtype=bool)
+    mask[400:700, 500:1300] = True
+    stereo = stereo_points(rig, grey, mask=mask, settings=StereoSettings(step=10))
+    assert len(stereo.pixel) > 0.95 * mask.sum() / 100
+    left, right = _gold(folder / "dice_gold" / "DICe_solution.e")
+    distance, near = cKDTree(stereo.pixel).query(left, 9)
+    left, right, near = (one[distance[:, 8] < 25.0] for one in (left, right, near))
+    assert len(left) > 12
+    seen = project(rig.cameras[1], stereo.point)
+    error = []
+    for pixel, place, rows in zip(left, right, near, strict=True):
+        plane = np.column_stack([np.ones(9), stereo.pixel[rows] - pixel])
+        error.append(np.linalg.lstsq(plane, seen[rows], rcond=None)[0][0] - place)
+    # Along the rows, which are nearly the epipolar lines, the two programs' noise; across, half of
+    # the 0.1 px by which this calibration misses.
+    assert np.median(np.abs(error), axis=0)[0] < 0.015
+    assert np.median(np.abs(error), axis=0)[1] < 0.08
+    # The specimen is a flat plate.
+    middle = stereo.point.mean(axis=0)
+    _, _, axes = np.linalg.svd(stereo.point - middle)
+    assert np.std((stereo.point - middle) @ axes[2]) < 2e-5
