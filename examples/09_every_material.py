@@ -8,7 +8,13 @@ from time import perf_counter
 
 import numpy as np
 
-from palpate.bem import assemble_system, load_right_hand, make_elastic_map, make_surface
+from palpate.bem import (
+    assemble_system,
+    load_right_hand,
+    load_shape,
+    make_elastic_map,
+    make_surface,
+)
 from palpate.estimation import make_reduced_model
 from palpate.pipeline import surface_load
 from palpate.probe import find_contact_patch
@@ -26,11 +32,12 @@ def main() -> float:
     contact = session.probings[0].contact
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="pole")
     load = surface_load(patch)
+    shape = load_shape(system.surface, load)  # how the elements around the tool dip
     pole = int(np.argmax(session.mesh.vertices[:, 2]))
     row = 3 * int(np.searchsorted(system.unknowns.free_vertices, pole)) + 2
 
     start = perf_counter()
-    model = make_reduced_model(system, load_right_hand(system, [load]))
+    model = make_reduced_model(system, load_right_hand(system, [load], [shape]))
     made = perf_counter() - start
     print(f"reduced model in {made:.2f} s")
     errors = []
