@@ -116,6 +116,21 @@ def test_everything_public_says_what_it_is():
     assert len(found) > 300  # the search has seen the code
 
 
+def test_hidden_state_is_listed():
+    # What outlives a call stands with its reason in the page for developers.
+    page = (ROOT / "docs" / "developer" / "index.md").read_text(encoding="utf-8")
+    hidden = []
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Global):
+                hidden += [f"{source_name(path)}: {name}" for name in node.names]
+            elif isinstance(node, ast.FunctionDef) and any(
+                "cache" in ast.unparse(mark).split("(")[0] for mark in node.decorator_list
+            ):
+                hidden.append(node.name)
+    assert [name for name in hidden if f"`{name}`" not in page] == []
+
+
 def test_functions_of_many_arguments_list_them():
     # Kernels for numba are left to the sentence that ties their letters to an equation.
     missing = [
