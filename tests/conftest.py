@@ -21,8 +21,10 @@ def _is_unchecked(decorator: Any) -> bool:
 
 _import_hook._is_no_type_check = _is_unchecked
 
-# What takes longest starts first, so that processes that share the tests end together.
+# What takes longest starts first, so that processes that share the tests end together. The first
+# two need different kernels: none is compiled twice at the same time.
 _LONGEST_FIRST = (
+    "tests/vision/joint/test_flow.py",
     "tests/truth",
     "tests/paper",
     "tests/vision/joint",

@@ -12,6 +12,7 @@ ROOMS = read_rooms()
 # More is not seen at one glance (docs/developer/index.md).
 MOST_FILES = 12
 MOST_LINES = 400
+MOST_FUNCTION_LINES = 50
 
 
 def source_name(path: Path) -> str:
@@ -97,6 +98,23 @@ def test_files_are_short():
     assert {name: length for name, length in lengths.items() if length > MOST_LINES} == {}
 
 
+def is_kernel(node: ast.FunctionDef) -> bool:
+    """Compiled by numba."""
+    return "njit" in "".join(map(ast.unparse, node.decorator_list))
+
+
+def test_functions_fit_on_a_screen():
+    # Kernels may be longer: a function more is compiled once more into each that calls it.
+    lengths = {}
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and not is_kernel(node):
+                documented = ast.get_docstring(node) is not None
+                first = node.body[0].end_lineno + 1 if documented else node.lineno
+                lengths[f"{source_name(path)}: {node.name}"] = node.end_lineno - first + 1
+    assert {name: length for name, length in lengths.items() if length > MOST_FUNCTION_LINES} == {}
+
+
 def public_definitions(path: Path):
     """Every public function, class and method of a file, with its name."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -139,7 +157,7 @@ def test_functions_of_many_arguments_list_them():
         for name, node in public_definitions(path)
         if isinstance(node, ast.FunctionDef)
         and len(node.args.args + node.args.kwonlyargs) > 3
-        and "njit" not in "".join(map(ast.unparse, node.decorator_list))
+        and not is_kernel(node)
         and "Parameters\n" not in (ast.get_docstring(node) or "")
     ]
     assert missing == []
