@@ -186,7 +186,7 @@ def _section(room: Room, needs: dict[str, set[str]], heading: str) -> str:
         if field == "Read first":
             text = re.sub(r"`?([\w/]+\.py)\b`?", lambda match: _link(room, match[1]), text)
         lines.append(f"- **{field}**: {text}")
-    lines.append(f"- **Used by**: {', '.join(users) if users else 'nobody inside'}.")
+    lines.append(f"- **Used by**: {', '.join(users) if users else 'no other room'}.")
     return "\n".join(lines)
 
 
