@@ -143,7 +143,7 @@ def named_dependencies(room: Room) -> set[str]:
     """The names in "Depends on" up to its first semicolon or full stop, less the ground floor."""
     text = re.split(r";|\.(?:\s|$)", room.fields.get("Depends on", ""))[0]
     names = {name.strip(" `") for name in re.split(r",| and ", text)}
-    return names - {"", "nothing", "the ground floor", *layers()[-1]}
+    return names - {"", "nothing", "nothing but the ground floor", *layers()[-1]}
 
 
 def read_first(room: Room) -> list[str]:
