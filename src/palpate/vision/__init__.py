@@ -50,6 +50,7 @@ from palpate.vision.stereo import (
     StereoPoints as StereoPoints,
     StereoSettings as StereoSettings,
     check_rig as check_rig,
+    prepare_pictures as prepare_pictures,
     stereo_points as stereo_points,
     triangulated_surface as triangulated_surface,
 )

@@ -7,14 +7,13 @@ import pytest
 from vision_cameras import BARREL, RATIONAL, REAL, make_camera, moved, terms
 
 from palpate.records import Camera, Rig
-from palpate.vision.cameras.lens import lens_reach
+from palpate.vision.cameras.lens import lens_reach, project_kernel
 from palpate.vision.cameras.projection import (
     normalised,
     packed_camera,
     packed_rig,
     project,
     project_jacobian,
-    project_kernel,
     rays,
 )
 

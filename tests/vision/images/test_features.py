@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from palpate.vision.images.features import Features, find_features, matched
-from palpate.vision.images.normalisation import EvenPicture, make_even_picture
+from palpate.vision.images.normalisation import NormalisedImage, make_normalised_image
 
 
-def _picture(grey: np.ndarray) -> EvenPicture:
+def _picture(grey: np.ndarray) -> NormalisedImage:
     """A picture as given, all of it textured."""
     flat = np.zeros(grey.shape, dtype=np.float32)
-    return EvenPicture(
+    return NormalisedImage(
         grey.astype(np.float32),
         grey.astype(np.uint8),
         flat,
@@ -32,7 +32,7 @@ def test_a_blob_is_found_where_it_is(shape):
 
 
 def test_blank_pictures_have_none():
-    blank = make_even_picture(np.full((80, 90), 70.0, dtype=np.float32))
+    blank = make_normalised_image(np.full((80, 90), 70.0, dtype=np.float32))
     found = find_features(blank)
     assert found.point.shape == (0, 2)
     assert matched(found, found).first.shape == (0, 2)

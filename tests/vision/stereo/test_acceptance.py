@@ -1,9 +1,13 @@
 """What neighbours and cameras reject, on matches made by hand."""
 
 import numpy as np
+import pytest
 from vision.scenes import example, projected
 
-from palpate.vision.stereo.acceptance import contradicts_neighbours, joined_cameras
+from palpate.vision.cameras.triangulation import triangulate
+from palpate.vision.range_flow import Outcome
+from palpate.vision.stereo.acceptance import confirmed_matches, joined_cameras
+from palpate.vision.stereo.window_matches import WindowMatches
 
 
 def _grid(rows: int = 12, columns: int = 14, step: float = 5.0):
@@ -12,31 +16,56 @@ def _grid(rows: int = 12, columns: int = 14, step: float = 5.0):
     return cell, step * cell[:, ::-1].astype(np.float64)
 
 
-def _judged(cell, pixel, displacement, gradient, valid, sigma=0.01):
-    return contradicts_neighbours(
-        cell, pixel, displacement, gradient, np.full(len(cell), sigma), valid, disagreement=5.0
-    )
+def _rejected(cell, pixel, displacement, gradient, valid, sigma=0.01):
+    """Flags of the valid matches that are rejected; `sigma` is the root of the trace."""
+    variance = np.broadcast_to(0.5 * sigma**2 * np.eye(2), (len(cell), 2, 2))
+    outcome = np.where(valid, int(Outcome.VALID), int(Outcome.LOST))
+    matches = WindowMatches(displacement, np.array(gradient), np.array(variance), outcome)
+    found = confirmed_matches(matches, cell, pixel)
+    wrong = found.outcome == Outcome.NEIGHBOURS
+    np.testing.assert_array_equal(found.outcome[~wrong], outcome[~wrong])
+    np.testing.assert_array_equal(np.isnan(found.displacement).all(axis=1), wrong)
+    np.testing.assert_array_equal(found.displacement[~wrong], displacement[~wrong])
+    return wrong
 
 
-def test_an_affine_field_contradicts_nobody_and_a_jump_only_few():
+@pytest.mark.parametrize("scatter", [0.0, 0.02])
+def test_the_limit_is_five_deviations_of_scatter_and_noise(scatter):
+    """In an affine field, so that a gradient of the wrong sign or order would add to the scatter.
+
+    Neighbours lie by turns `scatter` to one side of the field and to the other: for the point in
+    the middle their median is the field and its scatter is `scatter`.
+    """
+    cell, pixel = _grid(5, 5)
+    slope = np.array([[0.2, -0.1], [0.05, 0.3]])
+    field = pixel @ slope.T + [3.0, -40.0]
+    middle = 12
+    side = np.where(cell.sum(axis=1) % 2, -scatter, scatter)
+    side[middle] = 0.0
+    field[:, 0] += side
+    gradient = np.broadcast_to(slope, (25, 2, 2))
+    everything = np.ones(25, dtype=bool)
+    for share in (0.99, 1.01):
+        moved = field.copy()
+        moved[middle, 1] += share * 5.0 * np.hypot(scatter, 0.01)
+        wrong = _rejected(cell, pixel, moved, gradient, everything)
+        assert wrong[middle] == (share > 1.0)
+        assert not np.delete(wrong, middle).any()
+
+
+def test_a_jump_rejects_only_points_beside_it():
     rng = np.random.default_rng(0)
     cell, pixel = _grid()
-    slope = np.array([[0.2, -0.1], [0.05, 0.3]])
-    gradient = np.broadcast_to(slope, (len(cell), 2, 2))
-    field = pixel @ slope.T + [3.0, -40.0]
-    field += rng.normal(scale=0.01, size=field.shape)
-    valid = np.ones(len(cell), dtype=bool)
-    assert not _judged(cell, pixel, field, gradient, valid).any()
-    # Without the gradients the neighbours would be off by a pixel and more.
-    flat = np.zeros_like(gradient)
+    field = rng.normal(scale=0.007, size=pixel.shape)
     field[pixel[:, 0] > 32.0] += 6.0
-    wrong = _judged(cell, pixel, field, gradient, valid)
+    everything = np.ones(len(cell), dtype=bool)
+    wrong = _rejected(cell, pixel, field, np.zeros((len(cell), 2, 2)), everything)
+    # A point beside the jump keeps five of its eight neighbours, a majority.
     assert not wrong[np.abs(pixel[:, 0] - 32.5) > 8.0].any()
-    steep = _judged(cell, pixel, 30.0 * field, flat, valid, sigma=1e-3)
-    assert steep.shape == valid.shape
+    assert wrong.mean() < 0.05
 
 
-def test_mistakes_and_lonely_points_are_told():
+def test_mistakes_and_lonely_points_are_rejected():
     rng = np.random.default_rng(1)
     cell, pixel = _grid()
     field = rng.normal(scale=0.01, size=pixel.shape)
@@ -44,24 +73,23 @@ def test_mistakes_and_lonely_points_are_told():
     bad = rng.choice(len(cell), 12, replace=False)
     field[bad] += rng.uniform(0.5, 3.0, size=(12, 2))
     valid = np.ones(len(cell), dtype=bool)
-    wrong = _judged(cell, pixel, field, gradient, valid)
+    wrong = _rejected(cell, pixel, field, gradient, valid)
     assert wrong[bad].all()
     assert wrong.sum() <= 14
-    # Two points by themselves are confirmed by nobody; three around a corner are.
+    # Two points by themselves are confirmed by nobody; four around a corner are, by three each.
     few = np.zeros(len(cell), dtype=bool)
     few[[0, 1]] = True
     field[:] = 0.0
-    np.testing.assert_array_equal(_judged(cell, pixel, field, gradient, few), few)
+    np.testing.assert_array_equal(_rejected(cell, pixel, field, gradient, few), few)
     few[[14, 15]] = True
-    assert not _judged(cell, pixel, field, gradient, few).any()
+    assert not _rejected(cell, pixel, field, gradient, few).any()
 
 
 def test_nothing_contradicts_nothing():
     none = np.zeros((0, 2))
-    wrong = contradicts_neighbours(
-        np.zeros((0, 2), dtype=np.int64), none, none, np.zeros((0, 2, 2)), np.zeros(0),
-        np.zeros(0, dtype=bool), disagreement=5.0,
-    )  # fmt: skip
+    wrong = _rejected(
+        np.zeros((0, 2), dtype=np.int64), none, none, np.zeros((0, 2, 2)), np.zeros(0, dtype=bool)
+    )
     assert wrong.shape == (0,)
 
 
@@ -80,7 +108,7 @@ def test_the_camera_that_contradicts_the_others_is_left_out():
     rig, space, pixels, covariance = _seen()
     pixels[2, :9] += [0.4, 0.3]
     pixels[3, 20:24] = np.nan
-    found, used = joined_cameras(rig, pixels, covariance, disagreement=5.0, reprojection=2.0)
+    found, used = joined_cameras(rig, pixels, covariance, reprojection=2.0)
     assert not used[2, :9].any()
     assert used[[0, 1, 3], :9].all()
     assert not used[3, 20:24].any()
@@ -94,10 +122,22 @@ def test_two_cameras_that_contradict_each_other_are_both_left_out():
     rig, _, pixels, covariance = _seen(2)
     # Across the epipolar lines, which run along the rows.
     pixels[1, :5, 1] += 0.6
-    found, used = joined_cameras(rig, pixels, covariance, disagreement=5.0, reprojection=2.0)
+    found, used = joined_cameras(rig, pixels, covariance, reprojection=2.0)
     assert not used[:, :5].any()
     assert used[:, 5:].all()
     assert np.isnan(found.point[:5]).all()
+
+
+def test_half_of_each_matchs_variance_is_the_references():
+    """The joint point is that of triangulation with these shares; the reference has their mean."""
+    rig, _, pixels, covariance = _seen()
+    covariance *= np.array([np.nan, 1.0, 2.0, 3.0])[:, None, None, None]
+    found, used = joined_cameras(rig, pixels, covariance, reprojection=2.0)
+    assert used.all()
+    covariance[0] = covariance[1:].mean(axis=0)
+    expected = triangulate(rig, pixels, 0.5 * covariance)
+    np.testing.assert_allclose(found.point, expected.point, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-12)
 
 
 def test_what_all_points_share_is_the_rig_and_only_limited():
@@ -105,5 +145,5 @@ def test_what_all_points_share_is_the_rig_and_only_limited():
     rig, _, pixels, covariance = _seen(2)
     pixels[1, :, 1] += 1.5
     for limit, count in ((2.0, 60), (0.5, 0)):
-        _, used = joined_cameras(rig, pixels, covariance, disagreement=5.0, reprojection=limit)
+        _, used = joined_cameras(rig, pixels, covariance, reprojection=limit)
         assert used[0].sum() == count

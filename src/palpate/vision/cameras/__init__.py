@@ -1,13 +1,13 @@
 """cameras."""
 
-from palpate.vision.cameras.pixel_grid import pixel_grid as pixel_grid
+from palpate.vision.cameras.lens import project_kernel as project_kernel
 from palpate.vision.cameras.projection import (
     camera_sigma as camera_sigma,
     normalised as normalised,
     packed_rig as packed_rig,
+    pixel_grid as pixel_grid,
     project as project,
     project_jacobian as project_jacobian,
-    project_kernel as project_kernel,
     rays as rays,
 )
 from palpate.vision.cameras.rectification import (

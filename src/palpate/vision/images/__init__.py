@@ -8,9 +8,9 @@ from palpate.vision.images.features import (
 )
 from palpate.vision.images.normalisation import (
     WINDOW as WINDOW,
-    EvenPicture as EvenPicture,
+    NormalisedImage as NormalisedImage,
     cropped as cropped,
-    make_even_picture as make_even_picture,
+    make_normalised_image as make_normalised_image,
     moments as moments,
 )
 from palpate.vision.images.pictures import Pictures as Pictures, read_pictures as read_pictures

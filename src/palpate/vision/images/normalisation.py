@@ -1,4 +1,4 @@
-"""A picture made even: no difference of lighting or gain is left in it, only texture."""
+"""A picture normalised: no difference of lighting or gain is left in it, only texture."""
 
 from dataclasses import dataclass
 
@@ -6,33 +6,33 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-# Side of the windows in which pictures are made even and compared [px]: that of the usual
+# Side of the windows in which pictures are normalised and compared [px]: that of the usual
 # refinement.
 WINDOW = 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EvenPicture:
+class NormalisedImage:
     """A picture ready to be searched.
 
     Attributes
     ----------
     grey : (rows, columns) float32          from 0 to 255
-    even : (rows, columns) uint8            mean and contrast alike everywhere
+    levels : (rows, columns) uint8          mean and contrast the same everywhere
     mean, variance : (rows, columns) float32    of the grey levels in the window around
     textured : (rows, columns) bool         signal has three times the variance of noise there
     width : float [px]                      of the texture, as the sigma of Gaussian speckles
     """
 
     grey: Float[np.ndarray, "rows columns"]
-    even: UInt8[np.ndarray, "rows columns"]
+    levels: UInt8[np.ndarray, "rows columns"]
     mean: Float[np.ndarray, "rows columns"]
     variance: Float[np.ndarray, "rows columns"]
     textured: Bool[np.ndarray, "rows columns"]
     width: float
 
 
-def make_even_picture(grey: Float[np.ndarray, "rows columns"]) -> EvenPicture:
+def make_normalised_image(grey: Float[np.ndarray, "rows columns"]) -> NormalisedImage:
     """Local mean and contrast of a picture, and the picture without them.
 
     Parameters
@@ -41,7 +41,7 @@ def make_even_picture(grey: Float[np.ndarray, "rows columns"]) -> EvenPicture:
 
     Returns
     -------
-    EvenPicture
+    NormalisedImage
     """
     # Any scale: 255 grey levels, whatever they were.
     low, high = float(grey.min()), float(grey.max())
@@ -50,11 +50,11 @@ def make_even_picture(grey: Float[np.ndarray, "rows columns"]) -> EvenPicture:
     noise = _noise(grey)
     mean, variance = moments(grey)
     # Four times the noise: where there is nothing else, it is not blown up to look like texture.
-    even = (grey - mean) / np.sqrt(variance + np.float32(16.0 * noise**2))
-    even = cv2.addWeighted(even, 40.0, even, 0.0, 128.0, dtype=cv2.CV_8U)  # rounds and clips
+    levels = (grey - mean) / np.sqrt(variance + np.float32(16.0 * noise**2))
+    levels = cv2.addWeighted(levels, 40.0, levels, 0.0, 128.0, dtype=cv2.CV_8U)  # rounds and clips
     textured = variance > 4.0 * noise**2
-    return EvenPicture(
-        grey, even, mean, variance, textured, _width(grey, variance, textured, noise)
+    return NormalisedImage(
+        grey, levels, mean, variance, textured, _width(grey, variance, textured, noise)
     )
 
 
@@ -97,11 +97,11 @@ def _width(
     return float(np.sqrt(strong / steep)) if steep > 0.0 else 0.0
 
 
-def cropped(picture: EvenPicture, box: tuple[slice, slice]) -> EvenPicture:
-    """A part of a picture."""
-    return EvenPicture(
+def cropped(picture: NormalisedImage, box: tuple[slice, slice]) -> NormalisedImage:
+    """A part of a picture, `box` its rows and columns."""
+    return NormalisedImage(
         np.ascontiguousarray(picture.grey[box]),
-        np.ascontiguousarray(picture.even[box]),
+        np.ascontiguousarray(picture.levels[box]),
         np.ascontiguousarray(picture.mean[box]),
         np.ascontiguousarray(picture.variance[box]),
         np.ascontiguousarray(picture.textured[box]),

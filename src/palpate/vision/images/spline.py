@@ -115,60 +115,35 @@ def _interpolate_all(coefficients, pixels):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _weights_kernel(t):
+    """Weights of four coefficients in a row, a share t of a pixel beyond the second."""
+    one, sixth = np.float32(1.0), np.float32(1.0 / 6.0)
+    t2 = t * t
+    r = one - t
+    before = r * r * r * sixth
+    after = t2 * t * sixth
+    left = (np.float32(4.0) - np.float32(6.0) * t2 + np.float32(3.0) * (t2 * t)) * sixth
+    return before, left, one - before - left - after, after
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def sample_kernel(coefficients, column, row):
     """Value of the spline at a place of the picture [px], clamped to the padded coefficients."""
-    one = np.float32(1.0)
-    sixth = np.float32(1.0 / 6.0)
-    three = np.float32(3.0)
-    four = np.float32(4.0)
-    six = np.float32(6.0)
     # Shifted to be positive, so that truncation is floor.
-    zero = np.float32(0.0)
-    lead = np.float32(PADDING - 1)
+    zero, lead = np.float32(0.0), np.float32(PADDING - 1)
     x = min(max(column + lead, zero), np.float32(coefficients.shape[1] - 4))
     y = min(max(row + lead, zero), np.float32(coefficients.shape[0] - 4))
-    ix = np.int32(x)
-    iy = np.int32(y)
-    t = x - np.float32(ix)
-    s = y - np.float32(iy)
-    t2 = t * t
-    t3 = t2 * t
-    r = one - t
-    a0 = r * r * r * sixth
-    a3 = t3 * sixth
-    a1 = (four - six * t2 + three * t3) * sixth
-    a2 = one - a0 - a1 - a3
-    s2 = s * s
-    s3 = s2 * s
-    r = one - s
-    b0 = r * r * r * sixth
-    b3 = s3 * sixth
-    b1 = (four - six * s2 + three * s3) * sixth
-    b2 = one - b0 - b1 - b3
-    total = b0 * (
-        a0 * coefficients[iy, ix]
-        + a1 * coefficients[iy, ix + 1]
-        + a2 * coefficients[iy, ix + 2]
-        + a3 * coefficients[iy, ix + 3]
-    )
-    total += b1 * (
-        a0 * coefficients[iy + 1, ix]
-        + a1 * coefficients[iy + 1, ix + 1]
-        + a2 * coefficients[iy + 1, ix + 2]
-        + a3 * coefficients[iy + 1, ix + 3]
-    )
-    total += b2 * (
-        a0 * coefficients[iy + 2, ix]
-        + a1 * coefficients[iy + 2, ix + 1]
-        + a2 * coefficients[iy + 2, ix + 2]
-        + a3 * coefficients[iy + 2, ix + 3]
-    )
-    total += b3 * (
-        a0 * coefficients[iy + 3, ix]
-        + a1 * coefficients[iy + 3, ix + 1]
-        + a2 * coefficients[iy + 3, ix + 2]
-        + a3 * coefficients[iy + 3, ix + 3]
-    )
+    ix, iy = np.int32(x), np.int32(y)
+    a0, a1, a2, a3 = _weights_kernel(x - np.float32(ix))
+    b = _weights_kernel(y - np.float32(iy))
+    total = zero
+    for i in range(4):
+        total += b[i] * (
+            a0 * coefficients[iy + i, ix]
+            + a1 * coefficients[iy + i, ix + 1]
+            + a2 * coefficients[iy + i, ix + 2]
+            + a3 * coefficients[iy + i, ix + 3]
+        )
     return total
 
 
