@@ -22,7 +22,11 @@ from palpate.vision.cameras import (
     visible as visible,
 )
 from palpate.vision.dense_maps import dense_maps as dense_maps
-from palpate.vision.images import Pictures as Pictures, read_pictures as read_pictures
+from palpate.vision.images import (
+    Pictures as Pictures,
+    prepare_pictures as prepare_pictures,
+    read_pictures as read_pictures,
+)
 from palpate.vision.joint import (
     JointSettings as JointSettings,
     Scene as Scene,
@@ -50,7 +54,6 @@ from palpate.vision.stereo import (
     StereoPoints as StereoPoints,
     StereoSettings as StereoSettings,
     check_rig as check_rig,
-    prepare_pictures as prepare_pictures,
     stereo_points as stereo_points,
     triangulated_surface as triangulated_surface,
 )

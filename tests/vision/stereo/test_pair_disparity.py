@@ -7,10 +7,9 @@ import pytest
 from vision.scenes import LENS, STILL, example, example_views, noisy_views, projected
 
 from palpate.errors import InputError
-from palpate.vision.images.features import find_features
+from palpate.vision.images.features import find_features, prepare_pictures
 from palpate.vision.images.normalisation import make_normalised_image
 from palpate.vision.stereo.pair_disparity import stereo_start
-from palpate.vision.stereo.prepared_pictures import prepare_pictures
 
 
 def _pair(count: int, lens: tuple[float, ...], roll: float = 0.0):

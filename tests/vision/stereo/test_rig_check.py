@@ -9,9 +9,8 @@ from vision.scenes import LENS, SHAPE, example, example_views, noisy_views
 from palpate.errors import CalibrationError, InputError
 from palpate.records.files.rig import read_rig
 from palpate.records.rig import Camera, Rig
-from palpate.vision.images.features import Matches
+from palpate.vision.images.features import Matches, prepare_pictures
 from palpate.vision.images.pictures import read_pictures
-from palpate.vision.stereo.prepared_pictures import prepare_pictures
 from palpate.vision.stereo.rig_check import RigCheck, _consistent, check_rig
 
 

@@ -25,9 +25,9 @@ from palpate.errors import CalibrationError, InputError
 from palpate.records.files.rig import read_rig
 from palpate.records.rig import Camera, Rig
 from palpate.vision.cameras.projection import project
+from palpate.vision.images.features import prepare_pictures
 from palpate.vision.images.pictures import read_pictures
 from palpate.vision.range_flow import Outcome
-from palpate.vision.stereo.prepared_pictures import prepare_pictures
 from palpate.vision.stereo.stereo import (
     StereoPoints,
     StereoSettings,

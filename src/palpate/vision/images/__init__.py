@@ -1,10 +1,10 @@
 """images."""
 
 from palpate.vision.images.features import (
-    Features as Features,
     Matches as Matches,
-    find_features as find_features,
+    PreparedPictures as PreparedPictures,
     matched as matched,
+    prepare_pictures as prepare_pictures,
 )
 from palpate.vision.images.normalisation import (
     WINDOW as WINDOW,

@@ -10,7 +10,7 @@ import os
 import re
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 import cv2
@@ -58,7 +58,7 @@ def decode_picture(content: bytes) -> tuple[np.ndarray, int]:
         raise RecordError(
             f"is none of {PICTURE_KINDS} (it starts with {content[:8]!r}); copy or record it again"
         )
-    pictures: tuple[np.ndarray, ...] = ()
+    pictures: Sequence[np.ndarray] = ()
     buffer = np.frombuffer(content, dtype=np.uint8)
     with _codec_messages() as messages, suppress(cv2.error):
         if content.startswith(_TIFF):

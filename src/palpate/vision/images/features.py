@@ -1,16 +1,19 @@
-"""The same features in the pictures of two cameras, found without knowing anything of the cameras.
+"""The same features in the pictures of several cameras, found without knowing anything of these.
 
 Source: Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60(2), 2004: the
 features, and the ratio test, which of speckle patterns leaves one mistake in some hundred.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from palpate.vision.images.normalisation import NormalisedImage
+from palpate.errors import InputError
+from palpate.records import Rig
+from palpate.vision.images.normalisation import NormalisedImage, make_normalised_image
 
 # Larger pictures are halved: what is left of a speckle of two pixels is still a feature.
 _MAX_PIXELS = 2_500_000
@@ -103,3 +106,44 @@ def matched(first: Features, second: Features) -> Matches:
     good = back[choice] == np.arange(len(choice))
     good &= nearest[:, 0] < _MAX_RATIO**2 * nearest[:, 1]
     return Matches(first.point[good], second.point[choice[good]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedPictures:
+    """Pictures of one instant, normalised, with their features.
+
+    Attributes
+    ----------
+    rig : Rig                       c cameras
+    grey : tuple of c (rows, columns) float [grey levels]   in the rig's order
+    normalised : tuple of c NormalisedImage
+    features : tuple of c Features
+    """
+
+    rig: Rig
+    grey: tuple[Float[np.ndarray, "_rows _columns"], ...]
+    normalised: tuple[NormalisedImage, ...]
+    features: tuple[Features, ...]
+
+
+def prepare_pictures(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]]) -> PreparedPictures:
+    """Normalise the pictures of one instant and find their features.
+
+    Parameters
+    ----------
+    rig : Rig                       c cameras
+    pictures : sequence of c (rows, columns) float [grey levels]    in the rig's order, finite
+
+    Returns
+    -------
+    PreparedPictures
+
+    Raises
+    ------
+    InputError                      another number of pictures than cameras
+    """
+    if len(pictures) != len(rig.cameras):
+        raise InputError(f"{len(pictures)} pictures for {len(rig.cameras)} cameras; give one each")
+    normalised = tuple(make_normalised_image(picture) for picture in pictures)
+    features = tuple(find_features(image) for image in normalised)
+    return PreparedPictures(rig, tuple(pictures), normalised, features)

@@ -7,7 +7,6 @@ Depends on : `records`, `vision.images`, `vision.cameras`, `vision.matching`, `v
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
 """
 
-from palpate.vision.stereo.prepared_pictures import prepare_pictures as prepare_pictures
 from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
 from palpate.vision.stereo.stereo import (
     StereoPoints as StereoPoints,

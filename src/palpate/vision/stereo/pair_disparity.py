@@ -19,8 +19,7 @@ from palpate.errors import InputError
 from palpate.records import Camera
 from palpate.shapes import Flags, PointScalars
 from palpate.vision.cameras import Rectified, project, rays, rectify_pair, remapped
-from palpate.vision.images import NormalisedImage, matched
-from palpate.vision.stereo.prepared_pictures import PreparedPictures
+from palpate.vision.images import NormalisedImage, PreparedPictures, matched
 
 # Side of the blocks of semi-global matching [px]: three to five speckles.
 _BLOCK = 7

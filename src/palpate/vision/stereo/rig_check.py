@@ -15,8 +15,7 @@ from palpate.errors import CalibrationError, InputError
 from palpate.records import Camera, Rig
 from palpate.shapes import PointScalars
 from palpate.vision.cameras import normalised, triangulate
-from palpate.vision.images import Matches, matched
-from palpate.vision.stereo.prepared_pictures import PreparedPictures
+from palpate.vision.images import Matches, PreparedPictures, matched
 
 # Half a speckle: cameras that are farther off their epipolar lines see different speckles in the
 # windows around one point.
@@ -103,8 +102,8 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
 def _all_matches(pictures: PreparedPictures) -> _Pairs:
     """Features that every two pictures share, for both orders of the two."""
     cameras = pictures.rig.cameras
-    for camera, picture, found in zip(cameras, pictures.grey, pictures.features, strict=True):
-        if len(found.point) == 0:
+    for camera, picture, own in zip(cameras, pictures.grey, pictures.features, strict=True):
+        if len(own.point) == 0:
             raise InputError(
                 f"the picture of camera '{camera.name}' shows no texture (grey levels"
                 f" {picture.min():.0f} to {picture.max():.0f}); nothing can be followed in it."
@@ -112,8 +111,8 @@ def _all_matches(pictures: PreparedPictures) -> _Pairs:
             )
     pairs = {}
     for i, j in combinations(range(len(cameras)), 2):
-        found = matched(pictures.features[i], pictures.features[j])
-        found = _consistent(cameras[i], cameras[j], found)
+        matches = matched(pictures.features[i], pictures.features[j])
+        found = _consistent(cameras[i], cameras[j], matches)
         pairs[i, j], pairs[j, i] = found, Matches(found.second, found.first)
     return pairs
 

@@ -12,15 +12,24 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
+from palpate.records import Rig
 from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
-from palpate.vision.images import make_spline_picture
+from palpate.vision.cameras import Triangulation, project, triangulate
+from palpate.vision.images import PreparedPictures, make_spline_picture
 from palpate.vision.joint import grid_triangles
 from palpate.vision.range_flow import Outcome
-from palpate.vision.stereo.acceptance import confirmed_matches, joined_cameras
 from palpate.vision.stereo.pair_disparity import stereo_start
-from palpate.vision.stereo.prepared_pictures import PreparedPictures
-from palpate.vision.stereo.window_matches import MIN_WINDOW_PX, WindowMatches, window_matches
+from palpate.vision.stereo.window_matches import (
+    MIN_WINDOW_PX,
+    WindowMatches,
+    confirmed_matches,
+    window_matches,
+)
 
+# A camera is left out where it misses the joint point by more standard deviations.
+_MAX_DEVIATIONS = 5.0
+# Standard deviation of a normal distribution over the median of its absolute values.
+_PER_MEDIAN = 1.4826
 # Length over width of what is seen at 80 degrees: flatter, it shows no texture to be matched.
 _MAX_STRETCH = 5.8
 
@@ -161,6 +170,88 @@ def triangulated_surface(stereo: StereoPoints) -> tuple[Vertices, Triangles]:
     # Both halves of a cell, or none.
     both = whole.reshape(2, -1).all(axis=0)
     return stereo.point, triangles.reshape(2, -1, 3)[:, both].reshape(-1, 3)
+
+
+def joined_cameras(
+    rig: Rig,
+    pixels: Float[np.ndarray, "c n 2"],
+    covariance: Float[np.ndarray, "c n 2 2"],
+    *,
+    reprojection: float,
+) -> tuple[Triangulation, Bool[np.ndarray, "c n"]]:
+    """Triangulate without the cameras that contradict the others; of two that disagree use neither.
+
+    The matches of all cameras are against one reference picture and share its noise: half of their
+    variance is given to the reference.
+
+    Parameters
+    ----------
+    rig : Rig
+    pixels : (c, n, 2) float [px]   NaN where a camera does not see the point; the reference's are
+                                    whole
+    covariance : (c, n, 2, 2) float [px^2]  of the match of each camera; the reference's is not read
+    reprojection : float [px]       by how much a camera may miss the joint point at most
+
+    Returns
+    -------
+    triangulation : Triangulation   covariance from the matches; residual and cameras as used
+    used : (c, n) bool              all False for points where no two cameras agree
+    """
+    used = np.isfinite(pixels).all(axis=2)
+    for _ in range(len(pixels) - 1):
+        found, error = _triangulated(rig, pixels, covariance, used)
+        excess = _excess(error, used, covariance, reprojection)
+        excess[rig.reference] = -np.inf
+        wrong = excess.max(axis=0) > 1.0
+        lost = used.any(axis=0) & ~np.isfinite(found.point).all(axis=1)
+        few = used.sum(axis=0) <= 2
+        if not (wrong | lost).any():
+            break
+        drop = np.flatnonzero(wrong & ~few)
+        used[excess.argmax(axis=0)[drop], drop] = False
+        used[:, (wrong & few) | lost] = False
+    found, _ = _triangulated(rig, pixels, covariance, used)
+    return found, used
+
+
+def _triangulated(
+    rig: Rig,
+    pixels: Float[np.ndarray, "c n 2"],
+    covariance: Float[np.ndarray, "c n 2 2"],
+    used: Bool[np.ndarray, "c n"],
+) -> tuple[Triangulation, Float[np.ndarray, "c n 2"]]:
+    """Joint points, and by how much each camera misses them [px]."""
+    others = used.copy()
+    others[rig.reference] = False
+    half = np.where(others[..., None, None], 0.5 * covariance, 0.0)
+    half[rig.reference] = half.sum(axis=0) / np.maximum(others.sum(axis=0), 1)[:, None, None]
+    half = np.where(used[..., None, None], half, np.eye(2))
+    pixels = np.where(used[..., None], pixels, np.nan)
+    found = triangulate(rig, pixels, half)
+    return found, pixels - np.stack([project(camera, found.point) for camera in rig.cameras])
+
+
+def _excess(
+    error: Float[np.ndarray, "c n 2"],
+    used: Bool[np.ndarray, "c n"],
+    covariance: Float[np.ndarray, "c n 2 2"],
+    reprojection: float,
+) -> Float[np.ndarray, "c n"]:
+    """Distance of each camera from the joint point, over what is allowed; -inf where not used.
+
+    What all points of a camera miss by is the rig's error: only `reprojection` limits it.
+    """
+    excess = np.full(used.shape, -np.inf)
+    for c in range(len(used)):
+        known = used[c] & np.isfinite(error[c]).all(axis=1)
+        if not known.any():
+            continue
+        miss = error[c, known]
+        away = np.linalg.norm(miss - np.median(miss, axis=0), axis=1)
+        noise = np.trace(covariance[c, known], axis1=1, axis2=2)
+        allowed = _MAX_DEVIATIONS * np.sqrt((_PER_MEDIAN * np.median(away)) ** 2 + noise)
+        excess[c, known] = np.maximum(away / allowed, np.linalg.norm(miss, axis=1) / reprojection)
+    return excess
 
 
 def _grid(

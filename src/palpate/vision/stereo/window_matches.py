@@ -9,7 +9,7 @@ Signal Processing 47 (1999): the intersection of confidence intervals.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -37,6 +37,13 @@ _MAX_EXCESS = 2.0
 _INTERVAL = 2.0
 # Systematic error of a match from interpolation and the pixels' response, at best.
 _BIAS_PX = 0.005
+# A match is rejected where its neighbours contradict it by more standard deviations.
+_MAX_DEVIATIONS = 5.0
+# Fewer neighbours have no majority when one of them is wrong.
+_MIN_NEIGHBOURS = 3
+# Removing what is wrong changes what its neighbours are compared with.
+_ROUNDS = 2
+_AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +125,57 @@ def window_matches(
         return result
 
     return WindowMatches(chosen("displacement"), chosen("gradient"), chosen("covariance"), outcome)
+
+
+def confirmed_matches(
+    matches: WindowMatches, cell: Int[np.ndarray, "n 2"], pixel: Float[np.ndarray, "n 2"]
+) -> WindowMatches:
+    """Matches without those that their neighbours on the grid do not confirm.
+
+    Every neighbour carries its match along its own gradient to the point; the median of these is
+    compared with the point's own, in units of their scatter and of the match's noise. A point with
+    fewer than three neighbours is confirmed by nobody.
+
+    Parameters
+    ----------
+    matches : WindowMatches         n
+    cell : (n, 2) int               row and column of each point on the grid
+    pixel : (n, 2) float [px]
+
+    Returns
+    -------
+    WindowMatches                   outcome NEIGHBOURS and displacement NaN for those
+
+    Source
+    ------
+    Westerweel and Scarano, Universal outlier detection for PIV data, Experiments in Fluids 39
+    (2005), to first order.
+    """
+    valid = matches.outcome == Outcome.VALID
+    sigma = np.sqrt(np.trace(matches.covariance, axis1=1, axis2=2))
+    number = np.full(cell.max(axis=0, initial=0) + 3, -1)
+    number[cell[:, 0] + 1, cell[:, 1] + 1] = np.arange(len(cell))
+    near = np.stack([number[cell[:, 0] + 1 + i, cell[:, 1] + 1 + j] for i, j in _AROUND], axis=1)
+    offset = pixel[:, None] - pixel[near]
+    carried = np.einsum("nkab,nkb->nka", matches.gradient[near], offset)
+    expected = matches.displacement[near] + carried
+    good = valid
+    for _ in range(_ROUNDS):
+        there = (near >= 0) & good[near]
+        enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
+        votes = np.where(there[..., None], expected, np.nan)[enough]
+        median = np.nanmedian(votes, axis=1)
+        scatter = np.nanmedian(np.linalg.norm(votes - median[:, None], axis=2), axis=1)
+        gap = np.linalg.norm(matches.displacement[enough] - median, axis=1)
+        confirmed = np.zeros(len(cell), dtype=bool)
+        confirmed[enough] = gap <= _MAX_DEVIATIONS * np.hypot(scatter, sigma[enough])
+        good = valid & confirmed
+    wrong = valid & ~good
+    return replace(
+        matches,
+        displacement=np.where(wrong[:, None], np.nan, matches.displacement),
+        outcome=np.where(wrong, int(Outcome.NEIGHBOURS), matches.outcome),
+    )
 
 
 def _largest_consistent(
