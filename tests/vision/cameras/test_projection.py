@@ -7,8 +7,9 @@ import pytest
 from vision_cameras import BARREL, RATIONAL, REAL, make_camera, moved, terms
 
 from palpate.records import Camera, Rig
-from palpate.vision.cameras.lens import lens_reach, project_kernel
+from palpate.vision.cameras.lens import jacobian_kernel, lens_reach, project_kernel
 from palpate.vision.cameras.projection import (
+    camera_sigma,
     normalised,
     packed_camera,
     packed_rig,
@@ -193,3 +194,43 @@ def test_any_number_of_threads_gives_the_same():
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(*results)
+
+
+def test_sigma_of_a_camera_is_that_of_its_own_axes():
+    camera = make_camera(turn=(0.3, -0.7, 0.2))
+    sigma = np.array([3.0, 1.0, 5.0])
+    turn = camera.T_camera_object[:3, :3]
+    covariance = (turn.T @ np.diag(sigma**2) @ turn)[None]
+    lateral, depth = camera_sigma(covariance, camera)
+    np.testing.assert_allclose(lateral, np.sqrt((9.0 + 1.0) / 2.0), rtol=1e-12)
+    np.testing.assert_allclose(depth, 5.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("lens", [(), BARREL, RATIONAL])
+def test_single_point_jacobian_says_where_the_point_lies_too(lens):
+    camera, points = make_camera(lens=lens), _points(20)
+    pixels, jacobians = project_jacobian(camera, points)
+    pose = camera.T_camera_object
+    x, y, z = (points @ pose[:3, :3].T + pose[:3, 3]).T
+    flat = np.stack([x / z, y / z], axis=1)
+    h = 1e-5
+    slope = np.stack(
+        [(_distortion(camera, flat + h * e) - _distortion(camera, flat - h * e)) / (2 * h)
+         for e in np.eye(2)], axis=2,
+    )  # fmt: skip
+    for i, point in enumerate(points):
+        jacobian = np.empty((2, 3))
+        *pixel, depth, square, area = jacobian_kernel(packed_camera(camera), *point, jacobian)
+        np.testing.assert_allclose(pixel, pixels[i], atol=1e-10)
+        np.testing.assert_array_equal(jacobian, jacobians[i])
+        assert depth == pytest.approx(z[i], rel=1e-12)
+        assert square == pytest.approx((flat[i] ** 2).sum(), rel=1e-12)
+        # Central differences leave h^2 / 6 times third derivatives of order one, rounding 1e-11.
+        assert area == pytest.approx(np.linalg.det(slope[i]), abs=1e-8)
+
+
+def _distortion(camera, flat):
+    """OpenCV's distorted places of (x / z, y / z), the camera matrix left out."""
+    points = np.column_stack([flat, np.ones(len(flat))])
+    zero = np.zeros(3)
+    return cv2.projectPoints(points, zero, zero, np.eye(3), camera.distortion)[0][:, 0]

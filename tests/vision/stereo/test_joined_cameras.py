@@ -3,7 +3,7 @@
 import numpy as np
 from vision.scenes import example, projected
 
-from palpate.vision.cameras import triangulate
+from palpate.vision.cameras.triangulation import triangulate
 from palpate.vision.stereo.stereo import joined_cameras
 
 

@@ -9,9 +9,16 @@ from vision.scenes import LENS, SHAPE, example, example_views, noisy_views
 from palpate.errors import CalibrationError, InputError
 from palpate.records.files.rig import read_rig
 from palpate.records.rig import Camera, Rig
+from palpate.vision.cameras.projection import project
 from palpate.vision.images.features import Matches, prepare_pictures
 from palpate.vision.images.pictures import read_pictures
-from palpate.vision.stereo.rig_check import RigCheck, _consistent, check_rig
+from palpate.vision.stereo.rig_check import (
+    RigCheck,
+    _consistent,
+    _epipolar_distance,
+    _own_error,
+    check_rig,
+)
 
 
 def _views(count: int = 3, lens: tuple[float, ...] = ()) -> list[np.ndarray]:
@@ -109,6 +116,38 @@ def test_any_camera_may_be_the_reference(half_ball):
     rig, pictures = half_ball
     found = _checked(Rig(rig.cameras, 2, "rig.toml"), pictures)
     assert max(found.residual) < 0.2
+
+
+def test_distance_from_epipolar_lines_is_the_offset_across_them():
+    """Cameras side by side: the lines are the rows; 3 px in one are 3 f_a / f_b in the other."""
+    poses = [np.eye(4), np.eye(4)]
+    poses[1][0, 3] = -0.05
+    focal = (1000.0, 800.0)
+    first, second = (
+        Camera(name, None, np.array([[f, 0.0, 94.5], [0.0, f, 74.5], [0.0, 0.0, 1.0]]), np.zeros(8),
+               pose)
+        for name, f, pose in zip("ab", focal, poses, strict=True)
+    )  # fmt: skip
+    points = np.random.default_rng(1).uniform((-0.1, -0.1, 0.7), (0.1, 0.1, 0.9), (40, 3))
+    seen = Matches(project(first, points), project(second, points) + np.array([7.0, 3.0]))
+    # 3 px in the second picture; in the first the same angle.
+    expected = 0.5 * (3.0 + 3.0 * focal[0] / focal[1])
+    np.testing.assert_allclose(_epipolar_distance(first, second, seen), expected, rtol=1e-9)
+
+
+def test_own_error_of_features_is_not_that_of_the_rig():
+    """Features that agree with one another to a tenth of a pixel, in a rig that is 3 px off."""
+    rng = np.random.default_rng(4)
+    rig = example(2).rig
+    points = rng.uniform(-0.02, 0.02, (200, 3))
+    first, second = (project(camera, points) for camera in rig.cameras)
+    noise = 0.1
+    second += rng.normal((0.0, 3.0), noise, size=second.shape)
+    pairs = {(0, 1): Matches(first, second)}
+    error = _own_error(rig, pairs, (0, 1))
+    # The median of a normal distribution's absolute values is 0.67 sigma; a fit of seven of 200
+    # numbers takes little of it.
+    assert error == pytest.approx(0.67 * noise, rel=0.4)
 
 
 def test_matches_by_chance_are_none():

@@ -1,4 +1,12 @@
-"""cameras."""
+"""Where calibrated cameras see points, and where in space pixels lie.
+
+Purpose    : projection with its derivative and inverse, triangulation, rectification, and what each
+             pixel sees of a surface.
+Takes      : `Camera` and `Rig`, points, pixels, a triangle surface.
+Gives      : pixels, rays, `Triangulation`, `SurfaceMap`, `Rectified`.
+Depends on : `records`, `vision.images`.
+Read first : `lens.py`, then `projection.py`.
+"""
 
 from palpate.vision.cameras.lens import project_kernel as project_kernel
 from palpate.vision.cameras.projection import (

@@ -10,6 +10,8 @@ Far from the axis such polynomials fold over: two rays reach one pixel. Only the
 the axis is the lens; `lens_reach` says how far it goes.
 
 No `fastmath` here: NaN means "not seen" and has to come through.
+
+Source: OpenCV, Camera calibration and 3D reconstruction, detailed description.
 """
 
 import numpy as np
@@ -25,7 +27,7 @@ _NEARLY, _MIN_AREA = 1e-8, 1e-2
 _MAX_STEPS = 50
 # Roots whose imaginary part is below this share are real; numpy's are good to about 1e-12.
 _MAX_IMAGINARY = 1e-9
-# Rays farther from the axis than this (89.94 degrees) are of no camera.
+# Rays farther from the axis than this (89.94 degrees) reach no camera.
 _MAX_RADIUS = 1e3
 
 
@@ -90,7 +92,7 @@ def _pinhole_kernel(c, x, y, z):
 
 @njit(cache=True, error_model="numpy")
 def project_kernel(c, x, y, z):
-    """Pixel (column, row) of an object point that the camera sees."""
+    """Pixel (column, row) [px] of an object point (x, y, z) [m] that the camera sees."""
     a, b, _ = _pinhole_kernel(c, x, y, z)
     xd, yd, _, _, _ = _distort_kernel(c, a, b)
     return c[0] * xd + c[4] * yd + c[2], c[1] * yd + c[3]
@@ -98,10 +100,10 @@ def project_kernel(c, x, y, z):
 
 @njit(cache=True, error_model="numpy")
 def jacobian_kernel(c, x, y, z, out):
-    """Pixel of an object point; the pixel's derivative goes into `out` (2, 3).
+    """Pixel of an object point [m]; the pixel's derivative [px/m] goes into `out` (2, 3).
 
-    Further returns its depth, its squared distance from the axis in the plane z = 1, and the
-    determinant of the distortion there.
+    Returns column and row [px], depth [m], squared distance from the axis in the plane z = 1 [-],
+    and the determinant of the distortion's derivative there [-].
     """
     a, b, zc = _pinhole_kernel(c, x, y, z)
     xd, yd, xa, xb, yb = _distort_kernel(c, a, b)
@@ -118,9 +120,10 @@ def jacobian_kernel(c, x, y, z, out):
 
 @njit(cache=True, error_model="numpy")
 def jacobians_kernel(c, reach, points, pixels, jacobians):
-    """Pixels (n, 2) of points (n, 3) and their derivatives (n, 2, 3).
+    """Pixels (n, 2) [px] of points (n, 3) [m] and their derivatives (n, 2, 3) [px/m].
 
-    NaN for points behind the camera and off the lens's branch that holds the axis.
+    `reach` of `lens_reach`. NaN for points behind the camera and off the lens's branch that holds
+    the axis.
     """
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -174,7 +177,7 @@ def _newton_kernel(c, reach, x, y, a, b):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def normalised_kernel(begin, end, c, reach, pixels, out):
-    """x / z and y / z (n, 2) of the rays that reach pixels (n, 2); NaN where none does."""
+    """x / z and y / z (n, 2) of the rays that reach pixels (n, 2) [px]; NaN where none does."""
     for i in range(begin, end):
         y = (pixels[i, 1] - c[3]) / c[1]
         x = (pixels[i, 0] - c[2] - c[4] * y) / c[0]

@@ -31,7 +31,16 @@ def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
 
 
 def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
-    """All cameras of a rig, a row each; see `packed_camera`."""
+    """All cameras of a rig for the kernels.
+
+    Parameters
+    ----------
+    rig : Rig                       c cameras
+
+    Returns
+    -------
+    (c, 25) float                   a row each, see `packed_camera`
+    """
     return np.stack([packed_camera(camera) for camera in rig.cameras])
 
 

@@ -29,8 +29,8 @@ class Triangulation:
     point : (n, 3) float [m]        object frame; NaN where fewer than two cameras see it, where the
                                     rays are parallel, or where they meet behind a camera
     covariance : (n, 3, 3) float [m^2]  from that of the pixels; NaN where the point is
-    residual : (n,) float [px]      root mean square of what is left per pixel coordinate, over the
-                                    cameras that see the point; NaN where the point is
+    residual : (n,) float [px]      rms distance of the point's projections from the pixels, per
+                                    coordinate, over the cameras that see it; NaN where the point is
     cameras : (n,) int              how many cameras see the point
     """
 
@@ -53,8 +53,8 @@ def triangulate(
     ----------
     rig : Rig                       c cameras
     pixels : (c, n, 2) float [px]   NaN where a camera does not see the point
-    covariance : (c, n, 2, 2) float [px^2] or float [px]    of each pixel; or one standard
-                                    deviation for all
+    covariance : (c, n, 2, 2) float [px^2] or float [px]    of each pixel, positive definite where
+                                    it is given; or one standard deviation for all, > 0
 
     Returns
     -------
@@ -62,7 +62,8 @@ def triangulate(
 
     Raises
     ------
-    InputError                      another number of cameras, a covariance that is none
+    InputError                      another number of cameras; a covariance that is not positive
+                                    definite, or of another shape
 
     Source
     ------

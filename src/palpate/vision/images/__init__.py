@@ -1,9 +1,17 @@
-"""images."""
+"""Pictures from files, made ready to be searched and matched.
+
+Purpose    : grey levels of a whole file or a message about what is wrong with it; pictures
+             normalised, with features, and between their pixels.
+Takes      : files of pictures, a `Rig`.
+Gives      : `Pictures`, `NormalisedImage`, `PreparedPictures`, `SplinePicture`.
+Depends on : `records`.
+Read first : `pictures.py`, then `spline.py`.
+"""
 
 from palpate.vision.images.features import (
     Matches as Matches,
     PreparedPictures as PreparedPictures,
-    matched as matched,
+    match_features as match_features,
     prepare_pictures as prepare_pictures,
 )
 from palpate.vision.images.normalisation import (

@@ -52,7 +52,7 @@ class Matches:
     second: Float[np.ndarray, "n 2"]
 
     def chosen(self, rows: np.ndarray) -> "Matches":
-        """Some of the matches."""
+        """The matches at some indices or flags, `rows` (k,) int or (n,) bool."""
         return Matches(self.first[rows], self.second[rows])
 
 
@@ -66,6 +66,10 @@ def find_features(picture: NormalisedImage) -> Features:
     Returns
     -------
     Features                        none where there is no texture
+
+    Source
+    ------
+    Lowe (2004), as OpenCV has it.
     """
     grey: np.ndarray = picture.levels
     area: np.ndarray = picture.textured.astype(np.uint8)
@@ -85,8 +89,8 @@ def find_features(picture: NormalisedImage) -> Features:
     return Features((point + 0.5) * scale - 0.5, descriptor)
 
 
-def matched(first: Features, second: Features) -> Matches:
-    """Features that choose each other, clearly.
+def match_features(first: Features, second: Features) -> Matches:
+    """Pairs of features that are each other's nearest by far.
 
     Parameters
     ----------
@@ -95,6 +99,10 @@ def matched(first: Features, second: Features) -> Matches:
     Returns
     -------
     Matches                         good to half a pixel; one in a hundred may be mistaken
+
+    Source
+    ------
+    Lowe (2004), section 7.1, the ratio test; and each must be the other's nearest.
     """
     if len(first.point) < 2 or len(second.point) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))

@@ -17,11 +17,14 @@ class NormalisedImage:
 
     Attributes
     ----------
-    grey : (rows, columns) float32          from 0 to 255
-    levels : (rows, columns) uint8          mean and contrast the same everywhere
-    mean, variance : (rows, columns) float32    of the grey levels in the window around
+    grey : (rows, columns) float32 [grey levels]    stretched to 0 to 255
+    levels : (rows, columns) uint8 [grey levels]    mean 128 and contrast 40 in every window with
+                                            texture, less where noise is a part of it
+    mean, variance : (rows, columns) float32 [grey levels, and squared]     of `grey` in the window
+                                            of 21 px around
     textured : (rows, columns) bool         signal has three times the variance of noise there
-    width : float [px]                      of the texture, as the sigma of Gaussian speckles
+    width : float [px]                      of the texture, as the sigma of Gaussian speckles; 0
+                                            where there is none
     """
 
     grey: Float[np.ndarray, "rows columns"]
@@ -37,7 +40,7 @@ def make_normalised_image(grey: Float[np.ndarray, "rows columns"]) -> Normalised
 
     Parameters
     ----------
-    grey : (rows, columns) float    finite, of any scale
+    grey : (rows, columns) float [grey levels]  finite, of any scale
 
     Returns
     -------
@@ -74,7 +77,17 @@ def _noise(grey: Float[np.ndarray, "rows columns"]) -> float:
 def moments(
     grey: Float[np.ndarray, "rows columns"],
 ) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-    """Mean and variance in the window around every pixel."""
+    """Mean and variance of the grey levels in the window around every pixel.
+
+    Parameters
+    ----------
+    grey : (rows, columns) float32 [grey levels]
+
+    Returns
+    -------
+    mean : (rows, columns) float32 [grey levels]        the picture is mirrored beyond its edge
+    variance : (rows, columns) float32 [grey levels^2]  >= 0
+    """
     size = (WINDOW, WINDOW)
     mean = cv2.blur(grey, size)
     return mean, np.maximum(cv2.sqrBoxFilter(grey, -1, size) - mean**2, np.float32(0.0))
@@ -98,7 +111,17 @@ def _width(
 
 
 def cropped(picture: NormalisedImage, box: tuple[slice, slice]) -> NormalisedImage:
-    """A part of a picture, `box` its rows and columns."""
+    """A part of a picture.
+
+    Parameters
+    ----------
+    picture : NormalisedImage
+    box : (slice, slice) [px]       rows and columns of the part
+
+    Returns
+    -------
+    NormalisedImage                 mean, variance and width are those of the whole picture
+    """
     return NormalisedImage(
         np.ascontiguousarray(picture.grey[box]),
         np.ascontiguousarray(picture.levels[box]),

@@ -19,7 +19,7 @@ from scipy.ndimage import correlate1d, spline_filter
 PADDING = 4
 # Sum over the pixels k of L(t - k)^2, L the cardinal cubic spline, at t = 1/2: what is left there
 # of the variance of white noise. 1 - (1 - q)(4 t (1 - t))^2 is within 0.006 of it everywhere.
-_HALF_WAY = 0.75613
+_SHARE_HALF_WAY = 0.75613
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +76,31 @@ def make_spline_picture(
 def spline_pictures(
     pictures: Sequence[Float[np.ndarray, "_ _"]], smoothing: float
 ) -> tuple[SplinePicture, ...]:
-    """`make_spline_picture` of every camera's picture."""
+    """`make_spline_picture` of every camera's picture.
+
+    Parameters
+    ----------
+    pictures : sequence of c (rows, columns) float [grey levels]    finite
+    smoothing : float [px]          >= 0, see there
+
+    Returns
+    -------
+    tuple of c SplinePicture
+    """
     return tuple(make_spline_picture(picture, smoothing=smoothing) for picture in pictures)
 
 
 def smoothing_gain(smoothing: float) -> float:
-    """Standard deviation that the low-pass leaves of white noise, as a share of what it was."""
+    """Standard deviation that the low-pass leaves of white noise, as a share of what it was.
+
+    Parameters
+    ----------
+    smoothing : float [px]          of `make_spline_picture`; none where 0
+
+    Returns
+    -------
+    float [-]                       above 0, at most 1
+    """
     if smoothing <= 0.0:
         return 1.0
     reach = int(np.ceil(4.0 * smoothing))
@@ -128,7 +147,10 @@ def _weights_kernel(t):
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def sample_kernel(coefficients, column, row):
-    """Value of the spline at a place of the picture [px], clamped to the padded coefficients."""
+    """Grey level of the spline at a place of the picture, clamped to the padded coefficients.
+
+    `coefficients` (rows + 8, columns + 8) float32 of a `SplinePicture`; column, row float32 [px].
+    """
     # Shifted to be positive, so that truncation is floor.
     zero, lead = np.float32(0.0), np.float32(PADDING - 1)
     x = min(max(column + lead, zero), np.float32(coefficients.shape[1] - 4))
@@ -149,9 +171,12 @@ def sample_kernel(coefficients, column, row):
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def noise_share_kernel(column, row):
-    """Share of white noise's variance that is left after interpolation at a place [px]."""
+    """Share of white noise's variance that is left after interpolation at a place.
+
+    Column, row float32 [px]; the share is 1 at pixel centres and 0.57 in the middle of four.
+    """
     one = np.float32(1.0)
-    drop = np.float32(16.0 * (1.0 - _HALF_WAY))
+    drop = np.float32(16.0 * (1.0 - _SHARE_HALF_WAY))
     t = column - np.floor(column)
     s = row - np.floor(row)
     t = t * (one - t)

@@ -1,7 +1,7 @@
 """Points of the surface from the pictures of one instant, and whether the rig fits the pictures.
 
 Purpose    : to know where the object is before anything is known of its surface or pose.
-Takes      : a `Rig` and one grey picture of every camera.
+Takes      : `PreparedPictures` of one instant.
 Gives      : `StereoPoints` with covariance, `RigCheck`, a surface through the stereo points.
 Depends on : `records`, `vision.images`, `vision.cameras`, `vision.matching`, `vision.joint`.
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.

@@ -15,7 +15,7 @@ from palpate.errors import CalibrationError, InputError
 from palpate.records import Camera, Rig
 from palpate.shapes import PointScalars
 from palpate.vision.cameras import normalised, triangulate
-from palpate.vision.images import Matches, PreparedPictures, matched
+from palpate.vision.images import Matches, PreparedPictures, match_features
 
 # Half a speckle: cameras that are farther off their epipolar lines see different speckles in the
 # windows around one point.
@@ -111,7 +111,7 @@ def _all_matches(pictures: PreparedPictures) -> _Pairs:
             )
     pairs = {}
     for i, j in combinations(range(len(cameras)), 2):
-        matches = matched(pictures.features[i], pictures.features[j])
+        matches = match_features(pictures.features[i], pictures.features[j])
         found = _consistent(cameras[i], cameras[j], matches)
         pairs[i, j], pairs[j, i] = found, Matches(found.second, found.first)
     return pairs
