@@ -58,8 +58,8 @@ def test_kernel_projects_as_the_arrays_do():
     camera, points = make_camera(lens=RATIONAL), _points(20)
     packed = packed_rig(Rig((camera, make_camera("c1")), 0, "here"))[0]
     np.testing.assert_array_equal(packed, packed_camera(camera))
-    one = [project_kernel(packed, *point) for point in points]
-    np.testing.assert_allclose(one, project(camera, points), atol=1e-10)  # rounding
+    pixels = [project_kernel(packed, *point) for point in points]
+    np.testing.assert_allclose(pixels, project(camera, points), atol=1e-10)  # rounding
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
@@ -156,10 +156,10 @@ def test_inverse_stays_on_the_branch_of_the_axis():
     radius = np.linspace(0.0, 0.99 * reach, 40)
     place = 500.0 * radius * (1.0 - 0.9 * radius**2 + 0.35 * radius**4)
     angle = np.linspace(0.0, 6.0, 40)
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    found = normalised(camera, place[:, None] * way)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    found = normalised(camera, place[:, None] * direction)
     # Near the fold 1e-13 in the picture is some 1e-11 in the ray.
-    np.testing.assert_allclose(found, radius[:, None] * way, atol=1e-10)
+    np.testing.assert_allclose(found, radius[:, None] * direction, atol=1e-10)
     beyond = 500.0 * np.array([[1.1 * place.max() / 500.0, 0.0]])
     assert np.isnan(normalised(camera, beyond)).all()
 

@@ -150,7 +150,7 @@ def test_canvas_holds_the_whole_reference_picture(kind):
     assert (place.max(axis=0) < [columns - 1 + 1e-9, rows - 1 + 1e-9]).all()
     # Not wastefully large either: these turn by little.
     assert rows * columns < 2.0 * SHAPE[0] * SHAPE[1]
-    assert len({one.shape for one in rectified.maps}) == 1
+    assert len({place.shape for place in rectified.maps}) == 1
 
 
 @pytest.mark.parametrize("kind", ["pair", "triple"])

@@ -1,4 +1,4 @@
-"""Pictures of a rig from files: what becomes of good ones, what every kind of bad one is told."""
+"""Pictures of a rig from files: what becomes of good ones, what is said of each kind of bad one."""
 
 import os
 import struct

@@ -300,7 +300,7 @@ def test_matches_of_another_program_on_a_real_specimen(shared_data):
     assert len(stereo.pixel) > 0.95 * mask.sum() / 100
     left, right = _gold(folder / "dice_gold" / "DICe_solution.e")
     distance, near = cKDTree(stereo.pixel).query(left, 9)
-    left, right, near = (one[distance[:, 8] < 25.0] for one in (left, right, near))
+    left, right, near = (values[distance[:, 8] < 25.0] for values in (left, right, near))
     assert len(left) > 12
     seen = project(rig.cameras[1], stereo.point)
     error = []

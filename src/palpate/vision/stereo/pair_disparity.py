@@ -97,7 +97,7 @@ class _Pair:
 def stereo_start(
     pictures: PreparedPictures, partner: int, points: Float[np.ndarray, "n 2"], *, half: int
 ) -> StereoStart:
-    """Match points of the reference camera in another, without being told where to look.
+    """Match points of the reference camera in another, wherever the object is.
 
     Parameters
     ----------

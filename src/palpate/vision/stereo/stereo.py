@@ -77,8 +77,8 @@ class StereoPoints:
     pixel : (n, 2) float [px]           column and row in the reference camera: middle of the window
     point : (n, 3) float [m]            that the windows of all cameras show, object frame; beside
                                         the ray of the pixel by as much as noise moved the windows
-    covariance : (n, 3, 3) float [m^2]  from the residuals of the matches; the calibration's errors,
-                                        alike for points side by side, are not in it
+    covariance : (n, 3, 3) float [m^2]  from the residuals of the matches, without the errors of the
+                                        calibration, which neighbours share
     residual : (n,) float [px]          rms distance between the point and the matches, over the
                                         cameras and both coordinates
     cameras : (n,) int                  how many agree, the reference included
