@@ -125,7 +125,7 @@ def test_normals_are_weighted_with_the_areas():
 
 def test_too_few_vertices_go_where_edges_are_longest():
     mesh = sphere(2, RADIUS)
-    fine = make_render_mesh(mesh, [_camera()], edge=0.5, most=3000)
+    fine = make_render_mesh(mesh, [_camera()], edge=0.5, max_vertices=3000)
     assert 2900 <= len(fine.vertices) <= 3000
     assert fine.longest == pytest.approx(
         _edge_lengths(fine, _camera())[_facing(fine, _camera())].max(), rel=0.05
@@ -134,11 +134,11 @@ def test_too_few_vertices_go_where_edges_are_longest():
     assert len(enough.vertices) <= 3000
     assert _is_closed(fine)
     # Both sides of a crease are halved or none, wherever the vertices run out.
-    for most in range(200, 208):
+    for limit in range(200, 208):
         cube = make_render_mesh(
-            box(3 * (0.05,), 2), [_camera((0.4, 0.3, 1.0))], edge=0.5, most=most
+            box(3 * (0.05,), 2), [_camera((0.4, 0.3, 1.0))], edge=0.5, max_vertices=limit
         )
-        assert len(cube.vertices) >= most - 1
+        assert len(cube.vertices) >= limit - 1
         assert _is_closed(cube)
 
 
@@ -147,6 +147,6 @@ def test_refusals():
     with pytest.raises(InputError, match="edge is 0 px"):
         make_render_mesh(mesh, [_camera()], edge=0.0)
     with pytest.raises(InputError, match="at least the 24 of the mesh"):
-        make_render_mesh(mesh, [_camera()], most=23)
+        make_render_mesh(mesh, [_camera()], max_vertices=23)
     with pytest.raises(InputError, match="has no size"):
         make_render_mesh(mesh, [_camera(size=None)])

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from palpate.errors import InputError
+from palpate.geometry import TriangleMesh
 from palpate.records import Rig, picture_size
 from palpate.shapes import PointIndices, Points, Triangles, Vertices
 from palpate.vision import SurfaceMap, surface_map, visible
@@ -16,7 +17,7 @@ from palpate.vision import SurfaceMap, surface_map, visible
 # depth is interpolated between pixel centres, and near the horizon the surface bends that much.
 _BEHIND = 0.1
 # Cameras that fit the bits of one byte.
-_MOST_CAMERAS = 8
+_MAX_CAMERAS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,38 +42,13 @@ class TruthMap:
     hidden_loaded: PointIndices
 
 
-def surface_maps(rig: Rig, vertices: Vertices, triangles: Triangles) -> tuple[SurfaceMap, ...]:
-    """What every camera of a rig sees of a surface.
-
-    Parameters
-    ----------
-    rig : Rig                       cameras with sizes
-    vertices : (v, 3) float [m]     object frame
-    triangles : (m, 3) int
-
-    Returns
-    -------
-    tuple of SurfaceMap             in the rig's order
-
-    Raises
-    ------
-    InputError                      a camera without a size
-    CalibrationError                a part of the surface beside or behind a camera
-    """
-    return tuple(
-        surface_map(camera, picture_size(camera)[::-1], vertices, triangles)
-        for camera in rig.cameras
-    )
-
-
 def truth_map(
     rig: Rig,
     rest: Vertices,
     loaded: Float[np.ndarray, "w 3"],
     triangles: Triangles,
     *,
-    others: Sequence[tuple[np.ndarray, np.ndarray]] = (),
-    at_rest: Sequence[SurfaceMap] | None = None,
+    tool: TriangleMesh | None = None,
 ) -> TruthMap:
     """The truth of one pair of rest and loaded pictures.
 
@@ -81,10 +57,7 @@ def truth_map(
     rig : Rig                       cameras with sizes, at most eight
     rest, loaded : (v, 3) float [m] vertices of the mesh that was drawn
     triangles : (m, 3) int
-    others : pairs of (w, 3) float [m] and (k, 3) int   vertices and triangles of other bodies in
-                                    the loaded pictures, as the tool; at rest they are absent
-    at_rest : sequence of SurfaceMap or None    `surface_maps` of the rest surface, for a body that
-                                    is loaded again and again
+    tool : TriangleMesh or None     in the loaded pictures; absent at rest
 
     Returns
     -------
@@ -97,7 +70,7 @@ def truth_map(
     CalibrationError                a body beside or behind a camera
     """
     _check(rig, rest, loaded)
-    seen = surface_maps(rig, rest, triangles) if at_rest is None else at_rest
+    seen = _surface_maps(rig, rest, triangles)
     shown = seen[rig.reference]
     pixel = np.flatnonzero(shown.triangle.ravel() >= 0)
     if len(pixel) == 0:
@@ -107,15 +80,15 @@ def truth_map(
         )
     point = shown.point.reshape(-1, 3)[pixel]
     corner = triangles[shown.triangle.ravel()[pixel]]
-    weight = _weights(rest[corner], point)
+    weight = _barycentric(rest[corner], point)
     displacement = np.einsum("nc,nca->na", weight, (loaded - rest)[corner])
     moved = point + displacement
-    hidden_loaded = _hidden(rig, surface_maps(rig, loaded, triangles), moved, behind=_BEHIND)
-    if others:
-        # By itself: where a tool touches the body both surfaces are one, but the tool's near side
+    hidden_loaded = _hidden(rig, _surface_maps(rig, loaded, triangles), moved, behind=_BEHIND)
+    if tool is not None:
+        # By itself: where a tool touches the body both surfaces coincide, but the tool's near side
         # is well in front.
-        tools = surface_maps(rig, *_joined(others))
-        hidden_loaded |= _hidden(rig, tools, moved, behind=0.0)
+        maps = _surface_maps(rig, tool.vertices, tool.triangles)
+        hidden_loaded |= _hidden(rig, maps, moved, behind=0.0)
     return TruthMap(
         shown.triangle.shape,
         pixel,
@@ -149,14 +122,22 @@ def write_truth_map(path: Path, truth: TruthMap) -> None:
 
 
 def _check(rig: Rig, rest: Vertices, loaded: Float[np.ndarray, "w 3"]) -> None:
-    if len(rig.cameras) > _MOST_CAMERAS:
+    if len(rig.cameras) > _MAX_CAMERAS:
         raise InputError(
-            f"truth maps hold {_MOST_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
+            f"truth maps hold {_MAX_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
         )
     if len(rest) != len(loaded):
         raise InputError(
             f"the mesh has {len(rest)} vertices at rest and {len(loaded)} loaded; must be the same"
         )
+
+
+def _surface_maps(rig: Rig, vertices: Vertices, triangles: Triangles) -> tuple[SurfaceMap, ...]:
+    """What every camera of a rig sees of a surface."""
+    return tuple(
+        surface_map(camera, picture_size(camera)[::-1], vertices, triangles)
+        for camera in rig.cameras
+    )
 
 
 def _hidden(rig: Rig, maps: Sequence[SurfaceMap], points: Points, *, behind: float) -> PointIndices:
@@ -170,16 +151,7 @@ def _hidden(rig: Rig, maps: Sequence[SurfaceMap], points: Points, *, behind: flo
     return bits
 
 
-def _joined(
-    bodies: Sequence[tuple[np.ndarray, np.ndarray]],
-) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
-    """Several meshes as one."""
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in bodies)])
-    triangles = [one + start for (_, one), start in zip(bodies, starts[:-1], strict=True)]
-    return np.concatenate([vertices for vertices, _ in bodies]), np.concatenate(triangles)
-
-
-def _weights(corner: Float[np.ndarray, "n 3 3"], point: Points) -> Float[np.ndarray, "n 3"]:
+def _barycentric(corner: Float[np.ndarray, "n 3 3"], point: Points) -> Float[np.ndarray, "n 3"]:
     """Barycentric coordinates of points in their triangles' planes."""
     a, b = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     normal = np.cross(a, b)
