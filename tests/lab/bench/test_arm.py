@@ -1,6 +1,5 @@
 """The arm: where it goes, what it is refused, what the session holds."""
 
-import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +7,9 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
-from palpate.lab import Arm, Head, Probe, built_in, read_lab_config
+from palpate.lab import Arm, Head, Material, Probe, built_in, read_lab_config
 from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at
-from palpate.lab.bench.session_text import session_probe
+from palpate.lab.bench.session_text import probe_tables
 from palpate.lab.bodies.contact import touch
 from palpate.lab.bodies.finite_elements import held_nodes, make_body
 from palpate.lab.bodies.specimens import block, half_ball, toy
@@ -132,8 +131,9 @@ def test_the_session_holds_where_the_arm_was_sent(body, kind, profile):
     tip = aim(_probe(), arm, BALL, rng=_rng(2))
     done = probe_body(body, _probe(), tip, sticking=False, finite=False)
     config = replace(read_lab_config(built_in()["demo"]), arm=arm)
-    (session,) = tomllib.loads(session_probe(config, done, _rng()))["probe"]
+    session, truth = probe_tables(config, done, rng=_rng())
     contact = session["contact"]
+    np.testing.assert_allclose(truth["direction"], tip.direction)
     assert contact["profile"] == profile
     np.testing.assert_array_equal(contact["point"], TOP)
     # Hertz: the root of radius times depth; a punch touches with its face.
@@ -151,7 +151,7 @@ def test_the_session_holds_where_the_arm_was_sent(body, kind, profile):
 )
 def test_elements_are_small_where_the_tip_touches(kind, probe, radius):
     tip = aim(probe, Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
-    point, reach, edge = fine_place(tip, probe, young=5e4, poisson=0.3)
+    point, reach, edge = fine_place(tip, probe, Material(5e4, 0.3))
     np.testing.assert_array_equal(point, TOP)
     assert (reach, edge) == pytest.approx((radius, radius / 3))
 

@@ -9,7 +9,7 @@ import numpy as np
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, vertex_normals
 from palpate.lab.bodies import TIPS, Body, Press, Tip, press, press_to_force, rod, solve_finite
-from palpate.lab.config import Arm, Probe
+from palpate.lab.config import Arm, Material, Probe
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Vector3
 
@@ -82,9 +82,7 @@ def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator)
     return tip
 
 
-def fine_place(
-    tip: Tip, probe: Probe, *, young: float, poisson: float
-) -> tuple[Vector3, float, float]:
+def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, float, float]:
     """Where a body needs small elements, and how small: under the tip.
 
     The touched circle is taken from the formulae for a half space.
@@ -93,14 +91,13 @@ def fine_place(
     ----------
     tip : Tip
     probe : Probe
-    young : float [Pa]
-    poisson : float
+    material : Material
 
     Returns
     -------
     point (3,), radius, edge [m]
     """
-    modulus = young / (1.0 - poisson**2)
+    modulus = material.young_modulus / (1.0 - material.poisson_ratio**2)
     radius = tip.half_space_radius(probe.depth, probe.force, modulus)
     return probe.point, radius, 2.0 * radius / _ELEMENTS_ACROSS
 

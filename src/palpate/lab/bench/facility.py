@@ -17,13 +17,11 @@ from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, write_mesh
 from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at
 from palpate.lab.bench.session_text import (
+    Table,
     instant_name,
-    session_head,
-    session_probe,
-    session_step,
-    truth_head,
-    truth_probe,
-    truth_step,
+    probe_tables,
+    step_tables,
+    write_session,
 )
 from palpate.lab.bodies import Body, Tip, held_nodes, make_body, make_solid, surface_values
 from palpate.lab.config import LabConfig, Probe, Stage
@@ -64,7 +62,7 @@ class _Plan:
 
 
 class _Bench:
-    """One session while it is measured: texture and light are up, two files are growing."""
+    """One session while it is measured: texture and light are up."""
 
     def __init__(self, plan: _Plan, variant: Variant) -> None:
         """Put up texture and light; write what the session knows before the first picture."""
@@ -72,7 +70,7 @@ class _Bench:
         mesh = config.specimen.mesh
         self.plan = plan
         self.studio: Studio = make_studio(config, rig, variant, rng=plan.rng(_TEXTURE))
-        self.session, self.truth = [session_head(config)], [truth_head(config)]
+        self.measured: list[tuple[Table, Table]] = []
         calibrated = miscalibrated(rig, config.calibration, mesh, rng=plan.rng(_CALIBRATION))
         (folder / "images").mkdir()
         write_mesh(folder / "mesh.ply", mesh)
@@ -92,12 +90,6 @@ class _Bench:
             if not done:
                 raise RecordError(f"{file}: the picture cannot be encoded as PNG")
             file.write_bytes(content.tobytes())
-
-    def write(self) -> None:
-        """The session and its truth."""
-        for name, tables in (("session.toml", self.session), ("truth.toml", self.truth)):
-            text = "".join(tables).rstrip() + "\n"
-            (self.plan.folder / name).write_text(text, encoding="utf-8")
 
 
 def make_session(
@@ -237,7 +229,7 @@ def _measure_probings(plans: Sequence[_Plan], variant: Variant, say: Progress) -
                 carried[rest.tobytes()] = surface_values(body.solid, rest)
             _measure_probing(bench, body, carried[rest.tobytes()], k)
     for bench in benches:
-        bench.write()
+        write_session(bench.plan.folder, bench.plan.config, bench.measured)
 
 
 def _measure_probing(bench: _Bench, body: Body, carried: csr_array, k: int) -> None:
@@ -253,39 +245,38 @@ def _measure_probing(bench: _Bench, body: Body, carried: csr_array, k: int) -> N
         name = instant_name(done.probe, number)
         bench.photograph(name, 1000 * (k + 1) + number, exposure(config, before, after), rod)
         before = after
-    seen = truth_map(plan.rig, rest, after, mesh.triangles, tool=rod)
+    seen = truth_map(plan.rig, mesh, after, tool=rod)
     write_truth_map(plan.folder / f"truth_{done.probe.name}.npz", seen)
-    bench.session.append(session_probe(config, done, plan.rng(_SENSORS, k)))
-    bench.truth.append(truth_probe(config, done))
+    bench.measured.append(probe_tables(config, done, rng=plan.rng(_SENSORS, k)))
 
 
 def _measure_steps(bench: _Bench, stage: Stage, say: Progress) -> None:
     """A rigid object on a motion stage."""
+    plan, config = bench.plan, bench.plan.config
     rest = before = bench.studio.mesh.vertices
     for k, motion in enumerate(stage_motions(stage)):
         name = f"s{k}"
         say(f"step {name}", k / (stage.steps + 1))
         after = rest @ motion[:3, :3].T + motion[:3, 3]
-        bench.photograph(name, k, exposure(bench.plan.config, before, after))
+        bench.photograph(name, k, exposure(config, before, after))
         before = after
-        rng = bench.plan.rng(_SENSORS, k)
-        bench.session.append(session_step(name))
-        bench.truth.append(truth_step(bench.plan.config, name, motion, rng=rng))
-    bench.write()
+        bench.measured.append(step_tables(config, name, motion, rng=plan.rng(_SENSORS, k)))
+    write_session(plan.folder, config, bench.measured)
 
 
 def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
     """The specimen in finite elements, small ones under the tip."""
     material, specimen = config.material, config.specimen
-    young, poisson = material.young_modulus, material.poisson_ratio
     solid = make_solid(
         specimen.body.vertices,
         specimen.body.triangles,
         edge=specimen.element,
-        fine=(fine_place(tip, probe, young=young, poisson=poisson),),
+        fine=(fine_place(tip, probe, material),),
     )
     held = held_nodes(solid, specimen.held)
-    return make_body(solid, held, shear_modulus=material.shear_modulus, poisson_ratio=poisson)
+    return make_body(
+        solid, held, shear_modulus=material.shear_modulus, poisson_ratio=material.poisson_ratio
+    )
 
 
 def _rig(config: LabConfig) -> Rig:

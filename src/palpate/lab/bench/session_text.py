@@ -1,16 +1,20 @@
 """A session and its truth as text: what the facility leaves is read like any other session."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from palpate.geometry import closest_points
 from palpate.lab.bench.arm import Pressed
 from palpate.lab.bench.readings import read_sensor, sensor_std
 from palpate.lab.config import LabConfig, Probe
 from palpate.records import SESSION_FORMAT, ContactProfile
+
+Table = Mapping[str, Any]
 
 
 def toml_value(value: Any) -> str:
@@ -50,26 +54,17 @@ def instant_name(probe: Probe, number: int) -> str:
     return probe.name if number == probe.steps else f"{probe.name}_{number}"
 
 
-def session_head(config: LabConfig) -> str:
-    """Name, object, support and rig."""
-    support = "" if config.stage is not None else toml_table("[support]", config.specimen.support)
-    return (
-        toml_table("", {"format": SESSION_FORMAT, "name": config.name})
-        + toml_table("[object]", {"mesh": "mesh.ply", "length_unit": "m"})
-        + support
-        + toml_table("[rig]", {"cameras": "rig.toml"})
-    )
-
-
-def session_probe(config: LabConfig, done: Pressed, rng: np.random.Generator) -> str:
-    """What the bench knows of a probing: readings, and where the arm was sent.
+def probe_tables(
+    config: LabConfig, done: Pressed, *, rng: np.random.Generator
+) -> tuple[Table, Table]:
+    """A probing as the bench knows it, from readings and where the arm was sent; and its truth.
 
     The contact is what a person at the bench would write down: for a sphere Hertz's pressure over
     the touched circle, for a punch an even one over its face.
     """
     probe, tip, last = done.probe, done.tip, done.states[-1]
     travel = last.depth * tip.direction
-    values = {
+    session = {
         "name": probe.name,
         "contact": {
             "point": probe.point,
@@ -88,53 +83,68 @@ def session_probe(config: LabConfig, done: Pressed, rng: np.random.Generator) ->
             ],
         },
     }
-    return toml_table("[[probe]]", values)
-
-
-def session_step(name: str) -> str:
-    """A step of a motion stage."""
-    return toml_table("[[step]]", {"name": name, "images": f"images/{name}_{{camera}}.png"})
-
-
-def truth_head(config: LabConfig) -> str:
-    """Constants, law and seed."""
-    material = config.material
-    values = {
-        "young_modulus": material.young_modulus,
-        "poisson_ratio": material.poisson_ratio,
-        "shear_modulus": material.shear_modulus,
-        "law": material.law,
-        "seed": config.seed,
+    truth = {
+        "name": probe.name,
+        # The tip's axis goes through the sphere's centre, one radius above the place.
+        "contact_point": closest_points(config.specimen.mesh, tip.point[None]).position[0],
+        "contact_radius": last.radius,
+        "direction": tip.direction,
+        "force": last.force,
+        "depth": last.depth,
+        "load_steps": [state.depth / last.depth for state in done.states],
     }
-    return toml_table("", values)
+    return session, truth
 
 
-def truth_probe(config: LabConfig, done: Pressed) -> str:
-    """Where, how, and how hard it was really probed."""
-    last = done.states[-1]
-    # The tip's axis goes through the sphere's centre, one radius above the place.
-    touched = closest_points(config.specimen.mesh, done.tip.point[None]).position[0]
-    return toml_table(
-        "[[probe]]",
-        {
-            "name": done.probe.name,
-            "contact_point": touched,
-            "contact_radius": last.radius,
-            "direction": done.tip.direction,
-            "force": last.force,
-            "depth": last.depth,
-            "load_steps": [state.depth / last.depth for state in done.states],
-        },
-    )
+def step_tables(
+    config: LabConfig, name: str, motion: Float[np.ndarray, "4 4"], *, rng: np.random.Generator
+) -> tuple[Table, Table]:
+    """A step of a stage as the bench knows it; and its true motion, with the encoder's reading."""
+    turn, shift = motion[:3, :3], motion[:3, 3]
+    encoder = read_sensor(shift, config.position_sensor, rng=rng)
+    session = {"name": name, "images": f"images/{name}_{{camera}}.png"}
+    return session, {"name": name, "R": turn, "t": shift, "encoder": encoder}
 
 
-def truth_step(
-    config: LabConfig, name: str, motion: np.ndarray, *, rng: np.random.Generator
-) -> str:
-    """A step's true motion, and what the stage's encoder says of it."""
-    read = read_sensor(motion[:3, 3], config.position_sensor, rng=rng)
-    values = {"name": name, "R": motion[:3, :3], "t": motion[:3, 3], "encoder": read}
-    return toml_table("[[step]]", values)
+def write_session(folder: Path, config: LabConfig, measured: Sequence[tuple[Table, Table]]) -> None:
+    """Write session.toml and truth.toml.
+
+    Parameters
+    ----------
+    folder : Path
+    config : LabConfig
+    measured : sequence of tables   of the session and of the truth, of every probing or step
+
+    Raises
+    ------
+    OSError                         they cannot be written
+    """
+    material, staged = config.material, config.stage is not None
+    heads: dict[str, list[tuple[str, Table]]] = {
+        "session.toml": [
+            ("", {"format": SESSION_FORMAT, "name": config.name}),
+            ("[object]", {"mesh": "mesh.ply", "length_unit": "m"}),
+            *([] if staged else [("[support]", config.specimen.support)]),
+            ("[rig]", {"cameras": "rig.toml"}),
+        ],
+        "truth.toml": [
+            (
+                "",
+                {
+                    "young_modulus": material.young_modulus,
+                    "poisson_ratio": material.poisson_ratio,
+                    "shear_modulus": material.shear_modulus,
+                    "law": material.law,
+                    "seed": config.seed,
+                },
+            )
+        ],
+    }
+    header = "[[step]]" if staged else "[[probe]]"
+    for (name, head), rows in zip(heads.items(), zip(*measured, strict=True), strict=True):
+        tables = head + [(header, row) for row in rows]
+        text = "".join(toml_table(title, values) for title, values in tables)
+        (folder / name).write_text(text.rstrip() + "\n", encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:

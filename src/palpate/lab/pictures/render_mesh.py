@@ -26,27 +26,6 @@ _OUTSIDE = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RenderMesh:
-    """Fine triangles on the smooth surface of a coarse mesh, and where they lie on it.
-
-    Attributes
-    ----------
-    vertices : (v, 3) float [m]     at rest
-    triangles : (m, 3) int
-    base : (v,) int                 triangle of the coarse mesh that each vertex lies on
-    barycentric : (v, 3) float [-]  its weights there
-    longest : float [px]            longest edge that any camera sees; more than was asked for where
-                                    the vertices did not suffice
-    """
-
-    vertices: Vertices
-    triangles: Triangles
-    base: Int[np.ndarray, " v"]
-    barycentric: Float[np.ndarray, "v 3"]
-    longest: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Pieces:
     """Triangles during the refinement; corners are places on base triangles.
 
@@ -76,7 +55,7 @@ class _Edges:
 
 def make_render_mesh(
     mesh: TriangleMesh, cameras: Sequence[Camera], *, edge: float = 1.0, max_vertices: int = 400_000
-) -> RenderMesh:
+) -> TriangleMesh:
     """Refine a mesh for the pictures of some cameras.
 
     Parameters
@@ -85,12 +64,12 @@ def make_render_mesh(
     cameras : sequence of Camera    each with a size
     edge : float [px]               longest edge in any camera; what is drawn between vertices is
                                     linear, and moves with the material whatever its length
-    max_vertices : int              where they do not suffice the longest edges
-                                    are halved first, and `longest` says what was reached
+    max_vertices : int              where they do not suffice the longest edges are halved first
 
     Returns
     -------
-    RenderMesh
+    TriangleMesh                    fine triangles on the smooth surface that the mesh stands for;
+                                    vertices along creases are double
 
     Raises
     ------
@@ -118,7 +97,7 @@ def make_render_mesh(
         length = _seen_lengths(pieces, edges, cameras)
         marked = _edges_to_halve(edges, length, edge, max_vertices - len(pieces.vertices))
         if not marked.any():
-            return _finished(pieces, float(length.max(initial=0.0)))
+            return TriangleMesh(pieces.vertices, pieces.triangles)
         pieces = _halved(pieces, edges, marked, corner)
 
 
@@ -239,14 +218,3 @@ def _split_triangles(
                 local = np.broadcast_to(np.array(turned), (len(rows), 3))
                 parts.append((rows, local, vertex[rows[:, None], local]))
     return parts
-
-
-def _finished(pieces: _Pieces, longest: float) -> RenderMesh:
-    """The result, every vertex with one of the places that its triangles give it."""
-    count = len(pieces.vertices)
-    base = np.zeros(count, dtype=np.int64)
-    weight = np.zeros((count, 3))
-    base[pieces.triangles] = pieces.base[:, None]
-    weight[pieces.triangles] = pieces.weight
-    # A vertex between triangles is written by several of them: both arrays by the same one last.
-    return RenderMesh(pieces.vertices, pieces.triangles, base, weight, longest)

@@ -187,32 +187,30 @@ def render(
 def _passes(
     mitsuba: ModuleType, bodies: Sequence[DrawnBody], light: Light
 ) -> list[tuple[Any, Any]]:
-    """Scene and integrator for the lamp, where there is one, and for the ambient light."""
+    """Scene and integrator for the lamp, where there is one, and for the ambient light.
+
+    Light comes straight from the lamp or the surroundings; bodies do not light each other.
+    """
     matt = [_mesh(mitsuba, body, glossy=False) for body in bodies]
-    ambient = {"type": "constant", "radiance": light.ambient}
-    by_ambient = _integrator(mitsuba, shadow_rays=0, reflected_rays=1)
-    passes = [(_scene(mitsuba, matt, ambient), by_ambient)]
+    kinds = [({"type": "constant", "radiance": light.ambient}, matt, (0, 1))]
     if light.lamp is not None:
-        glossy = [_mesh(mitsuba, body, glossy=True) for body in bodies]
-        by_lamp = _integrator(mitsuba, shadow_rays=1, reflected_rays=0)
-        passes.insert(0, (_scene(mitsuba, glossy, _lamp(mitsuba, light.lamp)), by_lamp))
+        glossy = [
+            _mesh(mitsuba, body, glossy=True) if body.gloss else mesh
+            for body, mesh in zip(bodies, matt, strict=True)
+        ]
+        kinds.insert(0, (_lamp(mitsuba, light.lamp), glossy, (1, 0)))
+    passes = []
+    for emitter, meshes, (shadow_rays, reflected_rays) in kinds:
+        named = {f"body{k}": mesh for k, mesh in enumerate(meshes)}
+        scene = mitsuba.load_dict({"type": "scene", "emitter": emitter, **named})
+        integrator = mitsuba.load_dict({
+            "type": "direct",
+            "emitter_samples": shadow_rays,
+            "bsdf_samples": reflected_rays,
+            "hide_emitters": True,
+        })  # fmt: skip
+        passes.append((scene, integrator))
     return passes
-
-
-def _scene(mitsuba: ModuleType, meshes: Sequence[Any], emitter: dict[str, Any]) -> Any:
-    """Bodies under one light."""
-    named = {f"body{k}": mesh for k, mesh in enumerate(meshes)}
-    return mitsuba.load_dict({"type": "scene", "emitter": emitter, **named})
-
-
-def _integrator(mitsuba: ModuleType, *, shadow_rays: int, reflected_rays: int) -> Any:
-    """Light that comes straight from a lamp or the surroundings; bodies do not light each other."""
-    return mitsuba.load_dict({
-        "type": "direct",
-        "emitter_samples": shadow_rays,
-        "bsdf_samples": reflected_rays,
-        "hide_emitters": True,
-    })  # fmt: skip
 
 
 def _mesh(mitsuba: ModuleType, body: DrawnBody, *, glossy: bool) -> Any:

@@ -10,7 +10,7 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.lab.config import LabConfig
 from palpate.lab.pictures.mitsuba_variant import Variant
-from palpate.lab.pictures.render_mesh import RenderMesh, make_render_mesh
+from palpate.lab.pictures.render_mesh import make_render_mesh
 from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
 from palpate.lab.pictures.sensor import (
     blur_radius,
@@ -46,7 +46,7 @@ class Studio:
     Attributes
     ----------
     rig : Rig                       as it is
-    mesh : RenderMesh               of the object at rest
+    mesh : TriangleMesh             drawn: the object at rest, in fine triangles
     grey : (v,) float               its reflectance
     gloss : float
     light : Light
@@ -55,7 +55,7 @@ class Studio:
     """
 
     rig: Rig
-    mesh: RenderMesh
+    mesh: TriangleMesh
     grey: PointScalars
     gloss: float
     light: Light

@@ -1,7 +1,7 @@
 """What the pictures show, pixel by pixel: the truth that an estimate from them is held against."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.records import Rig, picture_size
-from palpate.shapes import PointIndices, Points, Triangles, Vertices
+from palpate.shapes import PointIndices, Points
 from palpate.vision import SurfaceMap, surface_map, visible
 
 # A point counts as hidden by its own body this far behind it, as a share of a pixel's width there:
@@ -44,9 +44,8 @@ class TruthMap:
 
 def truth_map(
     rig: Rig,
-    rest: Vertices,
+    mesh: TriangleMesh,
     loaded: Float[np.ndarray, "w 3"],
-    triangles: Triangles,
     *,
     tool: TriangleMesh | None = None,
 ) -> TruthMap:
@@ -55,8 +54,8 @@ def truth_map(
     Parameters
     ----------
     rig : Rig                       cameras with sizes, at most eight
-    rest, loaded : (v, 3) float [m] vertices of the mesh that was drawn
-    triangles : (m, 3) int
+    mesh : TriangleMesh             that was drawn, at rest
+    loaded : (v, 3) float [m]       its vertices in the loaded pictures
     tool : TriangleMesh or None     in the loaded pictures; absent at rest
 
     Returns
@@ -69,8 +68,16 @@ def truth_map(
                                     a reference camera that sees nothing of the body
     CalibrationError                a body beside or behind a camera
     """
-    _check(rig, rest, loaded)
-    seen = _surface_maps(rig, rest, triangles)
+    if len(rig.cameras) > _MAX_CAMERAS:
+        raise InputError(
+            f"truth maps hold {_MAX_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
+        )
+    if len(mesh.vertices) != len(loaded):
+        raise InputError(
+            f"the mesh has {len(mesh.vertices)} vertices at rest and {len(loaded)} loaded; must be"
+            " the same"
+        )
+    seen = _surface_maps(rig, mesh)
     shown = seen[rig.reference]
     pixel = np.flatnonzero(shown.triangle.ravel() >= 0)
     if len(pixel) == 0:
@@ -79,16 +86,17 @@ def truth_map(
             " the object"
         )
     point = shown.point.reshape(-1, 3)[pixel]
-    corner = triangles[shown.triangle.ravel()[pixel]]
-    weight = _barycentric(rest[corner], point)
-    displacement = np.einsum("nc,nca->na", weight, (loaded - rest)[corner])
+    corner = mesh.triangles[shown.triangle.ravel()[pixel]]
+    weight = _barycentric(mesh.vertices[corner], point)
+    displacement = np.einsum("nc,nca->na", weight, (loaded - mesh.vertices)[corner])
     moved = point + displacement
-    hidden_loaded = _hidden(rig, _surface_maps(rig, loaded, triangles), moved, behind=_BEHIND)
+    hidden_loaded = _hidden(
+        rig, _surface_maps(rig, replace(mesh, vertices=loaded)), moved, behind=_BEHIND
+    )
     if tool is not None:
         # By itself: where a tool touches the body both surfaces coincide, but the tool's near side
         # is well in front.
-        maps = _surface_maps(rig, tool.vertices, tool.triangles)
-        hidden_loaded |= _hidden(rig, maps, moved, behind=0.0)
+        hidden_loaded |= _hidden(rig, _surface_maps(rig, tool), moved, behind=0.0)
     return TruthMap(
         shown.triangle.shape,
         pixel,
@@ -121,21 +129,10 @@ def write_truth_map(path: Path, truth: TruthMap) -> None:
     np.savez_compressed(path, allow_pickle=False, **entries)
 
 
-def _check(rig: Rig, rest: Vertices, loaded: Float[np.ndarray, "w 3"]) -> None:
-    if len(rig.cameras) > _MAX_CAMERAS:
-        raise InputError(
-            f"truth maps hold {_MAX_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
-        )
-    if len(rest) != len(loaded):
-        raise InputError(
-            f"the mesh has {len(rest)} vertices at rest and {len(loaded)} loaded; must be the same"
-        )
-
-
-def _surface_maps(rig: Rig, vertices: Vertices, triangles: Triangles) -> tuple[SurfaceMap, ...]:
+def _surface_maps(rig: Rig, mesh: TriangleMesh) -> tuple[SurfaceMap, ...]:
     """What every camera of a rig sees of a surface."""
     return tuple(
-        surface_map(camera, picture_size(camera)[::-1], vertices, triangles)
+        surface_map(camera, picture_size(camera)[::-1], mesh.vertices, mesh.triangles)
         for camera in rig.cameras
     )
 
