@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.estimation import FitResult
-from palpate.lab import Material, Tip, cylinder, held_nodes, make_body, make_solid, press
+from palpate.lab import Material, Punch, cylinder, held_nodes, make_body, make_solid, press
 from palpate.paper.motion import Method, PaperSession
 from palpate.pipeline import MotionSettings, fit_session, measure_motion, with_measured_displacement
 from palpate.records import Session, read_toml
@@ -124,7 +124,7 @@ def compression_test(material: Material) -> CompressionTest:
         shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio,
     )
-    plate = Tip(2.0 * _RADIUS, np.array([0.0, 0.0, _HEIGHT]), np.array([0.0, 0.0, -1.0]), flat=True)
+    plate = Punch(2.0 * _RADIUS, np.array([0.0, 0.0, _HEIGHT]), np.array([0.0, 0.0, -1.0]))
     shortening = _SHORTENED * _HEIGHT
     (state,) = press(body, plate, np.array([shortening]))
     force = float(-state.force[2])
