@@ -19,7 +19,7 @@ from palpate.lab import Material, choose_variant, make_sessions, read_lab_config
 from palpate.lab.config_files import built_in
 from palpate.paper.budget import CALIBRATION, REGISTRATION, with_misjudged_rig
 from palpate.paper.constants import pictures_measured
-from palpate.paper.motion import quickened
+from palpate.paper.sessions import quickened
 from palpate.pipeline import fit_session
 from palpate.records import Estimate, ProbeEstimate, Session, read_session
 

@@ -5,8 +5,8 @@ import pytest
 
 from palpate.lab import choose_variant, read_lab_config
 from palpate.lab.config_files import built_in
-from palpate.paper.constants import estimated_constants, true_material
-from palpate.paper.motion import measured_session
+from palpate.paper.constants import estimated_constants
+from palpate.paper.sessions import measured_session, true_material
 
 
 @pytest.mark.slow

@@ -8,17 +8,17 @@ from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
 from scipy.ndimage import map_coordinates
 
+from palpate.figures.style import LIGHT
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.records import Camera
 from palpate.shapes import Indices, PointScalars
 from palpate.vision import RangeFlow, SurfaceMap, VertexDisplacement, measured_vertices
 
 MARGIN = 0.05  # of the object's size in the picture
-MOST_PIXELS = 700  # along a side of a panel; a page shows no more
+MAX_PIXELS = 700  # along a side of a panel; a page shows no more
 # Grey level of an uncoloured pixel, and share of a colour, from black to white texture.
 UNCOLOURED = (0.12, 0.88)
 COLOURED = (0.80, 1.0)
-LIGHT = (-0.45, 0.55, 0.70)  # in the viewer's frame: right, up, toward
 CLAY = LinearSegmentedColormap.from_list("clay", ["#6f7379", "#d4d7db"])
 
 Image = Float[np.ndarray, "rows columns"]
@@ -70,7 +70,7 @@ def make_flow_view(
         last = np.array([columns.max(), rows.max()])
         more = int(np.ceil(MARGIN * (last - first).max())) + 2
         low, high = np.maximum(first - more, 0), np.minimum(last + more + 1, size)
-    stride = int(np.ceil((high - low).max() / MOST_PIXELS))
+    stride = int(np.ceil((high - low).max() / MAX_PIXELS))
     part = (slice(low[1], high[1], stride), slice(low[0], high[0], stride))
     shown, triangle = picture[part].astype(np.float64), surface.triangle[part]
     seen = triangle >= 0

@@ -42,3 +42,10 @@ from palpate.pipeline.motion_figures import (
     write_flow_document as write_flow_document,
 )
 from palpate.pipeline.residual_files import write_residuals as write_residuals
+from palpate.pipeline.survey import (
+    NEAR_RADII as NEAR_RADII,
+    ProbingSurvey as ProbingSurvey,
+    session_outlook as session_outlook,
+    survey_field as survey_field,
+    survey_probing as survey_probing,
+)
