@@ -11,8 +11,6 @@ from palpate.lab.config_files import built_in
 from palpate.lab.pictures.photographs import make_studio, photographed
 from palpate.lab.pictures.stereo_head import make_head
 
-__all__ = ["measure"]
-
 
 def measure(options: Options) -> list[Figure]:
     """The built-in half ball's three cameras, warm."""

@@ -16,28 +16,6 @@ from vision.textures import Speckle, Warp, pixel_grid
 
 from palpate.records import Camera, Rig
 
-__all__ = [
-    "DISTANCE",
-    "LENS",
-    "MOTIONS",
-    "PITCH",
-    "SHAPE",
-    "STILL",
-    "Motion",
-    "Stage",
-    "bump",
-    "dome",
-    "example",
-    "example_views",
-    "make_rig",
-    "moved_frame",
-    "noisy_views",
-    "projected",
-    "rigid",
-    "strain",
-    "tilted",
-]
-
 SHAPE = (150, 190)
 # Cameras stand this far from the origin, a pixel is PITCH wide there [m].
 DISTANCE = 0.3

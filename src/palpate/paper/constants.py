@@ -119,9 +119,12 @@ def constants_table(found: EstimatedConstants, title: str) -> ResultTable:
     """
     estimate = found.result.estimate
     rows: list[tuple[Cell, ...]] = []
-    for name, each in [*((p.name, p) for p in estimate.probes), ("all", estimate)]:
-        rows.append((name, *_value_and_ends(each, "nu", 1.0)))
-        rows[-1] += (*_value_and_ends(each, "G", _KPA), *_value_and_ends(each, "E", _KPA))
+    lines: list[tuple[str, Estimate | ProbeEstimate]] = [(p.name, p) for p in estimate.probes]
+    for name, each in [*lines, ("all", estimate)]:
+        nu = _value_and_ends(each, "nu", 1.0)
+        rows.append(
+            (name, *nu, *_value_and_ends(each, "G", _KPA), *_value_and_ends(each, "E", _KPA))
+        )
     columns = (
         "probing", "nu", "from", "to", "G (kPa)", "from", "to", "E (kPa)", "from", "to",
     )  # fmt: skip
