@@ -10,17 +10,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize, PowerNorm
+from matplotlib.colors import ListedColormap, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from palpate.figures.flow_view import (
     FlowView,
-    cause_layer,
-    in_view,
-    interpolated,
-    tinted,
-    vertex_layer,
+    draw_picture,
+    draw_points,
+    draw_vertices,
+    seen_corners,
 )
 from palpate.figures.style import (
     INK,
@@ -50,7 +49,6 @@ USUAL_ARROW = 0.12  # of a panel's longer side: an arrow that one in twenty exce
 LONGEST_ARROW = 0.2  # of it, but for one in two hundred
 SHORTEST_ARROW = 0.012  # of it: a shorter one would be a blot
 ARROWS_ACROSS = 11  # more would hide the colours
-# Okabe and Ito's palette: told apart by colour-blind readers.
 CAUSE_COLOURS = {
     int(Outcome.HIDDEN): "#0072B2",
     int(Outcome.TEXTURE): "#E69F00",
@@ -119,20 +117,21 @@ def flow_figure(
     shift, length = (np.linalg.norm(vector, axis=1) for vector in (optical, flow.displacement))
     pixels, metres = _quantile(shift, 0.99), _quantile(length, 0.99)
     figure, panels = three_panels(view.high - view.low)
-    _image(panels[0], view, f"2-D optical flow in {view.camera.name}",
-           tinted(interpolated(flow, shift, view), view, _OPTICAL, _root(pixels)))  # fmt: skip
-    _image(panels[1], view, "range flow",
-           tinted(interpolated(flow, length, view), view, _LENGTH, _root(metres)))  # fmt: skip
-    _image(panels[2], view, "displacement of the vertices",
-           vertex_layer(vertices, view, _LENGTH, _root(metres)))  # fmt: skip
+    titles = (f"2-D optical flow in {view.camera.name}", "range flow",
+              "displacement of the vertices")  # fmt: skip
+    for axes, title in zip(panels, titles, strict=True):
+        draw_picture(axes, view)
+        title_panel(axes, title)
+    draw_points(panels[0], flow, shift, _OPTICAL, _root(pixels))
+    draw_points(panels[1], flow, length, _LENGTH, _root(metres))
+    draw_vertices(panels[2], vertices, view, _LENGTH, _root(metres))
     across = float((view.high - view.low).max()) * _stretch(shift)
     along = _size_there(view) * _stretch(length)
     _arrows(panels[0], view, pixel, across * optical)
     _arrows_in_space(panels[1], view, flow.point, along * flow.displacement)
-    rows, measured = in_view(view), 0
+    rows, measured = seen_corners(view), 0
     if vertices is not None:
         measured = int(measured_vertices(vertices)[rows].sum())
-        _dots(panels[2], view, vertices, _root(metres))
         motion = along * vertices.displacement[rows]
         _arrows_in_space(panels[2], view, view.mesh.vertices[rows], motion)
     factor, unit = length_unit(metres)
@@ -156,14 +155,19 @@ def quality_figure(name: str, flow: RangeFlow, view: FlowView) -> Figure:
     view : FlowView
     """
     figure, panels = three_panels(view.high - view.low)
-    _image(panels[0], view, "rejected, and why", cause_layer(flow, view, CAUSE_COLOURS))
+    titles = ("rejected, and why", "1 sigma across the view", "1 sigma in depth")
+    for axes, title in zip(panels, titles, strict=True):
+        draw_picture(axes, view)
+        title_panel(axes, title)
+    causes = np.array([*CAUSE_COLOURS])
+    number = np.where(np.isin(flow.outcome, causes), np.searchsorted(causes, flow.outcome), np.nan)
+    colours = ListedColormap(list(CAUSE_COLOURS.values()))
+    draw_points(panels[0], flow, number, colours, Normalize(-0.5, len(causes) - 0.5))
     _legend(figure, panels[0], flow)
-    titles = ("1 sigma across the view", "1 sigma in depth")
     sigmas = camera_sigma(flow.covariance, view.camera)
-    for axes, sigma, title in zip(panels[1:], sigmas, titles, strict=True):
+    for axes, sigma in zip(panels[1:], sigmas, strict=True):
         high = _quantile(sigma, 0.95)
-        layer = tinted(interpolated(flow, sigma, view), view, _SIGMA, Normalize(0.0, high))
-        _image(axes, view, title, layer)
+        draw_points(axes, flow, sigma, _SIGMA, Normalize(0.0, high))
         factor, unit = length_unit(high)
         label = f"of one point ({unit}), median {_quantile(sigma, 0.5) / factor:.3g}"
         _bar(figure, [axes], _SIGMA, Normalize(0.0, high / factor), label)
@@ -198,16 +202,6 @@ def _rejected(flow: RangeFlow) -> str:
     return f"grey: {count} points rejected, or nothing measured"
 
 
-def _image(axes: Axes, view: FlowView, title: str, colours: np.ndarray) -> None:
-    """Pixels at their places in the picture, and a title."""
-    left, top = view.low - 0.5
-    below, right = np.array(colours.shape[:2]) * view.stride + (top, left)
-    axes.imshow(colours, extent=(left, right, below, top), interpolation="antialiased")
-    axes.set_xlim(left, view.high[0] - 0.5)
-    axes.set_ylim(view.high[1] - 0.5, top)
-    title_panel(axes, title)
-
-
 def _size_there(view: FlowView) -> float:
     """Longer side of the shown part of the picture at the distance of the object [m]."""
     depth = view.camera.T_camera_object[2, :3] @ view.mesh.vertices.mean(axis=0)
@@ -220,19 +214,6 @@ def _arrows_in_space(axes: Axes, view: FlowView, point: Points, vector: Points) 
     """Arrows in space, as the camera would see them."""
     place = project(view.camera, point)
     _arrows(axes, view, place, project(view.camera, point + vector) - place)
-
-
-def _dots(axes: Axes, view: FlowView, vertices: VertexDisplacement, norm: Normalize) -> None:
-    """The measured vertices themselves, also those whose neighbours were not measured."""
-    rows = in_view(view)
-    rows = rows[measured_vertices(vertices)[rows]]
-    place = project(view.camera, view.mesh.vertices[rows])
-    length = np.linalg.norm(vertices.displacement[rows], axis=1)
-    size = float(np.clip(1500.0 / max(len(rows), 1), 2.0, 9.0))
-    axes.scatter(
-        place[:, 0], place[:, 1], c=length, s=size, cmap=_LENGTH, norm=norm, linewidths=0.3,
-        edgecolors=INK, zorder=2,
-    )  # fmt: skip
 
 
 def _arrows(
