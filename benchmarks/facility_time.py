@@ -11,8 +11,6 @@ from palpate.lab.config_files import built_in
 from palpate.lab.pictures.head import make_head
 from palpate.lab.pictures.studio import make_studio, photograph
 
-__all__ = ["measure"]
-
 
 def measure(options: Options) -> list[Figure]:
     """The built-in half ball's three cameras, warm."""

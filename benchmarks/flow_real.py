@@ -28,8 +28,6 @@ from palpate.vision import (
     triangulated_surface,
 )
 
-__all__ = ["TENSION", "TENSION_REGION", "beside_dice", "measure"]
-
 REAL = SHARED / "real"
 TENSION = REAL / "gt4_dspec"
 # Columns and rows of the specimen: first, last of each [px].

@@ -5,8 +5,6 @@ import numpy as np
 from palpate.estimation import FitResult, LikelihoodMap, ProbeFit
 from palpate.records import CONSTANT_NAMES, Constant, Estimate, ProbeEstimate, Status
 
-__all__ = ["NU", "SHEAR", "YOUNG", "constants", "sample_result"]
-
 YOUNG, NU = 6e4, 0.3
 SHEAR = YOUNG / (2 * (1 + NU))
 
