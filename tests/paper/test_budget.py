@@ -11,7 +11,7 @@ from lab.planned_sessions import planned_session
 
 from palpate.errors import InputError
 from palpate.geometry import closest_points
-from palpate.lab import Calibration, ForceSensor, Material, Variant, read_lab_config
+from palpate.lab import Calibration, Material, Sensor, Variant, read_lab_config
 from palpate.lab.config_files import built_in
 from palpate.paper import budget
 from palpate.paper.budget import SourceErrors, budget_picture, budget_table, sizes_table
@@ -61,7 +61,7 @@ def test_what_was_measured_is_not_measured_again(session):
     known = with_displacements(session)
     assert pictures_measured(known) is known
     # Other forces over the same pictures: nothing is left to measure.
-    forces = budget._with_forces(known, ForceSensor(noise=0.01), np.random.default_rng(1))
+    forces = budget._with_forces(known, Sensor(noise=0.01), np.random.default_rng(1))
     assert pictures_measured(forces) is forces
     # There are no pictures in this folder.
     with pytest.raises(InputError, match="rest_c0"):
@@ -72,13 +72,13 @@ def test_where_it_begins_no_error_is_left(config):
     noisy = replace(
         config,
         calibration=Calibration(1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
-        force_sensor=ForceSensor(1.0, 1.0, np.ones(3), 1.0),
+        force_sensor=Sensor(1.0, 1.0, np.ones(3), 1.0),
         pictures=replace(config.pictures, full_well=1e4, gain_drift=0.1),
         material=replace(config.material, law="neo-hookean"),
     )
     exact = budget._exact(noisy)
     assert changed(exact.calibration, Calibration()) == set()
-    assert changed(exact.force_sensor, ForceSensor()) == set()
+    assert changed(exact.force_sensor, Sensor()) == set()
     assert (exact.arm.misalignment, exact.arm.placement) == (0.0, 0.0)
     told = exact.pictures
     assert (told.noise, told.full_well, told.gain_drift) == (0.0, None, 0.0)
@@ -125,7 +125,7 @@ def test_the_coarse_mesh_is_of_the_same_body(config):
 
 
 def test_forces_are_read_with_the_sensors_noise(session):
-    sensor = ForceSensor(noise=0.01)
+    sensor = Sensor(noise=0.01)
     errors = []
     for seed in range(300):
         told = budget._with_forces(session, sensor, np.random.default_rng(seed))

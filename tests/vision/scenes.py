@@ -188,7 +188,7 @@ class Stage:
         """The texture's places behind the places that `Speckle.image` asks for.
 
         Solved at pixel centres, linear over the third of a pixel around them: what bends there is
-        below 1e-4 px and alike on both sides.
+        below 1e-4 px and the same on both sides.
         """
         rows, columns = SHAPE
 

@@ -30,15 +30,15 @@ from palpate.geometry import mesh_quality
 from palpate.lab import (
     Arm,
     Calibration,
-    ForceSensor,
     LabConfig,
     Material,
+    Sensor,
     Variant,
-    force_std,
     half_ball,
     make_sessions,
-    misjudged,
-    read_force,
+    miscalibrated,
+    read_sensor,
+    sensor_std,
 )
 from palpate.paper.constants import constant_errors, pictures_measured
 from palpate.paper.result import Cell, ResultTable
@@ -132,9 +132,9 @@ def error_budget(
         sessions.insert(-1, drawn)
     sources = [source[:2] for source in (*benches[:-1], *readings, benches[-1])]
     found: list[SourceErrors] = []
-    for (name, size), each in zip(sources, sessions, strict=True):
+    for (name, size), drawn in zip(sources, sessions, strict=True):
         say(name, _MAKING + (1.0 - _MAKING) * len(found) / len(sources))
-        found.append(SourceErrors(name, size, *_errors(each, config.material)))
+        found.append(SourceErrors(name, size, *_errors(drawn, config.material)))
     return tuple(found)
 
 
@@ -144,7 +144,7 @@ def _exact(config: LabConfig) -> LabConfig:
         config,
         material=replace(config.material, law="linear"),
         arm=Arm(tip=config.arm.tip, radius=config.arm.radius),
-        force_sensor=ForceSensor(),
+        force_sensor=Sensor(),
         calibration=Calibration(),
         pictures=replace(config.pictures, noise=0.0, full_well=None, gain_drift=0.0),
     )
@@ -200,13 +200,13 @@ def _readings(config: LabConfig) -> list[tuple[str, str, Change]]:
     ]
 
 
-def _with_forces(session: Session, sensor: ForceSensor, rng: np.random.Generator) -> Session:
+def _with_forces(session: Session, sensor: Sensor, rng: np.random.Generator) -> Session:
     """A session whose exact forces were read from a sensor."""
     probings = tuple(
         replace(
             probing,
-            force=read_force(probing.force, sensor, rng=rng),
-            force_std=np.full(3, force_std(probing.force, sensor)),
+            force=read_sensor(probing.force, sensor, rng=rng),
+            force_std=np.full(3, sensor_std(probing.force, sensor)),
         )
         for probing in session.probings
     )
@@ -235,7 +235,7 @@ def with_misjudged_rig(
     """
     if session.rig is None:
         raise InputError(f"{session.path}: has no rig")
-    write_rig(file, misjudged(read_rig(session.rig), error, session.mesh, rng=rng))
+    write_rig(file, miscalibrated(read_rig(session.rig), error, session.mesh, rng=rng))
     probings = tuple(replace(probing, displacement=None) for probing in session.probings)
     return replace(session, rig=file, probings=probings)
 

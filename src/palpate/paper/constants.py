@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from palpate.errors import InputError
 from palpate.estimation import FitResult
 from palpate.figures import Picture, displacement_figure, figure_pixels
-from palpate.lab import Material, Tip, cylinder, held_nodes, make_body, make_solid, press
+from palpate.lab import Material, Punch, cylinder, held_nodes, make_body, make_solid, press
 from palpate.paper.motion import PAPER
 from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
 from palpate.paper.result import Cell, ResultTable
@@ -104,7 +104,7 @@ def compressed_modulus(material: Material) -> float:
         shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio,
     )
-    plate = Tip(2.0 * _RADIUS, np.array([0.0, 0.0, _HEIGHT]), np.array([0.0, 0.0, -1.0]), flat=True)
+    plate = Punch(2.0 * _RADIUS, np.array([0.0, 0.0, _HEIGHT]), np.array([0.0, 0.0, -1.0]))
     (state,) = press(body, plate, np.array([_STRAIN * _HEIGHT]))
     return float(-state.force[2]) / (np.pi * _RADIUS**2 * _STRAIN)
 

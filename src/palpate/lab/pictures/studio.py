@@ -7,33 +7,34 @@ import numpy as np
 from jaxtyping import Float, UInt
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, vertex_normals
+from palpate.geometry import TriangleMesh
 from palpate.lab.config import LabConfig
-from palpate.lab.pictures.mitsuba_scene import Body, Lamp, Light, render
 from palpate.lab.pictures.mitsuba_variant import Variant
-from palpate.lab.pictures.render_mesh import RenderMesh, make_render_mesh
+from palpate.lab.pictures.render_mesh import make_render_mesh
+from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
 from palpate.lab.pictures.sensor import (
-    Sensor,
     blur_radius,
+    counting_noise,
     defocused,
     exposure_gain,
     grey_picture,
-    motion_blurred,
 )
-from palpate.lab.pictures.textures import natural, poor, speckle
+from palpate.lab.pictures.textures import texture
 from palpate.records import Camera, Rig, camera_centre
 from palpate.shapes import PointScalars, Vertices
 from palpate.vision import surface_map
 
 # Edge of the drawn triangles [px]; between its vertices the texture is linear and moves with them.
-_EDGE = 1.5
+_EDGE_PX = 1.5
 # Reflectance of the rod, and how much light comes from everywhere, of all light.
 _ROD_GREY = 0.03
 _AMBIENT = 0.55
 # The lamp stands beside the reference camera, this share of its distance away.
 _LAMP_BESIDE = 0.8
 # Windows must tell speckles from noise: grey levels of contrast over the chip's noise.
-_LEAST_CONTRAST = 5.0
+_MIN_CONTRAST = 5.0
+# Grey level at which the noise of counting is compared with the contrast.
+_MID_GREY = 127.5
 # Instants within an exposure.
 _FRAMES = 5
 
@@ -45,7 +46,7 @@ class Studio:
     Attributes
     ----------
     rig : Rig                       as it is
-    mesh : RenderMesh               of the object at rest
+    mesh : TriangleMesh             drawn: the object at rest, in fine triangles
     grey : (v,) float               its reflectance
     gloss : float
     light : Light
@@ -54,7 +55,7 @@ class Studio:
     """
 
     rig: Rig
-    mesh: RenderMesh
+    mesh: TriangleMesh
     grey: PointScalars
     gloss: float
     light: Light
@@ -83,21 +84,21 @@ def make_studio(
     InputError                      a texture whose contrast drowns in the chip's noise
     """
     surface = config.specimen.mesh
-    mesh = make_render_mesh(surface, rig.cameras, edge=_EDGE)
-    studio = Studio(
-        rig, mesh, _texture(config, mesh.vertices, rng), config.look.gloss, _light(config, rig),
-        1.0, variant,
-    )  # fmt: skip
-    radiance = _radiance(studio, mesh.vertices, (), config.pictures.samples, 0)
+    mesh = make_render_mesh(surface, rig.cameras, edge=_EDGE_PX)
+    look = config.look
+    grey = texture(look.texture, mesh.vertices, surface, size=look.size, rng=rng)
+    studio = Studio(rig, mesh, grey, look.gloss, _light(config, rig), 1.0, variant)
+    radiance = _radiance(studio, mesh.vertices, None, config.pictures.samples, 0)
     studio = replace(studio, gain=exposure_gain(radiance))
     _check_contrast(config, studio, radiance[rig.reference])
     return studio
 
 
-def photographed(
+def photograph(
     studio: Studio,
     config: LabConfig,
-    instants: Sequence[tuple[Vertices, tuple[TriangleMesh, ...]]],
+    instants: Sequence[Vertices],
+    rod: TriangleMesh | None = None,
     *,
     rng: np.random.Generator,
 ) -> tuple[UInt[np.ndarray, "_ _"], ...]:
@@ -107,31 +108,28 @@ def photographed(
     ----------
     studio : Studio
     config : LabConfig
-    instants : sequence of (vertices, rods)     the drawn vertices and the arm at one instant, or
-                                    at several within the exposure
+    instants : sequence of (v, 3) float [m]     the drawn vertices at one instant, or at several
+                                    within the exposure
+    rod : TriangleMesh or None      the arm's
     rng : Generator                 of this picture's noise
 
     Returns
     -------
     tuple of (rows, columns) uint8 or uint16
     """
-    told = config.pictures
+    settings = config.pictures
     seeds = rng.integers(0, 2**32, size=len(instants))
     frames = [
-        _radiance(studio, vertices, rods, told.samples, int(seed))
-        for (vertices, rods), seed in zip(instants, seeds, strict=True)
+        _radiance(studio, vertices, rod, settings.samples, int(seed))
+        for vertices, seed in zip(instants, seeds, strict=True)
     ]
     pictures = []
-    for c, camera in enumerate(studio.rig.cameras):
-        light = motion_blurred([frame[c] for frame in frames])
-        if told.aperture > 0.0:
-            light = defocused(light, _blur(studio, config, camera, instants[-1][0]))
-        gain = studio.gain * max(1.0 + told.gain_drift * rng.standard_normal(), 0.1)
-        sensor = Sensor(
-            gain=gain, response=told.response, read_noise=told.noise, full_well=told.full_well,
-            bits=told.bits,
-        )  # fmt: skip
-        pictures.append(grey_picture(light, sensor, rng=rng))
+    for camera, moments in zip(studio.rig.cameras, zip(*frames, strict=True), strict=True):
+        light = np.stack(moments).mean(axis=0, dtype=np.float64).astype(np.float32)
+        if settings.aperture > 0.0:
+            light = defocused(light, _blur(studio, config, camera, instants[-1]))
+        gain = studio.gain * max(1.0 + settings.gain_drift * rng.standard_normal(), 0.1)
+        pictures.append(grey_picture(light, settings, gain=gain, rng=rng))
     return tuple(pictures)
 
 
@@ -141,16 +139,6 @@ def exposure(config: LabConfig, before: Vertices, after: Vertices) -> list[Verti
     if share == 0.0:
         return [after]
     return [after - s * (after - before) for s in np.linspace(share, 0.0, _FRAMES)]
-
-
-def _texture(config: LabConfig, points: Vertices, rng: np.random.Generator) -> PointScalars:
-    """Reflectance at points of the object at rest."""
-    size, kind = config.look.size, config.look.texture
-    if kind == "speckle":
-        return speckle(points, config.specimen.mesh, size=size, rng=rng)
-    if kind == "natural":
-        return natural(points, coarsest=8.0 * size, finest=size, rng=rng)
-    return poor(points, size=size, rng=rng)
 
 
 def _light(config: LabConfig, rig: Rig) -> Light:
@@ -164,21 +152,17 @@ def _light(config: LabConfig, rig: Rig) -> Light:
     side = config.pictures.lamp
     # The same light on the object from any size of lamp and any distance.
     radiance = (1.0 - _AMBIENT) * np.pi * float(np.sum((place - middle) ** 2)) / side**2
-    return Light((Lamp(place, middle, side, radiance),), _AMBIENT)
+    return Light(_AMBIENT, Lamp(place, middle, side, radiance))
 
 
 def _radiance(
-    studio: Studio, vertices: Vertices, rods: tuple[TriangleMesh, ...], samples: int, seed: int
+    studio: Studio, vertices: Vertices, rod: TriangleMesh | None, samples: int, seed: int
 ) -> tuple[np.ndarray, ...]:
     """Light that reaches the cameras."""
-    triangles = studio.mesh.triangles
-    bodies = [
-        Body(vertices, triangles, vertex_normals(vertices, triangles), studio.grey, studio.gloss)
-    ]
-    for rod in rods:
-        normals = vertex_normals(rod.vertices, rod.triangles)
-        grey = np.full(len(rod.vertices), _ROD_GREY)
-        bodies.append(Body(rod.vertices, rod.triangles, normals, grey))
+    mesh = TriangleMesh(vertices, studio.mesh.triangles)
+    bodies = [DrawnBody(mesh, studio.grey, studio.gloss)]
+    if rod is not None:
+        bodies.append(DrawnBody(rod, np.full(len(rod.vertices), _ROD_GREY)))
     return render(
         bodies, studio.rig.cameras, studio.light, variant=studio.variant, samples=samples, seed=seed
     )
@@ -204,12 +188,10 @@ def _check_contrast(config: LabConfig, studio: Studio, radiance: np.ndarray) -> 
     lit = grey > 0.1 * grey.max()
     # The reflectance's own spread: what shading adds is no texture.
     contrast = float(np.std(studio.grey) / max(np.mean(studio.grey), 1e-9) * np.mean(grey[lit]))
-    told = config.pictures
-    counting = 0.0 if told.full_well is None else 127.5 / np.sqrt(0.5 * told.full_well)
-    noise = float(np.hypot(told.noise, counting))
-    if contrast < _LEAST_CONTRAST * noise:
+    noise = float(np.hypot(config.pictures.noise, counting_noise(config.pictures, _MID_GREY)))
+    if contrast < _MIN_CONTRAST * noise:
         raise InputError(
             f"the texture '{config.look.texture}' shows {contrast:.1f} grey levels of contrast"
-            f" beside a noise of {noise:.1f}; {_LEAST_CONTRAST:g} times the noise is needed: take"
+            f" beside a noise of {noise:.1f}; {_MIN_CONTRAST:g} times the noise is needed: take"
             " 'speckle', or less noise"
         )

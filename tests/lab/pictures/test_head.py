@@ -7,7 +7,7 @@ import pytest
 from palpate.errors import InputError
 from palpate.lab.bodies.specimens import half_ball
 from palpate.lab.config import Calibration, Head
-from palpate.lab.pictures.stereo_head import make_head, misjudged
+from palpate.lab.pictures.head import make_head, miscalibrated
 from palpate.vision.cameras.projection import project
 
 MESH = half_ball(radius=0.04, edge=0.01)
@@ -64,7 +64,7 @@ def test_errors_of_a_calibration_have_the_spread_that_was_asked_for():
     rng = np.random.default_rng(0)
     focal, centre, turn, place = [], [], [], []
     for _ in range(400):
-        for told, true in zip(misjudged(rig, error, MESH, rng=rng).cameras, rig.cameras,
+        for told, true in zip(miscalibrated(rig, error, MESH, rng=rng).cameras, rig.cameras,
                               strict=True):  # fmt: skip
             off = told.T_camera_object @ np.linalg.inv(true.T_camera_object)
             focal.append(told.matrix[0, 0] / true.matrix[0, 0] - 1.0)
@@ -81,7 +81,7 @@ def test_errors_of_a_calibration_have_the_spread_that_was_asked_for():
 def test_an_object_that_was_moved_is_moved_for_all_cameras_alike():
     rig = make_head(Head(), MESH)
     error = Calibration(object_rotation=1.0, object_translation=1e-3)
-    told = misjudged(rig, error, MESH, rng=np.random.default_rng(3))
+    told = miscalibrated(rig, error, MESH, rng=np.random.default_rng(3))
     moves = [
         np.linalg.inv(true.T_camera_object) @ wrong.T_camera_object
         for wrong, true in zip(told.cameras, rig.cameras, strict=True)
@@ -93,7 +93,7 @@ def test_an_object_that_was_moved_is_moved_for_all_cameras_alike():
 
 def test_no_error_is_no_change():
     rig = make_head(Head(), MESH)
-    told = misjudged(rig, Calibration(), MESH, rng=np.random.default_rng(0))
+    told = miscalibrated(rig, Calibration(), MESH, rng=np.random.default_rng(0))
     for one, other in zip(told.cameras, rig.cameras, strict=True):
         np.testing.assert_allclose(one.T_camera_object, other.T_camera_object, atol=1e-14)
         np.testing.assert_array_equal(one.matrix, other.matrix)

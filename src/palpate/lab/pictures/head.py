@@ -1,4 +1,4 @@
-"""Camera rigs of the facility, and calibrations of them that are a little wrong."""
+"""Camera rigs of the facility, and calibrations of them with errors."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from palpate.shapes import Vector3
 _FILL = 0.75
 # Object z is up in the pictures, unless the head looks along it.
 _UP = np.array([0.0, 0.0, 1.0])
-_ALONG = 0.999
+_MAX_COSINE = 0.999
 
 
 def make_head(head: Head, mesh: TriangleMesh) -> Rig:
@@ -50,14 +50,16 @@ def make_head(head: Head, mesh: TriangleMesh) -> Rig:
     right, down = _picture_axes(view)
     eye = middle - head.distance * view
     eyes = [eye + x * right + y * down for x, y in _places(head)]
-    poses = [_pose(one, middle) for one in eyes]
+    poses = [_pose(place, middle) for place in eyes]
     focal = head.focal or min(_filling(head, pose, mesh) for pose in poses)
     cameras = [_camera(f"c{k}", pose, head, focal) for k, pose in enumerate(poses)]
     return Rig(tuple(cameras), 0, "facility")
 
 
-def misjudged(rig: Rig, error: Calibration, mesh: TriangleMesh, *, rng: np.random.Generator) -> Rig:
-    """What a calibration with errors says of a rig.
+def miscalibrated(
+    rig: Rig, error: Calibration, mesh: TriangleMesh, *, rng: np.random.Generator
+) -> Rig:
+    """The rig that a calibration with errors would give.
 
     Parameters
     ----------
@@ -106,7 +108,7 @@ def _places(head: Head) -> Float[np.ndarray, "c 2"]:
 
 def _picture_axes(view: Vector3) -> tuple[Vector3, Vector3]:
     """Directions to the right and down in a picture along `view`."""
-    up = _UP if abs(view @ _UP) < _ALONG else np.array([0.0, 1.0, 0.0])
+    up = _UP if abs(view @ _UP) < _MAX_COSINE else np.array([0.0, 1.0, 0.0])
     right = np.cross(view, up)
     right /= np.linalg.norm(right)
     return right, np.cross(view, right)

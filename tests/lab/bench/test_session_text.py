@@ -5,14 +5,14 @@ import tomllib
 import numpy as np
 import pytest
 
-from palpate.lab.bench.session_writing import toml_table, toml_value
+from palpate.lab.bench.session_text import toml_table, toml_value
 
 
 @pytest.mark.parametrize(
     "value",
     [
         'a "quoted" \\ text\nwith ümlauts', True, 3, -0.1, 1e-300, [1, 2.5, "x"], [[1.0, 2.0], []],
-        {"point": [0.0, 0.1], "profile": "hertz"},
+        {"point": [0.0, 0.1], "profile": "hertz"}, [{"plane": {"normal": [0, 0, 1]}}, {"a": 1}],
     ],
 )  # fmt: skip
 def test_values_come_back_as_they_were(value):

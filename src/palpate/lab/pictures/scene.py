@@ -15,69 +15,49 @@ from jaxtyping import Float, Float32
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, vertex_normals
 from palpate.lab.pictures.ideal_view import IdealView, camera_picture, ideal_view
 from palpate.lab.pictures.mitsuba_variant import Variant, load_mitsuba
 from palpate.records import Camera
-from palpate.shapes import Triangles, Vector3, Vertices
+from palpate.shapes import Vector3, Vertices
 
 # From OpenCV's camera (x right, y down) to Mitsuba's (x left, y up); both look along z.
 _OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Highlights of a moist membrane: this rough (Beckmann's alpha), they are some 20 degrees wide.
 _ROUGHNESS = 0.25
-_LARGEST_SEED = 2**32
+_MAX_SEED = 2**32
 
 # Cameras need not have the same size.
 Picture = Float32[np.ndarray, "_ _"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
-    """A closed surface with its look.
+class DrawnBody:
+    """A surface with its look.
 
     Parameters
     ----------
-    vertices : (v, 3) float [m]     object frame
-    triangles : (m, 3) int
-    normals : (v, 3) float [-]      unit; of the smooth surface
+    mesh : TriangleMesh             object frame; its normals are those of the smooth surface
     grey : (v,) float [-]           share of the light that is reflected, 0 to 1, linear in between
     gloss : float [-]               share of it that makes highlights, as a moist membrane does; 0
                                     for a matt body
 
     Raises
     ------
-    InputError                      sizes that do not match, a triangle's vertex that does not
-                                    exist, grey or gloss out of range
+    InputError                      sizes that do not match, grey or gloss out of range
     """
 
-    vertices: Vertices
-    triangles: Triangles
-    normals: Vertices
+    mesh: TriangleMesh
     grey: Float[np.ndarray, " v"]
     gloss: float = 0.0
 
     def __post_init__(self) -> None:
-        count = len(self.vertices)
-        arrays = {
-            "vertices": fixed_array(self.vertices, name="vertices", shape=(None, 3)),
-            "triangles": fixed_array(
-                self.triangles, name="triangles", shape=(None, 3), integer=True
-            ),
-            "normals": fixed_array(self.normals, name="normals", shape=(count, 3)),
-            "grey": fixed_array(self.grey, name="grey", shape=(count,)),
-        }
-        for name, value in arrays.items():
-            object.__setattr__(self, name, value)
-        if len(self.triangles) == 0:
-            raise InputError("a body has no triangles; give a closed surface")
-        low, high = int(self.triangles.min()), int(self.triangles.max())
-        if low < 0 or high >= count:
+        grey = fixed_array(self.grey, name="grey", shape=(len(self.mesh.vertices),))
+        object.__setattr__(self, "grey", grey)
+        if grey.min() < 0.0 or grey.max() > 1.0:
             raise InputError(
-                f"triangles of a body use vertices {low} to {high}; there are {count} (from 0)"
-            )
-        if self.grey.min() < 0.0 or self.grey.max() > 1.0:
-            raise InputError(
-                f"grey of a body is {self.grey.min():.3g} to {self.grey.max():.3g}; must be in"
-                " 0 to 1: it is the share of the light that is reflected"
+                f"grey of a body is {grey.min():.3g} to {grey.max():.3g}; must be in 0 to 1: it is"
+                " the share of the light that is reflected"
             )
         if not 0.0 <= self.gloss <= 1.0:
             raise InputError(f"gloss of a body is {self.gloss:g}; must be in 0 to 1")
@@ -123,37 +103,32 @@ class Light:
 
     Parameters
     ----------
-    lamps : tuple of Lamp           each costs as much time as the ambient light
-    ambient : float                 radiance from everywhere; where nothing hides it a matt body of
-                                    grey 1 is as bright as this. Lamps do not hide it
-    background : float              radiance behind the bodies; it sheds no light on them
+    ambient : float                 radiance from everywhere, >= 0; where nothing hides it a matt
+                                    body of grey 1 is as bright as this. A lamp does not hide it
+    lamp : Lamp or None             costs as much time as the ambient light
 
     Raises
     ------
     InputError                      a negative radiance; no light at all
     """
 
-    lamps: tuple[Lamp, ...]
     ambient: float
-    background: float = 0.0
+    lamp: Lamp | None = None
 
     def __post_init__(self) -> None:
-        if not (self.ambient >= 0.0 and self.background >= 0.0):
-            raise InputError(
-                f"ambient light is {self.ambient:g}, background {self.background:g}; neither may"
-                " be negative"
-            )
-        if self.ambient == 0.0 and not any(lamp.radiance > 0.0 for lamp in self.lamps):
+        if not self.ambient >= 0.0:
+            raise InputError(f"ambient light is {self.ambient:g}; must not be negative")
+        if self.ambient == 0.0 and not (self.lamp and self.lamp.radiance > 0.0):
             raise InputError("nothing shines; give a lamp or ambient light a positive radiance")
 
 
 def render(
-    bodies: Sequence[Body],
+    bodies: Sequence[DrawnBody],
     cameras: Sequence[Camera],
     light: Light,
     *,
     variant: Variant,
-    samples: int = 16,
+    samples: int,
     seed: int,
 ) -> tuple[Picture, ...]:
     """Pictures of bodies before cameras: linear radiance, no sensor yet.
@@ -163,7 +138,7 @@ def render(
 
     Parameters
     ----------
-    bodies : sequence of Body       at least one; all in front of every camera
+    bodies : sequence of DrawnBody  at least one; all in front of every camera
     cameras : sequence of Camera    each with a size; any lens
     light : Light
     variant : Variant               of `choose_variant`
@@ -184,15 +159,14 @@ def render(
     """
     if not bodies:
         raise InputError("there is no body to render; give at least one")
-    if samples < 1 or not 0 <= seed < _LARGEST_SEED:
+    if samples < 1 or not 0 <= seed < _MAX_SEED:
         raise InputError(
             f"samples is {samples}, seed {seed}; must be at least 1, and 0 to 2^32 - 1"
         )
-    points = np.concatenate([body.vertices for body in bodies])
+    points = np.concatenate([body.mesh.vertices for body in bodies])
     views = [ideal_view(camera, points) for camera in cameras]
     mitsuba = load_mitsuba(variant)
     total = [np.zeros(view.shape, dtype=np.float32) for view in views]
-    cover = [np.zeros(view.shape, dtype=np.float32) for view in views]
     passes = _passes(mitsuba, bodies, light)
     seeds = np.random.SeedSequence(seed).generate_state(len(passes) * len(views))
     for number, (scene, integrator) in enumerate(passes):
@@ -203,48 +177,43 @@ def render(
                 integrator=integrator,
                 seed=int(seeds[number * len(views) + k]),
             )
-            radiance = np.asarray(film, dtype=np.float32)
-            total[k] += radiance[..., 0]
-            cover[k] = radiance[..., 1]
+            total[k] += np.asarray(film, dtype=np.float32)[..., 0]
     return tuple(
-        camera_picture(camera, view, picture - light.background * part) + light.background
-        for camera, view, picture, part in zip(cameras, views, total, cover, strict=True)
+        camera_picture(camera, view, picture)
+        for camera, view, picture in zip(cameras, views, total, strict=True)
     )
 
 
-def _passes(mitsuba: ModuleType, bodies: Sequence[Body], light: Light) -> list[tuple[Any, Any]]:
-    """Scene and integrator for each light; the ambient light comes last."""
+def _passes(
+    mitsuba: ModuleType, bodies: Sequence[DrawnBody], light: Light
+) -> list[tuple[Any, Any]]:
+    """Scene and integrator for the lamp, where there is one, and for the ambient light.
+
+    Light comes straight from the lamp or the surroundings; bodies do not light each other.
+    """
     matt = [_mesh(mitsuba, body, glossy=False) for body in bodies]
-    glossy = [
-        _mesh(mitsuba, body, glossy=True) if body.gloss else mesh
-        for body, mesh in zip(bodies, matt, strict=True)
-    ]
-    by_lamp = _integrator(mitsuba, shadow_rays=1, reflected_rays=0)
-    by_ambient = _integrator(mitsuba, shadow_rays=0, reflected_rays=1)
-    ambient = {"type": "constant", "radiance": light.ambient}
-    return [
-        *((_scene(mitsuba, glossy, _lamp(mitsuba, lamp)), by_lamp) for lamp in light.lamps),
-        (_scene(mitsuba, matt, ambient), by_ambient),
-    ]
+    kinds = [({"type": "constant", "radiance": light.ambient}, matt, (0, 1))]
+    if light.lamp is not None:
+        glossy = [
+            _mesh(mitsuba, body, glossy=True) if body.gloss else mesh
+            for body, mesh in zip(bodies, matt, strict=True)
+        ]
+        kinds.insert(0, (_lamp(mitsuba, light.lamp), glossy, (1, 0)))
+    passes = []
+    for emitter, meshes, (shadow_rays, reflected_rays) in kinds:
+        named = {f"body{k}": mesh for k, mesh in enumerate(meshes)}
+        scene = mitsuba.load_dict({"type": "scene", "emitter": emitter, **named})
+        integrator = mitsuba.load_dict({
+            "type": "direct",
+            "emitter_samples": shadow_rays,
+            "bsdf_samples": reflected_rays,
+            "hide_emitters": True,
+        })  # fmt: skip
+        passes.append((scene, integrator))
+    return passes
 
 
-def _scene(mitsuba: ModuleType, meshes: Sequence[Any], emitter: dict[str, Any]) -> Any:
-    """Bodies under one light."""
-    named = {f"body{k}": mesh for k, mesh in enumerate(meshes)}
-    return mitsuba.load_dict({"type": "scene", "emitter": emitter, **named})
-
-
-def _integrator(mitsuba: ModuleType, *, shadow_rays: int, reflected_rays: int) -> Any:
-    """Light that comes straight from a lamp or the surroundings; bodies do not light each other."""
-    return mitsuba.load_dict({
-        "type": "direct",
-        "emitter_samples": shadow_rays,
-        "bsdf_samples": reflected_rays,
-        "hide_emitters": True,
-    })  # fmt: skip
-
-
-def _mesh(mitsuba: ModuleType, body: Body, *, glossy: bool) -> Any:
+def _mesh(mitsuba: ModuleType, body: DrawnBody, *, glossy: bool) -> Any:
     """A body as Mitsuba's mesh; what makes highlights is missing from a matt one's reflection."""
     matt: dict[str, Any] = {
         "type": "diffuse",
@@ -258,14 +227,15 @@ def _mesh(mitsuba: ModuleType, body: Body, *, glossy: bool) -> Any:
         look["second"] = shine if glossy else dark
     properties = mitsuba.Properties()
     properties["look"] = mitsuba.load_dict(look)
+    vertices, triangles = body.mesh.vertices, body.mesh.triangles
     mesh = mitsuba.Mesh(
-        "body", len(body.vertices), len(body.triangles), has_vertex_normals=True, props=properties
+        "body", len(vertices), len(triangles), has_vertex_normals=True, props=properties
     )
     mesh.add_attribute("vertex_grey", 1, body.grey.astype(np.float32))
     parameters = mitsuba.traverse(mesh)
-    parameters["vertex_positions"] = body.vertices.astype(np.float32).ravel()
-    parameters["vertex_normals"] = body.normals.astype(np.float32).ravel()
-    parameters["faces"] = body.triangles.astype(np.uint32).ravel()
+    parameters["vertex_positions"] = vertices.astype(np.float32).ravel()
+    parameters["vertex_normals"] = vertex_normals(vertices, triangles).astype(np.float32).ravel()
+    parameters["faces"] = triangles.astype(np.uint32).ravel()
     parameters.update()
     return mesh
 
@@ -305,7 +275,7 @@ def _sensor(
             "type": "hdrfilm",
             "width": columns,
             "height": rows,
-            "pixel_format": "luminance_alpha",
+            "pixel_format": "luminance",
             "component_format": "float32",
             "rfilter": {"type": "box"},
         },

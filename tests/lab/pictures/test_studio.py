@@ -10,8 +10,9 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.lab import Look, Pictures, choose_variant, read_lab_config
 from palpate.lab.bodies.specimens import rod
-from palpate.lab.pictures.photographs import exposure, make_studio, photographed
-from palpate.lab.pictures.stereo_head import make_head
+from palpate.lab.bodies.tips import Sphere
+from palpate.lab.pictures.head import make_head
+from palpate.lab.pictures.studio import exposure, make_studio, photograph
 
 QUIET = Pictures(samples=8, noise=0.0)
 
@@ -29,13 +30,9 @@ def studio(config):
     return make_studio(config, rig, choose_variant(), rng=np.random.default_rng(0))
 
 
-def _picture(studio, config, vertices=None, rods=(), seed=0):
-    rest = studio.mesh.vertices if vertices is None else vertices
-    shots = [(rest, rods)]
-    return [
-        picture.astype(float)
-        for picture in photographed(studio, config, shots, rng=np.random.default_rng(seed))
-    ]
+def _picture(studio, config, arm=None, seed=0):
+    rest, rng = [studio.mesh.vertices], np.random.default_rng(seed)
+    return [picture.astype(float) for picture in photograph(studio, config, rest, arm, rng=rng)]
 
 
 def test_exposure_brings_the_bright_parts_near_white_and_not_beyond(studio, config):
@@ -49,9 +46,10 @@ def test_exposure_brings_the_bright_parts_near_white_and_not_beyond(studio, conf
 
 def test_a_rod_is_dark_hides_and_casts_a_soft_shadow(studio, config):
     place = np.array([0.0, 0.0, 0.046])
-    upright = rod(radius=6e-3, length=0.2, flat=False)
+    end = Sphere(6e-3, place, np.array([0.0, 0.0, -1.0])).outline()
+    upright = rod(end, radius=6e-3, length=0.2)
     arm = TriangleMesh(place + upright.vertices, upright.triangles)
-    bare, probed = (_picture(studio, config, rods=rods)[0] for rods in ((), (arm,)))
+    bare, probed = (_picture(studio, config, tool)[0] for tool in (None, arm))
     darker = bare - probed
     # Bright speckles behind the rod are gone; around it some light is.
     assert (darker > 100).sum() > 30
@@ -76,9 +74,9 @@ def test_gain_drifts_from_picture_to_picture(studio, config):
     ratio = []
     for seed in range(6):
         found = _picture(studio, drifting, seed=seed)
-        for one, other in zip(found, still, strict=True):
-            middle = (other > 40) & (one < 250)
-            ratio.append(np.median(one[middle] / other[middle]))
+        for drifted, plain in zip(found, still, strict=True):
+            middle = (plain > 40) & (drifted < 250)
+            ratio.append(np.median(drifted[middle] / plain[middle]))
     # 18 draws: a sixth of chance.
     assert 0.05 < np.std(ratio) < 0.16
 
@@ -93,10 +91,12 @@ def test_blurs_of_motion_and_of_defocus_take_contrast_away(studio, config):
                                atol=1e-12)  # fmt: skip
     assert len(exposure(config, rest, rest)) == 1
     rng = np.random.default_rng(0)
-    moved = photographed(studio, moving, [(one, ()) for one in frames], rng=rng)[0]
+    moved = photograph(studio, moving, frames, rng=rng)[0]
     open_lens = replace(config, pictures=replace(QUIET, aperture=0.06))
     soft = _picture(studio, open_lens)[0]
-    detail = [np.abs(np.diff(one.astype(float), axis=1)).sum() for one in (sharp, moved, soft)]
+    detail = [
+        np.abs(np.diff(picture.astype(float), axis=1)).sum() for picture in (sharp, moved, soft)
+    ]
     assert detail[1] < 0.9 * detail[0]
     assert detail[2] < 0.9 * detail[0]
 
