@@ -6,7 +6,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -169,6 +169,41 @@ def add_texts(figure: Figure, heading: str, left: str, right: str) -> None:
     )  # fmt: skip
     for place, side, text in ((0.01, "left", left), (0.99, "right", right)):
         figure.text(place, 0.05 / total, text, ha=side, va="bottom", fontsize=6.5, parse_math=False)
+
+
+def add_arrows(
+    axes: Axes,
+    place: Float[np.ndarray, "n 2"],
+    vector: Float[np.ndarray, "n 2"],
+    *,
+    pitch: float,
+    shortest: float = 0.0,
+    colour: str = INK,
+) -> None:
+    """Draw arrows at an even choice of points.
+
+    Parameters
+    ----------
+    axes : Axes
+    place, vector : (n, 2) float    in the units of the axes; rows with NaN have no arrow
+    pitch : float                   of square cells, the same unit: of the points in a cell the
+                                    nearest to its centre has an arrow
+    shortest : float                shorter ones would be blots and are left out
+    colour : str                    with a dark rim, if it is not dark itself
+    """
+    known = np.flatnonzero(np.isfinite(vector).all(axis=1) & np.isfinite(place).all(axis=1))
+    cell = np.floor(place[known] / pitch)
+    off_centre = np.linalg.norm(place[known] / pitch - cell - 0.5, axis=1)
+    order = np.argsort(off_centre, kind="stable")
+    _, first = np.unique(cell[order], axis=0, return_index=True)
+    chosen = known[order[first]]
+    chosen = chosen[np.linalg.norm(vector[chosen], axis=1) > shortest]
+    width, rim = (0.014, 0.0) if colour == INK else (0.022, 0.5)
+    axes.quiver(
+        *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
+        units="inches", width=width, headwidth=3.4, headlength=3.6, headaxislength=3.2,
+        minlength=0.5, color=colour, edgecolor=INK, linewidth=rim, zorder=3,
+    )  # fmt: skip
 
 
 def open_frame(axes: Axes) -> None:
