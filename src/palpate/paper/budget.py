@@ -96,7 +96,7 @@ def error_budget(
     folder : Path                   empty: the sessions stay there
     variant : Variant               of Mitsuba
     draws : int                     of the sources that change no picture, >= 1
-    progress : callable or None     told what is done (text) and how far it is (0 to 1)
+    progress : callable or None     called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------

@@ -93,7 +93,7 @@ def measured_session(
     folder : Path                   an empty folder: the session stays there
     methods : sequence of Method
     variant : Variant               of Mitsuba
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
