@@ -263,6 +263,10 @@ def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
     ----------
     mesh : TriangleMesh
     direction : (3,) float      unit, toward the viewer
+
+    Returns
+    -------
+    SurfaceView
     """
     rotation = _rotation(direction)
     corners = (mesh.vertices @ rotation.T)[mesh.triangles]
@@ -275,7 +279,17 @@ def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
 
 
 def projected(view: SurfaceView, points: Shaped[np.ndarray, "*n 3"]) -> Shaped[np.ndarray, "*n 3"]:
-    """Points or vectors in the viewer's frame: right, up, toward the viewer [m]."""
+    """Points or vectors in the viewer's frame: right, up, toward the viewer [m].
+
+    Parameters
+    ----------
+    view : SurfaceView
+    points : (..., 3) float [m]     points or vectors, object frame
+
+    Returns
+    -------
+    (..., 3) float [m]
+    """
     return points @ view.R_view_object.T
 
 

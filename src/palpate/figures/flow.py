@@ -111,6 +111,10 @@ def flow_figure(
     flow : RangeFlow
     vertices : VertexDisplacement or None
     view : FlowView
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
     """
     pixel = project(view.camera, flow.point)
     optical = project(view.camera, flow.point + flow.displacement) - pixel
@@ -153,6 +157,10 @@ def quality_figure(name: str, flow: RangeFlow, view: FlowView) -> Figure:
     name : str
     flow : RangeFlow
     view : FlowView
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
     """
     figure, panels = three_panels(view.high - view.low)
     titles = ("rejected, and why", "1 sigma across the view", "1 sigma in depth")

@@ -65,6 +65,10 @@ def make_flow_view(
     camera : Camera                 the reference camera
     surface : SurfaceMap            of that camera
     mesh : TriangleMesh
+
+    Returns
+    -------
+    FlowView
     """
     size = np.array(picture.shape[::-1])
     rows, columns = np.nonzero(surface.triangle >= 0)
@@ -86,7 +90,16 @@ def make_flow_view(
 
 
 def seen_corners(view: FlowView) -> Indices:
-    """Vertices of the triangles that are seen, (k,) int."""
+    """Vertices of the triangles that are seen, (k,) int.
+
+    Parameters
+    ----------
+    view : FlowView
+
+    Returns
+    -------
+    (k,) int                        rows of the mesh's vertices, ascending
+    """
     return np.unique(view.mesh.triangles[view.triangles])
 
 

@@ -106,6 +106,11 @@ def three_panels(size: Shaped[np.ndarray, "2"]) -> tuple[Figure, list[Axes]]:
     ----------
     size : (2,) float or int        width and height of what a panel shows, any unit: the panels
                                     get its proportions unless they would be too flat or too tall
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
+    list of three Axes              from the left, without ticks
     """
     panel_height = min(max(_PANEL * float(size[1] / size[0]), 0.6), 3.6)
     total = panel_height + 1.23
@@ -120,7 +125,13 @@ def three_panels(size: Shaped[np.ndarray, "2"]) -> tuple[Figure, list[Axes]]:
 
 
 def title_panel(axes: Axes, title: str) -> None:
-    """Write a title above a panel of `three_panels`."""
+    """Write a title above a panel of `three_panels`.
+
+    Parameters
+    ----------
+    axes : Axes
+    title : str                     shown as it is, dollars too
+    """
     # A title proper would look for room above ticks that are not there: it takes 30 ms.
     axes.annotate(
         title, (0.5, 1.0), (0.0, 5.0), xycoords="axes fraction", textcoords="offset points",
@@ -129,7 +140,17 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def place_below(figure: Figure, panels: Sequence[Axes]) -> tuple[float, float]:
-    """Middle of some panels and width of one, as fractions of the figure's width."""
+    """Middle of some panels and width of one, as fractions of the figure's width.
+
+    Parameters
+    ----------
+    figure : Figure
+    panels : sequence of Axes       neighbours
+
+    Returns
+    -------
+    tuple of two float              both from 0 to 1
+    """
     cells = [axes.get_position(original=True) for axes in panels]
     return 0.5 * (cells[0].x0 + cells[-1].x1), cells[0].width
 
@@ -160,7 +181,13 @@ def add_colour_bar(
 
 
 def add_texts(figure: Figure, heading: str, left: str, right: str) -> None:
-    """Write a heading, and two notes along the lower edge, on a figure of `three_panels`."""
+    """Write a heading, and two notes along the lower edge, on a figure of `three_panels`.
+
+    Parameters
+    ----------
+    figure : Figure
+    heading, left, right : str      shown as they are, dollars too
+    """
     total = figure.get_figheight()
     # Names may hold dollar signs: they are no mathematics.
     figure.text(
@@ -207,10 +234,24 @@ def add_arrows(
 
 
 def open_frame(axes: Axes) -> None:
-    """Leave out the upper and right line of the frame."""
+    """Leave out the upper and right line of the frame.
+
+    Parameters
+    ----------
+    axes : Axes
+    """
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def magnification_text(factor: float) -> str:
-    """A factor of arrows to two digits, never with an exponent: `3.2 times`."""
+    """A factor of arrows to two digits, never with an exponent: `3.2 times`.
+
+    Parameters
+    ----------
+    factor : float                  > 0
+
+    Returns
+    -------
+    str
+    """
     return f"{factor:.2g} times" if factor < 10 else f"{factor:.0f} times"

@@ -260,6 +260,10 @@ def budget_table(sources: Sequence[SourceErrors]) -> ResultTable:
     Parameters
     ----------
     sources : sequence of SourceErrors
+
+    Returns
+    -------
+    ResultTable                     E in per cent
     """
     percent = np.array([1.0, 100.0, 100.0])
     rows: list[tuple[Cell, ...]] = []
@@ -282,6 +286,10 @@ def sizes_table(sources: Sequence[SourceErrors]) -> ResultTable:
     Parameters
     ----------
     sources : sequence of SourceErrors
+
+    Returns
+    -------
+    ResultTable
     """
     rows = tuple((source.name, source.size) for source in sources)
     return ResultTable("Sizes of the sources", ("source", "size"), (0, 0), rows)
@@ -294,6 +302,10 @@ def budget_picture(sources: Sequence[SourceErrors]) -> Picture:
     Parameters
     ----------
     sources : sequence of SourceErrors      the bench without errors first, the whole bench last
+
+    Returns
+    -------
+    Picture
     """
     height = 1.1 + 0.27 * len(sources)
     figure = Figure(figsize=(8.4, height))

@@ -60,6 +60,10 @@ def quickened(config: LabConfig) -> LabConfig:
     Parameters
     ----------
     config : LabConfig
+
+    Returns
+    -------
+    LabConfig
     """
     head, look, stage = config.head, config.look, config.stage
     small = replace(
@@ -152,6 +156,10 @@ def true_material(session: Session) -> Material:
     Parameters
     ----------
     session : Session               with truth.toml beside its file
+
+    Returns
+    -------
+    Material
 
     Raises
     ------

@@ -119,6 +119,10 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
     point : (3,) float [m]
     radius : float or None [m]          None: that of the probing
 
+    Returns
+    -------
+    Contact
+
     Raises
     ------
     InputError                          no probings; no radius is given, and the session's probings
