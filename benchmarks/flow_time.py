@@ -20,7 +20,7 @@ def measure(options: Options) -> list[Figure]:
     session, rig = read_session(FOLDER), read_rig(FOLDER / "rig.toml")
     mesh = session.mesh
     patterns = ["images/rest_{camera}.png", *(f"images/{name}_{{camera}}.png" for name in NAMES)]
-    grey = [read_pictures(rig, one, folder=FOLDER, what=one).grey for one in patterns]
+    grey = [read_pictures(rig, pattern, folder=FOLDER, what=pattern).grey for pattern in patterns]
     scene = make_scene(rig, grey[0], *refined_surface(mesh), settings=JointSettings())
     seconds = []
     for pictures in grey[1:]:

@@ -1,9 +1,10 @@
 """From files to results: the one place where vision, probe, boundary elements and estimation meet.
 
-Purpose    : measure the motion of a session's object from its pictures; estimate its constants.
+Purpose    : measure the motion of a session's object from its pictures, estimate its constants,
+             poke it.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, and the model between them.
-Depends on : `vision`, `probe`, `bem`, `estimation`, `records`.
+Depends on : `estimation`, `vision`, `bem`, `probe`, `records`, `geometry`.
 Read first : `fit_session.py`, then `measure_motion.py`.
 """
 
