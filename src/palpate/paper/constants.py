@@ -8,7 +8,7 @@ import numpy as np
 from palpate.estimation import FitResult
 from palpate.lab import Material, Tip, cylinder, held_nodes, make_body, make_solid, press
 from palpate.paper.motion import Method, PaperSession
-from palpate.pipeline import MotionSettings, fit_session, measure_motion, with_measured_displacement
+from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
 from palpate.records import Session, read_toml
 
 # A cylinder as one would cut it from foam [m], and the shortening of the test.
@@ -96,7 +96,7 @@ def pictures_measured(session: Session) -> Session:
     """
     if all(probing.displacement is not None for probing in session.probings):
         return session
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    found = measure_motion(session, pose="given")
     return with_measured_displacement(session, found)
 
 

@@ -17,8 +17,7 @@ from palpate.errors import InputError
 from palpate.records import Rig
 from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.images import find_features, make_even_picture, make_spline_picture
-from palpate.vision.joint import grid_triangles
-from palpate.vision.range_flow import Outcome
+from palpate.vision.range_flow import Outcome, grid_triangles
 from palpate.vision.stereo.acceptance import contradicts_neighbours, joined_cameras
 from palpate.vision.stereo.pair_disparity import make_view, stereo_start
 from palpate.vision.stereo.window_matches import SMALLEST_WINDOW, WindowMatches, window_matches

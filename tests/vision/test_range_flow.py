@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from palpate.vision.dense_maps import dense_maps
-from palpate.vision.range_flow import Outcome, RangeFlow
+from palpate.vision.range_flow import Outcome, RangeFlow, dense_maps
 
 
 def _flow(rejected: int | None = None) -> RangeFlow:
