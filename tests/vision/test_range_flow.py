@@ -1,8 +1,16 @@
-"""Range flow between its points."""
+"""The grid of a range flow: its points, the triangles between them, its values at all pixels."""
 
 import numpy as np
 
-from palpate.vision.range_flow import Outcome, RangeFlow, dense_maps
+from palpate.vision.cameras import SurfaceMap
+from palpate.vision.range_flow import (
+    Outcome,
+    RangeFlow,
+    cause_counts,
+    dense_maps,
+    grid_points,
+    grid_triangles,
+)
 
 
 def _flow(rejected: int | None = None) -> RangeFlow:
@@ -64,3 +72,44 @@ def test_nothing_valid_gives_empty_maps() -> None:
     displacement, sigma = dense_maps(flow)
     assert np.isnan(displacement).all()
     assert np.isnan(sigma).all()
+
+
+def test_rejected_points_are_counted_by_cause() -> None:
+    flow = _flow()
+    flow.outcome[[1, 5, 6]] = [Outcome.SCORE, Outcome.HIDDEN, Outcome.SCORE]
+    counts = cause_counts(flow)
+    assert list(counts) == [cause.name.lower() for cause in list(Outcome)[1:]]
+    assert {name: count for name, count in counts.items() if count} == {"hidden": 1, "score": 2}
+
+
+def test_triangles_fill_the_cells_that_have_all_their_corners() -> None:
+    pixel = _flow().pixel
+    whole = grid_triangles(pixel, 4)
+    assert len(whole) == 2 * 8 * 4
+    corner = pixel[whole]
+    first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    # Rows go down: this sign has its normal toward the camera. Half a cell each.
+    area = 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    np.testing.assert_array_equal(area, -8.0)
+    centre = corner.mean(axis=1)
+    assert len(np.unique(centre, axis=0)) == len(centre)
+    # An inner point is a corner of four cells.
+    missing = np.arange(len(pixel)) != 13
+    assert len(grid_triangles(pixel[missing], 4)) == len(whole) - 8
+    assert grid_triangles(pixel[:0], 4).shape == (0, 3)
+
+
+def test_grid_points_are_those_behind_the_pixels_that_may_be_used() -> None:
+    """One triangle over the lower right of a picture, tilted about the rows."""
+    vertices = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 1.0], [0.0, 2.0, 0.0]])
+    column, row = np.meshgrid(np.arange(12.0), np.arange(9.0))
+    point = np.stack([column, row, 0.5 * column], axis=-1)
+    surface = SurfaceMap(point, np.zeros((9, 12), dtype=np.int64))
+    shown = row > 2.0
+    pixel, found, tangent = grid_points(surface, shown, vertices, np.array([[0, 1, 2]]), 3)
+    expected = [(c, r) for r in (4, 7) for c in (1, 4, 7, 10)]
+    assert [tuple(p) for p in pixel] == expected
+    np.testing.assert_array_equal(found, [[c, r, 0.5 * c] for c, r in expected])
+    along = np.array([2.0, 0.0, 1.0]) / np.sqrt(5.0)
+    np.testing.assert_allclose(tangent[:, 0], [along] * 8, atol=1e-15)
+    np.testing.assert_allclose(tangent[:, 1], [[0.0, 1.0, 0.0]] * 8, atol=1e-15)

@@ -15,6 +15,8 @@ from vision.scenes import (
     rigid,
 )
 
+from palpate.vision.joint.acceptance import _matching_bias
+from palpate.vision.joint.refinement import Match
 from palpate.vision.range_flow import Outcome, is_valid
 
 NOISE = 1.5
@@ -119,3 +121,27 @@ def test_drift_is_how_far_the_two_motions_are_apart(changing):
     # the one through the instants carries it once more.
     assert 0.01 * PITCH < last.drift < 0.15 * PITCH
     assert last.drift < np.linalg.norm(motions[-1](np.zeros((1, 3))))
+
+
+@pytest.mark.parametrize("cameras", [2, 3, 4])
+def test_what_cameras_contradict_each_other_by_beyond_noise_is_their_bias(cameras):
+    """Normal errors of each camera's match, less the common displacement they are explained by."""
+    rng = np.random.default_rng(cameras)
+    n, noise, bias = 40000, 0.02, 0.05
+    word = rng.normal(0.0, np.hypot(noise, bias), (n, cameras, 2))
+    slope = rng.normal(size=(cameras, 2, 3)) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    # What a fit of three unknowns leaves of 2 c numbers.
+    design = slope.reshape(2 * cameras, 3)
+    rest = np.eye(2 * cameras) - design @ np.linalg.pinv(design)
+    own = (word.reshape(n, -1) @ rest).reshape(n, cameras, 2)
+    nothing = np.zeros((n, cameras))
+    used = np.ones((n, cameras), dtype=bool)
+    match = Match(
+        np.zeros((n, 6, 3)), np.zeros((n, 3, 3)), nothing, nothing, own,
+        np.full((n, cameras), noise**2), np.zeros(n), used, np.zeros(n, dtype=np.int64),
+    )  # fmt: skip
+    # The rest is not the same in all cameras, and its median not quite that of two degrees of
+    # freedom: a sixth. Twice the share taken up by the fit would be off by a third and more.
+    assert _matching_bias(match, used) == pytest.approx(bias, rel=0.17 if cameras > 2 else 0.5)
+    quiet = match._replace(own=0.3 * own)
+    assert _matching_bias(quiet, used) == 0.005

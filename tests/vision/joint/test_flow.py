@@ -23,6 +23,7 @@ from vision.scenes import (
 
 from palpate.errors import InputError
 from palpate.vision import JointFlow
+from palpate.vision.joint.flow import composed_motion
 from palpate.vision.range_flow import Outcome, is_valid
 
 NOISE = 1.5
@@ -380,3 +381,24 @@ def test_a_scene_without_points_gives_a_flow_without_points():
 def test_settings_out_of_range_are_refused(wrong, text):
     with pytest.raises(InputError, match=text):
         JointFlow(**wrong)
+
+
+def test_one_motion_after_another_multiplies_their_deformations():
+    """Any deformation of the tangent plane, then any of space: F = F2 F1."""
+    rng = np.random.default_rng(3)
+    tangent = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+    plane = rng.normal(0.0, 0.1, (2, 2))
+    extent = np.array([0.004])
+    before, after = np.zeros((2, 1, 6, 3))
+    before[0, 0], after[0, 0] = [1e-3, 2e-3, 3e-3], [-2e-3, 1e-3, 5e-4]
+    # F1 turns the plane by R and stretches it within; the moved tangents are those of R.
+    turn = cv2.Rodrigues(np.array([0.3, -0.2, 0.5]))[0]
+    moved = tangent @ turn.T
+    image = (np.eye(2) + plane) @ moved
+    before[0, 1:3] = extent * (image - tangent)
+    second = np.eye(3) + rng.normal(0.0, 0.1, (3, 3))
+    after[0, 1:3] = extent * (moved @ second.T - moved)
+    whole = composed_motion(before, after, tangent[None], moved[None], extent)
+    np.testing.assert_allclose(whole[0, 0], before[0, 0] + after[0, 0], atol=1e-18)
+    np.testing.assert_allclose(whole[0, 1:3] / extent, image @ second.T - tangent, atol=1e-14)
+    assert not whole[0, 3:].any()
