@@ -20,12 +20,11 @@ from palpate.vision import (
     RangeFlow,
     StereoSettings,
     is_valid,
+    prepare_pictures,
     read_pictures,
     stereo_points,
     triangulated_surface,
 )
-
-__all__ = ["TENSION", "TENSION_REGION", "beside_dice", "measure"]
 
 REAL = SHARED / "real"
 TENSION = REAL / "gt4_dspec"
@@ -224,7 +223,8 @@ def _followed(
     method: JointFlow,
 ) -> list[RangeFlow]:
     """Range flow of a surface that is known from the first pictures only."""
-    surface = triangulated_surface(stereo_points(rig, grey[0], mask=mask, settings=stereo))
+    first = prepare_pictures(rig, grey[0])
+    surface = triangulated_surface(stereo_points(first, mask=mask, settings=stereo))
     state, flows = method.start_on(rig, grey[0], *surface), []
     for pictures in grey[1:]:
         state, flow = method.follow(state, pictures)

@@ -23,8 +23,6 @@ from palpate.vision import (
     read_pictures,
 )
 
-__all__ = ["measure"]
-
 RIGID = ("rigid_translation_x", "rigid_translation_y", "rigid_rotation_z")
 MAPPED = ("n01", "n03", "n05", "n08", "n11", "n15")
 

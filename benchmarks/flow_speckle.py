@@ -17,8 +17,6 @@ from benchmarks.planar_flow import planar_flow
 from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.matching.planar_match import refine_planar
 
-__all__ = ["measure"]
-
 TOOL = SHARED.parent / "tools" / "flow_bench.py"
 BORDER, STEP, SIZE = 40, 8, 512
 

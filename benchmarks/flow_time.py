@@ -10,8 +10,6 @@ from benchmarks.options import Options
 from palpate.records import read_rig, read_session
 from palpate.vision import JointFlow, read_pictures
 
-__all__ = ["measure"]
-
 FOLDER = SHARED / "halfball_images"
 NAMES = ("n01", "n02", "n03", "n04")
 

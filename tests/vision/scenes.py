@@ -18,30 +18,6 @@ from palpate.records import Camera, Rig
 from palpate.vision import FlowMethod, JointFlow, RangeFlow
 from palpate.vision.joint.flow import JointState
 
-__all__ = [
-    "DISTANCE",
-    "LENS",
-    "MOTIONS",
-    "PITCH",
-    "SHAPE",
-    "STILL",
-    "Motion",
-    "Stage",
-    "bump",
-    "dome",
-    "example",
-    "example_views",
-    "first_instant",
-    "followed",
-    "make_rig",
-    "moved_frame",
-    "noisy_views",
-    "projected",
-    "rigid",
-    "strain",
-    "tilted",
-]
-
 SHAPE = (150, 190)
 # Cameras stand this far from the origin, a pixel is PITCH wide there [m].
 DISTANCE = 0.3
@@ -214,7 +190,7 @@ class Stage:
         """The texture's places behind the places that `Speckle.image` asks for.
 
         Solved at pixel centres, linear over the third of a pixel around them: what bends there is
-        below 1e-4 px and alike on both sides.
+        below 1e-4 px and the same on both sides.
         """
         rows, columns = SHAPE
 

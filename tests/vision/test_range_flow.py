@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from palpate.vision.cameras import SurfaceMap
+from palpate.vision.cameras.surface_map import SurfaceMap
 from palpate.vision.range_flow import (
     Outcome,
     RangeFlow,

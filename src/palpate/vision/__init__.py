@@ -22,7 +22,11 @@ from palpate.vision.cameras import (
     triangulate as triangulate,
     visible as visible,
 )
-from palpate.vision.images import Pictures as Pictures, read_pictures as read_pictures
+from palpate.vision.images import (
+    Pictures as Pictures,
+    prepare_pictures as prepare_pictures,
+    read_pictures as read_pictures,
+)
 from palpate.vision.joint import (
     JointFlow as JointFlow,
     Scene as Scene,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -32,6 +32,11 @@ from palpate.progress import Progress
 from palpate.records import Session, default_folder, disk_errors, read_session, result_folder
 from palpate.vision import SurfaceMap, surface_map
 
+if TYPE_CHECKING:
+    MethodName = str
+else:
+    # The names that are registered; a type checker cannot read them.
+    MethodName = Literal[tuple(FLOW_METHODS)]
 _NOT_OK = 3
 # Before this a rate says more about the start than about the work [s].
 _RATE_STARTS = 1.0
@@ -54,7 +59,7 @@ def flow(
     *,
     out: Path | None = None,
     probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
-    method: Literal["joint", "lang-pai"] = "joint",
+    method: MethodName = "joint",
     pose: Literal["auto", "given", "register"] = "auto",
     subset: int | None = None,
     step: int | None = None,

@@ -4,8 +4,7 @@ Purpose    : follow points of the surface from picture to picture to a hundredth
              covariance that says how well each is known.
 Takes      : a `Rig`, the pictures of its cameras instant by instant, a triangle surface.
 Gives      : `JointFlow`, a `FlowMethod`; `JointState`, what it remembers.
-Depends on : `cameras`, `images`, `matching`, `range_flow.py`, `small_systems.py`; `geometry`,
-             `records`.
+Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `geometry`, `records`.
 Read first : `flow.py`, then `match.py`, then `refinement.py`.
 """
 

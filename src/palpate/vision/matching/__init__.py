@@ -4,7 +4,7 @@ Purpose    : where every pixel went, without a guess (dense and sparse flow); wh
              to a hundredth of a pixel; what the displacements around a point predict for it.
 Takes      : grey pictures, prepared by `images`; displacements of scattered points.
 Gives      : `dense_start`, `refine_planar`, `local_field`, `predicted`, and the window kernels.
-Depends on : `images`, `small_systems.py`.
+Depends on : `vision.images`.
 Read first : `window_sums.py`, then `planar_match.py`, then `dense_flow.py`.
 """
 
