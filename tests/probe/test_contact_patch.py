@@ -7,14 +7,14 @@ from surfaces import box, joined, sphere
 from palpate.errors import InputError
 from palpate.geometry import triangle_areas
 from palpate.probe import find_contact_patch
-from palpate.records import Contact, ContactProfile
+from palpate.records import Contact
 
 NOBODY = np.array([], dtype=np.int64)
 TOP = np.array([0.5, 0.5, 1.0])
 
 
 def contact(point=TOP, radius=0.2, profile="smooth"):
-    return Contact(point=np.asarray(point, float), radius=radius, profile=ContactProfile(profile))
+    return Contact(point=np.asarray(point, float), radius=radius, profile=profile)
 
 
 def patch_on_cube(held=NOBODY, **options):

@@ -10,7 +10,7 @@ from palpate.errors import InputError
 from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, vertex_normals
 from palpate.lab.bodies import Body, Press, Tip, press, press_to_force, rod, solve_finite
 from palpate.lab.config import Arm, Probe
-from palpate.records import Camera, Contact, ContactProfile, camera_centre
+from palpate.records import Camera, Contact, camera_centre
 from palpate.shapes import Vector3
 
 # A point this far off the surface, in radii of the tip, was not meant to be on it.
@@ -169,7 +169,7 @@ def contact_told(probed: Probed) -> Contact:
     even one over its face.
     """
     tip = probed.tip
-    profile = ContactProfile.UNIFORM if tip.flat else ContactProfile.HERTZ
+    profile = "uniform" if tip.flat else "hertz"
     radius = tip.radius if tip.flat else probed.states[-1].radius
     return Contact(point=probed.probe.point, radius=radius, profile=profile)
 

@@ -41,7 +41,7 @@ def probe_of_session(config: LabConfig, found: Probed, rng: np.random.Generator)
         {
             "name": probe.name,
             "contact": {
-                "point": contact.point, "radius": contact.radius, "profile": contact.profile.value,
+                "point": contact.point, "radius": contact.radius, "profile": contact.profile,
             },
             "force": force,
             "force_std": sigma or None,

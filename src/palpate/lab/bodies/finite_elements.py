@@ -23,7 +23,7 @@ from palpate.lab.bodies.quadratic_elements import (
 )
 from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
 from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, skin
-from palpate.records import Contact, ContactProfile
+from palpate.records import PRESSURES, Contact
 from palpate.shapes import Points, Vector3
 
 # Barycentric coordinates of a six-node triangle's nodes.
@@ -202,8 +202,8 @@ def traction_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nd
     """
     if contact.radius is None:
         raise InputError(
-            f"the contact profile is '{contact.profile.value}', which needs a boundary element"
-            " mesh; a virtual specimen takes smooth, uniform or hertz, with a radius"
+            f"the contact profile is '{contact.profile}', which needs a boundary element"
+            f" mesh; a virtual specimen takes one of {', '.join(PRESSURES)}, with a radius"
         )
     outside = skin(solid.nodes, solid.facets)
     first = closest_points(outside, contact.point[None])
@@ -216,11 +216,10 @@ def traction_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nd
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     # A thin body's far side faces away from the tool.
     facing = normals @ normals[first.triangle[0] // 4] > -0.5
-    radius, profile = contact.radius, contact.profile
+    radius, profile = contact.radius, PRESSURES[contact.profile]
 
     def pressure(position: np.ndarray) -> np.ndarray:
-        s = np.linalg.norm(position - contact.point, axis=-1) / radius
-        return _profile(profile, s)
+        return profile(np.linalg.norm(position - contact.point, axis=-1) / radius)
 
     corners = solid.nodes[solid.facets]
     middle = corners.mean(axis=1)
@@ -228,14 +227,6 @@ def traction_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nd
     near = np.linalg.norm(middle - contact.point, axis=1) < radius + reach
     share = facet_loads(solid, np.flatnonzero(near & facing), pressure)
     return share[:, None] * (force / share.sum())
-
-
-def _profile(profile: ContactProfile, s: np.ndarray) -> np.ndarray:
-    """Pressure at a distance over the radius, up to a factor."""
-    left = np.clip(1.0 - s**2, 0.0, None)
-    if profile is ContactProfile.SMOOTH:
-        return left**2
-    return np.sqrt(left) if profile is ContactProfile.HERTZ else (left > 0.0).astype(float)
 
 
 def facet_loads(
