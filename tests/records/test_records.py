@@ -158,23 +158,15 @@ def test_bad_values_are_refused(make, changes, message):
         make(**changes)
 
 
-def test_contact_needs_a_radius_unless_it_is_a_vertex():
-    point = np.zeros(3)
-    assert Contact(point, None, "vertex").radius is None
-    for radius, profile in ((None, "hertz"), (-1.0, "hertz"), (1.0, "vertex"), (np.nan, "smooth")):
-        with pytest.raises(InputError, match="radius is"):
-            Contact(point, radius, profile)
-
-
-def test_status_names_exactly_what_is_not_told():
+def test_status_names_exactly_what_is_not_identifiable():
     names = ("shear_modulus", "poisson_ratio", "young_modulus")
     seen = set()
     for bits in range(8):
-        told = {name: bool(bits >> i & 1) for i, name in enumerate(names)}
-        status = Status.from_identifiable(told)
+        known = {name: bool(bits >> i & 1) for i, name in enumerate(names)}
+        status = Status.from_identifiable(known)
         seen.add(status)
         if 0 < bits < 7:
-            assert [name in status.value for name in names] == [not told[name] for name in names]
+            assert [name in status.value for name in names] == [not known[name] for name in names]
     assert seen == set(Status) - {Status.NOT_CONVERGED}
     assert Status.from_identifiable(dict.fromkeys(names, True)) is Status.OK
     with pytest.raises(InputError, match="identifiable has the keys"):

@@ -31,7 +31,7 @@ class CompressionRecord:
     displacement : (n,) float [m]          shortening of the cylinder
     force : (n,) float [N]                 on its ends
     source : str                           the file
-    diameter, height : float [m] or None   where lines above the columns tell them
+    diameter, height : float [m] or None   where lines above the columns give them
     notes : tuple of str                   units assumed, signs turned, in full sentences
     """
 
@@ -82,7 +82,7 @@ def read_compression(
     """Shortening and force from a text file, whatever stands above the columns.
 
     Columns are split at commas, semicolons, tabs or blanks. A line of names right above the
-    numbers selects the columns (Compression, Displacement, Load, Force, ...) and tells their
+    numbers selects the columns (Compression, Displacement, Load, Force, ...) and gives their
     units (`Load (N)`, `Compression [mm]`); without names, the file has two columns: displacement
     and force. Lines like `Cylinder Diameter: 50mm;` are read too.
 

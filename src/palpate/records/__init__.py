@@ -1,10 +1,10 @@
-"""Records that cross rooms, and their files.
+"""What was measured and what was estimated, as records that cross rooms, and their files.
 
-Purpose    : frozen dataclasses for what was measured and what was estimated; read and write them.
-Takes      : session folders, displacement files, camera calibrations, estimate.json.
-Gives      : `Session`, `Probing`, `DisplacementField`, `Rig`, `Estimate`.
-Depends on : `geometry`, `errors`, `shapes`.
-Read first : `probing.py`, `session.py`, then `session_files.py`.
+Purpose    : frozen dataclasses that check themselves, and everything that reads or writes them.
+Takes      : session folders, displacement CSV, rig.toml, estimate.json, files of other programs.
+Gives      : `Session`, `Probing`, `Contact`, `DisplacementField`, `Rig`, `Estimate`, in SI units.
+Depends on : `geometry`, `arrays`, `optional_imports`, `shapes`, `errors`.
+Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
 from palpate.records.contact import PRESSURES as PRESSURES, Contact as Contact, Pressure as Pressure
@@ -78,6 +78,7 @@ from palpate.records.text import (
     Column as Column,
     TextTable as TextTable,
     TomlTable as TomlTable,
+    json_text as json_text,
     make_table as make_table,
     read_toml as read_toml,
     split_cells as split_cells,

@@ -163,9 +163,9 @@ def _metres(
         return LENGTH_UNITS[unit], ()
     if usual is None:
         raise RecordError(
-            f"{path}: does not tell its unit of length; say it with --length-unit ({names})"
+            f"{path}: does not say its unit of length; say it with --length-unit ({names})"
         )
-    note = f"It does not tell its unit of length; {usual} was taken (--length-unit)."
+    note = f"It does not say its unit of length; {usual} was taken (--length-unit)."
     return LENGTH_UNITS[usual], (note,)
 
 

@@ -24,7 +24,7 @@ class DisplacementField:
     surface : SurfacePoints         where the points sit on the mesh
     source : str                    file they came from, for messages
     scale_error : float [-]         relative standard deviation of all displacements together, which
-                                    no single one shows; 0 unless told
+                                    no single one shows; 0 where unknown
 
     Raises
     ------

@@ -269,10 +269,9 @@ def chosen_frame(path: Path, frame: int | None, count: int = 1) -> tuple[int, tu
     return frame % count, ()
 
 
-def camera_matrix(
-    fx: float, fy: float, cx: float, cy: float, skew: float = 0.0
-) -> Float[np.ndarray, "3 3"]:
-    """Intrinsic matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], all in pixels."""
+def camera_matrix(inner: Sequence[float] | np.ndarray, skew: float = 0.0) -> Matrix3:
+    """Intrinsic matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] of fx fy cx cy, all in pixels."""
+    fx, fy, cx, cy = inner
     return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 

@@ -2,10 +2,17 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 from surfaces import box
 
 from palpate.errors import RecordError
-from palpate.records import observed_rows, read_displacement, write_displacement
+from palpate.geometry import closest_points
+from palpate.records import (
+    DisplacementField,
+    observed_rows,
+    read_displacement,
+    write_displacement,
+)
 
 CUBE = box(size=(0.04, 0.04, 0.04), cells=4)
 HEAD = "x,y,z,ux,uy,uz"
@@ -75,6 +82,36 @@ def test_round_trip_through_another_unit(tmp_path, csv_file):
     again, _ = read_displacement(tmp_path / "mm.csv", CUBE, metres_per_unit=0.001)
     # One division and one multiplication: two roundings.
     np.testing.assert_allclose(again.displacement, field.displacement, rtol=5e-16)
+
+
+PLACES = st.tuples(st.floats(0.0, 0.04), st.floats(0.0, 0.04))
+MOVES = st.none() | st.tuples(*[st.floats(-1e3, 1e3)] * 3)
+STDS = st.tuples(*[st.floats(1e-300, 1e3)] * 3)
+
+
+@given(
+    rows=st.lists(st.tuples(PLACES, MOVES, STDS), min_size=1, max_size=6).filter(
+        lambda rows: any(move is not None for _, move, _ in rows)
+    ),
+    with_std=st.booleans(),
+)
+def test_whatever_is_written_is_read_back(tmp_path_factory, rows, with_std):
+    """In metres every digit of points, displacements, deviations and NaN rows comes back."""
+    path = tmp_path_factory.mktemp("law") / "a.csv"
+    points = np.array([[x, y, 0.04] for (x, y), _, _ in rows])
+    moved = np.array([(np.nan,) * 3 if move is None else move for _, move, _ in rows])
+    std = np.array([std for _, _, std in rows]) if with_std else None
+    surface = closest_points(CUBE, points)
+    field = DisplacementField(points, moved, std, None, surface, "memory")
+    write_displacement(path, field)
+    again, notes = read_displacement(path, CUBE)
+    assert notes == ()
+    np.testing.assert_array_equal(again.points, field.points)
+    np.testing.assert_array_equal(again.displacement, field.displacement)
+    if with_std:
+        np.testing.assert_array_equal(again.std, std)
+    else:
+        assert again.std is None
 
 
 def test_unknown_columns_are_left_out_and_said(csv_file):

@@ -12,7 +12,9 @@ from program_files import (
 from palpate.errors import RecordError
 from palpate.records import read_rig, write_rig
 from palpate.records.probing import measured_rows
-from palpate.records.programs.registry import import_kinds, read_measured
+from palpate.records.program import Program, ProgramPoints, camera_matrix, make_pose
+from palpate.records.programs import registry
+from palpate.records.programs.registry import import_kinds, kinds_text, read_measured
 from palpate.vision import project
 
 VIC3D = '"x","y","u","v","sigma","X","Y","Z","U","V","W"'
@@ -25,17 +27,52 @@ MATCHID = (
 )
 
 
-def test_kinds_are_those_of_the_command():
-    assert list(import_kinds()) == [
-        "dice",
-        "vic3d",
-        "matchid",
-        "pyvale",
-        "opencorr",
-        "multidic",
-        "duodic",
-        "vtu",
-    ]
+def test_kinds_of_the_command():
+    kinds = ["dice", "vic3d", "matchid", "pyvale", "opencorr", "multidic", "duodic", "vtu"]
+    assert list(import_kinds()) == kinds
+    assert kinds_text().startswith("dice (.txt, .e), vic3d (.csv), ")
+    assert "multidic or duodic (.mat)" in kinds_text()
+
+
+def test_a_new_program_is_one_line(tmp_path, monkeypatch):
+    """A toy program with a calibration and displacements is registered, and both are read."""
+
+    def read_points(path, frame):
+        values = np.loadtxt(path, ndmin=2)
+        return ProgramPoints(values[:, :3], values[:, 3:])
+
+    def read_toy_rig(file):
+        inner = [float(word) for word in file.content.split()[1:]]
+        poses = [make_pose(np.eye(3), np.array([x, 0.0, 0.5])) for x in (0.0, 0.1)]
+        cameras = [
+            file.camera(name, matrix=camera_matrix(inner), distortion=(), pose=pose)
+            for name, pose in zip("ab", poses, strict=True)
+        ]
+        return file.rig(cameras)
+
+    toy = Program(
+        kinds=("toy",),
+        results=".toy",
+        read_points=read_points,
+        usual_unit="um",
+        calibrations="Toy (.cal)",
+        holds_rig=lambda file: str(file.content).startswith("TOY"),
+        read_rig=read_toy_rig,
+    )
+    monkeypatch.setattr(registry, "PROGRAMS", [*registry.PROGRAMS, toy])
+    (tmp_path / "a.toy").write_text("1 2 3 0.1 0.2 0.3\n4 5 6 nan 0 0\n")
+    measured = read_measured("toy", tmp_path / "a.toy")
+    # 1 um in metres is exact to a rounding.
+    np.testing.assert_allclose(measured.points[1], [4e-6, 5e-6, 6e-6], rtol=1e-15)
+    assert measured_rows(measured.displacement).tolist() == [True, False]
+    assert measured.notes[0].startswith("It does not say its unit of length; um was taken")
+    (tmp_path / "a.cal").write_text("TOY 900 910 320 240")
+    rig = read_rig(tmp_path / "a.cal")
+    assert [camera.name for camera in rig.cameras] == ["a", "b"]
+    assert rig.cameras[0].matrix[1, 1] == 910.0
+    (tmp_path / "b.cal").write_text("nothing")
+    with pytest.raises(RecordError, match=r"known are rig.toml, .*, Toy \(.cal\)$"):
+        read_rig(tmp_path / "b.cal")
 
 
 def test_unknown_kind():

@@ -29,7 +29,7 @@ def test_vic3d(tmp_path):
     measured = read_measured("vic3d", path)
     check_four_points(measured, nowhere=True)
     assert (measured.source, measured.std) == (str(path), None)
-    assert measured.notes == ("It does not tell its unit of length; mm was taken (--length-unit).",)
+    assert measured.notes == ("It does not say its unit of length; mm was taken (--length-unit).",)
 
 
 def test_vic3d_perfect_match_is_no_failure(tmp_path):

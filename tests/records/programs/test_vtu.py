@@ -76,5 +76,5 @@ def test_vtu_needs_its_package(tmp_path, monkeypatch):
 
 def test_vtu_needs_a_unit(tmp_path):
     path = _write_vtu(tmp_path / "a.vtu", {"u": MOVE})
-    with pytest.raises(RecordError, match="does not tell its unit of length; say it with --length"):
+    with pytest.raises(RecordError, match="does not say its unit of length; say it with --length"):
         read_measured("vtu", path)

@@ -1,4 +1,11 @@
-"""files."""
+"""Palpate's own files: session.toml, displacement CSV, rig.toml, estimate.json, result folders.
+
+Purpose    : each format in one file, read with messages that name file, table and key.
+Takes      : paths, and records to write.
+Gives      : records in SI units; files and folders that appear whole or not at all.
+Depends on : `records`, `records.text`, `records.programs`, `geometry`, `shapes`, `errors`.
+Read first : `session.py`, then `atomic.py`.
+"""
 
 from palpate.records.files.atomic import (
     default_folder as default_folder,

@@ -1,11 +1,11 @@
 """Programs of others whose calibrations and displacements Palpate reads, one file each.
 
 Purpose    : every program's names, units, signs of failure and camera conventions in one place.
-Takes      : their result and calibration files; a program more is one new file with a `Program` and
-             its name in the list of `registry.py`.
+Takes      : its result and calibration files. To add a program: one new file that ends in a
+             `Program`, and one line for it in the list `PROGRAMS` of `registry.py`.
 Gives      : a `Rig`, or `MeasuredPoints` in metres.
-Depends on : records/program.py, records/measured_points.py, records/text.
-Read first : `registry.py`, then `opencorr.py` (the shortest).
+Depends on : `records`, `records.text`, `optional_imports`, `shapes`, `errors`.
+Read first : `registry.py`, then `opencorr.py`, the shortest.
 """
 
 from palpate.records.programs.registry import (

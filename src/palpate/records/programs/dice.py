@@ -224,7 +224,7 @@ def _camera(
     if "IMAGE_HEIGHT_WIDTH" in values:
         size = file.size(_row(values["IMAGE_HEIGHT_WIDTH"])[::-1])
     inner = [file.number(values, key, where) for key in ("FX", "FY", "CX", "CY")]
-    matrix = camera_matrix(*inner, skew)
+    matrix = camera_matrix(inner, skew)
     return file.camera(name, size=size, matrix=matrix, distortion=lens, pose=pose)
 
 

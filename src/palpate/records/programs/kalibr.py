@@ -58,7 +58,7 @@ def _camera(file: CalibrationFile, name: str, table: Mapping[str, Any], pose: np
     return file.camera(
         name,
         size=file.size(table.get("resolution")),
-        matrix=camera_matrix(*inner),
+        matrix=camera_matrix(inner),
         distortion=file.numbers(f"{name} distortion_coeffs", terms, None),
         pose=pose,
     )

@@ -125,7 +125,7 @@ def _camera(
 
     inner = [number(key) for key in ("fx", "fy", "cx", "cy")]
     lens = [number(key, missing=0.0) for key in ("kappa 1", "kappa 2", "p1", "p2", "kappa 3")]
-    matrix = camera_matrix(*inner, number("fs", missing=0.0))
+    matrix = camera_matrix(inner, number("fs", missing=0.0))
     return file.camera(str(index), matrix=matrix, distortion=lens, pose=pose)
 
 

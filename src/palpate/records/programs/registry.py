@@ -21,7 +21,7 @@ from palpate.records.programs.vtu import VTU
 from palpate.records.rig import Rig
 
 # A program more: its file beside these, and its name here.
-PROGRAMS: list[Program] = [
+PROGRAMS: tuple[Program, ...] = (
     DICE,
     VIC3D,
     MATCHID,
@@ -31,7 +31,7 @@ PROGRAMS: list[Program] = [
     VTU,
     KALIBR,
     OPENCV,
-]
+)
 
 
 def import_kinds() -> dict[str, Program]:

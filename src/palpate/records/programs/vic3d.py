@@ -118,7 +118,7 @@ def _camera(
     return file.camera(
         name,
         size=sizes.get(name),
-        matrix=camera_matrix(fx, fy, cx, cy, skew),
+        matrix=camera_matrix((fx, fy, cx, cy), skew),
         distortion=(k1, k2, 0.0, 0.0, k3),
         pose=make_pose(rotation_from_angles(outer[:3]), metres * outer[3:]),
     )

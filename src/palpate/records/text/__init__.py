@@ -1,4 +1,11 @@
-"""text."""
+"""Text files: TOML with messages that name the key, tables of numbers in any locale, JSON.
+
+Purpose    : one reader for each kind of text, whoever wrote it.
+Takes      : paths.
+Gives      : `TomlTable`, `TextTable`, whole files as bytes or text.
+Depends on : `shapes`, `errors`.
+Read first : `toml_table.py`, then `csv_table.py`.
+"""
 
 from palpate.records.text.csv_table import (
     Column as Column,
