@@ -24,8 +24,8 @@ _ADVICE = {
     "shear_modulus" + _SUFFIX: f"the shear modulus is not identifiable: {_SCALE_CURE}",
     "young_modulus" + _SUFFIX: f"Young's modulus is not identifiable: {_SCALE_CURE}",
     "shear_modulus_and_poisson_ratio" + _SUFFIX: (
-        "only Young's modulus is identifiable, as in bending or stretching far from the contact; G and"
-        f" nu follow only together: {_TANGENTIAL_CURE}"
+        "only Young's modulus is identifiable, as in bending or stretching far from the contact; G"
+        f" and nu follow only together: {_TANGENTIAL_CURE}"
     ),
     "poisson_ratio_and_young_modulus" + _SUFFIX: (
         f"only the shear modulus is identifiable: {_TANGENTIAL_CURE}"

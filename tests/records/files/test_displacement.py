@@ -89,6 +89,7 @@ MOVES = st.none() | st.tuples(*[st.floats(-1e3, 1e3)] * 3)
 STDS = st.tuples(*[st.floats(1e-300, 1e3)] * 3)
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     rows=st.lists(st.tuples(PLACES, MOVES, STDS), min_size=1, max_size=6).filter(
         lambda rows: any(move is not None for _, move, _ in rows)

@@ -62,6 +62,7 @@ PROBES = st.builds(
 )
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     constants=st.tuples(CONSTANTS, CONSTANTS, CONSTANTS),
     probes=st.lists(PROBES, max_size=3),

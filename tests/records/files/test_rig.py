@@ -55,6 +55,7 @@ def _assert_same(one, other):
 LENGTHS = st.floats(-10.0, 10.0)
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     cameras=st.lists(
         st.tuples(

@@ -165,6 +165,7 @@ def test_only_the_named_key_changes_however_the_tables_are_written(text):
     assert changed == before
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     extra=st.lists(
         st.sampled_from(["", "# note", "force_std = 1", "tip = [1,\n  2] # N", "x.y = 'z'"]),
