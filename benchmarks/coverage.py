@@ -12,8 +12,6 @@ from jaxtyping import Float
 
 from palpate.estimation import FitSettings, ProbeObservations, cramer_rao_bound, fit
 
-__all__ = ["Coverage", "Disturbance", "disturbed", "measured_coverage"]
-
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
 
 

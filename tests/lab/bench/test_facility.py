@@ -57,8 +57,8 @@ def test_readings_are_the_truth_with_the_sensors_noise(made):
     force = np.array(truth["force"])
     assert np.abs(probing.force - force).max() < 5 * 0.002
     assert (probing.force != force).all()
-    way = truth["depth"] * np.array(truth["direction"])
-    assert np.abs(probing.tip_displacement - way).max() < 5 * 5e-5
+    travel = truth["depth"] * np.array(truth["direction"])
+    assert np.abs(probing.tip_displacement - travel).max() < 5 * 5e-5
     np.testing.assert_allclose(probing.force_std, 0.002)
     np.testing.assert_allclose(probing.tip_displacement_std, 5e-5)
 
@@ -157,10 +157,14 @@ def test_sessions_made_together_are_those_made_alone(made, tmp_path, monkeypatch
     for _, folder in wanted:
         folder.mkdir()
     bodies = []
-    monkeypatch.setattr(facility, "make_body", lambda *told, **named: bodies.append(
-        make_body(*told, **named)) or bodies[-1])  # fmt: skip
+
+    def counted(*arguments, **options):
+        bodies.append(make_body(*arguments, **options))
+        return bodies[-1]
+
+    monkeypatch.setattr(facility, "make_body", counted)
     make_sessions(wanted, variant=choose_variant())
-    # One body for both balls, and the one of them that is told the same comes out the same.
+    # One body for both balls, and the one with the same configuration comes out the same.
     assert len(bodies) == 1
     for alone, folder in (("ball", "a"), ("toy", "b")):
         names = sorted(file.relative_to(made[alone]) for file in made[alone].rglob("*.*"))

@@ -7,25 +7,20 @@ import pytest
 from vision.scenes import LENS, STILL, example, example_views, noisy_views, projected
 
 from palpate.errors import InputError
-from palpate.vision.images.features import find_features
-from palpate.vision.images.normalisation import make_even_picture
-from palpate.vision.stereo.pair_disparity import PairView, make_view, stereo_start
+from palpate.vision.images.features import find_features, prepare_pictures
+from palpate.vision.images.normalisation import make_normalised_image
+from palpate.vision.stereo.pair_disparity import stereo_start
 
 
-def _pair(count: int, lens: tuple[float, ...], other: int, roll: float = 0.0):
-    """The first and another view of the example, the other's calibration rolled about its axis."""
+def _pair(count: int, lens: tuple[float, ...], roll: float = 0.0):
+    """The example's views; the second's calibration rolled about its axis."""
     stage = example(count, lens)
     views = noisy_views(example_views("still", count, lens), 1.0, seed=count)
-    pair: list[PairView] = []
-    for k in (0, other):
-        camera = stage.rig.cameras[k]
-        if k and roll:
-            turn = np.eye(4)
-            turn[:2, :2] = [[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]]
-            camera = replace(camera, T_camera_object=turn @ camera.T_camera_object)
-        even = make_even_picture(views[k])
-        pair.append(make_view(camera, even, find_features(even)))
-    return stage, pair
+    cameras = list(stage.rig.cameras)
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]]
+    cameras[1] = replace(cameras[1], T_camera_object=turn @ cameras[1].T_camera_object)
+    return stage, prepare_pictures(replace(stage.rig, cameras=tuple(cameras)), views)
 
 
 def _truth(stage, pixel, other):
@@ -43,8 +38,8 @@ PIXEL = PIXEL.reshape(-1, 2)
 
 @pytest.mark.parametrize(("count", "lens", "other"), [(2, (), 1), (3, LENS, 2), (4, (), 3)])
 def test_matches_and_gradients_are_near_the_truth(count, lens, other):
-    stage, pair = _pair(count, lens, other)
-    start = stereo_start(*pair, PIXEL, half=10)
+    stage, pictures = _pair(count, lens)
+    start = stereo_start(pictures, other, PIXEL, half=10)
     displacement, gradient = _truth(stage, PIXEL, other)
     found = np.isfinite(start.displacement).all(axis=1)
     assert found.mean() > 0.95
@@ -60,8 +55,8 @@ def test_matches_and_gradients_are_near_the_truth(count, lens, other):
 
 def test_rows_that_differ_are_corrected_from_features():
     """Rolled by two degrees the rows of the rectified pair differ by up to 3 px, both ways."""
-    stage, pair = _pair(2, (), 1, roll=np.radians(2.0))
-    start = stereo_start(*pair, PIXEL, half=10)
+    stage, pictures = _pair(2, (), roll=np.radians(2.0))
+    start = stereo_start(pictures, 1, PIXEL, half=10)
     displacement, _ = _truth(stage, PIXEL, 1)
     found = np.isfinite(start.displacement).all(axis=1)
     assert found.mean() > 0.9
@@ -69,14 +64,9 @@ def test_rows_that_differ_are_corrected_from_features():
     assert np.percentile(gap, 90.0) < 1.0
 
 
-def test_a_depth_range_needs_no_features():
-    stage, pair = _pair(2, (), 1)
-    none = find_features(make_even_picture(np.zeros((50, 50), dtype=np.float32)))
-    blind = [replace(view, features=none) for view in pair]
+def test_too_few_features_are_refused():
+    _, pictures = _pair(2, ())
+    none = find_features(make_normalised_image(np.zeros((50, 50), dtype=np.float32)))
+    blind = replace(pictures, features=(none, none))
     with pytest.raises(InputError, match="'c0' and 'c1' have 0 features in common"):
-        stereo_start(*blind, PIXEL, half=10)
-    start = stereo_start(*blind, PIXEL, half=10, depth_range=(0.27, 0.34))
-    displacement, _ = _truth(stage, PIXEL, 1)
-    found = np.isfinite(start.displacement).all(axis=1)
-    assert found.mean() > 0.95
-    assert np.median(np.abs(start.displacement - displacement)[found]) < 0.3
+        stereo_start(blind, 1, PIXEL, half=10)

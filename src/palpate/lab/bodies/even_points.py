@@ -8,10 +8,17 @@ candidates are fixed sequences, not random numbers: the same surface gives the s
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_normals
+from palpate.geometry import (
+    CREASE_ANGLE,
+    Sides,
+    TriangleMesh,
+    closest_points,
+    split_sides,
+    unit_normals,
+)
 from palpate.shapes import Points, PointScalars
 
 Spacing = Callable[[np.ndarray], np.ndarray]
@@ -142,7 +149,9 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     # An edge's pseudonormal is the sum of its two faces' normals; the offset is perpendicular to
     # the edge, so the face of the nearest triangle alone has the wrong sign only for ties across
     # a sharp edge, which the sum settles.
-    edge_of, at_edge = _edge_normals(mesh, normals)
+    edge_of = _sides(mesh).edge
+    at_edge = np.zeros((int(edge_of.max()) + 1, 3))
+    np.add.at(at_edge, edge_of, normals[:, None])
     zero = place.barycentric <= 1e-9
     normal = normals[place.triangle].copy()
     on_edge = zero.sum(axis=1) == 1
@@ -154,27 +163,13 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     return np.einsum("na,na->n", points - place.position, normal) < 0.0
 
 
-def _edge_normals(
-    mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]
-) -> tuple[Int[np.ndarray, "m 3"], Float[np.ndarray, "e 3"]]:
-    """Edge from corner i to i + 1 of every triangle, and the sum of its faces' normals."""
-    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2)
-    _, where = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
-    where = where.reshape(-1, 3)
-    total = np.zeros((int(where.max()) + 1, 3))
-    np.add.at(total, where, normals[:, None])
-    return where, total
-
-
 def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
     """Corners where sharp edges end or turn, then points along the sharp edges."""
     normals = unit_normals(mesh)
+    sides = _sides(mesh)
     ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    edge, where = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    order = np.argsort(where.ravel(), kind="stable") // 3
-    pair = order.reshape(-1, 2)
-    turn = np.einsum("ea,ea->e", normals[pair[:, 0]], normals[pair[:, 1]])
-    edge = edge[turn < np.cos(CREASE_ANGLE)]
+    _, first = np.unique(sides.edge, return_index=True)
+    edge = np.sort(ends[first[sides.cut]], axis=1)
     along = mesh.vertices[edge[:, 1]] - mesh.vertices[edge[:, 0]]
     along /= np.linalg.norm(along, axis=1)[:, None]
     degree = np.bincount(edge.ravel(), minlength=len(mesh.vertices))
@@ -194,6 +189,11 @@ def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
             [np.stack(ends, axis=1) for ends in ((start, middle), (middle, end))]
         )
     return np.concatenate(points)
+
+
+def _sides(mesh: TriangleMesh) -> Sides:
+    """Edges of a mesh, and which of them are sharp."""
+    return split_sides(mesh, np.zeros(len(mesh.triangles), dtype=np.int64))
 
 
 def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " v"]:
