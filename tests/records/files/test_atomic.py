@@ -1,9 +1,11 @@
-"""Result folders appear whole or not at all."""
+"""Files and folders appear whole or not at all."""
+
+import os
 
 import pytest
 
-from palpate.errors import InputError
-from palpate.records.files.result_folder import CONTENTS_FILE, result_folder
+from palpate.errors import InputError, RecordError
+from palpate.records.files.atomic import CONTENTS_FILE, placed_files, result_folder
 
 
 def _make(target, **files):
@@ -80,6 +82,70 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path):
     with pytest.raises(InputError, match="is not a folder; choose another name"):
         work(tmp_path / "file")
     # A system folder in which not even the administrator can make a folder.
-    with pytest.raises(InputError, match=r"/proc/result: the result folder cannot be written \("):
+    with pytest.raises(InputError, match=r"/proc/result: cannot be written \("):
         work("/proc/result")
     assert ran == []
+
+
+def _names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_files_appear_together(tmp_path):
+    (tmp_path / "b").write_text("old")
+    with placed_files([tmp_path / "a", tmp_path / "b"]) as staged:
+        staged[0].write_text("1")
+        staged[1].write_text("2")
+        assert (tmp_path / "b").read_text() == "old"
+    assert _names(tmp_path) == ["a", "b"]
+    assert (tmp_path / "b").read_text() == "2"
+
+
+def test_files_vanish_together(tmp_path):
+    (tmp_path / "b").write_text("old")
+
+    def spoil():
+        with placed_files([tmp_path / "a", tmp_path / "b"]) as staged:
+            staged[0].write_text("1")
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        spoil()
+    assert _names(tmp_path) == ["b"]
+    assert (tmp_path / "b").read_text() == "old"
+
+
+def test_a_file_that_cannot_take_its_place_brings_the_others_back(tmp_path):
+    (tmp_path / "a").write_text("old")
+
+    def spoil():
+        with placed_files([tmp_path / "a", tmp_path / "b", tmp_path / "c"]) as staged:
+            for path in staged:
+                path.write_text("new")
+            staged[2].unlink()
+
+    with pytest.raises(RecordError, match=r"c: cannot be written .*nothing was changed"):
+        spoil()
+    assert _names(tmp_path) == ["a"]
+    assert (tmp_path / "a").read_text() == "old"
+
+
+def test_a_folder_that_does_not_allow_it(tmp_path):
+    with (
+        pytest.raises(RecordError, match=r"cannot be written .*--out"),
+        placed_files([tmp_path / "a", tmp_path / "none" / "b"]),
+    ):
+        raise AssertionError("the block must not run")
+    assert _names(tmp_path) == []
+
+
+def test_rights_and_links_stay(tmp_path):
+    real = tmp_path / "real"
+    real.write_text("old")
+    real.chmod(0o640)
+    (tmp_path / "link").symlink_to(real)
+    with placed_files([tmp_path / "link"]) as staged:
+        staged[0].write_text("new")
+    assert os.path.islink(tmp_path / "link")
+    assert real.read_text() == "new"
+    assert real.stat().st_mode & 0o777 == 0o640

@@ -8,8 +8,7 @@ from surfaces import box
 
 from palpate.errors import InputError, RecordError
 from palpate.records import observed_rows, read_displacement, write_displacement
-from palpate.records.import_displacement import on_object, on_surface
-from palpate.records.programs.measured_points import MeasuredPoints
+from palpate.records.measured_points import MeasuredPoints, on_object, on_surface
 
 SIDE = 0.04
 NAN = np.full(3, np.nan)
@@ -28,7 +27,7 @@ def _top(count=50):
 
 
 def _measured(points, moved, std=None):
-    return MeasuredPoints(points, moved, std, kind="vic3d", source="a.csv", notes=("A note.",))
+    return MeasuredPoints(points, moved, std, source="a.csv", notes=("A note.",))
 
 
 def _pose(axis=(1.0, 2.0, -0.5), angle=0.7, shift=(0.1, -0.2, 0.3)):
@@ -165,4 +164,4 @@ def test_record_refuses(change, message):
     good = {"points": np.ones((3, 3)), "displacement": np.ones((3, 3)), "std": None}
     # Wrong shapes reach the constructor from untyped callers.
     with pytest.raises((InputError, TypeError), match=message if "points" not in change else None):
-        MeasuredPoints(**(good | change), kind="vic3d", source="a.csv", notes=())
+        MeasuredPoints(**(good | change), source="a.csv", notes=())

@@ -1,12 +1,12 @@
-"""Result folders that appear whole or not at all."""
+"""Files and folders that appear whole or not at all."""
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from palpate.errors import InputError
+from palpate.errors import InputError, RecordError
 
 CONTENTS_FILE = "contents.txt"
 _MARK = "palpate result folder; files:"
@@ -32,6 +32,39 @@ def default_folder(session: Path, what: str) -> Path:
 
 
 @contextmanager
+def placed_files(targets: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+    """Files to write to; they take their final names when the block ends well, else vanish.
+
+    Older files of these names are replaced in the order given; where one cannot be, those before
+    it are put back.
+
+    Parameters
+    ----------
+    targets : sequence of Path      final names, in folders that are there
+
+    Yields
+    ------
+    tuple of Path                   beside the targets, empty, under other names
+
+    Raises
+    ------
+    RecordError                     one cannot be written; raised before the block runs where the
+                                    folder does not allow it
+    """
+    finals = [Path(os.path.realpath(target)) for target in targets]
+    staged = [_staging(final) for final in finals]
+    try:
+        for path, final in zip(staged, finals, strict=True):
+            with _refused(final):
+                path.touch()
+        yield tuple(staged)
+        _put_in_place(staged, finals)
+    finally:
+        for path in staged:
+            path.unlink(missing_ok=True)
+
+
+@contextmanager
 def result_folder(target: Path | str) -> Iterator[Path]:
     """A folder to write into; it takes its final name when the block ends well, else vanishes.
 
@@ -52,18 +85,17 @@ def result_folder(target: Path | str) -> Iterator[Path]:
     """
     target = Path(os.path.abspath(target))
     _check_target(target)
-    staging = target.parent / f".{target.name}.{os.getpid()}.partial"
+    staging = _staging(target)
     try:
-        shutil.rmtree(staging, ignore_errors=True)
-        staging.mkdir()
-    except OSError as error:
-        raise InputError(
-            f"{target}: the result folder cannot be written ({error.strerror});"
-            " choose another place with --out"
-        ) from error
-    try:
+        with _refused(target):
+            shutil.rmtree(staging, ignore_errors=True)
+            staging.mkdir()
         yield staging
-        _finish(staging, target)
+        names = sorted(str(path.relative_to(staging)) for path in staging.rglob("*"))
+        with _refused(target):
+            lines = "\n".join([_MARK, *names]) + "\n"
+            (staging / CONTENTS_FILE).write_text(lines, encoding="utf-8")
+        _put_in_place([staging], [target])
     finally:
         shutil.rmtree(staging, ignore_errors=True)
 
@@ -86,6 +118,53 @@ def disk_errors(folder: Path) -> Iterator[None]:
         raise InputError(
             f"{error.filename or folder}: cannot be written ({error.strerror}); nothing was left:"
             " choose another place with --out"
+        ) from error
+
+
+def _staging(final: Path) -> Path:
+    return final.with_name(f".{final.name}.{os.getpid()}.partial")
+
+
+def _put_in_place(staged: Sequence[Path], finals: Sequence[Path]) -> None:
+    """Give files or folders their names; the older ones go only when all of that has worked."""
+    placed: list[tuple[Path, Path]] = []
+    try:
+        for path, final in zip(staged, finals, strict=True):
+            older = path.with_suffix(".older")
+            with _refused(final):
+                if final.is_file():
+                    shutil.copymode(final, path)
+                if final.exists():
+                    final.rename(older)
+                placed.append((final, older))
+                path.rename(final)
+    except RecordError:
+        for final, older in reversed(placed):
+            _remove(final)
+            if older.exists():
+                older.rename(final)
+        raise
+    for _, older in placed:
+        _remove(older)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _refused(final: Path) -> Iterator[None]:
+    """Name the file or folder that a disk refuses within the block."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(
+            f"{final}: cannot be written ({error.strerror}); nothing was changed: check the"
+            " folder's rights, or choose another place with --out"
         ) from error
 
 
@@ -116,31 +195,3 @@ def _written(target: Path) -> set[str]:
         return set()
     lines = contents.read_text(encoding="utf-8", errors="replace").splitlines()
     return {*lines[1:], CONTENTS_FILE} if lines and lines[0] == _MARK else set()
-
-
-def _finish(staging: Path, target: Path) -> None:
-    """List what was written, and give the folder its name."""
-    names = sorted(str(path.relative_to(staging)) for path in staging.rglob("*"))
-    try:
-        (staging / CONTENTS_FILE).write_text("\n".join([_MARK, *names]) + "\n", encoding="utf-8")
-        _put_in_place(staging, target)
-    except OSError as error:
-        raise InputError(
-            f"{target}: the result cannot be put in place ({error.strerror}); nothing was left:"
-            " choose another place with --out"
-        ) from error
-
-
-def _put_in_place(staging: Path, target: Path) -> None:
-    """Give the finished folder its name; the older one goes only when that has worked."""
-    if not target.exists():
-        staging.rename(target)
-        return
-    older = staging.with_suffix(".older")
-    target.rename(older)
-    try:
-        staging.rename(target)
-    except OSError:
-        older.rename(target)
-        raise
-    shutil.rmtree(older)

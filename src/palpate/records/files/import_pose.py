@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from palpate.records.programs import LENGTH_UNITS
+from palpate.records.program import nearest_rotation
+from palpate.records.quantities import LENGTH_UNITS
 from palpate.records.text import TomlTable, read_toml
 
 # Four typed digits leave a rotation this far from orthogonal; more is a slip of the pen.
-_TYPED = 1e-3
-_ROUNDING = 1e-9
+_MAX_TYPED_ERROR = 1e-3
+_MAX_ROUNDING_ERROR = 1e-9
 _EXAMPLE = 'length_unit = "mm", R = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], t = [0, 0, 0]'
 
 
@@ -49,7 +50,7 @@ def read_import_pose(path: Path | str) -> tuple[Float[np.ndarray, "4 4"], tuple[
     rotation, error = _rotation(table, pose[:3, :3])
     pose[:3, :3] = rotation
     pose[:3, 3] *= unit
-    if error < _ROUNDING:
+    if error < _MAX_ROUNDING_ERROR:
         return pose, ()
     return pose, (
         f"{path}: R was made orthogonal; it was {error:.1g} off (typed with few digits?).",
@@ -72,7 +73,7 @@ def _rotation(table: TomlTable, given: np.ndarray) -> tuple[np.ndarray, float]:
     """The rotation nearest to a matrix that nearly is one, and how far it was."""
     error = float(np.abs(given @ given.T - np.eye(3)).max())
     turn = float(np.linalg.det(given))
-    if error > _TYPED:
+    if error > _MAX_TYPED_ERROR:
         table.fail(
             "R", f"is no rotation: R R^T is {error:.2g} off the identity; check its rows and digits"
         )
@@ -82,5 +83,4 @@ def _rotation(table: TomlTable, given: np.ndarray) -> tuple[np.ndarray, float]:
             "is a mirror image (determinant -1); both frames are right-handed: swap two axes, or"
             " the sign of one",
         )
-    left, _, right = np.linalg.svd(given)
-    return left @ right, error
+    return nearest_rotation(given), error

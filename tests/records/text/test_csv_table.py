@@ -10,7 +10,7 @@ from palpate.records.text.csv_table import read_text_table
 def _read(tmp_path, content):
     path = tmp_path / "a.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
-    return read_text_table(path, program="PROGRAM")
+    return read_text_table(path, cure="CURE")
 
 
 @pytest.mark.parametrize(
@@ -44,16 +44,17 @@ def test_blanks_separate_where_nothing_else_does(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "word", ["", "nan", "NaN", "-nan(ind)", "NeuN", "n. def.", "1.#QNAN", "-inf", "#N/A", "-"]
+    "word", ["", "nan", "NaN", "-nan(ind)", "NeuN", "n. def.", "1.#QNAN", "1.#INF", "#N/A", "-"]
 )
 def test_no_number(tmp_path, word):
     table = _read(tmp_path, f"a,b\n1,{word}\n2,3\n")
     np.testing.assert_array_equal(table.values(table.columns), [[1.0, np.nan], [2.0, 3.0]])
 
 
-def test_infinity_in_plain_numbers(tmp_path):
-    table = _read(tmp_path, "a,b\n1,inf\n")
-    np.testing.assert_array_equal(table.values(table.columns), [[1.0, np.nan]])
+@pytest.mark.parametrize("word", ["inf", "-Infinity", "+Infinito"])
+def test_infinity_is_for_the_caller_to_judge(tmp_path, word):
+    table = _read(tmp_path, f"a,b\n1,{word}\n")
+    assert np.isinf(table.values(table.columns)).tolist() == [[False, True]]
 
 
 def test_words_in_columns_that_are_not_wanted(tmp_path):
@@ -78,10 +79,10 @@ def test_a_row_of_another_length(tmp_path, row):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "is empty; export the points from PROGRAM again"),
+        ("", "is empty; CURE"),
         ("*** only\n\n# this\n", "is empty"),
         ("a,b\n\n", "has a header and no rows"),
-        (b"II*\0\1\2", "is not a text file; export the points from PROGRAM as text"),
+        (b"II*\0\1\2", "is not a text file; CURE"),
     ],
 )
 def test_nothing_to_read(tmp_path, content, message):
@@ -91,4 +92,4 @@ def test_nothing_to_read(tmp_path, content, message):
 
 def test_missing_file(tmp_path):
     with pytest.raises(RecordError, match="cannot be read"):
-        read_text_table(tmp_path / "none.csv", program="PROGRAM")
+        read_text_table(tmp_path / "none.csv", cure="CURE")

@@ -1,16 +1,84 @@
-"""MultiDIC's direct linear transformations."""
+"""MultiDIC and DuoDIC: reconstructions, and direct linear transformations."""
 
 import shutil
 
+import h5py
 import numpy as np
 import pytest
 import scipy.io
+from program_files import (
+    GOOD,
+    MOVE,
+    PLACE,
+    multidic_states,
+    write_mat,
+)
 
 from palpate.errors import CalibrationError, RecordError
-from palpate.records.files.rig import read_rig
-from palpate.records.programs.calibration_multidic import read_control_points
-from palpate.records.programs.calibration_parts import rotation_from_angles
-from palpate.vision.cameras.projection import project
+from palpate.records import read_rig
+from palpate.records.probing import measured_rows
+from palpate.records.program import rotation_from_angles
+from palpate.records.programs.multidic import read_control_points
+from palpate.records.programs.registry import read_measured
+from palpate.vision import project
+
+
+@pytest.mark.parametrize(("kind", "name"), [("duodic", "DIC3D"), ("multidic", "DIC3Dcombined")])
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_multidic(tmp_path, kind, name, version):
+    path = write_mat(tmp_path / "a.mat", name, multidic_states(), version=version)
+    measured = read_measured(kind, path)
+    assert list(measured_rows(measured.displacement)) == list(GOOD)
+    # The difference of two places of 300 mm, each rounded to 6e-14 mm.
+    np.testing.assert_allclose(measured.displacement[GOOD], 1e-3 * MOVE[GOOD], atol=1e-16)
+    np.testing.assert_allclose(measured.points[GOOD], 1e-3 * PLACE[GOOD], atol=1e-16)
+    assert np.isnan(measured.points[~GOOD]).all()
+    half = read_measured(kind, path, frame=1)
+    np.testing.assert_allclose(half.displacement[GOOD], 0.5e-3 * MOVE[GOOD], atol=1e-16)
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_multidic_refusals(tmp_path, version):
+    states = multidic_states()
+    path = tmp_path / "a.mat"
+    for found, message in (
+        (states[:1], "Points3D holds 1 state"),
+        ([state[:, :2] for state in states], "are n x 2; must be n x 3"),
+        ([states[0], states[1][:3], states[2]], "differ in size"),
+    ):
+        with pytest.raises(RecordError, match=message):
+            read_measured("multidic", write_mat(path, "DIC3D", found, version=version))
+    write_mat(path, "DIC3D", states, version=version)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(RecordError, match="is damaged or cut off"):
+        read_measured("multidic", path)
+    write_mat(path, "a", states, version=version)
+    if version == "7.3":
+        with h5py.File(path, "r+") as file:
+            file["b/Points3D"] = file["a/Points3D"]
+        with pytest.raises(RecordError, match=r"several structs with Points3D \(a, b\)"):
+            read_measured("multidic", path)
+
+
+def test_multidic_no_matlab_file(tmp_path):
+    path = tmp_path / "a.mat"
+    path.write_text("x,y,z")
+    with pytest.raises(RecordError, match="is not a MATLAB file of version"):
+        read_measured("multidic", path)
+    path.unlink()
+    with pytest.raises(RecordError, match="cannot be read"):
+        read_measured("multidic", path)
+
+
+def test_multidic_real_files_of_earlier_steps(shared_data):
+    folder = shared_data / "real" / "multidic_pair"
+    file = folder / "speckledObjectImages" / "DIC2DpairResults_C_201_C_202.mat"
+    with pytest.raises(RecordError, match=r"it is the 2-D result of step 2.*DIC2DpairResults"):
+        read_measured("multidic", file)
+    file = folder / "calibrationObjectImages" / "DLTstruct_cam_201.mat"
+    with pytest.raises(RecordError, match=r"no result of step 3.*it has: DLTstructCam$"):
+        read_measured("multidic", file)
 
 
 def _dlt(camera):
@@ -116,7 +184,7 @@ def test_multidic_files_of_another_kind(tmp_path, plain_rig):
         read_rig(tmp_path)
     content = {"indCam": 203, "DLTparams": np.ones(11)}
     scipy.io.savemat(tmp_path / "DLTstruct_cam_203.mat", {"DLTstructCam": content})
-    with pytest.raises(CalibrationError, match="has no C3Dtrue"):
+    with pytest.raises(CalibrationError, match="has no 'C3Dtrue'"):
         read_control_points(tmp_path)
     (tmp_path / "DLTstruct_cam_203.mat").unlink()
     (tmp_path / "DLTstruct_cam_203.mat").mkdir()

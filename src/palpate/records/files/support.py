@@ -4,7 +4,7 @@ import numpy as np
 
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
-from palpate.records.text import TomlTable
+from palpate.records.text import TomlTable, read_text
 from palpate.shapes import Indices
 
 _SELECTORS = ("plane", "box", "triangles")
@@ -91,7 +91,7 @@ def _listed(support: TomlTable, count: int) -> Indices:
     """Triangle indices from a text file, one a line, from 0; `#` starts a comment."""
     path = support.existing_file("triangles")
     found = []
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         word = line.partition("#")[0].strip()
         if not word:
             continue

@@ -1,11 +1,10 @@
-"""Which program wrote a calibration: Kalibr's, unknown ones, and the way into rig.toml."""
+"""Kalibr's chains of cameras."""
 
 import numpy as np
 import pytest
 
-from palpate.errors import CalibrationError, RecordError
-from palpate.records.files.rig import read_rig, write_rig
-from palpate.vision.cameras.projection import project
+from palpate.errors import CalibrationError
+from palpate.records import read_rig
 
 KALIBR = """\
 cam0:
@@ -70,44 +69,3 @@ def test_kalibr_contradictions(tmp_path, old, new, message):
     path.write_text(KALIBR.replace(old, new, 1))
     with pytest.raises(CalibrationError, match=message):
         read_rig(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("a.xml", b"<ParameterList></ParameterList>", "is no camera calibration"),
-        ("a.xml", b"<project><b></project>", "is not valid XML"),
-        ("a.yml", b"%YAML:1.0\n---\na: [1", "is not valid YAML"),
-        ("a.yml", b"- 1\n- 2\n", "holds no names with values"),
-        (
-            "a.yml",
-            b"a: 1\nb: 2\n",
-            r"is no camera calibration \(it holds: a, b\); known are rig.toml",
-        ),
-        ("a.txt", b"hello", "is no camera calibration; known are"),
-        ("a.tif", b"II*\x00\xff\xfe", "is not a text file in UTF-8; known are"),
-    ],
-)
-def test_unknown_files_are_refused(tmp_path, name, content, message):
-    path = tmp_path / name
-    path.write_bytes(content)
-    with pytest.raises(RecordError, match=message):
-        read_rig(path)
-
-
-def test_unreadable_files_are_refused(tmp_path):
-    with pytest.raises(RecordError, match="the folder holds no calibration of a camera"):
-        read_rig(tmp_path)
-    folder = tmp_path / "x"
-    (folder / "a.yml").mkdir(parents=True)
-    with pytest.raises(RecordError, match=r"a\.yml: cannot be read"):
-        read_rig(folder)
-
-
-def test_any_calibration_becomes_a_rig_toml(shared_data, tmp_path):
-    rig = read_rig(shared_data / "real" / "gt4_dspec" / "cal_pyaldic.xml")
-    write_rig(tmp_path / "rig.toml", rig)
-    again = read_rig(tmp_path / "rig.toml")
-    points = np.array([[0.0, 0.0, 0.38], [0.03, -0.01, 0.4]])
-    for one, two in zip(rig.cameras, again.cameras, strict=True):
-        np.testing.assert_allclose(project(two, points), project(one, points), atol=1e-9)
