@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from palpate.errors import InputError
-from palpate.estimation import ProbeObservations, cramer_rao_bound
+from palpate.estimation import ProbeObservations, cramer_rao_bound, poisson_ratio_error
 from palpate.geometry import closest_points
 from palpate.pipeline.fit_session import make_object_model, session_observations
 from palpate.pipeline.measure_motion import SCALE_ERROR
@@ -220,7 +220,7 @@ def _precision(
     """Bound on each constant's standard deviation, with the error of scale of all pictures."""
     bound = cramer_rao_bound(observed, poisson_ratio=poisson, shear_modulus=shear)
     extra = {
-        "poisson_ratio": SCALE_ERROR * (1.0 - poisson) * (1.0 - 2.0 * poisson),
+        "poisson_ratio": poisson_ratio_error(poisson, SCALE_ERROR),
         "shear_modulus": SCALE_ERROR * shear,
         "young_modulus": SCALE_ERROR * 2.0 * shear * (1.0 + poisson),
     }

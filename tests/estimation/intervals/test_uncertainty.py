@@ -6,22 +6,28 @@ import numpy as np
 import pytest
 from estimation.half_space import Cantilever, HalfSpace, half_space_probes, surface_grid
 
-from palpate.estimation import FitSettings, ProbeObservations, cramer_rao_bound, fit
+from palpate.estimation import (
+    FitSettings,
+    IntervalSet,
+    ProbeObservations,
+    cramer_rao_bound,
+    fit,
+)
 from palpate.records import Status
 
-QUICK = FitSettings(bootstrap_count=0, map_size=2)
+FISHER, BOOTSTRAP = FitSettings(interval="fisher"), FitSettings(interval="bootstrap")
 
 
-def _repeats(repeats: int, **options: object) -> list[dict]:
+def _repeats(repeats: int, **options: object) -> list[IntervalSet]:
     found = []
     for seed in range(repeats):
         rng = np.random.default_rng([7, seed])
-        found.append(fit(half_space_probes(rng, **options), settings=QUICK).intervals)
+        found.append(fit(half_space_probes(rng, **options)).intervals)
     return found
 
 
-def _covered(found: list[dict], name: str, truth: float) -> float:
-    ends = [getattr(one["profile"], name).ci95 for one in found]
+def _covered(found: list[IntervalSet], name: str, truth: float) -> float:
+    ends = [getattr(one, name).ci95 for one in found]
     return float(np.mean([low <= truth <= high for low, high in ends]))
 
 
@@ -31,8 +37,8 @@ def test_intervals_cover_and_errors_reach_the_bound(count: int, grid: int) -> No
     for name, truth in (("poisson_ratio", 0.3), ("shear_modulus", 2e4), ("young_modulus", 5.2e4)):
         # 95 % of 80: three standard deviations of a share are 7.3 %.
         assert _covered(found, name, truth) > 0.876, name
-    error = np.array([one["profile"].poisson_ratio.value - 0.3 for one in found])
-    claimed = np.array([one["fisher"].poisson_ratio.std for one in found])
+    error = np.array([one.poisson_ratio.value - 0.3 for one in found])
+    claimed = np.array([one.poisson_ratio.std for one in found])
     pull = np.sqrt(np.mean((error / claimed) ** 2))
     # One with 8 % statistical error; much less means needlessly wide intervals.
     assert 0.78 < pull < 1.24
@@ -40,9 +46,9 @@ def test_intervals_cover_and_errors_reach_the_bound(count: int, grid: int) -> No
 
 def test_profile_is_fisher_for_plenty_of_data() -> None:
     probes = half_space_probes(np.random.default_rng(2), count=8, grid=20, noise=5e-5)
-    sets = fit(probes).intervals
+    by_profile, by_fisher = fit(probes).intervals, fit(probes, settings=FISHER).intervals
     for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
-        fisher, profile = getattr(sets["fisher"], name), getattr(sets["profile"], name)
+        fisher, profile = getattr(by_fisher, name), getattr(by_profile, name)
         # The skewness that is left at a standard error of 0.002, and the profile's grid.
         np.testing.assert_allclose(profile.ci95, fisher.ci95, atol=0.03 * fisher.std, err_msg=name)
 
@@ -53,7 +59,7 @@ def test_bound_is_reached_by_claims() -> None:
         rng = np.random.default_rng(seed)
         probes = half_space_probes(rng, count=5, noise=5e-5, force_noise=0.01)
         bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
-        sets = fit(probes, settings=QUICK).intervals["fisher"]
+        sets = fit(probes, settings=FISHER).intervals
         ratios.append([getattr(sets, name).std / limit for name, limit in bound.items()])
     # Student's t with 8 degrees loses 2 %; one session in ten has probings that disagree by chance.
     assert np.all(np.median(ratios, axis=0) < 1.06)
@@ -74,7 +80,7 @@ def test_correlated_residuals_widen_the_interval() -> None:
     for seed in range(16):
         rng = np.random.default_rng([3, seed])
         probes = [_correlated(p, rng) for p in half_space_probes(rng, count=1, grid=14)]
-        found = fit(probes, settings=QUICK).estimate
+        found = fit(probes).estimate
         bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
         widened.append(found.poisson_ratio.std / bound["poisson_ratio"])
         covered += found.poisson_ratio.ci95[0] <= 0.3 <= found.poisson_ratio.ci95[1]
@@ -175,14 +181,15 @@ def test_intervals_at_the_ends_of_the_range(truth: float) -> None:
     # 95 % of 40: three standard deviations of a share are 10 %.
     assert _covered(found, "poisson_ratio", truth) > 0.84
     assert _covered(found, "shear_modulus", 2e4) > 0.84
-    at_bound = [one["profile"].poisson_ratio for one in found]
+    at_bound = [one.poisson_ratio for one in found]
     assert 0.2 < np.mean([c.value == truth for c in at_bound]) < 0.8
     assert all(0.0 <= c.ci95[0] < c.ci95[1] <= 0.4999 for c in at_bound)
 
 
 def test_bootstrap_and_fisher_agree_roughly_for_many_probings() -> None:
     rng = np.random.default_rng(8)
-    sets = fit(half_space_probes(rng, count=25, grid=8, noise=5e-5, force_noise=0.01)).intervals
-    fisher, bootstrap = sets["fisher"].shear_modulus, sets["bootstrap"].shear_modulus
+    probes = half_space_probes(rng, count=25, grid=8, noise=5e-5, force_noise=0.01)
+    fisher = fit(probes, settings=FISHER).intervals.shear_modulus
+    bootstrap = fit(probes, settings=BOOTSTRAP).intervals.shear_modulus
     # 25 probings: the bootstrap's width is known to 14 %.
     assert bootstrap.std == pytest.approx(fisher.std, rel=0.4)

@@ -7,10 +7,11 @@ from estimation.half_space import half_space_probes, surface_grid
 
 from palpate.estimation import ProbeObservations
 from palpate.estimation.intervals.sandwich import scores_of
-from palpate.estimation.noise.misfit import with_levels
-from palpate.estimation.noise.scoring import scored_minimum
-from palpate.estimation.noise.spatial_correlation import CorrelationFactor, morton_order
+from palpate.estimation.intervals.spatial_correlation import CorrelationFactor, morton_order
+from palpate.estimation.noise.registry import NOISE_MODELS
 from palpate.estimation.observations import observed_rows_of
+from palpate.estimation.search.misfit import Misfit
+from palpate.estimation.search.scoring import scored_minimum
 
 
 def _factor(seed: int, clump: int) -> CorrelationFactor:
@@ -20,7 +21,7 @@ def _factor(seed: int, clump: int) -> CorrelationFactor:
     for probe in half_space_probes(rng, count=4, grid=24):
         probes.append(_clumped(probe, clump, rng))
     rows = [observed_rows_of(probe) for probe in probes]
-    misfit = with_levels(rows, np.ones(8), degrees=8.0, force_degrees=8.0)
+    misfit = Misfit(tuple(rows), np.ones(8), NOISE_MODELS["student-t"])
     minimum = scored_minimum(misfit, 0.3, 2e4, poisson_range=(0.0, 0.4999))
     return scores_of(misfit, minimum.probes)[1].correlation
 

@@ -3,11 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from estimation.half_space import half_space_probes
 
-from palpate.estimation.noise.noise import noise_levels
-from palpate.estimation.noise.student_t import gaussian_moments, score_moments
+from palpate.estimation.noise.levels import noise_levels
 from palpate.estimation.observations import observed_rows_of
 
 
@@ -35,20 +33,3 @@ def test_claims_hold_until_residuals_exceed_them() -> None:
     assert np.all(_levels(0.2, claimed=True) == 1.0)
     assert np.all(_levels(1.0, claimed=True, outliers=0.05) == 1.0)
     np.testing.assert_allclose(_levels(3.0, claimed=True)[4:7], 3.0, rtol=0.08)
-
-
-@pytest.mark.parametrize("components", [1, 3])
-def test_gaussian_moments_are_the_moments_of_gaussian_noise(components: int) -> None:
-    rng = np.random.default_rng(2)
-    squared = (rng.normal(size=(400_000, components)) ** 2).sum(1)
-    count = np.full(len(squared), float(components))
-    # 400 000 draws: 0.3 % of Monte Carlo error.
-    np.testing.assert_allclose(
-        gaussian_moments(components=components, degrees=8.0),
-        score_moments(squared, count, degrees=8.0),
-        rtol=0.01,
-    )
-    # Plain least squares has moments one and one.
-    np.testing.assert_allclose(
-        gaussian_moments(components=components, degrees=1e9), [1.0, 1.0], rtol=1e-6
-    )
