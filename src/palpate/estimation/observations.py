@@ -124,7 +124,6 @@ class ObservedRows:
     components : (p,) float                 measured components of each point, 1 to 3
     point : (p,) int                        index of the point in the probing; n = the tip
     position : (p, 3) float [m]             NaN for the tip
-    point_count : int                       points of the probing, measured or not, without the tip
     force, force_std : (3,) float [N]
     response : ResponseModel
     """
@@ -138,7 +137,6 @@ class ObservedRows:
     components: Float[np.ndarray, " p"]
     point: Int[np.ndarray, " p"]
     position: Float[np.ndarray, "p 3"]
-    point_count: int
     force: Vector3
     force_std: Vector3
     response: ResponseModel
@@ -224,7 +222,6 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         components=count.astype(np.float64),
         point=point.astype(np.int64),
         position=position,
-        point_count=len(probe.position),
         force=probe.force,
         force_std=probe.force_std,
         response=probe.response,

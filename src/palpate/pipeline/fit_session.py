@@ -54,16 +54,14 @@ _FIT_STARTS = 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPoints:
-    """Integral equations at the contact points whose own displacement was measured.
+    """Integral equations for the displacement of the contact points themselves.
 
     Attributes
     ----------
-    place : (p,) int                      row of each patch among them, -1 where not measured
-    equations : PointEquations
+    equations : PointEquations            of every patch
     right : RightHand                     the same columns as those of the system
     """
 
-    place: Int[np.ndarray, " p"]
     equations: PointEquations
     right: RightHand
 
@@ -79,7 +77,7 @@ class ObjectModel:
     patch_of : (k,) int                   which of them each probing has
     right : RightHand                     three columns a contact, then two of gravity, if any
     body : BodyForce or None
-    tips : ContactPoints or None
+    tips : ContactPoints or None          None where no tip was measured
     """
 
     system: BoundarySystem
@@ -178,19 +176,14 @@ def make_object_model(
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
     right, body = _right_hand(system, loads, shapes, weight)
-    measured = np.zeros(len(patches), dtype=bool)
-    measured[patch_of[[probing.tip_displacement is not None for probing in probings]]] = True
     tips = None
-    if measured.any():
-        at = [patches[index] for index in np.flatnonzero(measured)]
+    if any(probing.tip_displacement is not None for probing in probings):
         equations = point_equations(
             system,
-            np.array([patch.triangle for patch in at]),
-            np.array([patch.barycentric for patch in at]),
+            np.array([patch.triangle for patch in patches]),
+            np.array([patch.barycentric for patch in patches]),
         )
-        place = np.where(measured, np.cumsum(measured) - 1, -1)
-        tip_right, _ = _right_hand(equations.system, loads, shapes, weight)
-        tips = ContactPoints(place, equations, tip_right)
+        tips = ContactPoints(equations, _right_hand(equations.system, loads, shapes, weight)[0])
     return ObjectModel(system, patches, patch_of, right, body, tips)
 
 
@@ -325,9 +318,8 @@ def _rows(model: ObjectModel, probing: Probing, patch: int) -> ProbeRows:
 def _tip_rows(
     model: ObjectModel, tips: ContactPoints, patch: int, columns: Int[np.ndarray, " c"]
 ) -> PointRows:
-    row = tips.place[patch]
     right = [
-        tips.equations.by_point(part)[row][:, columns]
+        tips.equations.by_point(part)[patch][:, columns]
         for part in (tips.right.constant, tips.right.slope, tips.right.curvature)
     ]
     particular = np.zeros(3)
@@ -339,7 +331,7 @@ def _tip_rows(
         )
         particular = (at_tip @ model.body.particular)[0]
     return PointRows(
-        tips.equations.matrix[:, row], tips.equations.own[:, row], np.stack(right), particular
+        tips.equations.matrix[:, patch], tips.equations.own[:, patch], np.stack(right), particular
     )
 
 

@@ -83,7 +83,7 @@ def profile_intervals(
     constant's name -> (low, high)      moduli in Pa; infinite where no signal is allowed
     """
     nu = curve.poisson_ratio
-    intervals = {"poisson_ratio": _crossings(nu, curve.height, allowed["poisson_ratio"])}
+    intervals = {"poisson_ratio": crossings(nu, curve.height, allowed["poisson_ratio"])}
     factor = {"shear_modulus": np.ones_like(nu), "young_modulus": 2 * (1 + nu)}
     for name, scale in factor.items():
         stiff, soft = _edges(curve, allowed[name])
@@ -105,8 +105,22 @@ def _curve(weights: FixedWeights, grid: np.ndarray) -> ProfileCurve:
     return ProfileCurve(probes, grid, compliance, np.maximum(height - lowest, 0.0), no_signal)
 
 
-def _crossings(place: np.ndarray, height: np.ndarray, allowed: float) -> tuple[float, float]:
-    """First and last place where the curve crosses a height, linear in the root of the height."""
+def crossings(
+    place: Float[np.ndarray, " g"], height: Float[np.ndarray, " g"], allowed: float
+) -> tuple[float, float]:
+    """First and last place where a curve crosses a height, linear in the root of the height.
+
+    Parameters
+    ----------
+    place : (g,) float          rising
+    height : (g,) float         >= 0
+    allowed : float             >= 0
+
+    Returns
+    -------
+    (float, float)              ends of the table where the curve does not rise so high; the lowest
+                                place twice where it is nowhere below
+    """
     root, level = np.sqrt(height), np.sqrt(allowed)
     inside = np.flatnonzero(root <= level)
     if not len(inside):
