@@ -1,4 +1,4 @@
-"""From a session to constants: what was put in comes out, by either method, with gravity and tips."""
+"""From a session to its constants: what was put in comes out, with gravity, tips, either method."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -238,9 +238,7 @@ def test_a_turned_session_has_the_same_constants(still: Session) -> None:
                 tip_displacement=None if tip is None else turn @ tip,
             )
         )
-    turned = replace(
-        noisy, mesh=mesh, probings=tuple(probings), gravity=turn @ still.gravity
-    )
+    turned = replace(noisy, mesh=mesh, probings=tuple(probings), gravity=turn @ still.gravity)
     one, other = fit_session(noisy).estimate, fit_session(turned).estimate
     # Noise levels are taken by component, but claims hold in both frames; integrals near the
     # contact follow other rules for other points: 1e-5.

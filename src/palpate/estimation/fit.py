@@ -76,11 +76,11 @@ def fit(
     ----------
     probes : sequence of ProbeObservations  at least one
     settings : FitSettings
-    progress : callable                     told what starts (text) and how far it is (0 to 1)
+    progress : callable                     called with what starts and how far it is (0 to 1)
 
     Returns
     -------
-    FitResult                               what cannot be told is data: see `Estimate.status`
+    FitResult                               what is not identifiable is data: see `Estimate.status`
 
     Raises
     ------
@@ -98,8 +98,8 @@ def fit(
         rows,
         table,
         misfit.level,
-        [one.weight for one in minimum.probes],
-        np.array([one.force_weight for one in minimum.probes]),
+        [probe.weight for probe in minimum.probes],
+        np.array([probe.force_weight for probe in minimum.probes]),
     )
     joint = uncertainty_of(misfit, minimum, weights)
     intervals, ranged, identifiable = _intervals(joint, settings)
@@ -150,8 +150,8 @@ def _joint_minimum(
         misfit = Misfit(rows, level, noise)
         minimum = scored_minimum(misfit, nu, modulus, poisson_range=poisson_range, shifts=shifts)
         nu, modulus = minimum.poisson_ratio, minimum.shear_modulus
-        shifts = tuple(one.shift for one in minimum.probes)
-        residuals = [one.residual * one.probe.sigma(level) for one in minimum.probes]
+        shifts = tuple(probe.shift for probe in minimum.probes)
+        residuals = [probe.residual * probe.rows.sigma(level) for probe in minimum.probes]
         level = noise_levels(rows, residuals, parameters=fitted_parameters(rows))
         if np.all(np.abs(level / misfit.level - 1) < _LEVEL_TOLERANCE):
             break

@@ -1,4 +1,4 @@
-"""What the reader of an estimate must be told, in full sentences."""
+"""What the reader of an estimate must know, in full sentences."""
 
 from collections.abc import Mapping
 
@@ -21,7 +21,7 @@ _MIN_FORCE_WEIGHT = 0.5
 def fit_notes(
     misfit: Misfit, uncertainty: Uncertainty, identifiable: Mapping[str, bool]
 ) -> tuple[str, ...]:
-    """Sentences about noise, correlation, disagreement, doubted forces and what cannot be told.
+    """Sentences about noise, correlation, disagreement, doubted forces, what is not identifiable.
 
     Parameters
     ----------
@@ -34,12 +34,12 @@ def fit_notes(
     tuple of str                    empty where there is nothing to say
     """
     notes = [*_noise_notes(misfit), *_interval_notes(uncertainty)]
-    for one in uncertainty.minimum.probes:
-        if one.force_weight < _MIN_FORCE_WEIGHT:
-            off = float(np.linalg.norm(one.shift))
+    for probe in uncertainty.minimum.probes:
+        if probe.force_weight < _MIN_FORCE_WEIGHT:
+            off = float(np.linalg.norm(probe.shift))
             notes.append(
-                f"The force of probing {one.probe.name!r} disagrees with the others by {off:.1f} of"
-                " its standard deviations and was given little weight; check the sensor's scale."
+                f"The force of probing {probe.rows.name!r} disagrees with the others by {off:.1f}"
+                " of its standard deviations and was given little weight; check the sensor's scale."
             )
     if not identifiable["poisson_ratio"]:
         notes.append(

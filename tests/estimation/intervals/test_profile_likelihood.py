@@ -55,6 +55,7 @@ def test_ends_are_where_the_misfit_rises_to_the_allowed_height() -> None:
     }
     centre = {"poisson_ratio": nu, "shear_modulus": shear, "young_modulus": young}
     for name, (low, high) in intervals.items():
+
         def above(x: float, name: str = name) -> float:
             return height[name](x) - best - ALLOWED[name]
 

@@ -79,9 +79,8 @@ def test_scatter_of_equal_probings() -> None:
     deviation = np.array([-1.0, 0.5, 2.0, -1.5])
     information = np.repeat(np.diag([4.0, 1.0])[None], 4, axis=0)
     scores = Scores(
-        np.column_stack([deviation * 4.0, np.zeros(4)]) + [7.0, 0.0], information, information,
-        information,
-    )  # fmt: skip
+        np.column_stack([7.0 + 4.0 * deviation, np.zeros(4)]), information, information, information
+    )
     found = scores.scatter(np.array([1.0, 0.0]))
     # Each probing's own nu deviates by `deviation`, claimed variance 1 / 4.
     assert found.ratio == pytest.approx((deviation**2).sum() / 3 * 4.0, rel=1e-8)
@@ -174,7 +173,7 @@ def test_moments_of_the_score_enter_where_they_belong() -> None:
     for k, one in enumerate(local):
         expected = dense_information(one, row_variance=1 / 0.8, force_variance=1 / slope)
         np.testing.assert_allclose(found.information[k], expected, rtol=1e-7)
-        weights = one.probe.per_row(one.weight)
+        weights = one.rows.per_row(one.weight)
         expected = dense_information(
             one, row_variance=1 / weights, force_variance=1 / one.force_weight
         )

@@ -101,7 +101,7 @@ def test_an_object_that_is_not_held_is_refused():
     one = sphere(1)
     count = len(one.vertices)
     both = TriangleMesh(
-        np.concatenate([one.vertices, one.vertices + [3.0, 0.0, 0.0]]),
+        np.concatenate([one.vertices, one.vertices + np.array([3.0, 0.0, 0.0])]),
         np.concatenate([one.triangles, one.triangles + count]),
     )
     middle = both.vertices[both.triangles].mean(axis=1)

@@ -101,7 +101,7 @@ def test_missing_components_leave_their_points() -> None:
     field[0, 1:] = np.nan
     field[1] = np.nan
     local = misfit_of([replace(probe, displacement=field)]).at_best_forces(NU, SHEAR)[0]
-    assert local.probe.components[:2].tolist() == [1.0, 3.0]
+    assert local.rows.components[:2].tolist() == [1.0, 3.0]
     assert local.squared[0] == pytest.approx(local.residual[0] ** 2, rel=1e-12)
     assert local.squared[1] == pytest.approx((local.residual[1:4] ** 2).sum(), rel=1e-12)
 

@@ -4,7 +4,7 @@ Model-based first: Fisher information of the robust loss, with the noise as the 
 (never below the claim) and the spatial correlation of residuals. Then the probings are asked: if
 their scores scatter more than that explains (a force sensor that is off, a model error that is
 common to all points of a probing), the variance of the constant concerned is raised to the scatter,
-with Student's quantile for the probings that told it. Scatter that chance explains changes nothing.
+with Student's quantile for their number. Scatter that chance explains changes nothing.
 """
 
 from collections.abc import Sequence
@@ -108,7 +108,7 @@ class Scatter:
     Parameters
     ----------
     ratio : float               of variances
-    degrees : float             degrees of freedom, about the number of probings less one
+    degrees : float             degrees of freedom, about the number of probings
     """
 
     ratio: float
@@ -158,17 +158,17 @@ def scores_of(
     """
     # Moments of a force's score by its uncertain components, for forces as uncertain as claimed.
     moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
-    forces = [moments[one.probe.force_components] for one in local]
+    forces = [moments[probe.rows.force_components] for probe in local]
     if noise is None:
         noise = _noise_of(misfit, local)
         turns = [
-            _projection(one, noise.slope, slope)
-            for one, (_, slope) in zip(local, forces, strict=True)
+            _projection(probe, noise.slope, slope)
+            for probe, (_, slope) in zip(local, forces, strict=True)
         ]
         noise = replace(
             noise, correlation=correlation_factor(local, turns, score_variance=noise.power)
         )
-    parts = [_scores(one, noise, *force) for one, force in zip(local, forces, strict=True)]
+    parts = [_scores(probe, noise, *force) for probe, force in zip(local, forces, strict=True)]
     return Scores(*(np.stack(column) for column in zip(*parts, strict=True))), noise
 
 
@@ -203,9 +203,9 @@ def cramer_rao_bound(
     misfit = Misfit(rows, np.ones(GROUP_COUNT), Gaussian())
     shifts = [np.zeros(3)] * len(rows)
     information = np.zeros((2, 2))
-    for one in misfit.linearised(misfit.scaled(poisson_ratio), 0.0, shear_modulus, shifts):
-        turn = _projection(one, 1.0, 1.0)
-        information += one.design[:, :2].T @ one.design @ turn
+    for local in misfit.linearised(misfit.scaled(poisson_ratio), 0.0, shear_modulus, shifts):
+        turn = _projection(local, 1.0, 1.0)
+        information += local.design[:, :2].T @ local.design @ turn
     covariance = np.linalg.pinv(information, hermitian=True)
     young = 2 * shear_modulus * (1 + poisson_ratio)
     bound = {}
@@ -219,33 +219,33 @@ def cramer_rao_bound(
 
 
 def _scores(
-    one: LocalProbe, noise: ScoreNoise, force_power: float, force_slope: float
+    probe: LocalProbe, noise: ScoreNoise, force_power: float, force_slope: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Score, information, covariance of the score and curvature of one probing."""
-    gram = one.design.T @ one.design
-    turn = _projection(one, noise.slope, force_slope)
+    gram = probe.design.T @ probe.design
+    turn = _projection(probe, noise.slope, force_slope)
     force = turn[2:].T @ turn[2:]
     projected = turn.T @ gram @ turn
     information = noise.slope * projected + force_slope * force
     spread = noise.power * noise.correlation.variance * projected + force_power * force
-    weighted = one.weighted_products()
-    weighted[2:5, 2:5] += one.force_weight * np.eye(3)
+    weighted = probe.weighted_products()
+    weighted[2:5, 2:5] += probe.force_weight * np.eye(3)
     solved = np.linalg.solve(weighted[2:5, 2:5], weighted[2:5, :2])
     curvature = weighted[:2, :2] - weighted[:2, 2:5] @ solved
     return weighted[:2, 5], information, spread, curvature
 
 
-def _projection(one: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
+def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
     """(5, 2) matrix that takes the force shifts out of the design of the constants."""
-    gram = slope * (one.design.T @ one.design)
+    gram = slope * (probe.design.T @ probe.design)
     force = gram[2:, 2:] + force_slope * np.eye(3)
     return np.vstack([np.eye(2), -np.linalg.solve(force, gram[2:, :2])])
 
 
 def _noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
     """Moments of the robust score, as the residuals show them and never below a claim."""
-    squared = np.concatenate([one.squared for one in local])
-    components = np.concatenate([one.probe.components for one in local])
+    squared = np.concatenate([probe.squared for probe in local])
+    components = np.concatenate([probe.rows.components for probe in local])
     power, slope = score_moments(misfit.noise, squared, components)
     rows, lost = float(components.sum()), 2 + _absorbed(local)
     spare = rows - lost
@@ -253,7 +253,7 @@ def _noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
     # No spare rows: the noise cannot be estimated, and the quantile becomes very large.
     degrees = max(spare, 0.5)
     independent = CorrelationFactor(1.0, np.inf, 1.0)
-    if not all(one.probe.has_claims for one in local):
+    if not all(probe.rows.has_claims for probe in local):
         return ScoreNoise(power, slope, degrees, independent)
     count = round(float(components.mean()))
     claimed_power, claimed_slope = gaussian_moments(misfit.noise, count)
@@ -270,9 +270,9 @@ def _noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
 def _absorbed(local: Sequence[LocalProbe]) -> float:
     """Degrees of freedom of the displacements that the free forces take up."""
     total = 0.0
-    for one in local:
-        gram = one.design[:, 2:].T @ one.design[:, 2:]
-        total += float(np.trace(np.linalg.solve(gram + one.force_weight * np.eye(3), gram)))
+    for probe in local:
+        gram = probe.design[:, 2:].T @ probe.design[:, 2:]
+        total += float(np.trace(np.linalg.solve(gram + probe.force_weight * np.eye(3), gram)))
     return total
 
 

@@ -69,9 +69,9 @@ def correlation_factor(
     CorrelationFactor                   the largest over block sizes, where any is significant
     """
     parts = [
-        _block_sums(one, turn)
-        for one, turn in zip(local, projection, strict=True)
-        if np.isfinite(one.probe.position[:, 0]).sum() >= _MIN_BLOCKS * _MIN_POINTS_PER_BLOCK
+        _block_sums(probe, turn)
+        for probe, turn in zip(local, projection, strict=True)
+        if np.isfinite(probe.rows.position[:, 0]).sum() >= _MIN_BLOCKS * _MIN_POINTS_PER_BLOCK
     ]
     if not parts:
         return CorrelationFactor(1.0, np.inf, 1.0)
@@ -128,28 +128,28 @@ class _BlockSums:
         return plain - constants - leak
 
 
-def _block_sums(one: LocalProbe, projection: np.ndarray) -> _BlockSums:
+def _block_sums(probe: LocalProbe, projection: np.ndarray) -> _BlockSums:
     """Scores and information of the finest blocks of one probing, the tip left out."""
-    probe = one.probe
-    order = morton_order(probe.position)
-    order = order[: int(np.isfinite(probe.position[:, 0]).sum())]
+    rows = probe.rows
+    order = morton_order(rows.position)
+    order = order[: int(np.isfinite(rows.position[:, 0]).sum())]
     finest = min(_MAX_HALVINGS, int(np.log2(len(order) / _MIN_POINTS_PER_BLOCK)))
-    clean = one.design @ projection
-    row_score = probe.per_row(one.weight) * one.residual
+    clean = probe.design @ projection
+    row_score = rows.per_row(probe.weight) * probe.residual
     columns = np.concatenate(
         [
             clean * row_score[:, None],
             clean[:, [0]] * clean,
             clean[:, [1]] * clean,
-            clean[:, [0]] * one.design[:, 2:],
-            clean[:, [1]] * one.design[:, 2:],
+            clean[:, [0]] * probe.design[:, 2:],
+            clean[:, [1]] * probe.design[:, 2:],
         ],
         axis=1,
     )
-    point_sums = np.add.reduceat(columns, probe.start, axis=0)[order]
+    point_sums = np.add.reduceat(columns, rows.start, axis=0)[order]
     first = np.arange(2**finest) * len(order) // 2**finest
     sums = np.add.reduceat(point_sums, first, axis=0)
-    force = one.design[:, 2:].T @ one.design[:, 2:] + np.eye(3)
+    force = probe.design[:, 2:].T @ probe.design[:, 2:] + np.eye(3)
     return _BlockSums(
         sums[:, :2],
         sums[:, 2:6].reshape(-1, 2, 2),

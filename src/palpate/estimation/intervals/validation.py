@@ -83,12 +83,12 @@ def probe_fits(
     minimum = uncertainty.minimum
     left_out = left_out_constants(uncertainty) if len(probes) > 1 else None
     fits = []
-    for k, (probe, one) in enumerate(zip(probes, minimum.probes, strict=True)):
+    for k, (probe, local) in enumerate(zip(probes, minimum.probes, strict=True)):
         n = len(probe.position)
-        force = probe.force + probe.force_std * one.shift
+        force = probe.force + probe.force_std * local.shift
         predicted = _predicted(probe, force, minimum.poisson_ratio, minimum.shear_modulus)
         factor = np.zeros(n + 1)
-        factor[one.probe.point] = relative_weight(noise, one.squared, one.probe.components)
+        factor[local.rows.point] = relative_weight(noise, local.squared, local.rows.components)
         weight = np.where(np.isfinite(probe.displacement), factor[:n, None], 0.0)
         left = None
         if left_out is not None:

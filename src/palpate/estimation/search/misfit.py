@@ -45,7 +45,7 @@ class LocalProbe:
 
     Parameters
     ----------
-    probe : ObservedRows
+    rows : ObservedRows
     table : (r, 6) float            slope of the prediction in nu, log G and the three force shifts,
                                     and last the residual, measured minus predicted
     squared : (p,) float            squared residual of every point
@@ -55,7 +55,7 @@ class LocalProbe:
     loss : float                    contribution to the misfit
     """
 
-    probe: ObservedRows
+    rows: ObservedRows
     table: Float[np.ndarray, "r 6"]
     squared: Float[np.ndarray, " p"]
     weight: Float[np.ndarray, " p"]
@@ -76,7 +76,7 @@ class LocalProbe:
     def weighted_products(self) -> Float[np.ndarray, "6 6"]:
         """Products of the table's columns under the robust weights, table' W table."""
         # One small product: a product with a vector would be threaded, at ten times the cost.
-        return (self.table * self.probe.per_row(self.weight)[:, None]).T @ self.table
+        return (self.table * self.rows.per_row(self.weight)[:, None]).T @ self.table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,7 +186,7 @@ def _linearised(
     length, count = np.array([shift @ shift]), np.array([float(probe.force_components)])
     loss = noise.loss(squared, probe.components).sum() + noise.loss(length, count).sum()
     return LocalProbe(
-        probe=probe,
+        rows=probe,
         table=table,
         squared=squared,
         weight=noise.weight(squared, probe.components),

@@ -22,7 +22,7 @@ _LONGEST_STEP = 2.0
 _SMALLEST_SLOPE = 0.3
 _LINEARISATION_TOLERANCE = 1e-10
 _STEP_TOLERANCE = 1e-11
-# A step this small against the standard error changes nothing that could be told.
+# A step this small against the standard error changes nothing that data could show.
 _STEP_OVER_ERROR = 1e-7
 
 
@@ -102,7 +102,7 @@ def _linear_minimum(
             new_nu = float(np.clip(nu + factor * constants[0], *poisson_range))
             new_modulus = modulus * float(np.exp(factor * constants[1]))
             new_shifts = [
-                one.shift + factor * move for one, move in zip(local, forces, strict=True)
+                probe.shift + factor * move for probe, move in zip(local, forces, strict=True)
             ]
             trial = misfit.linearised(rows, new_nu - reference, new_modulus, new_shifts)
             new_loss = sum(probe.loss for probe in trial)
@@ -127,14 +127,14 @@ def _step(
     """Scoring step of (nu, log G) and of the forces, and a standard error of nu and log G."""
     normal, gradient = np.zeros((2, 2)), np.zeros(2)
     eliminated = []
-    for one in local:
-        _, slope = score_moments(noise, one.squared, one.probe.components)
+    for probe in local:
+        _, slope = score_moments(noise, probe.squared, probe.rows.components)
         # Scoring, not plain reweighting: the mean slope of the score replaces the mean weight.
-        factor = max(slope / float(one.weight.mean()), _SMALLEST_SLOPE)
-        products = one.weighted_products()
+        factor = max(slope / float(probe.weight.mean()), _SMALLEST_SLOPE)
+        products = probe.weighted_products()
         inner, pull = factor * products[:5, :5], products[:5, 5]
-        force = inner[2:, 2:] + one.force_weight * np.eye(3)
-        force_pull = pull[2:] - one.force_weight * one.shift
+        force = inner[2:, 2:] + probe.force_weight * np.eye(3)
+        force_pull = pull[2:] - probe.force_weight * probe.shift
         solved = np.linalg.solve(force, np.column_stack([inner[2:, :2], force_pull]))
         normal += inner[:2, :2] - inner[:2, 2:] @ solved[:, :2]
         gradient += pull[:2] - inner[:2, 2:] @ solved[:, 2]
