@@ -34,10 +34,10 @@ class PlannedProbing:
     Attributes
     ----------
     name : str
-    seen : int                      vertices that two cameras or more see, without those under the tool
+    seen : int                      vertices that two cameras see, without those under the tool
     displacement : float [m]        median of |u| there
     sigma : float [m]               median standard deviation of a component there
-    precision : name -> float       standard deviation of each constant; infinite where unidentifiable
+    precision : name -> float       standard deviation of each constant, may be infinite
     """
 
     name: str
@@ -104,9 +104,7 @@ def plan_measurement(
             " object"
         )
     sigma = _sigma(rig, session.mesh.vertices[rows], seen[:, rows], matching_noise)
-    probings = [
-        _with_planned_displacement(session, probing, rows, sigma) for probing in session.probings
-    ]
+    probings = [_with_seen_vertices(session, probing, rows, sigma) for probing in session.probings]
     progress("integrals over the surface", 0.2)
     model = make_object_model(session, probings)
     progress("what the probings tell", 0.7)
