@@ -14,8 +14,6 @@ from palpate.bem.integrals.assembly import Collocation, assemble
 from palpate.bem.integrals.kelvin import DISPLACEMENT_FIELDS, TRACTION_FIELDS
 from palpate.geometry import TriangleMesh
 
-__all__ = ["lu_time", "measure"]
-
 ASKED = {3: (0.4, 0.1), 4: (3.0, 0.8)}
 REPEATS = 3
 

@@ -17,8 +17,6 @@ from palpate.records import (
     write_displacement,
 )
 
-__all__ = ["write_ball_session"]
-
 RADIUS, CONTACT_RADIUS, CAP = 0.04, 0.006, -0.02  # m; the cap lies below z = CAP
 SHEAR_MODULUS, POISSON_RATIO = 20e3, 0.3
 NOISE = 3e-5  # m, 1 sigma

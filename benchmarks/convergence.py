@@ -11,8 +11,6 @@ from benchmarks.meshes import ball, cap, cube
 from benchmarks.options import Options
 from palpate.bem import Quadrature, make_surface
 
-__all__ = ["ball_error", "cube_error", "measure"]
-
 MUST, REACH = 1.8, 3.0
 FORCE = np.array([1.0, -0.5, 2.0])
 RATIO = 0.3

@@ -18,8 +18,6 @@ from palpate.estimation import (
     fit,
 )
 
-__all__ = ["Coverage", "Disturbance", "disturbed", "measured_coverage"]
-
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
 
 

@@ -22,12 +22,11 @@ from palpate.vision import (
     is_valid,
     joint_flow,
     make_scene,
+    prepare_pictures,
     read_pictures,
     stereo_points,
     triangulated_surface,
 )
-
-__all__ = ["TENSION", "TENSION_REGION", "beside_dice", "measure"]
 
 REAL = SHARED / "real"
 TENSION = REAL / "gt4_dspec"
@@ -226,7 +225,8 @@ def _followed(
     settings: JointSettings,
 ) -> list[RangeFlow]:
     """Range flow of a surface that is known from the first pictures only."""
-    surface = triangulated_surface(stereo_points(rig, grey[0], mask=mask, settings=stereo))
+    first = prepare_pictures(rig, grey[0])
+    surface = triangulated_surface(stereo_points(first, mask=mask, settings=stereo))
     return list(
         joint_flow(
             make_scene(rig, grey[0], *surface, settings=settings), grey[1:], settings=settings

@@ -27,8 +27,6 @@ from palpate.vision import (
     vertex_displacement,
 )
 
-__all__ = ["measure"]
-
 RIGID = ("rigid_translation_x", "rigid_translation_y", "rigid_rotation_z")
 MAPPED = ("n01", "n03", "n05", "n08", "n11", "n15")
 

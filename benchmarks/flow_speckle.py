@@ -18,8 +18,6 @@ from palpate.vision import PlanarSettings
 from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.matching.planar_match import refine_planar
 
-__all__ = ["measure"]
-
 TOOL = SHARED.parent / "tools" / "flow_bench.py"
 BORDER, STEP, SIZE = 40, 8, 512
 

@@ -11,8 +11,6 @@ from palpate.geometry import refined_surface
 from palpate.records import read_rig, read_session
 from palpate.vision import JointSettings, joint_flow, make_scene, read_pictures, vertex_displacement
 
-__all__ = ["measure"]
-
 FOLDER = SHARED / "halfball_images"
 NAMES = ("n01", "n02", "n03", "n04")
 

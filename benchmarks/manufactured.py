@@ -19,8 +19,6 @@ from palpate.bem.elastic_map import sorted_state
 from palpate.bem.integrals.kelvin import kelvin_displacement, kelvin_traction
 from palpate.geometry import TriangleMesh
 
-__all__ = ["Field", "Outcome", "flat_normals", "kelvin_field", "linear_field", "solved"]
-
 Normals = Callable[[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]], Float[np.ndarray, "k 3"]]
 
 

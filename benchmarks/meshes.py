@@ -5,8 +5,6 @@ from jaxtyping import Float, Int
 
 from palpate.geometry import TriangleMesh
 
-__all__ = ["CUBE_NORMALS", "ball", "cap", "cube"]
-
 CUBE_NORMALS = np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
 
 

@@ -11,8 +11,6 @@ from benchmarks.figure import ESTIMATION, Figure
 from benchmarks.machine import ROOT
 from benchmarks.options import Options
 
-__all__ = ["measure"]
-
 START = "import sys; from palpate.app.cli import main; sys.exit(main())"
 NOT_OK = 3  # the beam's Poisson's ratio cannot be told
 

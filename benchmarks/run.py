@@ -15,8 +15,6 @@ from benchmarks.figure import Figure, figure_from_plain
 from benchmarks.machine import ROOT, described, use_cores
 from benchmarks.report import as_markdown, as_text, write_part
 
-__all__ = ["PARTS", "SUBJECTS", "main"]
-
 # Each part of the report is measured as a whole and says when, where and on which commit.
 PARTS = {
     "model": (

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Environment", "last_line", "run_command"]
-
 
 @dataclass(frozen=True, slots=True)
 class Environment:

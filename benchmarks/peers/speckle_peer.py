@@ -7,8 +7,6 @@ from pathlib import Path
 
 from benchmarks.peers.environment import Environment, last_line, run_command
 
-__all__ = ["speckle_rows"]
-
 HERE = Path(__file__).resolve().parent / "flow"
 PROGRAMS = ("pyvale", "al-dic", "opencv-python-headless")
 VERSIONS = """import json, sys

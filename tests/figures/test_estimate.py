@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from app.estimate_samples import constants, sample_result
+from estimate_samples import constants, sample_result
 
+from palpate.figures.displacement import best_direction, make_view, projected
 from palpate.figures.estimate import write_plots
-from palpate.figures.surface_view import best_direction, make_view, projected
 from palpate.geometry import TriangleMesh
 from palpate.records import Status, read_session
 

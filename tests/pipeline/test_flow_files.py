@@ -12,7 +12,7 @@ import pytest
 from flow_samples import SIDE, SIGMA, camera, motion, sample
 from rich.console import Console
 
-from palpate.app.terminal.flow_table import flow_table
+from palpate.app.terminal.tables import flow_table
 from palpate.errors import RecordError
 from palpate.pipeline.flow_files import (
     file_stems,

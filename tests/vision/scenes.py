@@ -16,28 +16,6 @@ from vision.textures import Speckle, Warp, pixel_grid
 
 from palpate.records import Camera, Rig
 
-__all__ = [
-    "DISTANCE",
-    "LENS",
-    "MOTIONS",
-    "PITCH",
-    "SHAPE",
-    "STILL",
-    "Motion",
-    "Stage",
-    "bump",
-    "dome",
-    "example",
-    "example_views",
-    "make_rig",
-    "moved_frame",
-    "noisy_views",
-    "projected",
-    "rigid",
-    "strain",
-    "tilted",
-]
-
 SHAPE = (150, 190)
 # Cameras stand this far from the origin, a pixel is PITCH wide there [m].
 DISTANCE = 0.3
@@ -210,7 +188,7 @@ class Stage:
         """The texture's places behind the places that `Speckle.image` asks for.
 
         Solved at pixel centres, linear over the third of a pixel around them: what bends there is
-        below 1e-4 px and alike on both sides.
+        below 1e-4 px and the same on both sides.
         """
         rows, columns = SHAPE
 

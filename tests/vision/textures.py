@@ -11,17 +11,6 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-__all__ = [
-    "STILL",
-    "Speckle",
-    "Warp",
-    "affine",
-    "inverse_quadratic",
-    "noisy",
-    "pixel_grid",
-    "turned",
-]
-
 # A speckle is cut off where it has fallen to exp(-4.5^2 / 2), 4e-5 of its peak.
 _REACH = 4.5
 # Speckles are spread this far beyond the picture [px], for motions of up to 100 px and a turn.

@@ -41,4 +41,17 @@ from palpate.pipeline.motion_figures import (
     motion_figures as motion_figures,
     write_flow_document as write_flow_document,
 )
+from palpate.pipeline.poke import (
+    PokedState as PokedState,
+    poke_session as poke_session,
+    tool_contact as tool_contact,
+    von_mises_stress as von_mises_stress,
+)
 from palpate.pipeline.residual_files import write_residuals as write_residuals
+from palpate.pipeline.survey import (
+    NEAR_RADII as NEAR_RADII,
+    ProbingSurvey as ProbingSurvey,
+    session_outlook as session_outlook,
+    survey_field as survey_field,
+    survey_probing as survey_probing,
+)

@@ -18,7 +18,14 @@ from palpate.geometry import (
     register,
 )
 from palpate.records import Rig
-from palpate.vision import StereoPoints, check_rig, project, rays, stereo_points
+from palpate.vision import (
+    StereoPoints,
+    check_rig,
+    prepare_pictures,
+    project,
+    rays,
+    stereo_points,
+)
 
 PoseChoice = Literal["auto", "given", "register"]
 
@@ -64,10 +71,11 @@ def posed_rig(
                                     the pose is far off, or the shape does not fix it
     """
     _check_view(rig, pictures, mesh)
-    checked = check_rig(rig, pictures)
+    prepared = prepare_pictures(rig, pictures)
+    checked = check_rig(prepared)
     if choice == "given":
         return rig, checked.notes
-    stereo = stereo_points(rig, pictures)
+    stereo = stereo_points(prepared)
     near, distance = _near_points(stereo, mesh)
     if near.sum() < _FEWEST:
         if choice == "auto":

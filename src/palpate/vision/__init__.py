@@ -22,7 +22,11 @@ from palpate.vision.cameras import (
     visible as visible,
 )
 from palpate.vision.dense_maps import dense_maps as dense_maps
-from palpate.vision.images import Pictures as Pictures, read_pictures as read_pictures
+from palpate.vision.images import (
+    Pictures as Pictures,
+    prepare_pictures as prepare_pictures,
+    read_pictures as read_pictures,
+)
 from palpate.vision.joint import (
     JointSettings as JointSettings,
     Scene as Scene,

@@ -6,8 +6,7 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.records import Camera
-from palpate.vision.cameras.pixel_grid import pixel_grid
-from palpate.vision.cameras.projection import normalised
+from palpate.vision.cameras.projection import normalised, pixel_grid
 
 SHAPE = (48, 64)
 LENSES = {

@@ -7,14 +7,14 @@ import pytest
 from vision_cameras import BARREL, RATIONAL, REAL, make_camera, moved, terms
 
 from palpate.records import Camera, Rig
-from palpate.vision.cameras.lens import lens_reach
+from palpate.vision.cameras.lens import jacobian_kernel, lens_reach, project_kernel
 from palpate.vision.cameras.projection import (
+    camera_sigma,
     normalised,
     packed_camera,
     packed_rig,
     project,
     project_jacobian,
-    project_kernel,
     rays,
 )
 
@@ -58,8 +58,8 @@ def test_kernel_projects_as_the_arrays_do():
     camera, points = make_camera(lens=RATIONAL), _points(20)
     packed = packed_rig(Rig((camera, make_camera("c1")), 0, "here"))[0]
     np.testing.assert_array_equal(packed, packed_camera(camera))
-    one = [project_kernel(packed, *point) for point in points]
-    np.testing.assert_allclose(one, project(camera, points), atol=1e-10)  # rounding
+    pixels = [project_kernel(packed, *point) for point in points]
+    np.testing.assert_allclose(pixels, project(camera, points), atol=1e-10)  # rounding
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
@@ -156,10 +156,10 @@ def test_inverse_stays_on_the_branch_of_the_axis():
     radius = np.linspace(0.0, 0.99 * reach, 40)
     place = 500.0 * radius * (1.0 - 0.9 * radius**2 + 0.35 * radius**4)
     angle = np.linspace(0.0, 6.0, 40)
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    found = normalised(camera, place[:, None] * way)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    found = normalised(camera, place[:, None] * direction)
     # Near the fold 1e-13 in the picture is some 1e-11 in the ray.
-    np.testing.assert_allclose(found, radius[:, None] * way, atol=1e-10)
+    np.testing.assert_allclose(found, radius[:, None] * direction, atol=1e-10)
     beyond = 500.0 * np.array([[1.1 * place.max() / 500.0, 0.0]])
     assert np.isnan(normalised(camera, beyond)).all()
 
@@ -194,3 +194,43 @@ def test_any_number_of_threads_gives_the_same():
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(*results)
+
+
+def test_sigma_of_a_camera_is_that_of_its_own_axes():
+    camera = make_camera(turn=(0.3, -0.7, 0.2))
+    sigma = np.array([3.0, 1.0, 5.0])
+    turn = camera.T_camera_object[:3, :3]
+    covariance = (turn.T @ np.diag(sigma**2) @ turn)[None]
+    lateral, depth = camera_sigma(covariance, camera)
+    np.testing.assert_allclose(lateral, np.sqrt((9.0 + 1.0) / 2.0), rtol=1e-12)
+    np.testing.assert_allclose(depth, 5.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("lens", [(), BARREL, RATIONAL])
+def test_single_point_jacobian_says_where_the_point_lies_too(lens):
+    camera, points = make_camera(lens=lens), _points(20)
+    pixels, jacobians = project_jacobian(camera, points)
+    pose = camera.T_camera_object
+    x, y, z = (points @ pose[:3, :3].T + pose[:3, 3]).T
+    flat = np.stack([x / z, y / z], axis=1)
+    h = 1e-5
+    slope = np.stack(
+        [(_distortion(camera, flat + h * e) - _distortion(camera, flat - h * e)) / (2 * h)
+         for e in np.eye(2)], axis=2,
+    )  # fmt: skip
+    for i, point in enumerate(points):
+        jacobian = np.empty((2, 3))
+        *pixel, depth, square, area = jacobian_kernel(packed_camera(camera), *point, jacobian)
+        np.testing.assert_allclose(pixel, pixels[i], atol=1e-10)
+        np.testing.assert_array_equal(jacobian, jacobians[i])
+        assert depth == pytest.approx(z[i], rel=1e-12)
+        assert square == pytest.approx((flat[i] ** 2).sum(), rel=1e-12)
+        # Central differences leave h^2 / 6 times third derivatives of order one, rounding 1e-11.
+        assert area == pytest.approx(np.linalg.det(slope[i]), abs=1e-8)
+
+
+def _distortion(camera, flat):
+    """OpenCV's distorted places of (x / z, y / z), the camera matrix left out."""
+    points = np.column_stack([flat, np.ones(len(flat))])
+    zero = np.zeros(3)
+    return cv2.projectPoints(points, zero, zero, np.eye(3), camera.distortion)[0][:, 0]

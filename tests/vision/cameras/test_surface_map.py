@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from surfaces import box, joined, sphere
 
-from palpate.errors import CalibrationError, InputError
+from palpate.errors import CalibrationError
 from palpate.geometry import TriangleMesh, read_mesh
 from palpate.records import Camera
-from palpate.vision.cameras.pixel_grid import pixel_grid
+from palpate.vision.cameras.projection import pixel_grid
 from palpate.vision.cameras.surface_map import surface_map, visible
 
 SHAPE = (48, 64)
@@ -47,8 +47,8 @@ def _sheet(depth, half, *, slope=(0.0, 0.0)):
     return TriangleMesh(np.hstack([xy, z[:, None]]), np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def _mapped(camera, mesh, **options):
-    return surface_map(camera, SHAPE, mesh.vertices, mesh.triangles, **options)
+def _mapped(camera, mesh):
+    return surface_map(camera, SHAPE, mesh.vertices, mesh.triangles)
 
 
 @pytest.mark.parametrize("lens", [None, LENS[:5], LENS])
@@ -101,9 +101,7 @@ def test_any_heap_of_triangles_is_hit_as_by_brute_force(lens):
     camera = _camera(lens=lens)
     middle = rng.uniform(-1.0, 1.0, (60, 1, 3)) * [1.6, 1.2, 0.8]
     corner = middle + rng.normal(size=(60, 3, 3)) * rng.choice([0.02, 0.1, 0.5], (60, 1, 1))
-    seen = surface_map(
-        camera, SHAPE, corner.reshape(-1, 3), np.arange(180).reshape(-1, 3), grid=None
-    )
+    seen = surface_map(camera, SHAPE, corner.reshape(-1, 3), np.arange(180).reshape(-1, 3))
     pose = camera.T_camera_object
     grid = pixel_grid(camera, SHAPE).reshape(2, -1).T
     ray = np.hstack([grid, np.ones((len(grid), 1))]) @ pose[:3, :3]
@@ -263,19 +261,11 @@ def test_both_sides_of_an_open_surface_are_seen_and_flat_triangles_are_passed_ov
     np.testing.assert_array_equal(with_flat.triangle, front.triangle)
 
 
-def test_a_kept_grid_gives_the_same_map_and_any_size_will_do():
+def test_any_size_will_do_where_the_camera_does_not_say():
     camera = replace(_camera(lens=LENS), size=None)
     mesh = sphere(2)
-    kept = pixel_grid(camera, SHAPE)
-    np.testing.assert_array_equal(
-        _mapped(camera, mesh, grid=kept).point, _mapped(camera, mesh).point
-    )
     small = surface_map(camera, (29, 37), mesh.vertices, mesh.triangles)
     np.testing.assert_array_equal(small.point, _mapped(camera, mesh).point[:29, :37])
-    with pytest.raises(InputError, match=r"grid is of \(48, 64\) pixels; must be of \(29, 37\)"):
-        surface_map(camera, (29, 37), mesh.vertices, mesh.triangles, grid=kept)
-    with pytest.raises(InputError, match="camera 'c0' has 64 x 48 pixels; asked for 37 x 29"):
-        pixel_grid(_camera(), (29, 37))
 
 
 @pytest.mark.parametrize("distance", [0.5, -3.0])

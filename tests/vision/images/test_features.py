@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from palpate.vision.images.features import Features, find_features, matched
-from palpate.vision.images.normalisation import EvenPicture, make_even_picture
+from palpate.vision.images.features import Features, find_features, match_features
+from palpate.vision.images.normalisation import NormalisedImage, make_normalised_image
 
 
-def _picture(grey: np.ndarray) -> EvenPicture:
+def _picture(grey: np.ndarray) -> NormalisedImage:
     """A picture as given, all of it textured."""
     flat = np.zeros(grey.shape, dtype=np.float32)
-    return EvenPicture(
+    return NormalisedImage(
         grey.astype(np.float32),
         grey.astype(np.uint8),
         flat,
@@ -32,10 +32,10 @@ def test_a_blob_is_found_where_it_is(shape):
 
 
 def test_blank_pictures_have_none():
-    blank = make_even_picture(np.full((80, 90), 70.0, dtype=np.float32))
+    blank = make_normalised_image(np.full((80, 90), 70.0, dtype=np.float32))
     found = find_features(blank)
     assert found.point.shape == (0, 2)
-    assert matched(found, found).first.shape == (0, 2)
+    assert match_features(found, found).first.shape == (0, 2)
 
 
 def test_only_clear_mutual_choices_match():
@@ -48,6 +48,6 @@ def test_only_clear_mutual_choices_match():
     second = Features(
         np.vstack([place[:4] + 5.0, [[1.0, 1.0]]]), np.vstack([words[:4] + 1.0, [twice]])
     )
-    found = matched(first, second)
+    found = match_features(first, second)
     np.testing.assert_array_equal(found.first, place[[0, 1, 3]])
     np.testing.assert_array_equal(found.second, place[[0, 1, 3]] + 5.0)

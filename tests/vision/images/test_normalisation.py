@@ -1,10 +1,16 @@
-"""Evened pictures: noise and width of known textures, invariance to lighting."""
+"""Normalised images: noise and width of known textures, invariance to lighting."""
 
 import numpy as np
 import pytest
 from vision.textures import Speckle, noisy
 
-from palpate.vision.images.normalisation import WINDOW, cropped, make_even_picture, moments
+from palpate.vision.images.normalisation import (
+    WINDOW,
+    _noise,
+    cropped,
+    make_normalised_image,
+    moments,
+)
 
 SHAPE = (150, 170)
 
@@ -15,45 +21,48 @@ def test_width_of_a_wave(periods):
     k = 2.0 * np.pi * periods / WINDOW
     wave = np.sin(k * np.arange(SHAPE[1])) + np.zeros(SHAPE)
     # Windows that are mirrored at the edges, a seventh of all, hold no whole periods.
-    assert make_even_picture(wave).width == pytest.approx(1.0 / np.sin(k), rel=0.03)
+    assert make_normalised_image(wave).width == pytest.approx(1.0 / np.sin(k), rel=0.03)
 
 
 def test_width_of_speckles():
     """Near their sigma: larger by their spread (1.08) and Sobel's blur, smaller by the window."""
     for sigma in (2.0, 3.0):
-        picture = make_even_picture(Speckle(SHAPE, 1, sigma).image())
+        picture = make_normalised_image(Speckle(SHAPE, 1, sigma).image())
         assert picture.width == pytest.approx(1.08 * sigma, rel=0.1)
 
 
 def test_noise_does_not_make_texture_finer():
     """Three times as much texture as noise; uncorrected, the width would be a fifth too small."""
     texture = 80.0 + 0.2 * Speckle(SHAPE, 1, 3.0).image()
-    clean = make_even_picture(texture).width
-    assert make_even_picture(noisy(texture, 3.0, 1)).width == pytest.approx(clean, rel=0.1)
+    clean = make_normalised_image(texture).width
+    assert make_normalised_image(noisy(texture, 3.0, 1)).width == pytest.approx(clean, rel=0.1)
 
 
 def test_noise_alone_is_no_texture_and_texture_is():
     half = np.where(np.arange(SHAPE[1]) < 85, Speckle(SHAPE, 1).image(), 20.0)
-    textured = make_even_picture(noisy(half, 2.0, 1)).textured
+    textured = make_normalised_image(noisy(half, 2.0, 1)).textured
     # A window that touches the texture has some.
     assert textured[:, : 85 + WINDOW // 2 - 3].all()
     assert not textured[:, 85 + WINDOW // 2 + 1 :].any()
-    assert not make_even_picture(np.full(SHAPE, 3.0, dtype=np.float32)).textured.any()
+    assert not make_normalised_image(np.full(SHAPE, 3.0, dtype=np.float32)).textured.any()
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.3, 100.0), (1e-3, 0.0), (300.0, -5e3)])
 def test_gain_and_offset_do_not_matter(gain, offset):
     grey = Speckle(SHAPE, 1).image()
-    first, other = make_even_picture(grey), make_even_picture(gain * grey + offset)
+    first, other = make_normalised_image(grey), make_normalised_image(gain * grey + offset)
     # Rounding to whole levels flips at most one of 40 that a standard deviation has.
-    assert np.abs(first.even.astype(int) - other.even.astype(int)).max() <= 1
+    assert np.abs(first.levels.astype(int) - other.levels.astype(int)).max() <= 1
     assert other.width == pytest.approx(first.width, rel=1e-3)
 
 
 def test_slow_shading_is_removed():
     grey = Speckle(SHAPE, 1).image()
     shade = (0.5 + np.arange(SHAPE[1]) / SHAPE[1]).astype(np.float32)
-    gap = make_even_picture(grey).even.astype(float) - make_even_picture(grey * shade).even
+    gap = (
+        make_normalised_image(grey).levels.astype(float)
+        - make_normalised_image(grey * shade).levels
+    )
     # A tenth of the 40 levels of a standard deviation: within a window the shade varies by 12 %.
     assert np.sqrt((gap**2).mean()) < 4.0
 
@@ -69,8 +78,34 @@ def test_moments_against_plain_sums():
 
 
 def test_cropped_is_the_same_part():
-    picture = make_even_picture(Speckle(SHAPE, 1).image())
+    picture = make_normalised_image(Speckle(SHAPE, 1).image())
     part = cropped(picture, (slice(10, 70), slice(20, 90)))
-    for name in ("grey", "even", "mean", "variance", "textured"):
+    for name in ("grey", "levels", "mean", "variance", "textured"):
         np.testing.assert_array_equal(getattr(part, name), getattr(picture, name)[10:70, 20:90])
     assert part.width == picture.width
+
+
+def test_noise_is_that_of_a_blank_picture():
+    rng = np.random.default_rng(2)
+    grey = rng.normal(120.0, 5.0, (400, 400)).astype(np.float32)
+    # A quartile of 160 000 / 4 values, each with its neighbours: 2 %.
+    assert _noise(grey) == pytest.approx(5.0, rel=0.03)
+    # Rounding to whole levels is the least.
+    assert _noise(np.full((50, 50), 7.0, dtype=np.float32)) == pytest.approx(1.0 / np.sqrt(12.0))
+
+
+def test_levels_have_mean_128_and_contrast_40_but_for_the_noise():
+    """By the window's own sums; a picture from 0 to 255 is taken as it is."""
+    grey = noisy(Speckle(SHAPE, 1).image(), 6.0, 3)
+    grey[0, :2] = [0.0, 255.0]
+    picture = make_normalised_image(grey)
+    np.testing.assert_allclose(picture.grey, grey, atol=1e-4)
+    noise = _noise(grey)
+    for row, column in ((40, 50), (75, 120), (100, 30)):
+        half = WINDOW // 2
+        window = grey[row - half : row + half + 1, column - half : column + half + 1].astype(float)
+        contrast = np.sqrt(window.var() + (4.0 * noise) ** 2)
+        level = 128.0 + 40.0 * (grey[row, column] - window.mean()) / contrast
+        # Rounded to whole levels.
+        assert picture.levels[row, column] == pytest.approx(level, abs=0.51)
+        assert picture.textured[row, column] == (window.var() > (2.0 * noise) ** 2)

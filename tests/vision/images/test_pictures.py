@@ -1,4 +1,4 @@
-"""Pictures of a rig from files: what becomes of good ones, what every kind of bad one is told."""
+"""Pictures of a rig from files: what becomes of good ones, what is said of each kind of bad one."""
 
 import os
 import struct
@@ -12,7 +12,6 @@ from palpate.errors import CalibrationError, RecordError
 from palpate.records import Camera, Rig
 from palpate.vision.images import pictures
 from palpate.vision.images.decoder import decode_picture
-from palpate.vision.images.formats import picture_fault
 
 GREY = np.random.default_rng(0).integers(3, 253, (12, 20), dtype=np.uint8)
 KINDS = (".png", ".jpg", ".tif", ".bmp")
@@ -184,8 +183,9 @@ def _refused(written, message, content, **options):
 def test_a_file_cut_off_anywhere_is_refused(written, kind, capfd):
     content = _encoded(GREY, kind)
     for end in range(len(content)):
-        assert picture_fault(content[:end]) is not None, end
-    assert picture_fault(content) is None
+        with pytest.raises(RecordError, match=r"is (empty|none of|cut off)"):
+            decode_picture(content[:end])
+    assert decode_picture(content)[0].shape[:2] == GREY.shape
     for share in (0.3, 0.5, 0.99):
         _refused(written, "cut off", content[: int(share * len(content))])
     captured = capfd.readouterr()
@@ -201,20 +201,14 @@ def test_a_file_filled_up_with_zeros_is_refused(written):
 
 
 def test_a_tiff_written_in_strips_or_by_others_is_checked(written):
-    """Both byte orders and the large variant, counts inside and outside the entry, by hand."""
+    """Both byte orders, counts inside and outside the entry, by hand."""
     for order, magic in (("<", b"II*\0"), (">", b"MM\0*")):
         for strips in (1, 3):
             content = _tiff(order, magic, strips)
             np.testing.assert_array_equal(
                 written(content, suffix=".tif").grey[0], GREY.astype(np.float32)
             )
-            _refused(written, "cut off: .* its pixel data ends at", content[:-1])
-    big = struct.pack("<HHHQ", 43, 8, 0, 16) + struct.pack("<Q", 1)
-    entry = struct.pack("<HHQQ", 273, 16, 1, 5000)
-    assert "ends at byte 5001" in picture_fault(b"II" + big + entry + bytes(8))
-    with_nothing = struct.pack("<HHQQ", 256, 3, 1, 20)
-    assert "does not say where" in picture_fault(b"II" + big + with_nothing + bytes(8))
-    assert "holds no picture" in picture_fault(b"II*\0" + bytes(4))
+            _refused(written, r"cut off .*Read error .* it has \d+ bytes", content[:-1])
 
 
 def _tiff(order, magic, strips):
@@ -234,33 +228,34 @@ def _tiff(order, magic, strips):
     return magic + struct.pack(order + "I", 8) + body + bytes(4) + outside + data
 
 
-def test_the_old_header_of_a_bmp_is_known():
+def test_the_old_header_of_a_bmp_is_known(written):
+    colour = np.dstack([GREY, GREY[::-1], GREY[:, ::-1]])
     head = struct.pack("<IHHHH", 12, 20, 12, 1, 24)
-    content = b"BM" + struct.pack("<IHHI", 26 + 720, 0, 0, 26) + head + bytes(720)
-    assert picture_fault(content) is None
-    assert "ends at byte 746" in picture_fault(content[:-1])
-    # Run-length coded: the header gives the size of the pixels.
-    head = struct.pack("<IiiHHIIiiII", 40, 20, 12, 1, 8, 1, 30, 0, 0, 0, 0)
-    content = b"BM" + struct.pack("<IHHI", 84, 0, 0, 54) + head + bytes(30)
-    assert picture_fault(content) is None
-    assert "ends at byte 84" in picture_fault(content[:-1])
+    content = b"BM" + struct.pack("<IHHI", 26 + 720, 0, 0, 26) + head + colour[::-1].tobytes()
+    # OpenCV makes the colours of this header grey by itself, in whole levels.
+    luminance = colour @ [0.114, 0.587, 0.299]
+    np.testing.assert_allclose(decode_picture(content)[0], luminance, atol=0.51)
+    _refused(written, "cut off", content[:-1])
 
 
 def test_damage_within_a_file_is_found_and_nothing_is_printed(written, capfd):
-    for kind, message in ((".png", "checksum of its chunk IDAT"), (".jpg", "Corrupt JPEG data")):
+    for kind, message in (
+        (".png", "libpng error"),
+        (".jpg", "Corrupt JPEG data"),
+        (".tif", "TIFF"),
+    ):
         content = bytearray(_encoded(np.kron(GREY, np.ones((1, 1), np.uint8)), kind))
         for i in range(len(content) // 2, len(content) // 2 + 20):
             content[i] = content[i] ^ 0x5A if content[i] not in (0xFF, 0xA5) else content[i]
         _refused(written, f"damaged.*{message}", bytes(content))
     broken = _encoded(GREY, ".jpg")
-    _refused(written, "no marker at byte 2", broken[:2] + b"\0" + broken[3:])
+    _refused(written, "damaged", broken[:2] + b"\0" + broken[3:])
     captured = capfd.readouterr()
     assert (captured.out, captured.err) == ("", "")
 
 
 def test_a_png_with_too_few_pixels_inside_sound_chunks_is_refused(written, capfd):
     content = _png(zlib.compress(bytes(21 * 6)))
-    assert picture_fault(content) is None
     _refused(written, "damaged, or of a kind that cannot be decoded", content)
     assert capfd.readouterr().err == ""
 
@@ -288,7 +283,8 @@ def test_what_others_write_meanwhile_is_passed_on(capfd, monkeypatch):
         raise cv2.error("no")
 
     monkeypatch.setattr(cv2, "imdecode", decode)
-    assert decode_picture(b"x") == (None, "Corrupt JPEG data: so it says")
+    with pytest.raises(RecordError, match=r"\(Corrupt JPEG data: so it says\)"):
+        decode_picture(_encoded(GREY))
     assert capfd.readouterr().err == "a bar: 30 %\nend"
 
 
@@ -297,9 +293,9 @@ def test_decoding_works_without_an_error_stream(monkeypatch):
         raise OSError(9, "Bad file descriptor")
 
     monkeypatch.setattr(os, "dup", closed)
-    pixels, damage = decode_picture(_encoded(GREY))
+    pixels, count = decode_picture(_encoded(GREY))
     np.testing.assert_array_equal(pixels, GREY)
-    assert damage is None
+    assert count == 1
 
 
 def test_what_cannot_be_read_is_refused(written, tmp_path):
@@ -385,6 +381,6 @@ def test_grey_levels_that_are_not_finite_are_refused(written):
 
 def test_other_types_of_grey_levels_are_refused(written, monkeypatch):
     _refused(written, "grey levels of type int32", _encoded(GREY.astype(np.int32), ".tif"))
-    monkeypatch.setattr(pictures, "decode_picture", lambda _content: (np.dstack([GREY] * 2), None))
+    monkeypatch.setattr(pictures, "decode_picture", lambda _content: (np.dstack([GREY] * 2), 1))
     with pytest.raises(RecordError, match=r"camera 'c0': .* has 2 channels; must be grey, RGB or"):
         written(_encoded(GREY))

@@ -10,6 +10,7 @@ from palpate.vision.images.spline import (
     interpolate,
     make_spline_picture,
     noise_share_kernel,
+    smoothing_gain,
 )
 
 SHAPE = (40, 52)
@@ -112,9 +113,9 @@ def test_share_of_noise_is_the_sum_of_squares_of_the_cardinal_spline():
 
     The formula is a fit, 0.0083 off at most: half a percent of a standard deviation.
     """
-    one = np.zeros((41, 41), dtype=np.float32)
-    one[20, 20] = 1.0
-    picture = make_spline_picture(one)
+    bright = np.zeros((41, 41), dtype=np.float32)
+    bright[20, 20] = 1.0
+    picture = make_spline_picture(bright)
     shift = np.arange(-14.0, 15.0)
     part = np.linspace(0.0, 1.0, 21)
     place = np.stack([20.0 + (part[:, None] + shift).ravel(), np.full(21 * 29, 20.0)], axis=1)
@@ -127,3 +128,13 @@ def test_share_of_noise_is_the_sum_of_squares_of_the_cardinal_spline():
     np.testing.assert_allclose(
         both, np.interp(0.3, part, found) * np.interp(0.6, part, found), atol=1e-5
     )
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.5, 0.9, 2.0])
+def test_smoothing_gain_is_the_root_of_the_sum_of_squares_of_the_low_pass(smoothing):
+    """The low-pass is the picture of one bright pixel."""
+    bright = np.zeros((41, 41), dtype=np.float32)
+    bright[20, 20] = 1.0
+    left = make_spline_picture(bright, smoothing=smoothing).grey.astype(float)
+    # OpenCV's kernel ends half a pixel earlier or later, where the Gaussian has fallen to 3e-4.
+    assert smoothing_gain(smoothing) == pytest.approx(np.sqrt((left**2).sum()), rel=1e-3)

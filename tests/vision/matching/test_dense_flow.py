@@ -8,7 +8,7 @@ import pytest
 from vision.textures import STILL, Speckle, affine, inverse_quadratic, noisy, pixel_grid, turned
 
 from palpate.errors import InputError
-from palpate.vision.images.normalisation import make_even_picture
+from palpate.vision.images.normalisation import make_normalised_image
 from palpate.vision.matching.dense_flow import _finished, dense_start
 from palpate.vision.matching.sparse_flow import Samples
 
@@ -109,7 +109,7 @@ def test_features_are_only_needed_where_a_search_explains_next_to_nothing(name, 
 def test_the_last_search_makes_up_for_a_start_that_is_off():
     """A pixel and a half off, in a turn and a strain: the start is taken from where it applies."""
     warp = affine(turned(10.0, 0.1), (4.0, 2.0), CENTRE)
-    a, b = (make_even_picture(grey) for grey in _pair(warp))
+    a, b = (make_normalised_image(grey) for grey in _pair(warp))
     truth = warp.flow(SHAPE)
     off = (truth + np.array([1.2, -0.9])).astype(np.float32)
     flow, trusted = _finished(a, b, off)

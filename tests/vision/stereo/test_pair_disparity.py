@@ -7,25 +7,20 @@ import pytest
 from vision.scenes import LENS, STILL, example, example_views, noisy_views, projected
 
 from palpate.errors import InputError
-from palpate.vision.images.features import find_features
-from palpate.vision.images.normalisation import make_even_picture
-from palpate.vision.stereo.pair_disparity import PairView, make_view, stereo_start
+from palpate.vision.images.features import find_features, prepare_pictures
+from palpate.vision.images.normalisation import make_normalised_image
+from palpate.vision.stereo.pair_disparity import _planes, _row_offset, stereo_start
 
 
-def _pair(count: int, lens: tuple[float, ...], other: int, roll: float = 0.0):
-    """The first and another view of the example, the other's calibration rolled about its axis."""
+def _pair(count: int, lens: tuple[float, ...], roll: float = 0.0):
+    """The example's views; the second's calibration rolled about its axis."""
     stage = example(count, lens)
     views = noisy_views(example_views("still", count, lens), 1.0, seed=count)
-    pair: list[PairView] = []
-    for k in (0, other):
-        camera = stage.rig.cameras[k]
-        if k and roll:
-            turn = np.eye(4)
-            turn[:2, :2] = [[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]]
-            camera = replace(camera, T_camera_object=turn @ camera.T_camera_object)
-        even = make_even_picture(views[k])
-        pair.append(make_view(camera, even, find_features(even)))
-    return stage, pair
+    cameras = list(stage.rig.cameras)
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]]
+    cameras[1] = replace(cameras[1], T_camera_object=turn @ cameras[1].T_camera_object)
+    return stage, prepare_pictures(replace(stage.rig, cameras=tuple(cameras)), views)
 
 
 def _truth(stage, pixel, other):
@@ -43,8 +38,8 @@ PIXEL = PIXEL.reshape(-1, 2)
 
 @pytest.mark.parametrize(("count", "lens", "other"), [(2, (), 1), (3, LENS, 2), (4, (), 3)])
 def test_matches_and_gradients_are_near_the_truth(count, lens, other):
-    stage, pair = _pair(count, lens, other)
-    start = stereo_start(*pair, PIXEL, half=10)
+    stage, pictures = _pair(count, lens)
+    start = stereo_start(pictures, other, PIXEL, half=10)
     displacement, gradient = _truth(stage, PIXEL, other)
     found = np.isfinite(start.displacement).all(axis=1)
     assert found.mean() > 0.95
@@ -60,8 +55,8 @@ def test_matches_and_gradients_are_near_the_truth(count, lens, other):
 
 def test_rows_that_differ_are_corrected_from_features():
     """Rolled by two degrees the rows of the rectified pair differ by up to 3 px, both ways."""
-    stage, pair = _pair(2, (), 1, roll=np.radians(2.0))
-    start = stereo_start(*pair, PIXEL, half=10)
+    stage, pictures = _pair(2, (), roll=np.radians(2.0))
+    start = stereo_start(pictures, 1, PIXEL, half=10)
     displacement, _ = _truth(stage, PIXEL, 1)
     found = np.isfinite(start.displacement).all(axis=1)
     assert found.mean() > 0.9
@@ -69,14 +64,52 @@ def test_rows_that_differ_are_corrected_from_features():
     assert np.percentile(gap, 90.0) < 1.0
 
 
-def test_a_depth_range_needs_no_features():
-    stage, pair = _pair(2, (), 1)
-    none = find_features(make_even_picture(np.zeros((50, 50), dtype=np.float32)))
-    blind = [replace(view, features=none) for view in pair]
+def test_too_few_features_are_refused():
+    _, pictures = _pair(2, ())
+    none = find_features(make_normalised_image(np.zeros((50, 50), dtype=np.float32)))
+    blind = replace(pictures, features=(none, none))
     with pytest.raises(InputError, match="'c0' and 'c1' have 0 features in common"):
-        stereo_start(*blind, PIXEL, half=10)
-    start = stereo_start(*blind, PIXEL, half=10, depth_range=(0.27, 0.34))
-    displacement, _ = _truth(stage, PIXEL, 1)
-    found = np.isfinite(start.displacement).all(axis=1)
-    assert found.mean() > 0.95
-    assert np.median(np.abs(start.displacement - displacement)[found]) < 0.3
+        stereo_start(blind, 1, PIXEL, half=10)
+
+
+def test_row_offset_is_the_polynomial_that_most_features_follow():
+    rng = np.random.default_rng(5)
+    column, row = rng.uniform(0.0, 400.0, (2, 300))
+    x, y = column / 200.0 - 1.0, row / 200.0 - 1.0
+    gap = 3.0 + 2.0 * x - y + 0.5 * x * x + 0.3 * x * y - 0.4 * y * y
+    wrong = np.arange(300) < 60
+    other = np.stack([column, row - gap - np.where(wrong, 25.0, 0.0)], axis=1)
+    offset, agree = _row_offset(np.stack([column + 50.0, row], axis=1), other)
+    np.testing.assert_array_equal(agree, ~wrong)
+    # The coefficients are drawn to zero by a thousandth of the terms' mean squares, which are 0.1
+    # and more.
+    np.testing.assert_allclose(offset.at(column, row), gap, atol=0.05)
+    # Constant beyond the features, and for shapes that broadcast.
+    corner = offset.at(column.max(keepdims=True), row.max(keepdims=True))
+    assert offset.at(np.array([[900.0]]), np.array([900.0])) == pytest.approx(corner[0])
+    # Too few features for a polynomial: their median.
+    few, _ = _row_offset(np.stack([column + 50.0, row], axis=1)[60:75], other[60:75])
+    np.testing.assert_allclose(few.at(column, row), np.median(gap[60:75]), rtol=1e-12)
+    assert _row_offset(other[:5], other[:5])[0].at(column, row).max() == 0.0
+
+
+def test_planes_through_disparities():
+    """Two slanted surfaces, one nearer by 30 px; a hole in each; and the picture's end."""
+    row, column = np.mgrid[:100, :120].astype(float)
+    far, near = 5.0 + 0.2 * column - 0.1 * row, 50.0 - 0.15 * column + 0.05 * row
+    disparity = np.where(column < 60.0, far, near)
+    disparity[40:43, 25:28] = disparity[40:43, 90:93] = np.nan
+    disparity[70:, :40] = np.nan
+    at = np.array(
+        [[26.3, 41.2], [91.0, 41.0], [57.0, 20.0], [63.0, 20.0], [20.0, 85.0], [-9.0, 3.0]]
+    )
+    plane, good = _planes(disparity, at, 10)
+    np.testing.assert_array_equal(good, [True, True, True, True, False, False])
+    x, y = at.T
+    expected = np.where(
+        (x < 60.0)[:, None],
+        np.stack([5.0 + 0.2 * x - 0.1 * y, np.full(6, 0.2), np.full(6, -0.1)], axis=1),
+        np.stack([50.0 - 0.15 * x + 0.05 * y, np.full(6, -0.15), np.full(6, 0.05)], axis=1),
+    )
+    # The normal matrix has 1e-6 on its diagonal, of at least 24 samples.
+    np.testing.assert_allclose(plane[:4], expected[:4], atol=1e-5)

@@ -25,6 +25,7 @@ from palpate.errors import CalibrationError, InputError
 from palpate.records.files.rig import read_rig
 from palpate.records.rig import Camera, Rig
 from palpate.vision.cameras.projection import project
+from palpate.vision.images.features import prepare_pictures
 from palpate.vision.images.pictures import read_pictures
 from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.stereo import (
@@ -39,6 +40,10 @@ RADIUS = 0.06  # of the example's dome [m]
 
 def _views(count: int = 3, lens: tuple[float, ...] = (), noise: float = 1.5) -> list[np.ndarray]:
     return noisy_views(example_views("still", count, lens), noise, seed=count)
+
+
+def _stereo(rig: Rig, views, **options) -> StereoPoints:
+    return stereo_points(prepare_pictures(rig, views), **options)
 
 
 def _above(stereo: StereoPoints) -> tuple[np.ndarray, np.ndarray]:
@@ -61,7 +66,7 @@ def _turned(camera: Camera, angle: float) -> Camera:
 @pytest.mark.parametrize(("count", "lens"), [(2, ()), (3, LENS), (4, ())])
 def test_points_lie_on_the_surface_as_well_as_they_claim(count, lens):
     stage = example(count, lens)
-    stereo = stereo_points(stage.rig, _views(count, lens))
+    stereo = _stereo(stage.rig, _views(count, lens))
     height, sigma = _above(stereo)
     # 1140 points of the grid; windows of 9 px at the rim of either picture are lost.
     assert len(height) > 950
@@ -77,27 +82,14 @@ def test_points_lie_on_the_surface_as_well_as_they_claim(count, lens):
     assert stereo.counts[Outcome.VALID] == len(stereo.pixel)
 
 
-def test_affine_windows_see_a_curved_surface_displaced():
-    """Bends of 0.05 px over half a window: quadratic windows follow them, affine ones do not."""
-    rig, views = example(2).rig, _views(2, noise=0.3)
-    mean = {}
-    for shape in ("affine", "quadratic"):
-        height, _ = _above(stereo_points(rig, views, settings=StereoSettings(shape=shape)))
-        mean[shape] = abs(float(height.mean()))
-    assert mean["quadratic"] < 2e-6
-    assert mean["affine"] > 10.0 * mean["quadratic"]
-
-
 def test_windows_shrink_at_an_edge_of_the_object():
     """A roof: windows across the ridge are contradicted by smaller ones on one of its sides."""
     stage = Stage(make_rig(2), lambda x, y: -0.8 * np.abs(x), seed=5)
     views = noisy_views(stage.views(), 1.0, seed=5)
-    stereo = stereo_points(stage.rig, views)
+    stereo = _stereo(stage.rig, views)
     ridge = projected(stage.rig.cameras[0], np.zeros((1, 3)))[0, 0]
     near = np.abs(stereo.pixel[:, 0] - ridge) < 10.0
     assert near.sum() > 50
-    assert np.median(stereo.window[near]) < 21
-    assert np.median(stereo.window[~near]) == 21
     height = (stereo.point[:, 2] + 0.8 * np.abs(stereo.point[:, 0])) / np.hypot(1.0, 0.8)
     # Windows of 21 px that end on the ridge see it rounded, by 0.8 * 10 px * 0.3 mm / 4 = 0.6 mm.
     assert np.sqrt(np.mean(height[near] ** 2)) < 1e-4
@@ -106,25 +98,25 @@ def test_windows_shrink_at_an_edge_of_the_object():
 
 def test_points_turn_with_the_frame_and_do_not_depend_on_the_order_of_cameras():
     rig, views = example(3).rig, _views(3)
-    stereo = stereo_points(rig, views)
+    stereo = _stereo(rig, views)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     shift = np.array([0.1, -0.2, 0.3])
-    elsewhere = stereo_points(moved_frame(rig, turn, shift), views)
+    elsewhere = _stereo(moved_frame(rig, turn, shift), views)
     np.testing.assert_allclose(elsewhere.point, stereo.point @ turn.T + shift, atol=1e-9)
     swapped = Rig(rig.cameras[::-1], 2, "scene")
-    other = stereo_points(swapped, views[::-1])
+    other = _stereo(swapped, views[::-1])
     np.testing.assert_array_equal(other.pixel, stereo.pixel)
     np.testing.assert_allclose(other.point, stereo.point, atol=1e-9)
 
 
 def test_a_camera_that_shows_something_else_drops_out():
     rig, views = example(3).rig, _views(3)
-    two = stereo_points(Rig(rig.cameras[:2], 0, "scene"), views[:2])
+    two = _stereo(Rig(rig.cameras[:2], 0, "scene"), views[:2])
     blank = [*views[:2], np.full_like(views[2], 80.0)]
-    np.testing.assert_array_equal(stereo_points(rig, blank).point, two.point)
+    np.testing.assert_array_equal(_stereo(rig, blank).point, two.point)
     # Another texture, matched by chance nowhere that the neighbours would confirm.
     strange = [*views[:2], np.ascontiguousarray(views[2][::-1, ::-1])]
-    kept = stereo_points(rig, strange, depth_range=(0.25, 0.35))
+    kept = _stereo(rig, strange)
     height, _ = _above(kept)
     assert len(kept.pixel) >= 0.98 * len(two.pixel)
     assert np.sqrt(np.mean(height**2)) < 2e-5
@@ -135,7 +127,7 @@ def test_a_wrong_match_of_one_camera_is_left_out():
     rig, views = example(4).rig, _views(4)
     cameras = list(rig.cameras)
     cameras[3] = _turned(cameras[3], np.radians(0.3))
-    stereo = stereo_points(Rig(tuple(cameras), 0, "scene"), views)
+    stereo = _stereo(Rig(tuple(cameras), 0, "scene"), views)
     height, _ = _above(stereo)
     assert stereo.cameras.max() <= 3
     assert np.sqrt(np.mean(height**2)) < 2e-5
@@ -144,37 +136,27 @@ def test_a_wrong_match_of_one_camera_is_left_out():
 def test_a_drifted_calibration_is_searched_all_the_same_and_rejected_for_what_it_is():
     rig, views = example(2).rig, _views(2)
     drifted = Rig((rig.cameras[0], _turned(rig.cameras[1], np.radians(0.5))), 0, "scene")
-    strict = stereo_points(drifted, views)
+    strict = _stereo(drifted, views)
     assert len(strict.pixel) == 0
     assert strict.counts[Outcome.REPROJECTION] > 800
-    loose = stereo_points(drifted, views, settings=StereoSettings(reprojection=20.0))
+    loose = _stereo(drifted, views, settings=StereoSettings(reprojection=20.0))
     assert len(loose.pixel) > 800
     # Half a degree is 8.7 px, shared by two cameras and two coordinates each.
     assert np.median(loose.residual) == pytest.approx(8.7 / np.sqrt(8.0), rel=0.1)
-
-
-def test_a_depth_range_serves_as_well_as_features():
-    rig, views = example(2).rig, _views(2)
-    stereo = stereo_points(rig, views)
-    ranged = stereo_points(rig, views, depth_range=(0.25, 0.36))
-    common = {tuple(pixel) for pixel in stereo.pixel} & {tuple(pixel) for pixel in ranged.pixel}
-    assert len(common) > 0.97 * len(stereo.pixel)
-    # A range that leaves the object out finds nothing there.
-    assert len(stereo_points(rig, views, depth_range=(0.5, 0.6)).pixel) < 20
 
 
 def test_mask_and_texture_decide_where_points_are():
     rig, views = example(2).rig, _views(2, noise=0.5)
     mask = np.zeros(SHAPE, dtype=bool)
     mask[40:100, 60:120] = True
-    inside = stereo_points(rig, views, mask=mask, settings=StereoSettings(step=3))
+    inside = _stereo(rig, views, mask=mask, settings=StereoSettings(step=3))
     assert inside.counts.sum() == 20 * 20
     assert len(inside.pixel) > 350
     assert (inside.pixel >= [60, 40]).all()
     assert (inside.pixel < [120, 100]).all()
     blank = views[0].copy()
     blank[:, 95:] = 90.0
-    half = stereo_points(rig, [blank, views[1]])
+    half = _stereo(rig, [blank, views[1]])
     # Windows of 9 px look 3 px ahead for texture on all sides.
     assert half.pixel[:, 0].max() < 95
     assert half.counts[Outcome.TEXTURE] > 15 * 30
@@ -186,7 +168,7 @@ def test_unlike_cameras_are_paired():
     rows, columns = SHAPE[0] - 20, SHAPE[1] - 10
     cropped = replace(rig.cameras[1], size=(columns, rows))
     small = Rig((rig.cameras[0], cropped), 0, "scene")
-    stereo = stereo_points(small, [views[0], np.ascontiguousarray(views[1][:rows, :columns])])
+    stereo = _stereo(small, [views[0], np.ascontiguousarray(views[1][:rows, :columns])])
     height, _ = _above(stereo)
     assert len(height) > 750
     assert np.sqrt(np.mean(height**2)) < 1.5e-5
@@ -194,7 +176,7 @@ def test_unlike_cameras_are_paired():
 
 def test_surface_faces_the_camera_and_ends_at_jumps():
     rig, views = example(2).rig, _views(2)
-    stereo = stereo_points(rig, views)
+    stereo = _stereo(rig, views)
     vertices, triangles = triangulated_surface(stereo)
     assert vertices.shape == stereo.point.shape
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
@@ -218,7 +200,7 @@ def test_surface_faces_the_camera_and_ends_at_jumps():
 
 def test_nothing_found_is_a_result():
     rig, views = example(2).rig, _views(2)
-    stereo = stereo_points(rig, views, mask=np.zeros(SHAPE, dtype=bool))
+    stereo = _stereo(rig, views, mask=np.zeros(SHAPE, dtype=bool))
     assert len(stereo.pixel) == 0
     assert stereo.counts.sum() == 0
     vertices, triangles = triangulated_surface(stereo)
@@ -228,29 +210,27 @@ def test_nothing_found_is_a_result():
 def test_input_is_checked():
     rig, views = example(2).rig, _views(2)
     with pytest.raises(InputError, match="1 pictures for 2 cameras"):
-        stereo_points(rig, views[:1])
+        _stereo(rig, views[:1])
     with pytest.raises(InputError, match="mask is of"):
-        stereo_points(rig, views, mask=np.ones((3, 4), dtype=bool))
-    with pytest.raises(InputError, match="near and far"):
-        stereo_points(rig, views, depth_range=(0.3, 0.2))
+        _stereo(rig, views, mask=np.ones((3, 4), dtype=bool))
     with pytest.raises(InputError, match="have 0 features in common"):
-        stereo_points(rig, [views[0], np.full_like(views[1], 80.0)])
+        _stereo(rig, [views[0], np.full_like(views[1], 80.0)])
     with pytest.raises(InputError, match="subset is 20"):
         StereoSettings(subset=20)
     with pytest.raises(InputError, match="step is 0"):
         StereoSettings(step=0)
-    with pytest.raises(InputError, match="excess is 0; must be positive"):
-        StereoSettings(excess=0.0)
+    with pytest.raises(InputError, match="reprojection is 0; must be positive"):
+        StereoSettings(reprojection=0.0)
     twins = Rig((rig.cameras[0], replace(rig.cameras[0], name="twin")), 0, "scene")
     with pytest.raises(CalibrationError, match="same centre"):
-        stereo_points(twins, views)
+        _stereo(twins, views)
 
 
 def _rendered(folder, pattern: str, truth: str):
     """Stereo points of a rendered set and what they should be, in the reference camera's axes."""
     rig = read_rig(folder / "rig.toml")
     pictures = read_pictures(rig, pattern, folder=folder, what="rest")
-    stereo = stereo_points(rig, pictures.grey)
+    stereo = _stereo(rig, pictures.grey)
     stored = np.load(folder / truth)
     point = np.full((int(np.prod(stored["shape"])), 3), np.nan)
     point[stored["pixel"]] = stored["X"]
@@ -316,11 +296,11 @@ def test_matches_of_another_program_on_a_real_specimen(shared_data):
     ]
     mask = np.zeros(grey[0].shape, dtype=bool)
     mask[400:700, 500:1300] = True
-    stereo = stereo_points(rig, grey, mask=mask, settings=StereoSettings(step=10))
+    stereo = _stereo(rig, grey, mask=mask, settings=StereoSettings(step=10))
     assert len(stereo.pixel) > 0.95 * mask.sum() / 100
     left, right = _gold(folder / "dice_gold" / "DICe_solution.e")
     distance, near = cKDTree(stereo.pixel).query(left, 9)
-    left, right, near = (one[distance[:, 8] < 25.0] for one in (left, right, near))
+    left, right, near = (values[distance[:, 8] < 25.0] for values in (left, right, near))
     assert len(left) > 12
     seen = project(rig.cameras[1], stereo.point)
     error = []

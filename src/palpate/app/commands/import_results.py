@@ -8,20 +8,18 @@ from typing import Annotated, Literal
 
 import numpy as np
 from cyclopts import Parameter
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from palpate.app.terminal import print_notes
+from palpate.app.terminal import number_text, print_file_notes, print_notes, terminal_table
 from palpate.errors import InputError
+from palpate.pipeline import survey_field
 from palpate.records import (
     ImportedField,
     ImportItem,
     SessionOutline,
     displacement_line,
     import_plan,
-    observed_rows,
     on_object,
     on_surface,
     placed_files,
@@ -179,55 +177,36 @@ def _report(outline: SessionOutline, done: Sequence[_Import], out: Path | None) 
     """What was read and where it went."""
     console = Console()
     console.print(_table(done))
-    said: dict[str, list[str]] = {}
-    for item in done:
-        for note in item.imported.notes:
-            said.setdefault(note, []).append(item.file.name)
-    for note, names in said.items():
-        whose = names[0] if len(names) == 1 else f"{len(names)} of {len(done)} files"
-        console.print(f"Note ({whose}): {note}", markup=False, highlight=False)
+    notes = [(item.file.name, note) for item in done for note in item.imported.notes]
+    print_file_notes(console, notes, files=len(done))
     for item in done:
         name = _csv_name(item)
         if out is None:
-            told = f"{outline.path}, probing '{item.name}': {displacement_line(name)}"
+            line = f"{outline.path}, probing '{item.name}': {displacement_line(name)}"
         else:
             file = os.path.relpath(out / name, outline.path.parent)
-            told = f"Add to probing '{item.name}': {displacement_line(Path(file).as_posix())}"
-        console.print(told, markup=False, highlight=False, soft_wrap=True)
+            line = f"Add to probing '{item.name}': {displacement_line(Path(file).as_posix())}"
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _table(done: Sequence[_Import]) -> Table:
     """One line per file."""
-    table = Table(
-        title="Imported displacements (lengths in mm)",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )
-    table.add_column("probing", no_wrap=True, min_width=4)
-    table.add_column("file", no_wrap=True, min_width=7)
-    for heading in ("points", "seen", "nan", "left out", "off", "|u|", "sigma"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for item in done:
-        imported = item.imported
-        field = imported.field
-        seen = observed_rows(field)
-        size = np.linalg.norm(field.displacement[seen], axis=1)
-        sigma = "-" if field.std is None else f"{1e3 * float(np.median(field.std[seen])):.4f}"
-        table.add_row(
-            escape(item.name),
-            escape(item.file.name),
-            str(imported.read),
-            str(int(seen.sum())),
-            str(imported.failed),
-            str(imported.nowhere + imported.off_surface),
-            f"{1e3 * imported.median_distance:.3f}",
-            f"{1e3 * float(np.median(size)):.3f}",
-            sigma,
-        )
-    table.caption = (
-        "seen: measured points; nan: failed ones, kept as rows of NaN; left out: failed without a"
-        " place, or off the surface; off: distance of the measured points from the surface;"
-        " medians of off, |u| and sigma"
+        read, field = item.imported, survey_field(item.imported.field)
+        lengths = (read.median_distance, field.median_displacement, field.median_sigma)
+        left_out = read.nowhere + read.off_surface
+        counts = (read.read, field.observed, read.failed, left_out)
+        digits = (".3f", ".3f", ".4f")
+        rows.append(
+            (item.name, item.file.name, *map(str, counts),
+             *(number_text(1e3 * x, form) for x, form in zip(lengths, digits, strict=True)))
+        )  # fmt: skip
+    return terminal_table(
+        "Imported displacements (lengths in mm)",
+        ("probing", "file", "points", "seen", "nan", "left out", "off", "|u|", "sigma"),
+        rows,
+        caption="seen: measured points; nan: failed ones, kept as rows of NaN; left out: failed"
+        " without a place, or off the surface; off: distance of the measured points from the"
+        " surface; medians of off, |u| and sigma",
     )
-    return table

@@ -1,13 +1,21 @@
-"""cameras."""
+"""Where calibrated cameras see points, and where in space pixels lie.
 
-from palpate.vision.cameras.pixel_grid import pixel_grid as pixel_grid
+Purpose    : projection with its derivative and inverse, triangulation, rectification, and what each
+             pixel sees of a surface.
+Takes      : `Camera` and `Rig`, points, pixels, a triangle surface.
+Gives      : pixels, rays, `Triangulation`, `SurfaceMap`, `Rectified`.
+Depends on : `records`, `vision.images`.
+Read first : `lens.py`, then `projection.py`.
+"""
+
+from palpate.vision.cameras.lens import project_kernel as project_kernel
 from palpate.vision.cameras.projection import (
     camera_sigma as camera_sigma,
     normalised as normalised,
     packed_rig as packed_rig,
+    pixel_grid as pixel_grid,
     project as project,
     project_jacobian as project_jacobian,
-    project_kernel as project_kernel,
     rays as rays,
 )
 from palpate.vision.cameras.rectification import (

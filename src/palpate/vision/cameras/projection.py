@@ -1,29 +1,16 @@
-"""Projection of points of the object into a camera, as a kernel and on whole arrays.
-
-OpenCV's pinhole model with the rational distortion: x = X/Z, y = Y/Z, r2 = x^2 + y^2,
-radial = (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3), then
-x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2), y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y and
-column = fx x' + skew y' + cx, row = fy y' + cy.
-"""
+"""Projection of points of the object into a camera, and the rays of its pixels, on whole arrays."""
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
+from palpate.errors import InputError
 from palpate.records import Camera, Rig, camera_centre
 from palpate.shapes import Points, PointScalars, Vector3
 from palpate.threads import in_threads
-from palpate.vision.cameras.lens import (
-    jacobians_kernel,
-    lens_reach,
-    normalised_kernel,
-    projections_kernel,
-)
+from palpate.vision.cameras.lens import jacobians_kernel, lens_reach, normalised_kernel
 
-# A camera as one row of numbers: fx fy cx cy skew, eight distortion terms, R by rows, t.
-PACKED = 25
-# Pixels that are worth a thread: each takes some 0.3 us.
-_FEWEST = 1024
+# Pixels that are worth a thread: each takes some 0.1 us.
+_MIN_PIXELS_PER_THREAD = 1024
 
 
 def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
@@ -44,25 +31,17 @@ def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
 
 
 def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
-    """All cameras of a rig, a row each; see `packed_camera`."""
+    """All cameras of a rig for the kernels.
+
+    Parameters
+    ----------
+    rig : Rig                       c cameras
+
+    Returns
+    -------
+    (c, 25) float                   a row each, see `packed_camera`
+    """
     return np.stack([packed_camera(camera) for camera in rig.cameras])
-
-
-@njit(cache=True, error_model="numpy")
-def project_kernel(c, x, y, z):
-    """Pixel (column, row) of an object point; `c` is a packed camera."""
-    zc = c[19] * x + c[20] * y + c[21] * z + c[24]
-    inverse = 1.0 / zc
-    a = (c[13] * x + c[14] * y + c[15] * z + c[22]) * inverse
-    b = (c[16] * x + c[17] * y + c[18] * z + c[23]) * inverse
-    r2 = a * a + b * b
-    over = 1.0 + r2 * (c[5] + r2 * (c[6] + r2 * c[9]))
-    under = 1.0 + r2 * (c[10] + r2 * (c[11] + r2 * c[12]))
-    radial = over / under
-    ab = 2.0 * a * b
-    xd = a * radial + c[7] * ab + c[8] * (r2 + 2.0 * a * a)
-    yd = b * radial + c[7] * (r2 + 2.0 * b * b) + c[8] * ab
-    return c[0] * xd + c[4] * yd + c[2], c[1] * yd + c[3]
 
 
 def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:
@@ -79,12 +58,7 @@ def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:
                                     or behind the camera's centre, or so far off the axis that the
                                     lens model has folded over
     """
-    # A copy can be written to, so that the kernel is compiled for one kind of array only.
-    points = np.array(points, dtype=np.float64, order="C")
-    pixels = np.empty((len(points), 2))
-    reach = lens_reach(camera.distortion)
-    projections_kernel(packed_camera(camera), reach, points, pixels)
-    return pixels
+    return project_jacobian(camera, points)[0]
 
 
 def project_jacobian(
@@ -103,6 +77,7 @@ def project_jacobian(
     jacobian : (n, 2, 3) float [px/m]   entry [n, i, j]: pixel coordinate i by point coordinate j;
                                     NaN where the pixel is
     """
+    # A copy can be written to, so that the kernel is compiled for one kind of array only.
     points = np.array(points, dtype=np.float64, order="C")
     pixels, jacobian = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
     reach = lens_reach(camera.distortion)
@@ -130,9 +105,51 @@ def normalised(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.nda
     reach = lens_reach(camera.distortion)
     in_threads(
         normalised_kernel, len(pixels), packed_camera(camera), reach, pixels, directions,
-        fewest=_FEWEST,
+        fewest=_MIN_PIXELS_PER_THREAD,
     )  # fmt: skip
     return directions
+
+
+def check_picture_size(camera: Camera, shape: tuple[int, int]) -> None:
+    """Refuse pictures of another size than the camera's.
+
+    Parameters
+    ----------
+    camera : Camera
+    shape : (rows, columns) [px]
+
+    Raises
+    ------
+    InputError                      the camera has a size, and it is not this one
+    """
+    rows, columns = shape
+    if camera.size is not None and camera.size != (columns, rows):
+        raise InputError(
+            f"camera '{camera.name}' has {camera.size[0]} x {camera.size[1]} pixels; asked for"
+            f" {columns} x {rows} (columns x rows)"
+        )
+
+
+def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 rows columns"]:
+    """Where the ray of every pixel centre meets the plane z = 1 of the camera.
+
+    Parameters
+    ----------
+    camera : Camera
+    shape : (rows, columns) [px]    of its pictures
+
+    Returns
+    -------
+    (2, rows, columns) float [-]    x / z and y / z; NaN where the lens model has no such ray
+
+    Raises
+    ------
+    InputError                      a shape that contradicts the camera's
+    """
+    check_picture_size(camera, shape)
+    row, column = np.indices(shape, dtype=np.float64).reshape(2, -1)
+    flat = normalised(camera, np.column_stack([column, row]))
+    return np.ascontiguousarray(flat.T).reshape(2, *shape)
 
 
 def rays(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> tuple[Vector3, Points]:

@@ -16,13 +16,13 @@ from jaxtyping import Float
 from palpate.errors import CalibrationError, InputError
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Matrix3, Points, PointScalars, Vector3
-from palpate.vision.cameras.projection import normalised, project
+from palpate.vision.cameras.projection import check_picture_size, normalised, project
 from palpate.vision.images import interpolate, make_spline_picture
 
 # Tilting a picture by 60 degrees stretches its centre by two and its far edge without bound.
-_STEEPEST = np.cos(np.deg2rad(60.0))
+_MIN_COSINE = np.cos(np.deg2rad(60.0))
 # An L this far from a right angle (30 degrees between the arms) is sheared by two.
-_FLATTEST = np.sin(np.deg2rad(30.0))
+_MIN_SINE = np.sin(np.deg2rad(30.0))
 # Where `cv2.remap` is sent for a pixel that the camera does not see: outside, whatever the method.
 _OUTSIDE = -1e4
 
@@ -38,17 +38,15 @@ class Rectified:
                                     for `cv2.remap`; far outside where it sees nothing
     axis : tuple of int             for each camera but the first: 0 where its disparity is in
                                     columns (epipolar lines along rows), 1 where in rows
-    baseline : (k - 1,) float [m]   distance of each camera but the first from the reference
     """
 
     cameras: tuple[Camera, ...]
     maps: tuple[Float[np.ndarray, "2 rows columns"], ...]
     axis: tuple[int, ...]
-    baseline: Float[np.ndarray, " partners"]
 
 
 def rectify_pair(reference: Camera, other: Camera, shape: tuple[int, int]) -> Rectified:
-    """Turn two cameras so that a point lies in the same row of both.
+    """Turn two cameras so that every point lies in the same row of both.
 
     Parameters
     ----------
@@ -66,10 +64,10 @@ def rectify_pair(reference: Camera, other: Camera, shape: tuple[int, int]) -> Re
     """
     arm = _arm(reference, other)
     x = arm / np.linalg.norm(arm)
-    x = x * _sign(x @ reference.T_camera_object[0, :3])
+    x = x * np.copysign(1.0, x @ reference.T_camera_object[0, :3])
     view = _mean_view((reference, other))
     z = view - (view @ x) * x
-    if np.linalg.norm(z) < _STEEPEST:
+    if np.linalg.norm(z) < _MIN_COSINE:
         raise CalibrationError(
             f"cameras '{reference.name}' and '{other.name}' look along the line between them"
             " (within 30 degrees); such a pair cannot be rectified. Match without rectification"
@@ -103,7 +101,7 @@ def rectify_triple(
     arms = [_arm(reference, other) for other in cameras[1:]]
     first, second = (arm / np.linalg.norm(arm) for arm in arms)
     z = np.cross(first, second)
-    if np.linalg.norm(z) < _FLATTEST:
+    if np.linalg.norm(z) < _MIN_SINE:
         angle = np.rad2deg(np.arccos(np.clip(first @ second, -1.0, 1.0)))
         raise CalibrationError(
             f"seen from camera '{reference.name}' the cameras '{left.name}' and '{top.name}' are"
@@ -111,14 +109,14 @@ def rectify_triple(
             " reference, or rectify pairs"
         )
     view = _mean_view(cameras)
-    z = z / np.linalg.norm(z) * _sign(z @ view)
-    if z @ view < _STEEPEST:
+    z = z / np.linalg.norm(z) * np.copysign(1.0, z @ view)
+    if z @ view < _MIN_COSINE:
         raise CalibrationError(
             f"cameras '{reference.name}', '{left.name}' and '{top.name}' look along the plane of"
             " their centres (within 30 degrees); such a triple cannot be rectified. Match without"
             " rectification"
         )
-    x = first * _sign(first @ reference.T_camera_object[0, :3])
+    x = first * np.copysign(1.0, first @ reference.T_camera_object[0, :3])
     y = np.cross(z, x)
     skew = -float(second @ x) / float(second @ y)
     return _rectified(cameras, np.stack([x, y, z]), skew, (0, 1), shape)
@@ -164,8 +162,7 @@ def from_disparity(
     parallax = disparity - (other.matrix - reference.matrix)[axis, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = at_unit_depth / parallax
-    depth = np.where(depth > 0.0, depth, np.nan)
-    depth = np.where(np.isfinite(depth), depth, np.nan)
+    depth = np.where((depth > 0.0) & np.isfinite(depth), depth, np.nan)
     flat = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(reference.matrix).T
     return (depth[:, None] * flat - pose[:3, 3]) @ pose[:3, :3]
 
@@ -201,17 +198,13 @@ def _arm(reference: Camera, other: Camera) -> Vector3:
     """From the centre of the reference to that of another camera, object frame [m]."""
     arm = camera_centre(other) - camera_centre(reference)
     distance = np.linalg.norm(camera_centre(reference))
-    # Centres closer than rounding of their coordinates say no direction.
+    # Centres closer than the rounding of their coordinates give no direction.
     if np.linalg.norm(arm) <= 1e-9 * max(float(distance), 1e-9):
         raise CalibrationError(
             f"cameras '{reference.name}' and '{other.name}' have the same centre; depth needs a"
             " baseline. Are R and t of each camera's own, x_camera = R x_object + t?"
         )
     return arm
-
-
-def _sign(value: float) -> float:
-    return -1.0 if value < 0.0 else 1.0
 
 
 def _mean_view(cameras: Sequence[Camera]) -> Vector3:
@@ -244,27 +237,22 @@ def _rectified(
             replace(camera, size=size, matrix=own, distortion=np.zeros(8), T_camera_object=pose)
         )
         maps.append(_map(camera, turned[-1], size))
-    baseline = [float(np.linalg.norm(_arm(cameras[0], other))) for other in cameras[1:]]
-    return Rectified(tuple(turned), tuple(maps), axis, np.array(baseline))
+    return Rectified(tuple(turned), tuple(maps), axis)
 
 
 def _extent(
     camera: Camera, rotation: Matrix3, matrix: Matrix3, shape: tuple[int, int]
 ) -> Float[np.ndarray, "2 2"]:
     """Least and greatest (column, row) of a camera's picture after the turn, principal point 0."""
+    check_picture_size(camera, shape)
     rows, columns = shape
-    if camera.size is not None and camera.size != (columns, rows):
-        raise InputError(
-            f"camera '{camera.name}' has {camera.size[0]} x {camera.size[1]} pixels; asked for"
-            f" {columns} x {rows} (columns x rows)"
-        )
     column, row = np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64)
     edge = [np.stack([column, np.full(columns, end)], axis=1) for end in (0.0, rows - 1.0)]
     edge += [np.stack([np.full(rows, end), row], axis=1) for end in (0.0, columns - 1.0)]
     flat = normalised(camera, np.concatenate(edge))
     inside = np.column_stack([flat, np.ones(len(flat))]) @ camera.T_camera_object[:3, :3]
     turned = inside @ (matrix @ rotation).T
-    turned = turned[turned[:, 2] > _STEEPEST * np.linalg.norm(inside, axis=1)]
+    turned = turned[turned[:, 2] > _MIN_COSINE * np.linalg.norm(inside, axis=1)]
     if not len(turned):
         raise CalibrationError(
             f"camera '{camera.name}' looks elsewhere than the others: nothing of its picture is"
@@ -299,11 +287,11 @@ def _map(
     camera: Camera, turned: Camera, size: tuple[int, int]
 ) -> Float[np.ndarray, "2 rows columns"]:
     """Where the pixels of a rectified camera lie in the picture as it was taken."""
-    column, row = np.meshgrid(np.arange(size[0], dtype=np.float64), np.arange(size[1]))
-    pixels = np.column_stack([column.ravel(), row.ravel(), np.ones(column.size)])
+    row, column = np.indices(size[::-1], dtype=np.float64).reshape(2, -1)
+    pixels = np.column_stack([column, row, np.ones(len(row))])
     back = np.linalg.inv(turned.matrix @ turned.T_camera_object[:3, :3])
     pose = camera.T_camera_object.copy()
     pose[:3, 3] = 0.0
     place = project(replace(camera, T_camera_object=pose), pixels @ back.T)
     place = np.where(np.isnan(place), _OUTSIDE, np.clip(place, _OUTSIDE, -_OUTSIDE))
-    return np.ascontiguousarray(place.T.reshape(2, *column.shape), dtype=np.float32)
+    return np.ascontiguousarray(place.T.reshape(2, *size[::-1]), dtype=np.float32)

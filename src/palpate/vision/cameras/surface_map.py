@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
+from scipy.ndimage import map_coordinates
 
-from palpate.errors import CalibrationError, InputError
+from palpate.errors import CalibrationError
 from palpate.records import Camera
 from palpate.shapes import Flags, Points, Triangles, Vertices
 from palpate.threads import in_threads
-from palpate.vision.cameras.pixel_grid import pixel_grid
-from palpate.vision.cameras.projection import project
+from palpate.vision.cameras.projection import pixel_grid, project
 
 # Side of the squares of pixels that are skipped together [px]: a triangle of a usual mesh covers
 # one to four of them.
@@ -47,8 +47,6 @@ def surface_map(
     shape: tuple[int, int],
     vertices: Vertices,
     triangles: Triangles,
-    *,
-    grid: Float[np.ndarray, "2 rows columns"] | None = None,
 ) -> SurfaceMap:
     """Intersect the ray of every pixel centre with a triangle surface; the nearest hit is kept.
 
@@ -61,7 +59,6 @@ def surface_map(
     shape : (rows, columns) [px]    of its pictures
     vertices : (v, 3) float [m]     object frame
     triangles : (m, 3) int
-    grid : (2, rows, columns) or None   of `pixel_grid`, for a camera that is used again and again
 
     Returns
     -------
@@ -69,13 +66,10 @@ def surface_map(
 
     Raises
     ------
-    InputError                      a shape that contradicts the camera's or the grid's
+    InputError                      a shape that contradicts the camera's
     CalibrationError                a part of the surface is beside or behind the camera
     """
-    if grid is None:
-        grid = pixel_grid(camera, shape)
-    elif grid.shape[1:] != shape:
-        raise InputError(f"grid is of {grid.shape[1:]} pixels; must be of {shape}")
+    grid = pixel_grid(camera, shape)
     pose = camera.T_camera_object
     in_camera = vertices @ pose[:3, :3].T + pose[:3, 3]
     _check_in_front(camera, in_camera[:, 2], triangles)
@@ -83,15 +77,23 @@ def surface_map(
         flat = in_camera / in_camera[:, 2:]
         flat[:, 2] = 1.0 / in_camera[:, 2]
     corner = flat[triangles]
-    low, high = corner[..., :2].min(axis=1), corner[..., :2].max(axis=1)
+    low, high = corner[..., :2].min(axis=1).T, corner[..., :2].max(axis=1).T
     rim = _RIM * (high - low)
-    boxes = np.hstack([low - rim, high + rim])
+    boxes = np.stack([low - rim, high + rim])
     inverse_depth, triangle = np.zeros(shape), np.full(shape, -1)
-    bands = (shape[0] + _TILE - 1) // _TILE
-    in_threads(_hit_bands, bands, grid, corner, boxes, inverse_depth, triangle)
-    point = np.empty((*shape, 3))
-    in_threads(_hit_points, shape[0], grid, inverse_depth, np.ascontiguousarray(pose), point)
-    return SurfaceMap(point, triangle)
+    bounds = np.stack([_tiled(np.fmin, grid), _tiled(np.fmax, grid)])
+    in_threads(_hit_bands, bounds.shape[2], grid, bounds, corner, boxes, inverse_depth, triangle)
+    depth = np.where(triangle >= 0, 1.0 / np.where(triangle >= 0, inverse_depth, 1.0), np.nan)
+    hit = np.stack([grid[0] * depth, grid[1] * depth, depth], axis=-1)
+    return SurfaceMap((hit - pose[:3, 3]) @ pose[:3, :3], triangle)
+
+
+def _tiled(
+    extreme: np.ufunc, grid: Float[np.ndarray, "2 rows columns"]
+) -> Float[np.ndarray, "2 bands tiles"]:
+    """`np.fmin` or `np.fmax` over the pixels of every tile, NaN left out."""
+    rows, columns = (np.arange(0, size, _TILE) for size in grid.shape[1:])
+    return extreme.reduceat(extreme.reduceat(grid, rows, axis=1), columns, axis=2)
 
 
 def visible(surface: SurfaceMap, camera: Camera, points: Points, *, tolerance: float) -> Flags:
@@ -148,71 +150,50 @@ def _depth_at(
 
     Its inverse is interpolated: linear over a plane.
     """
-    rows, columns = surface.triangle.shape
-    first = np.minimum(pixel.astype(np.int64), [max(columns - 2, 0), max(rows - 2, 0)])
-    share = pixel - first
-    total = np.zeros(len(pixel))
     toward = camera.T_camera_object[2]
-    for down in (0, 1):
-        for right in (0, 1):
-            column = np.minimum(first[:, 0] + right, columns - 1)
-            row = np.minimum(first[:, 1] + down, rows - 1)
-            weight = np.abs(1 - right - share[:, 0]) * np.abs(1 - down - share[:, 1])
-            depth = surface.point[row, column] @ toward[:3] + toward[3]
-            total += np.where(surface.triangle[row, column] >= 0, weight / depth, 0.0)
+    depth = surface.point @ toward[:3] + toward[3]
+    inverse = np.where(surface.triangle >= 0, 1.0 / depth, 0.0)
     with np.errstate(divide="ignore"):
-        return 1.0 / total
+        return 1.0 / map_coordinates(inverse, pixel[:, ::-1].T, order=1, mode="nearest")
 
 
 # No fastmath here: NaN marks pixels without a ray.
 @njit(cache=True, nogil=True, error_model="numpy")
-def _hit_bands(begin, end, grid, corner, boxes, inverse_depth, triangle):
+def _hit_bands(begin, end, grid, bounds, corner, boxes, inverse_depth, triangle):
     """Inverse depth and triangle of the nearest hit of every pixel, in bands of one tile's height.
 
-    `corner` (m, 3, 3): x / z, y / z and 1 / z of each vertex; `boxes` (m, 4): x, y from and to.
+    `bounds` (2, 2, bands, tiles): least and greatest x and y of each tile; `corner` (m, 3, 3):
+    x / z, y / z and 1 / z of each vertex; `boxes` (2, 2, m): least and greatest x and y.
     """
-    rows, columns = grid.shape[1], grid.shape[2]
-    tiles = (columns + _TILE - 1) // _TILE
-    around = np.empty((tiles, 4))
+    tiles = bounds.shape[3]
     for band in range(begin, end):
-        top = band * _TILE
-        bottom = min(rows, top + _TILE)
-        part = grid[:, top:bottom]
-        depth_part, triangle_part = inverse_depth[top:bottom], triangle[top:bottom]
-        low_x = low_y = np.inf
-        high_x = high_y = -np.inf
-        for tile in range(tiles):
-            left = tile * _TILE
-            _bounds_kernel(part[:, :, left : left + _TILE], around[tile])
-            low_x, low_y = min(low_x, around[tile, 0]), min(low_y, around[tile, 1])
-            high_x, high_y = max(high_x, around[tile, 2]), max(high_y, around[tile, 3])
-        for e in range(len(boxes)):
-            box = boxes[e]
-            if box[0] > high_x or box[2] < low_x or box[1] > high_y or box[3] < low_y:
+        part = grid[:, band * _TILE : (band + 1) * _TILE]
+        depth_part = inverse_depth[band * _TILE : (band + 1) * _TILE]
+        triangle_part = triangle[band * _TILE : (band + 1) * _TILE]
+        whole = np.empty((2, 2))
+        for a in range(2):
+            whole[0, a] = np.nanmin(bounds[0, a, band])
+            whole[1, a] = np.nanmax(bounds[1, a, band])
+        for e in range(len(corner)):
+            if _is_apart(boxes[:, :, e], whole):
                 continue
             for tile in range(tiles):
-                other = around[tile]
-                if box[0] > other[2] or box[2] < other[0]:
-                    continue
-                if box[1] > other[3] or box[3] < other[1]:
+                if _is_apart(boxes[:, :, e], bounds[:, :, band, tile]):
                     continue
                 left = tile * _TILE
-                right = min(columns, left + _TILE)
+                right = min(grid.shape[2], left + _TILE)
                 _hit_kernel(part, left, right, corner[e], e, depth_part, triangle_part)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _bounds_kernel(grid, bounds):
-    """Smallest and largest x and y of some pixels, NaN left out."""
-    bounds[:2] = np.inf
-    bounds[2:] = -np.inf
-    for i in range(grid.shape[1]):
-        for j in range(grid.shape[2]):
-            for a in range(2):
-                if grid[a, i, j] < bounds[a]:
-                    bounds[a] = grid[a, i, j]
-                if grid[a, i, j] > bounds[2 + a]:
-                    bounds[2 + a] = grid[a, i, j]
+def _is_apart(box, other):
+    """True for boxes (2, 2), least and greatest x and y, that have no point in common."""
+    return (
+        box[0, 0] > other[1, 0]
+        or box[1, 0] < other[0, 0]
+        or box[0, 1] > other[1, 1]
+        or box[1, 1] < other[0, 1]
+    )
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -234,19 +215,3 @@ def _hit_kernel(grid, left, right, corner, number, inverse_depth, triangle):
                 if near > inverse_depth[i, j]:
                     inverse_depth[i, j] = near
                     triangle[i, j] = number
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _hit_points(begin, end, grid, inverse_depth, pose, point):
-    """The hits of some rows of pixels in the object frame, NaN where there is none."""
-    for i in range(begin, end):
-        for j in range(inverse_depth.shape[1]):
-            if inverse_depth[i, j] > 0.0:
-                z = 1.0 / inverse_depth[i, j]
-                x = z * grid[0, i, j] - pose[0, 3]
-                y = z * grid[1, i, j] - pose[1, 3]
-                z -= pose[2, 3]
-                for a in range(3):
-                    point[i, j, a] = pose[0, a] * x + pose[1, a] * y + pose[2, a] * z
-            else:
-                point[i, j, :] = np.nan

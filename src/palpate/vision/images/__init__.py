@@ -1,16 +1,24 @@
-"""images."""
+"""Pictures from files, made ready to be searched and matched.
+
+Purpose    : grey levels of a whole file or a message about what is wrong with it; pictures
+             normalised, with features, and between their pixels.
+Takes      : files of pictures, a `Rig`.
+Gives      : `Pictures`, `NormalisedImage`, `PreparedPictures`, `SplinePicture`.
+Depends on : `records`.
+Read first : `pictures.py`, then `spline.py`.
+"""
 
 from palpate.vision.images.features import (
-    Features as Features,
     Matches as Matches,
-    find_features as find_features,
-    matched as matched,
+    PreparedPictures as PreparedPictures,
+    match_features as match_features,
+    prepare_pictures as prepare_pictures,
 )
 from palpate.vision.images.normalisation import (
     WINDOW as WINDOW,
-    EvenPicture as EvenPicture,
+    NormalisedImage as NormalisedImage,
     cropped as cropped,
-    make_even_picture as make_even_picture,
+    make_normalised_image as make_normalised_image,
     moments as moments,
 )
 from palpate.vision.images.pictures import Pictures as Pictures, read_pictures as read_pictures

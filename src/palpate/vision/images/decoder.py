@@ -1,30 +1,41 @@
-"""Decoding of pictures with OpenCV, whose codecs write their complaints to the error stream.
+"""Decoding of picture files with OpenCV, and whether they were whole.
 
-The codecs behind it (libjpeg, libpng, libtiff) return a picture from damaged data and mention the
-damage on the process's error stream only. That stream is led into a file while one picture is
-decoded: nothing of it reaches the terminal, and the damage becomes known.
+The codecs behind OpenCV (libjpeg, libpng, libtiff) mention damage on the process's error stream
+only; libjpeg even returns a picture then, whose lower part is grey and would be taken for the
+object. That stream is led into a file while one picture is decoded: nothing of it reaches the
+terminal, and the damage becomes known.
 """
 
 import os
 import re
 import tempfile
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 import cv2
 import numpy as np
 
+from palpate.errors import RecordError
+
+PICTURE_KINDS = "PNG, JPEG, TIFF or BMP"
+_PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
+# Both byte orders, each plain and large.
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# Start of the coded data of a JPEG's last scan, and end of its picture.
+_START_OF_SCAN, _END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
 # The error stream belongs to the whole process: one at a time may lead it elsewhere.
 _ONE_AT_A_TIME = threading.Lock()
 _ERROR_STREAM = 2
 _FROM_CODECS = re.compile(r"JPEG|libpng|TIFF|imgcodecs|grfmt|imdecode|\[ *(WARN|ERROR|INFO):")
 # Warnings, such as one about an unknown tag, say nothing about the pixels.
 _DAMAGE = re.compile(r"Corrupt JPEG|[Pp]remature end|ERROR|error")
+# Where in OpenCV's sources a message arose.
+_SOURCE = re.compile(r"^\[.*?\] global \S+ ")
 
 
-def decode_picture(content: bytes) -> tuple[np.ndarray | None, str | None]:
-    """Pixels of a picture as they are stored: not converted, not turned.
+def decode_picture(content: bytes) -> tuple[np.ndarray, int]:
+    """Pixels of the first picture of a file as they are stored: not converted, not turned.
 
     Parameters
     ----------
@@ -32,43 +43,63 @@ def decode_picture(content: bytes) -> tuple[np.ndarray | None, str | None]:
 
     Returns
     -------
-    array or None                   (rows, columns) or (rows, columns, channels) with the channels
-                                    blue, green, red, alpha; None where nothing could be decoded
-    str or None                     what the codec says is damaged, if anything
+    pixels : array                  (rows, columns) or (rows, columns, channels) with the channels
+                                    blue, green, red, alpha
+    count : int                     pictures in the file, above 1 only for TIFF
+
+    Raises
+    ------
+    RecordError                     the file is empty, of another kind, cut off or damaged; the text
+                                    is the end of a sentence that begins with the file's name
     """
-    pixels, said = _quietly(
-        lambda: cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    )
-    damage = [line.strip() for line in said if _DAMAGE.search(line)]
-    return pixels, damage[0] if damage else None
+    if not content:
+        raise RecordError("is empty; copy or record it again")
+    if not content.startswith((_PNG, _JPEG, _BMP, *_TIFF)):
+        raise RecordError(
+            f"is none of {PICTURE_KINDS} (it starts with {content[:8]!r}); copy or record it again"
+        )
+    pictures: Sequence[np.ndarray] = ()
+    buffer = np.frombuffer(content, dtype=np.uint8)
+    with _codec_messages() as messages, suppress(cv2.error):
+        if content.startswith(_TIFF):
+            _, pictures = cv2.imdecodemulti(buffer, cv2.IMREAD_UNCHANGED)
+        elif (pixels := cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)) is not None:
+            pictures = (pixels,)
+    damage = [_SOURCE.sub("", line.strip()) for line in messages if _DAMAGE.search(line)]
+    # In the coded data 0xFF is never followed by 0xD9.
+    if content.startswith(_JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
+        damage.insert(0, "it has no end-of-image marker")
+    if damage or not pictures:
+        said = f" ({damage[0]})" if damage else ""
+        raise RecordError(
+            f"is cut off or damaged, or of a kind that cannot be decoded{said}; it has"
+            f" {len(content)} bytes: copy or record it again"
+        )
+    return pictures[0], len(pictures)
 
 
-def _quietly(
-    decode: Callable[[], np.ndarray | None],
-) -> tuple[np.ndarray | None, list[str]]:
-    """Call a decoder with the error stream led into a file; what others wrote is passed on."""
+@contextmanager
+def _codec_messages() -> Iterator[list[str]]:
+    """Lead the error stream into a file; at the end the list holds what the codecs wrote there.
+
+    What others wrote is passed on.
+    """
+    messages: list[str] = []
     with _ONE_AT_A_TIME, tempfile.TemporaryFile() as aside:
         try:
             kept = os.dup(_ERROR_STREAM)
         except OSError:  # there is no error stream to keep clean
-            return _decoded(decode), []
+            yield messages
+            return
         try:
             os.dup2(aside.fileno(), _ERROR_STREAM)
-            pixels = _decoded(decode)
+            yield messages
         finally:
             os.dup2(kept, _ERROR_STREAM)
             os.close(kept)
         aside.seek(0)
         lines = aside.read().decode(errors="replace").splitlines(keepends=True)
-    others = "".join(line for line in lines if not _FROM_CODECS.search(line))
-    if others:
+        messages += [line for line in lines if _FROM_CODECS.search(line)]
+        others = [line for line in lines if line.strip() and not _FROM_CODECS.search(line)]
         with suppress(OSError):
-            os.write(_ERROR_STREAM, others.encode())
-    return pixels, [line for line in lines if _FROM_CODECS.search(line)]
-
-
-def _decoded(decode: Callable[[], np.ndarray | None]) -> np.ndarray | None:
-    try:
-        return decode()
-    except cv2.error:
-        return None
+            os.write(_ERROR_STREAM, "".join(others).encode())

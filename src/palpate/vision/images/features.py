@@ -1,25 +1,28 @@
-"""The same features in the pictures of two cameras, found without knowing anything of the cameras.
+"""The same features in the pictures of several cameras, found without knowing anything of these.
 
 Source: Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60(2), 2004: the
 features, and the ratio test, which of speckle patterns leaves one mistake in some hundred.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from palpate.vision.images.normalisation import EvenPicture
+from palpate.errors import InputError
+from palpate.records import Rig
+from palpate.vision.images.normalisation import NormalisedImage, make_normalised_image
 
 # Larger pictures are halved: what is left of a speckle of two pixels is still a feature.
-_MOST_PIXELS = 2_500_000
+_MAX_PIXELS = 2_500_000
 # Strongest features that are compared: a thousand of them are found again.
-_MOST = 4000
-# Half of OpenCV's threshold: contrast has been made even, and the ratio decides later.
-_CONTRAST = 0.02
+_MAX_FEATURES = 4000
+# Half of OpenCV's threshold: contrast has been normalised, and the ratio decides later.
+_MIN_CONTRAST = 0.02
 # The nearest descriptor must be this much nearer than the second: Lowe's figure.
-_RATIO = 0.8
+_MAX_RATIO = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,11 +32,11 @@ class Features:
     Attributes
     ----------
     point : (n, 2) float [px]       column, row
-    words : (n, 128) float32        descriptors
+    descriptor : (n, 128) float32   whole numbers from 0 to 255
     """
 
     point: Float[np.ndarray, "n 2"]
-    words: Float[np.ndarray, "n 128"]
+    descriptor: Float[np.ndarray, "n 128"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,41 +52,45 @@ class Matches:
     second: Float[np.ndarray, "n 2"]
 
     def chosen(self, rows: np.ndarray) -> "Matches":
-        """Some of the matches."""
+        """The matches at some indices or flags, `rows` (k,) int or (n,) bool."""
         return Matches(self.first[rows], self.second[rows])
 
 
-def find_features(picture: EvenPicture) -> Features:
+def find_features(picture: NormalisedImage) -> Features:
     """Strongest features of a picture.
 
     Parameters
     ----------
-    picture : EvenPicture
+    picture : NormalisedImage
 
     Returns
     -------
     Features                        none where there is no texture
+
+    Source
+    ------
+    Lowe (2004), as OpenCV has it.
     """
-    grey: np.ndarray = picture.even
+    grey: np.ndarray = picture.levels
     area: np.ndarray = picture.textured.astype(np.uint8)
     scale = 1
-    while grey.size > _MOST_PIXELS:
+    while grey.size > _MAX_PIXELS:
         size = (grey.shape[1] // 2, grey.shape[0] // 2)
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         area = cv2.resize(area, size, interpolation=cv2.INTER_NEAREST)
         scale *= 2
     sift = cv2.SIFT.create(
-        nfeatures=_MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True
+        nfeatures=_MAX_FEATURES, contrastThreshold=_MIN_CONTRAST, enable_precise_upscale=True
     )
-    keys, words = sift.detectAndCompute(grey, area)
+    keys, descriptor = sift.detectAndCompute(grey, area)
     if not keys:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32))
     point = np.array(cv2.KeyPoint.convert(keys), dtype=np.float64)
-    return Features((point + 0.5) * scale - 0.5, words)
+    return Features((point + 0.5) * scale - 0.5, descriptor)
 
 
-def matched(first: Features, second: Features) -> Matches:
-    """Features that choose each other, clearly.
+def match_features(first: Features, second: Features) -> Matches:
+    """Pairs of features that are each other's nearest by far.
 
     Parameters
     ----------
@@ -92,14 +99,59 @@ def matched(first: Features, second: Features) -> Matches:
     Returns
     -------
     Matches                         good to half a pixel; one in a hundred may be mistaken
+
+    Source
+    ------
+    Lowe (2004), section 7.1, the ratio test; and each must be the other's nearest.
     """
     if len(first.point) < 2 or len(second.point) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-    a, b = first.words, second.words
+    a, b = first.descriptor, second.descriptor
     # Descriptors hold whole numbers and all sums stay below 2^24: exact in any order.
     distance = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * (a @ b.T)
     choice, back = distance.argmin(axis=1), distance.argmin(axis=0)
     nearest = np.partition(distance, 1, axis=1)[:, :2]
     good = back[choice] == np.arange(len(choice))
-    good &= nearest[:, 0] < _RATIO**2 * nearest[:, 1]
+    good &= nearest[:, 0] < _MAX_RATIO**2 * nearest[:, 1]
     return Matches(first.point[good], second.point[choice[good]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedPictures:
+    """Pictures of one instant, normalised, with their features.
+
+    Attributes
+    ----------
+    rig : Rig                       c cameras
+    grey : tuple of c (rows, columns) float [grey levels]   in the rig's order
+    normalised : tuple of c NormalisedImage
+    features : tuple of c Features
+    """
+
+    rig: Rig
+    grey: tuple[Float[np.ndarray, "_rows _columns"], ...]
+    normalised: tuple[NormalisedImage, ...]
+    features: tuple[Features, ...]
+
+
+def prepare_pictures(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]]) -> PreparedPictures:
+    """Normalise the pictures of one instant and find their features.
+
+    Parameters
+    ----------
+    rig : Rig                       c cameras
+    pictures : sequence of c (rows, columns) float [grey levels]    in the rig's order, finite
+
+    Returns
+    -------
+    PreparedPictures
+
+    Raises
+    ------
+    InputError                      another number of pictures than cameras
+    """
+    if len(pictures) != len(rig.cameras):
+        raise InputError(f"{len(pictures)} pictures for {len(rig.cameras)} cameras; give one each")
+    normalised = tuple(make_normalised_image(picture) for picture in pictures)
+    features = tuple(find_features(image) for image in normalised)
+    return PreparedPictures(rig, tuple(pictures), normalised, features)

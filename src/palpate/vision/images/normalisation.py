@@ -1,4 +1,4 @@
-"""A picture made even: no difference of lighting or gain is left in it, only texture."""
+"""A picture normalised: no difference of lighting or gain is left in it, only texture."""
 
 from dataclasses import dataclass
 
@@ -6,42 +6,45 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-# Side of the windows in which pictures are made even and compared [px]: that of the usual
+# Side of the windows in which pictures are normalised and compared [px]: that of the usual
 # refinement.
 WINDOW = 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EvenPicture:
+class NormalisedImage:
     """A picture ready to be searched.
 
     Attributes
     ----------
-    grey : (rows, columns) float32          from 0 to 255
-    even : (rows, columns) uint8            mean and contrast alike everywhere
-    mean, variance : (rows, columns) float32    of the grey levels in the window around
+    grey : (rows, columns) float32 [grey levels]    stretched to 0 to 255
+    levels : (rows, columns) uint8 [grey levels]    mean 128 and contrast 40 in every window with
+                                            texture, less where noise is a part of it
+    mean, variance : (rows, columns) float32 [grey levels, and squared]     of `grey` in the window
+                                            of 21 px around
     textured : (rows, columns) bool         signal has three times the variance of noise there
-    width : float [px]                      of the texture, as the sigma of Gaussian speckles
+    width : float [px]                      of the texture, as the sigma of Gaussian speckles; 0
+                                            where there is none
     """
 
     grey: Float[np.ndarray, "rows columns"]
-    even: UInt8[np.ndarray, "rows columns"]
+    levels: UInt8[np.ndarray, "rows columns"]
     mean: Float[np.ndarray, "rows columns"]
     variance: Float[np.ndarray, "rows columns"]
     textured: Bool[np.ndarray, "rows columns"]
     width: float
 
 
-def make_even_picture(grey: Float[np.ndarray, "rows columns"]) -> EvenPicture:
+def make_normalised_image(grey: Float[np.ndarray, "rows columns"]) -> NormalisedImage:
     """Local mean and contrast of a picture, and the picture without them.
 
     Parameters
     ----------
-    grey : (rows, columns) float    finite, of any scale
+    grey : (rows, columns) float [grey levels]  finite, of any scale
 
     Returns
     -------
-    EvenPicture
+    NormalisedImage
     """
     # Any scale: 255 grey levels, whatever they were.
     low, high = float(grey.min()), float(grey.max())
@@ -50,11 +53,11 @@ def make_even_picture(grey: Float[np.ndarray, "rows columns"]) -> EvenPicture:
     noise = _noise(grey)
     mean, variance = moments(grey)
     # Four times the noise: where there is nothing else, it is not blown up to look like texture.
-    even = (grey - mean) / np.sqrt(variance + np.float32(16.0 * noise**2))
-    even = cv2.addWeighted(even, 40.0, even, 0.0, 128.0, dtype=cv2.CV_8U)  # rounds and clips
+    levels = (grey - mean) / np.sqrt(variance + np.float32(16.0 * noise**2))
+    levels = cv2.addWeighted(levels, 40.0, levels, 0.0, 128.0, dtype=cv2.CV_8U)  # rounds and clips
     textured = variance > 4.0 * noise**2
-    return EvenPicture(
-        grey, even, mean, variance, textured, _width(grey, variance, textured, noise)
+    return NormalisedImage(
+        grey, levels, mean, variance, textured, _width(grey, variance, textured, noise)
     )
 
 
@@ -74,7 +77,17 @@ def _noise(grey: Float[np.ndarray, "rows columns"]) -> float:
 def moments(
     grey: Float[np.ndarray, "rows columns"],
 ) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-    """Mean and variance in the window around every pixel."""
+    """Mean and variance of the grey levels in the window around every pixel.
+
+    Parameters
+    ----------
+    grey : (rows, columns) float32 [grey levels]
+
+    Returns
+    -------
+    mean : (rows, columns) float32 [grey levels]        the picture is mirrored beyond its edge
+    variance : (rows, columns) float32 [grey levels^2]  >= 0
+    """
     size = (WINDOW, WINDOW)
     mean = cv2.blur(grey, size)
     return mean, np.maximum(cv2.sqrBoxFilter(grey, -1, size) - mean**2, np.float32(0.0))
@@ -97,11 +110,21 @@ def _width(
     return float(np.sqrt(strong / steep)) if steep > 0.0 else 0.0
 
 
-def cropped(picture: EvenPicture, box: tuple[slice, slice]) -> EvenPicture:
-    """A part of a picture."""
-    return EvenPicture(
+def cropped(picture: NormalisedImage, box: tuple[slice, slice]) -> NormalisedImage:
+    """A part of a picture.
+
+    Parameters
+    ----------
+    picture : NormalisedImage
+    box : (slice, slice) [px]       rows and columns of the part
+
+    Returns
+    -------
+    NormalisedImage                 mean, variance and width are those of the whole picture
+    """
+    return NormalisedImage(
         np.ascontiguousarray(picture.grey[box]),
-        np.ascontiguousarray(picture.even[box]),
+        np.ascontiguousarray(picture.levels[box]),
         np.ascontiguousarray(picture.mean[box]),
         np.ascontiguousarray(picture.variance[box]),
         np.ascontiguousarray(picture.textured[box]),

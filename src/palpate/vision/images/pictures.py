@@ -11,18 +11,17 @@ from jaxtyping import Float
 from palpate.errors import CalibrationError, RecordError
 from palpate.records import Camera, Rig
 from palpate.vision.images.decoder import decode_picture
-from palpate.vision.images.formats import page_count, picture_fault
 
 CAMERA_FIELD = "{camera}"
 # Luminance of ITU-R BT.601, in OpenCV's order blue, green, red.
 _LUMINANCE = np.array([0.114, 0.587, 0.299], dtype=np.float32)
 # 65535 becomes 255: grey levels mean the same whatever the depth of the file.
-_PER_GREY_LEVEL = 257.0
+_LEVELS_16_PER_8 = 257.0
 # Integer levels this close together are a quantised constant: no picture of anything.
-_CONSTANT = 2
+_MAX_CONSTANT_RANGE = 2
 # Cameras of 10, 12 and 14 bits put their levels at the low or at the high end of 16 bits.
 _WHITE_16 = [2**k - 1 for k in (10, 12, 14, 16)] + [2**16 - 2 ** (16 - k) for k in (10, 12, 14)]
-_NAMES_SHOWN = 8
+_MAX_NAMES = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,8 +111,8 @@ def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path
 
 
 def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
-    return ", ".join(f"'{name}'" for name in names[:_NAMES_SHOWN]) + more
+    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return ", ".join(f"'{name}'" for name in names[:_MAX_NAMES]) + more
 
 
 def _read_picture(
@@ -124,16 +123,14 @@ def _read_picture(
         content = path.read_bytes()
     except OSError as error:
         raise RecordError(f"{place}: cannot be read ({error.strerror})") from error
-    if fault := picture_fault(content):
-        raise RecordError(f"{place}: {fault}; copy or record it again")
-    stored, damage = decode_picture(content)
-    if stored is None or damage is not None:
-        said = f" ({damage})" if damage else ""
-        raise RecordError(f"{place}: is damaged, or of a kind that cannot be decoded{said}")
+    try:
+        stored, count = decode_picture(content)
+    except RecordError as error:
+        raise RecordError(f"{place}: {error}") from error
     _check_size(camera, stored, place)
     levels, remarks = _grey_levels(stored, place)
-    if (pages := page_count(content)) > 1:
-        remarks.append(f"the file holds {pages} pictures; the first was used")
+    if count > 1:
+        remarks.append(f"the file holds {count} pictures; the first was used")
     return levels, _saturated_share(stored), remarks
 
 
@@ -171,7 +168,7 @@ def _grey_levels(
     grey = grey.reshape(stored.shape[:2]) if channels == 1 else grey @ _LUMINANCE
     if stored.dtype == np.uint16:
         remarks.append("grey levels of 16 bits were divided by 257 (65535 becomes 255)")
-        grey /= np.float32(_PER_GREY_LEVEL)
+        grey /= np.float32(_LEVELS_16_PER_8)
     elif stored.dtype != np.uint8:
         remarks.append("floating-point grey levels were kept as they are")
     return np.ascontiguousarray(grey), remarks
@@ -186,7 +183,7 @@ def _check_contents(stored: np.ndarray, place: str) -> None:
             f"{place}: has {missing} grey levels that are not finite; every pixel needs a number"
         )
     low, high = float(stored.min()), float(stored.max())
-    if high - low <= (_CONSTANT if whole else 0.0):
+    if high - low <= (_MAX_CONSTANT_RANGE if whole else 0.0):
         what = "black" if low == 0.0 else "of one grey"
         raise RecordError(
             f"{place}: is {what} all over (grey levels {low:g} to {high:g}); nothing can be"

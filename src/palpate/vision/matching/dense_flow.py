@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from palpate.errors import InputError
-from palpate.vision.images import WINDOW, EvenPicture, cropped, make_even_picture, moments
+from palpate.vision.images import WINDOW, NormalisedImage, cropped, make_normalised_image, moments
 from palpate.vision.matching.sparse_flow import Samples, feature_matches, interpolated, nodes
 
 # Correlation from which two windows count as the same: the texture has then three times the
@@ -115,7 +115,7 @@ def dense_start(
     """
     shape = rest.shape
     _check(rest, moved, mask)
-    a, b = make_even_picture(rest), make_even_picture(moved)
+    a, b = make_normalised_image(rest), make_normalised_image(moved)
     wanted = a.textured if mask is None else a.textured & mask
     if not wanted.any():
         return DenseStart(np.zeros((*shape, 2), dtype=np.float32), np.zeros(shape, dtype=bool))
@@ -221,8 +221,8 @@ def _search(
 
 
 def _fits(
-    a: EvenPicture,
-    b: EvenPicture,
+    a: NormalisedImage,
+    b: NormalisedImage,
     there: Float[np.ndarray, "rows columns 2"],
     gap: Float[np.ndarray, "rows columns 2"],
     limits: tuple[float, float],
@@ -251,9 +251,11 @@ def _square(vectors: Float[np.ndarray, "rows columns 2"]) -> Float[np.ndarray, "
     return vectors[..., 0] ** 2 + vectors[..., 1] ** 2
 
 
-def _motion(a: EvenPicture, b: EvenPicture, textured: _Flags) -> _Motion:
+def _motion(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motion:
     """Both motions to within the reach of the last search, wherever they can be found."""
-    motion = _Motion(_search(a.even, b.even, _ROUGH_SCALE), _search(b.even, a.even, _ROUGH_SCALE))
+    motion = _Motion(
+        _search(a.levels, b.levels, _ROUGH_SCALE), _search(b.levels, a.levels, _ROUGH_SCALE)
+    )
     features: Samples | None = None
     staying, before = textured, np.inf
     for _ in range(_ROUNDS):
@@ -266,7 +268,7 @@ def _motion(a: EvenPicture, b: EvenPicture, textured: _Flags) -> _Motion:
         chance = explained.rest[textured.rest].mean() < _WORTH_CONTINUING
         if features is None and (chance or share > _PROGRESS * before):
             areas = _feature_areas(textured, lost)
-            features = feature_matches(a.even, b.even, areas.rest, areas.moved)
+            features = feature_matches(a.levels, b.levels, areas.rest, areas.moved)
         samples = samples if features is None else samples.joined(features)
         if not len(samples.point):
             break
@@ -276,7 +278,7 @@ def _motion(a: EvenPicture, b: EvenPicture, textured: _Flags) -> _Motion:
     return motion
 
 
-def _explained(a: EvenPicture, b: EvenPicture, motion: _Motion) -> _Flags:
+def _explained(a: NormalisedImage, b: NormalisedImage, motion: _Motion) -> _Flags:
     """Where the two motions say what became of the texture."""
     grid = _grid(a.grey.shape)
     limits = (_FIRST_GAP, _FIRST_ROUGH)
@@ -330,7 +332,7 @@ def _known(motion: _Motion, explained: _Flags, wanted: Bool[np.ndarray, "rows co
 
 
 def _repaired(
-    a: EvenPicture, b: EvenPicture, motion: _Motion, explained: _Flags, samples: Samples
+    a: NormalisedImage, b: NormalisedImage, motion: _Motion, explained: _Flags, samples: Samples
 ) -> tuple[_Motion, _Flags]:
     """The motion continued from samples into what it does not explain, and searched anew.
 
@@ -343,30 +345,30 @@ def _repaired(
     ):
         start = np.where(known[..., None], before, interpolated(given, a.grey.shape))
         inside.append(_inside(grid + start))
-        change = _search(one.even, _brought_back(other, start), _ROUGH_SCALE)
+        change = _search(one.levels, _brought_back(other, start), _ROUGH_SCALE)
         motions.append(change + _sampled(start, grid + change))
     return _Motion(*motions), _Flags(*inside)
 
 
 def _brought_back(
-    moved: EvenPicture, flow: Float[np.ndarray, "rows columns 2"]
+    moved: NormalisedImage, flow: Float[np.ndarray, "rows columns 2"]
 ) -> UInt8[np.ndarray, "rows columns"]:
     """The moved picture as it would look at rest, even grey where that is beyond its edge."""
     place = _grid(moved.grey.shape) + flow
     edge, even_grey = cv2.BORDER_CONSTANT, 128
     return cv2.remap(
-        moved.even, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
+        moved.levels, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
     )
 
 
 def _finished(
-    a: EvenPicture, b: EvenPicture, start: Float[np.ndarray, "rows columns 2"]
+    a: NormalisedImage, b: NormalisedImage, start: Float[np.ndarray, "rows columns 2"]
 ) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
     """The last search, there and back, on the picture brought back; flow and trust."""
     moved = _brought_back(b, start)
-    change = _search(a.even, moved, _FINE_SCALE)
+    change = _search(a.levels, moved, _FINE_SCALE)
     place = _grid(a.grey.shape) + change
     flow = change + _sampled(start, place)
     # The way back at another scale: what fits noise at one does not at the other.
-    gap = change + _sampled(_search(moved, a.even, _ROUGH_SCALE), place)
+    gap = change + _sampled(_search(moved, a.levels, _ROUGH_SCALE), place)
     return flow, _fits(a, b, flow, gap, (_LAST_GAP, _LAST_ROUGH))

@@ -1,4 +1,11 @@
-"""stereo."""
+"""Points of the surface from the pictures of one instant, and whether the rig fits the pictures.
+
+Purpose    : to know where the object is before anything is known of its surface or pose.
+Takes      : `PreparedPictures` of one instant.
+Gives      : `StereoPoints` with covariance, `RigCheck`, a surface through the stereo points.
+Depends on : `records`, `vision.images`, `vision.cameras`, `vision.matching`, `vision.joint`.
+Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
+"""
 
 from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
 from palpate.vision.stereo.stereo import (

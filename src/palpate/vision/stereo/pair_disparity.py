@@ -19,40 +19,26 @@ from palpate.errors import InputError
 from palpate.records import Camera
 from palpate.shapes import Flags, PointScalars
 from palpate.vision.cameras import Rectified, project, rays, rectify_pair, remapped
-from palpate.vision.images import EvenPicture, Features, matched
+from palpate.vision.images import NormalisedImage, PreparedPictures, match_features
 
 # Side of the blocks of semi-global matching [px]: three to five speckles.
 _BLOCK = 7
 # More pixels times disparities than this take longer than seconds: the pictures are halved.
-_MOST_WORK = 1_000_000_000
-# Disparities are looked for beyond those of the features by this share of their range, and pixels.
-_BEYOND, _BEYOND_PIXELS = 0.25, 16
+_MAX_WORK = 1_000_000_000
+# Disparities are sought beyond those of the features by this share of their range, and pixels.
+_MARGIN, _MARGIN_PX = 0.25, 16
 # Features of textured pictures come in hundreds; fewer than this give no range to be trusted.
-_FEWEST = 8
+_MIN_FEATURES = 8
 # Six coefficients of the correction, four features each.
-_FEWEST_BENT = 24
+_MIN_FEATURES_TO_FIT = 24
+# Fits of the correction, each to the features that agree with the one before.
+_FITS = 6
 # Disparities of a window that belong to one surface differ by this much [px], and this per pixel.
-_SLACK, _SLOPE = 1.5, 0.5
-# Mean of an even picture [grey levels].
+_MAX_JUMP_PX, _MAX_SLOPE = 1.5, 0.5
+# Mean of a normalised image [grey levels].
 _GREY = 128.0
 # Samples along a side of the window.
 _SAMPLES = 7
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PairView:
-    """One camera of a pair with what was found in its picture.
-
-    Attributes
-    ----------
-    camera : Camera
-    picture : EvenPicture
-    features : Features
-    """
-
-    camera: Camera
-    picture: EvenPicture
-    features: Features
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +56,7 @@ class StereoStart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Bend:
+class _RowOffset:
     """Row of a feature in the first rectified picture minus that in the second, a polynomial.
 
     In (1, x, y, x^2, x y, y^2), x and y the second's column and the first's row scaled to (-1, 1)
@@ -81,11 +67,7 @@ class _Bend:
     half: Float[np.ndarray, "2"]
     coefficients: Float[np.ndarray, "6"]
 
-    def at(self, place: Float[np.ndarray, "n 2"]) -> PointScalars:
-        """The difference of rows [px] at columns and rows."""
-        return self.over(place[:, 0], place[:, 1])
-
-    def over(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    def at(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
         """The difference of rows [px] at columns and rows of shapes that broadcast."""
         x = np.clip((column - self.centre[0]) / self.half[0], -1.0, 1.0)
         y = np.clip((row - self.centre[1]) / self.half[1], -1.0, 1.0)
@@ -100,40 +82,29 @@ class _Pair:
     first: Camera
     second: Camera
     rectified: Rectified
-    bend: _Bend
+    offset: _RowOffset
 
     def into_first(self, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Rectified place of pixels of the first camera."""
-        return _turned(self.first, self.rectified.cameras[0], pixels)
+        return _seen_by(self.rectified.cameras[0], self.first, pixels)
 
-    def out_of_second(self, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Pixels of the second camera, of places whose rows are the first's."""
-        raw = place - np.column_stack([np.zeros(len(place)), self.bend.at(place)])
-        return _turned(self.rectified.cameras[1], self.second, raw)
-
-
-def make_view(camera: Camera, picture: EvenPicture, features: Features) -> PairView:
-    """A camera ready to be paired; its size is that of the picture, whatever it was."""
-    return PairView(replace(camera, size=None), picture, features)
+    def out_of_second(self, column: PointScalars, row: PointScalars) -> Float[np.ndarray, "n 2"]:
+        """Pixels of the second camera, of its rectified columns and the first's rectified rows."""
+        place = np.column_stack([column, row - self.offset.at(column, row)])
+        return _seen_by(self.second, self.rectified.cameras[1], place)
 
 
 def stereo_start(
-    first: PairView,
-    second: PairView,
-    points: Float[np.ndarray, "n 2"],
-    *,
-    half: int,
-    depth_range: tuple[float, float] | None = None,
+    pictures: PreparedPictures, partner: int, points: Float[np.ndarray, "n 2"], *, half: int
 ) -> StereoStart:
-    """Match points of one camera in another, without being told where to look.
+    """Match points of the reference camera in another, wherever the object is.
 
     Parameters
     ----------
-    first, second : PairView
-    points : (n, 2) float [px]      in the first picture
+    pictures : PreparedPictures
+    partner : int                   index of the other camera in the rig
+    points : (n, 2) float [px]      in the reference picture
     half : int [px]                 half side of the windows that will be matched
-    depth_range : (near, far) [m] or None   distance along the first camera's axis; None where
-                                    features of both pictures are to give it
 
     Returns
     -------
@@ -142,97 +113,79 @@ def stereo_start(
     Raises
     ------
     CalibrationError                the pair cannot be rectified
-    InputError                      no depth range given and too few features seen by both
+    InputError                      too few features seen by both
     """
-    shape = tuple(np.maximum(first.picture.even.shape, second.picture.even.shape).tolist())
-    rectified = rectify_pair(first.camera, second.camera, shape)
-    matches = matched(first.features, second.features)
-    place = _turned(first.camera, rectified.cameras[0], matches.first)
-    other = _turned(second.camera, rectified.cameras[1], matches.second)
-    bend, agree = _bend(place, other)
-    pair = _Pair(first.camera, second.camera, rectified, bend)
-    if depth_range is not None:
-        low, high = _range_of_depths(pair, points, depth_range)
-    elif agree.sum() >= _FEWEST:
-        low, high = _range_of_features((place - other)[agree, 0])
-    else:
+    which = (pictures.rig.reference, partner)
+    # Their size is that of the pictures, whatever it was.
+    first, second = (replace(pictures.rig.cameras[k], size=None) for k in which)
+    images = [pictures.normalised[k] for k in which]
+    rows, columns = np.max([image.levels.shape for image in images], axis=0).tolist()
+    rectified = rectify_pair(first, second, (rows, columns))
+    matches = match_features(*(pictures.features[k] for k in which))
+    place = _seen_by(rectified.cameras[0], first, matches.first)
+    other = _seen_by(rectified.cameras[1], second, matches.second)
+    offset, agree = _row_offset(place, other)
+    if agree.sum() < _MIN_FEATURES:
         raise InputError(
-            f"cameras '{first.camera.name}' and '{second.camera.name}' have {int(agree.sum())}"
-            f" features in common; {_FEWEST} are needed to know how far the object is. Do their"
-            " pictures show the same, textured object? A depth range helps where they do"
+            f"cameras '{first.name}' and '{second.name}' have {int(agree.sum())} features in"
+            f" common; {_MIN_FEATURES} are needed to know how far the object is. Do their pictures"
+            " show the same, textured object?"
         )
-    disparity = _disparity(pair, (first.picture, second.picture), low, high)
+    pair = _Pair(first, second, rectified, offset)
+    low, high = np.percentile((place - other)[agree, 0], [0.5, 99.5])
+    margin = _MARGIN * (high - low) + _MARGIN_PX
+    disparity = _disparity(pair, images, float(low - margin), float(high + margin))
     return _start(pair, points, disparity, half)
 
 
-def _turned(
+def _seen_by(
     camera: Camera, other: Camera, pixels: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Pixels of one camera as another with the same centre sees them."""
-    centre, direction = rays(camera, pixels)
-    return project(other, centre + direction)
+    """Pixels of another camera with the same centre, as a camera sees them."""
+    centre, direction = rays(other, pixels)
+    return project(camera, centre + direction)
 
 
-def _bend(place: Float[np.ndarray, "n 2"], other: Float[np.ndarray, "n 2"]) -> tuple[_Bend, Flags]:
+def _row_offset(
+    place: Float[np.ndarray, "n 2"], other: Float[np.ndarray, "n 2"]
+) -> tuple[_RowOffset, Flags]:
     """Correction of the rows, and the features that agree on it."""
-    away = place[:, 1] - other[:, 1]
-    spot = np.column_stack([other[:, 0], place[:, 1]])
-    agree = np.isfinite(away) & np.isfinite(spot).all(axis=1)
-    flat = _Bend(np.zeros(2), np.ones(2), np.zeros(6))
-    if agree.sum() < _FEWEST:
-        return flat, agree
-    middle = float(np.median(away[agree]))
-    bend = replace(flat, coefficients=np.array([middle, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    for _ in range(6):
-        rest = np.where(np.isfinite(away), away - bend.at(np.nan_to_num(spot)), np.inf)
+    gap = place[:, 1] - other[:, 1]
+    at = np.column_stack([other[:, 0], place[:, 1]])
+    known = np.isfinite(gap) & np.isfinite(at).all(axis=1)
+    if known.sum() < _MIN_FEATURES:
+        return _RowOffset(np.zeros(2), np.ones(2), np.zeros(6)), known
+    offset = _RowOffset(np.zeros(2), np.ones(2), np.median(gap[known]) * np.eye(6)[0])
+    for _ in range(_FITS):
+        rest = np.where(known, gap - offset.at(*np.nan_to_num(at).T), np.inf)
         agree = np.abs(rest) < max(5.0 * float(np.median(np.abs(rest))), 1.0)
-        if agree.sum() < _FEWEST_BENT:
+        if agree.sum() < _MIN_FEATURES_TO_FIT:
             break
-        bend = _fitted(spot[agree], away[agree])
-    return bend, agree
+        offset = _fitted_offset(at[agree], gap[agree])
+    return offset, agree
 
 
-def _fitted(spot: Float[np.ndarray, "n 2"], away: PointScalars) -> _Bend:
-    low, high = spot.min(axis=0), spot.max(axis=0)
-    bend = _Bend(0.5 * (low + high), np.maximum(0.5 * (high - low), 1.0), np.zeros(6))
-    x, y = ((spot - bend.centre) / bend.half).T
+def _fitted_offset(at: Float[np.ndarray, "n 2"], gap: PointScalars) -> _RowOffset:
+    low, high = at.min(axis=0), at.max(axis=0)
+    centre, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1.0)
+    x, y = ((at - centre) / half).T
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    # Slopes that the features do not tell, on a line say, stay small.
+    # Slopes that the features do not determine, on a line say, stay small.
     normal = terms.T @ terms + 1e-3 * len(terms) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    return replace(bend, coefficients=np.linalg.solve(normal, terms.T @ away))
-
-
-def _range_of_features(disparity: PointScalars) -> tuple[float, float]:
-    low, high = np.percentile(disparity, [0.5, 99.5])
-    beyond = _BEYOND * (high - low) + _BEYOND_PIXELS
-    return float(low - beyond), float(high + beyond)
-
-
-def _range_of_depths(
-    pair: _Pair, points: Float[np.ndarray, "n 2"], depth_range: tuple[float, float]
-) -> tuple[float, float]:
-    """Least and greatest disparity of points at the ends of a range of depths."""
-    centre, direction = rays(pair.first, points)
-    axis = pair.first.T_camera_object[2, :3]
-    found = []
-    for depth in depth_range:
-        space = centre + direction * (depth / (direction @ axis))[:, None]
-        ends = [project(camera, space)[:, 0] for camera in pair.rectified.cameras]
-        found.append(ends[0] - ends[1])
-    return float(np.nanmin(found)) - 1.0, float(np.nanmax(found)) + 1.0
+    return _RowOffset(centre, half, np.linalg.solve(normal, terms.T @ gap))
 
 
 def _disparity(
-    pair: _Pair, pictures: tuple[EvenPicture, EvenPicture], low: float, high: float
+    pair: _Pair, images: list[NormalisedImage], low: float, high: float
 ) -> Float[np.ndarray, "rows columns"]:
     """Column in the first minus column in the second rectified picture; NaN where not found."""
-    turned = [
-        np.nan_to_num(remapped(_corrected(pair), k, picture.even.astype(np.float32)), nan=_GREY)
-        for k, picture in enumerate(pictures)
-    ]
-    grey = [np.clip(picture, 0.0, 255.0).astype(np.uint8) for picture in turned]
+    corrected = _corrected(pair)
+    grey = []
+    for k, image in enumerate(images):
+        turned = remapped(corrected, k, image.levels.astype(np.float32))
+        grey.append(np.clip(np.nan_to_num(turned, nan=_GREY), 0.0, 255.0).astype(np.uint8))
     shape, shrink = grey[0].shape, 1
-    while grey[0].size * (high - low) / shrink > _MOST_WORK:
+    while grey[0].size * (high - low) / shrink > _MAX_WORK:
         size = (grey[0].shape[1] // 2, grey[0].shape[0] // 2)
         grey = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in grey]
         shrink *= 2
@@ -278,12 +231,11 @@ def _semi_global(
 def _corrected(pair: _Pair) -> Rectified:
     """The pair with the rows of the second picture moved to those of the first."""
     rows, columns = pair.rectified.maps[1].shape[1:]
-    column, row = np.arange(columns, dtype=np.float32), np.arange(rows, dtype=np.float32)
-    bent = (row[:, None] - pair.bend.over(column[None], row[:, None])).astype(np.float32)
-    straight = np.ascontiguousarray(np.broadcast_to(column, (rows, columns)))
+    row, column = np.mgrid[:rows, :columns].astype(np.float32)
+    row = (row - pair.offset.at(column, row)).astype(np.float32)
     moved = [
-        cv2.remap(one, straight, bent, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for one in pair.rectified.maps[1]
+        cv2.remap(part, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in pair.rectified.maps[1]
     ]
     return replace(pair.rectified, maps=(pair.rectified.maps[0], np.stack(moved)))
 
@@ -301,7 +253,7 @@ def _start(
     def match(pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         place = pair.into_first(pixels)
         shift = plane[:, 0] + np.einsum("na,na->n", place - at, plane[:, 1:])
-        return pair.out_of_second(place - np.column_stack([shift, np.zeros(len(shift))]))
+        return pair.out_of_second(place[:, 0] - shift, place[:, 1])
 
     displacement = np.where(good[:, None], match(points) - points, np.nan)
     gradient = np.empty((len(points), 2, 2))
@@ -319,16 +271,16 @@ def _planes(
     """Disparity and its slopes at places of the rectified picture; and whether they are known."""
     away = np.linspace(-half, half, _SAMPLES)
     away = np.stack(np.meshgrid(away, away), axis=-1).reshape(-1, 2)
+    value, offset = _sampled(disparity, at, away)
     # The middle third decides which surface is meant.
-    third = away[np.abs(away).max(axis=1) <= half / 3.0 + 0.1]
-    middle, _ = _sampled(disparity, at, third)
-    good = np.isfinite(middle).sum(axis=1) > len(third) // 2
+    third = np.abs(away).max(axis=1) <= half / 3.0 + 0.1
+    good = np.isfinite(value[:, third]).sum(axis=1) > third.sum() // 2
     plane = np.zeros((len(at), 3))
     if not good.any():
         return plane, good
-    centre = np.nanmedian(middle[good], axis=1)[:, None]
-    value, offset = _sampled(disparity, at[good], away)
-    reach = _SLACK + _SLOPE * np.linalg.norm(away, axis=1)
+    value, offset = value[good], offset[good]
+    centre = np.nanmedian(value[:, third], axis=1)[:, None]
+    reach = _MAX_JUMP_PX + _MAX_SLOPE * np.linalg.norm(away, axis=1)
     own = np.where(np.isfinite(value), np.abs(value - centre), np.inf) <= reach
     terms = np.concatenate([np.ones((*value.shape, 1)), offset], axis=2) * own[..., None]
     normal = terms.swapaxes(1, 2) @ terms + 1e-6 * np.eye(3)

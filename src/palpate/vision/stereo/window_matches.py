@@ -9,8 +9,7 @@ Signal Processing 47 (1999): the intersection of confidence intervals.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,19 +22,28 @@ from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.pair_disparity import StereoStart
 
 # Fewer pixels a side do not fix six coefficients a component.
-SMALLEST_WINDOW = 9
+MIN_WINDOW_PX = 9
 # Sides of the windows as shares of the largest, each with half the pixels of the next.
 _SHARES = (0.43, 0.53, 0.7, 1.0)
-# A match known no better than this is not known: sub-pixel matching is ten times better [px].
-_TEXTURE_LIMIT = 0.1
+# A match known no better than this is not known: sub-pixel matching is ten times better.
+_MAX_SIGMA_PX = 0.1
 # Below this correlation a window shows as much noise, or something else, as texture.
-_LEAST_SCORE = 0.7
-# What is left of the best quarter of the windows is noise alone; it differs little among them.
-_BEST = 25.0
+_MIN_SCORE = 0.7
+# The best quarter of the windows leave noise alone; it differs little among them.
+_NOISE_PERCENTILE = 25.0
+# A window is rejected where it leaves more than so many times that noise.
+_MAX_EXCESS = 2.0
 # Half widths of the confidence intervals, in standard deviations: Katkovnik's figure.
 _INTERVAL = 2.0
-# Systematic error of a match from interpolation and the pixels' response, at best [px].
-_BIAS = 0.005
+# Systematic error of a match from interpolation and the pixels' response, at best.
+_BIAS_PX = 0.005
+# A match is rejected where its neighbours contradict it by more standard deviations.
+_MAX_DEVIATIONS = 5.0
+# Fewer neighbours have no majority when one of them is wrong.
+_MIN_NEIGHBOURS = 3
+# Removing what is wrong changes what its neighbours are compared with.
+_ROUNDS = 2
+_AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,26 +55,21 @@ class WindowMatches:
     displacement : (n, 2) float [px]        NaN, as the rest, where the outcome is not VALID
     gradient : (n, 2, 2) float [-]          [i, j]: derivative of component i by coordinate j
     covariance : (n, 2, 2) float [px^2]
-    score : (n,) float [-]                  normalised cross-correlation
-    window : (n,) int [px]                  side of the window, 0 where there is none
     outcome : (n,) int                      an `Outcome`
     """
 
     displacement: Float[np.ndarray, "n 2"]
     gradient: Float[np.ndarray, "n 2 2"]
     covariance: Float[np.ndarray, "n 2 2"]
-    score: PointScalars
-    window: PointIndices
     outcome: PointIndices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Try:
-    """Windows of one size: their matches, what these leave, and the contrast beside the middle."""
+class _Attempt:
+    """Windows of one size: their matches, rms residuals and least variance beside the middle."""
 
-    side: int
     match: PlanarMatch
-    left: PointScalars
+    residual: PointScalars
     beside: PointScalars
 
 
@@ -77,8 +80,6 @@ def window_matches(
     start: StereoStart,
     *,
     subset: int,
-    shape: Literal["affine", "quadratic"],
-    excess: float,
 ) -> WindowMatches:
     """Match windows around points of one picture in another, to a hundredth of a pixel.
 
@@ -88,71 +89,111 @@ def window_matches(
     pixel : (n, 2) float [px]       whole column and row in the first
     start : StereoStart             of the points, good to a pixel or two
     subset : int [px]               side of the largest window, odd
-    shape : "affine" or "quadratic" how the match may vary within a window
-    excess : float                  a window is rejected where it leaves more than so many times
-                                    what good ones leave
 
     Returns
     -------
     WindowMatches
     """
     rows = np.flatnonzero(np.isfinite(start.displacement).all(axis=1))
-    tries = []
-    for side in _windows(subset):
+    attempts = []
+    for side in _sides(subset):
         match = refine_planar(
             first,
             second,
             pixel[rows],
             start.displacement[rows],
             start_gradient=start.gradient[rows],
-            settings=PlanarSettings(subset=side, shape=shape),
+            settings=PlanarSettings(subset=side, shape="quadratic"),
         )
-        tries.append(_Try(side, match, *_contrast(first, pixel[rows], match, side)))
-    last = tries[-1]
-    decent = last.match.converged & (last.match.score > _LEAST_SCORE)
-    noise = float(np.percentile(last.left[decent], _BEST)) if decent.any() else np.inf
-    outcomes = [_outcomes(one, noise, excess) for one in tries]
-    choice = _largest(tries, outcomes, noise)
-    found = choice >= 0
-    # A smaller window has other reasons to fail; that of the largest one is told.
+        attempts.append(_Attempt(match, *_contrast(first, pixel[rows], match, side)))
+    largest = attempts[-1]
+    decent = largest.match.converged & (largest.match.score > _MIN_SCORE)
+    residual = largest.residual[decent]
+    noise = float(np.percentile(residual, _NOISE_PERCENTILE)) if len(residual) else np.inf
+    outcomes = [_outcomes(attempt, noise) for attempt in attempts]
+    choice = _largest_consistent(attempts, outcomes, noise)
+    found = np.flatnonzero(choice >= 0)
+    # A smaller window has other reasons to fail; that of the largest one is reported.
     outcome = np.full(len(pixel), int(Outcome.HIDDEN))
     outcome[rows] = np.where(outcomes[-1] == Outcome.VALID, int(Outcome.SCORE), outcomes[-1])
     outcome[rows[found]] = Outcome.VALID
 
     def chosen(name: str) -> np.ndarray:
-        values = np.stack([getattr(one.match, name)[found] for one in tries])
+        values = np.stack([getattr(attempt.match, name) for attempt in attempts])
         result = np.full((len(pixel), *values.shape[2:]), np.nan)
-        result[rows[found]] = values[choice[found], np.arange(values.shape[1])]
+        result[rows[found]] = values[choice[found], found]
         return result
 
-    window = np.zeros(len(pixel), dtype=np.int64)
-    window[rows[found]] = np.array([one.side for one in tries])[choice[found]]
-    return WindowMatches(
-        displacement=chosen("displacement"),
-        gradient=chosen("gradient"),
-        covariance=chosen("covariance"),
-        score=chosen("score"),
-        window=window,
-        outcome=outcome,
+    return WindowMatches(chosen("displacement"), chosen("gradient"), chosen("covariance"), outcome)
+
+
+def confirmed_matches(
+    matches: WindowMatches, cell: Int[np.ndarray, "n 2"], pixel: Float[np.ndarray, "n 2"]
+) -> WindowMatches:
+    """Matches without those that their neighbours on the grid do not confirm.
+
+    Every neighbour carries its match along its own gradient to the point; the median of these is
+    compared with the point's own, in units of their scatter and of the match's noise. A point with
+    fewer than three neighbours is confirmed by nobody.
+
+    Parameters
+    ----------
+    matches : WindowMatches         n
+    cell : (n, 2) int               row and column of each point on the grid
+    pixel : (n, 2) float [px]
+
+    Returns
+    -------
+    WindowMatches                   outcome NEIGHBOURS and displacement NaN for those
+
+    Source
+    ------
+    Westerweel and Scarano, Universal outlier detection for PIV data, Experiments in Fluids 39
+    (2005), to first order.
+    """
+    valid = matches.outcome == Outcome.VALID
+    sigma = np.sqrt(np.trace(matches.covariance, axis1=1, axis2=2))
+    number = np.full(cell.max(axis=0, initial=0) + 3, -1)
+    number[cell[:, 0] + 1, cell[:, 1] + 1] = np.arange(len(cell))
+    near = np.stack([number[cell[:, 0] + 1 + i, cell[:, 1] + 1 + j] for i, j in _AROUND], axis=1)
+    offset = pixel[:, None] - pixel[near]
+    carried = np.einsum("nkab,nkb->nka", matches.gradient[near], offset)
+    expected = matches.displacement[near] + carried
+    good = valid
+    for _ in range(_ROUNDS):
+        there = (near >= 0) & good[near]
+        enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
+        votes = np.where(there[..., None], expected, np.nan)[enough]
+        median = np.nanmedian(votes, axis=1)
+        scatter = np.nanmedian(np.linalg.norm(votes - median[:, None], axis=2), axis=1)
+        gap = np.linalg.norm(matches.displacement[enough] - median, axis=1)
+        confirmed = np.zeros(len(cell), dtype=bool)
+        confirmed[enough] = gap <= _MAX_DEVIATIONS * np.hypot(scatter, sigma[enough])
+        good = valid & confirmed
+    wrong = valid & ~good
+    return replace(
+        matches,
+        displacement=np.where(wrong[:, None], np.nan, matches.displacement),
+        outcome=np.where(wrong, int(Outcome.NEIGHBOURS), matches.outcome),
     )
 
 
-def _largest(
-    tries: Sequence[_Try], outcomes: Sequence[Int[np.ndarray, " n"]], noise: float
+def _largest_consistent(
+    attempts: Sequence[_Attempt], outcomes: Sequence[Int[np.ndarray, " n"]], noise: float
 ) -> Int[np.ndarray, " n"]:
     """Index of the largest window that no smaller one contradicts; -1 where none is good."""
-    n = len(tries[0].left)
+    n = len(attempts[0].residual)
     choice = np.full(n, -1)
     low, high = np.full((n, 2), -np.inf), np.full((n, 2), np.inf)
     contradicted = np.zeros(n, dtype=bool)
-    for k, (one, outcome) in enumerate(zip(tries, outcomes, strict=True)):
+    for k, (attempt, outcome) in enumerate(zip(attempts, outcomes, strict=True)):
         good = outcome == Outcome.VALID
-        variance = np.einsum("nii->ni", one.match.covariance)
+        variance = np.einsum("nii->ni", attempt.match.covariance)
         # What a window leaves beyond the noise must not excuse its contradiction.
-        share = np.minimum(1.0, noise / np.maximum(one.left, 1e-9))[:, None]
-        reach = _INTERVAL * np.sqrt(share**2 * variance + _BIAS**2)
-        new_low = np.fmax(low, one.match.displacement - reach)
-        new_high = np.fmin(high, one.match.displacement + reach)
+        share = np.minimum(1.0, noise / np.maximum(attempt.residual, 1e-9))[:, None]
+        half = _INTERVAL * np.sqrt(share**2 * variance + _BIAS_PX**2)
+        new_low = np.fmax(low, attempt.match.displacement - half)
+        new_high = np.fmin(high, attempt.match.displacement + half)
         contradicted |= good & ~(new_low <= new_high).all(axis=1)
         take = good & ~contradicted
         choice[take] = k
@@ -160,16 +201,16 @@ def _largest(
     return choice
 
 
-def _windows(subset: int) -> list[int]:
-    """Sides of the windows that are tried, smallest first."""
+def _sides(subset: int) -> list[int]:
+    """Sides of the windows that are tried [px], smallest first."""
     sides = [2 * round(0.5 * share * subset - 0.5) + 1 for share in _SHARES]
-    return sorted({max(side, SMALLEST_WINDOW) for side in sides})
+    return sorted({max(side, MIN_WINDOW_PX) for side in sides})
 
 
 def _contrast(
     picture: SplinePicture, pixel: Float[np.ndarray, "n 2"], match: PlanarMatch, side: int
 ) -> tuple[PointScalars, PointScalars]:
-    """What each match leaves [grey levels], and the least variance beside the window's middle.
+    """Rms residual of each match [grey levels], and the least variance beside the window's middle.
 
     The latter over windows of a third of the side to the left, right, above and below: where one of
     them is blank, the point may lie beyond an outline.
@@ -177,7 +218,7 @@ def _contrast(
     size = np.array(picture.grey.shape[::-1]) - 1
     column, row = pixel.astype(np.int64).T
     share = np.maximum(match.score, 1e-6) ** -2 - 1.0
-    left = np.sqrt(share * _variance(picture, side)[row, column])
+    residual = np.sqrt(share * _variance(picture, side)[row, column])
     third = side // 3 - 1 + (side // 3) % 2
     small = _variance(picture, third)
     away = third // 2 + 1
@@ -185,7 +226,7 @@ def _contrast(
         small[np.clip(row + i, 0, size[1]), np.clip(column + j, 0, size[0])]
         for i, j in ((-away, 0), (away, 0), (0, -away), (0, away))
     ]
-    return left, np.min(beside, axis=0)
+    return residual, np.min(beside, axis=0)
 
 
 def _variance(picture: SplinePicture, side: int) -> Float[np.ndarray, "rows columns"]:
@@ -195,14 +236,15 @@ def _variance(picture: SplinePicture, side: int) -> Float[np.ndarray, "rows colu
     return np.maximum(square - mean**2, 0.0)
 
 
-def _outcomes(one: _Try, noise: float, excess: float) -> Int[np.ndarray, " n"]:
+def _outcomes(attempt: _Attempt, noise: float) -> Int[np.ndarray, " n"]:
     """What became of windows of one size."""
-    match = one.match
-    outcome = np.full(len(one.left), int(Outcome.VALID))
+    match = attempt.match
+    outcome = np.full(len(match.score), int(Outcome.VALID))
     sigma = np.sqrt(np.trace(match.covariance, axis1=1, axis2=2))
     with np.errstate(invalid="ignore"):
-        blank = ~(one.beside > 2.0 * noise**2)
-        outcome[blank | (sigma > _TEXTURE_LIMIT)] = Outcome.TEXTURE
-        outcome[(match.score < _LEAST_SCORE) | (one.left > excess * noise)] = Outcome.SCORE
+        blank = ~(attempt.beside > 2.0 * noise**2)
+        outcome[blank | (sigma > _MAX_SIGMA_PX)] = Outcome.TEXTURE
+        excessive = attempt.residual > _MAX_EXCESS * noise
+        outcome[(match.score < _MIN_SCORE) | excessive] = Outcome.SCORE
     outcome[~match.converged] = Outcome.LOST
     return outcome
