@@ -4,7 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test benchmark lint format contract types tests lock clean clean-cache
+# What is ours and written in Python; what a stale kernel could come from.
+PYTHON_FILES := src tests benchmarks examples docs
+SOURCES := $(shell find src -name '*.py')
+
+.PHONY: demo test benchmark lint format contract types tests map lock clean clean-cache
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -12,6 +16,7 @@ help:
 	@echo "make demo   set up, then measure a virtual half ball: from pictures to constants"
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about an hour)"
+	@echo "make map    make docs/developer/map.md again, after a change of rooms or imports"
 	@echo "make lock   choose new pinned versions"
 	@echo "make clean  remove the environment and every cache"
 
@@ -37,9 +42,9 @@ demo: $(VENV)/lab.stamp
 test: lint contract types tests
 
 lint: $(VENV)/dev.stamp
-	$(BIN)/ruff check src tests benchmarks examples
-	$(BIN)/ruff format --check src tests benchmarks examples
-	$(BIN)/codespell src tests benchmarks docs README.md CHANGELOG.md CONTRIBUTING.md
+	$(BIN)/ruff check $(PYTHON_FILES)
+	$(BIN)/ruff format --check $(PYTHON_FILES)
+	$(BIN)/codespell $(PYTHON_FILES) README.md CHANGELOG.md CONTRIBUTING.md
 
 contract: $(VENV)/dev.stamp
 	$(BIN)/lint-imports
@@ -47,12 +52,19 @@ contract: $(VENV)/dev.stamp
 types: $(VENV)/dev.stamp
 	$(BIN)/mypy
 
-tests: $(VENV)/dev.stamp clean-cache
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+# One thread of linear algebra in each of the two processes: more would wait for each other.
+tests: $(VENV)/dev.stamp $(VENV)/kernels.stamp
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# numba looks at the file of the kernel that is called, not at those that this one calls: kernels on
+# disk that are older than any source may hold old code.
+$(VENV)/kernels.stamp: $(SOURCES) | $(VENV)/run.stamp
+	find src -name '*.nb[ic]' -delete
+	touch $@
 
 format: $(VENV)/dev.stamp
-	$(BIN)/ruff check --fix src tests benchmarks examples
-	$(BIN)/ruff format src tests benchmarks examples
+	$(BIN)/ruff check --fix $(PYTHON_FILES)
+	$(BIN)/ruff format $(PYTHON_FILES)
 
 PIN := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-annotate \
     --no-emit-index-url --no-emit-trusted-host --no-emit-find-links --no-emit-options
@@ -71,9 +83,12 @@ lock:
 benchmark: $(VENV)/dev.stamp
 	$(BIN)/python -m benchmarks.run --peers
 
+map: $(VENV)/dev.stamp
+	$(BIN)/python docs/developer/make_map.py
+
 clean-cache:
 	find src -name '*.nb[ic]' -delete
 
 clean: clean-cache
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
-	find src tests benchmarks -name __pycache__ -type d -exec rm -rf {} +
+	find $(PYTHON_FILES) -name __pycache__ -type d -exec rm -rf {} +

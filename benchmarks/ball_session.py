@@ -10,14 +10,11 @@ from palpate.geometry import closest_points, write_mesh
 from palpate.pipeline import make_object_model
 from palpate.records import (
     Contact,
-    ContactProfile,
     DisplacementField,
     Probing,
     Session,
     write_displacement,
 )
-
-__all__ = ["write_ball_session"]
 
 RADIUS, CONTACT_RADIUS, CAP = 0.04, 0.006, -0.02  # m; the cap lies below z = CAP
 SHEAR_MODULUS, POISSON_RATIO = 20e3, 0.3
@@ -88,7 +85,7 @@ def _silent_session(subdivisions: int, count: int) -> Session:
     probings = tuple(
         Probing(
             name=f"n{k + 1:02d}",
-            contact=Contact(place[k], CONTACT_RADIUS, ContactProfile.SMOOTH),
+            contact=Contact(place[k], CONTACT_RADIUS, "smooth"),
             force=tilt[k] - outward[k],
             force_std=None,
             tip_displacement=None,

@@ -10,8 +10,6 @@ from palpate.estimation import FitSettings
 from palpate.pipeline import fit_session
 from palpate.records import Session, read_session
 
-__all__ = ["measure"]
-
 FE_CELLS = ((16, 6, 6), (24, 8, 8))
 PROBES = ("load52_a", "load52_b")
 # Linear finite elements (quadratic hexahedra) on the same CSVs, by Poisson's ratio [Pa].

@@ -12,8 +12,6 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from palpate.records import Session
 
-__all__ = ["finite_element_modulus"]
-
 SIZE = np.array([0.1, 0.03, 0.03])
 TRIAL = 250e3
 

@@ -3,8 +3,6 @@
 import time
 from collections.abc import Callable
 
-__all__ = ["shortest"]
-
 
 def shortest(work: Callable[[], object], *, repeats: int = 3, warm: bool = True) -> float:
     """Shortest wall time [s] of several runs: what disturbs a run only ever makes it longer.

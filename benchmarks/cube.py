@@ -8,8 +8,6 @@ from benchmarks.meshes import cube
 from benchmarks.options import Options
 from palpate.bem import Quadrature, SurfaceSettings, make_surface
 
-__all__ = ["measure"]
-
 SHEAR_MODULUS = 2.5
 RATIOS = (0.0, 0.25, 0.45, 0.499)
 SUPPORTS = {

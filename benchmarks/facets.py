@@ -17,8 +17,6 @@ from palpate.bem import (
 )
 from palpate.geometry import TriangleMesh
 
-__all__ = ["CASES", "facet_error", "measure"]
-
 CASES = {
     237: ("pole_h80_nu020",),
     573: ("pole_h50_nu020", "pole_h50_nu000", "pole_h50_nu045", "oblique_h50_nu020"),

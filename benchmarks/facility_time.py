@@ -6,12 +6,10 @@ from benchmarks.clock import shortest
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
 from palpate.lab import choose_variant, read_lab_config
-from palpate.lab.bench.arm import aimed, rod_at
+from palpate.lab.bench.arm import aim, rod_at
 from palpate.lab.config_files import built_in
-from palpate.lab.pictures.photographs import make_studio, photographed
-from palpate.lab.pictures.stereo_head import make_head
-
-__all__ = ["measure"]
+from palpate.lab.pictures.head import make_head
+from palpate.lab.pictures.studio import make_studio, photograph
 
 
 def measure(options: Options) -> list[Figure]:
@@ -19,11 +17,11 @@ def measure(options: Options) -> list[Figure]:
     config = read_lab_config(built_in()["half-ball"])
     mesh, variant = config.specimen.mesh, choose_variant()
     rig = make_head(config.head, mesh)
-    tip = aimed(config.probes[0], config.arm, mesh, rng=np.random.default_rng(1))
+    tip = aim(config.probes[0], config.arm, mesh, rng=np.random.default_rng(1))
     studio = make_studio(config, rig, variant, rng=np.random.default_rng(2))
-    scene = [(studio.mesh.vertices, (rod_at(tip, tip.point, rig.cameras),))]
+    rest, rod = studio.mesh.vertices, rod_at(tip, tip.point, rig.cameras)
     seconds = shortest(
-        lambda: photographed(studio, config, scene, rng=np.random.default_rng(3)),
+        lambda: photograph(studio, config, [rest], rod, rng=np.random.default_rng(3)),
         repeats=1 if options.quick else 5,
     )
     drawn, rays = len(studio.mesh.vertices), config.pictures.samples

@@ -3,8 +3,6 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["BEM", "ESTIMATION", "FACILITY", "FLOW", "Figure", "Limit", "figure_from_plain", "plain"]
-
 BEM = "Boundary element model"
 ESTIMATION = "Estimation"
 FLOW = "Range flow"

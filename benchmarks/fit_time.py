@@ -12,8 +12,6 @@ from palpate.bem import BoundarySurface, assemble_system, make_surface
 from palpate.pipeline import fit_session
 from palpate.records import Session, read_session
 
-__all__ = ["measure"]
-
 
 def measure(options: Options) -> list[Figure]:
     """Ratio at 642 and 2562 vertices, warm."""

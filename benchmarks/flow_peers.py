@@ -10,8 +10,6 @@ from benchmarks.machine import SHARED
 from benchmarks.options import Options
 from benchmarks.peers import speckle_rows, stereo_field
 
-__all__ = ["measure"]
-
 TOOL = SHARED.parent / "tools" / "flow_bench.py"
 
 

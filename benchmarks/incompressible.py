@@ -4,8 +4,6 @@ from benchmarks.convergence import ball_error, cube_error
 from benchmarks.figure import BEM, Figure
 from benchmarks.options import Options
 
-__all__ = ["measure"]
-
 USUAL, NEARLY_INCOMPRESSIBLE = 0.45, 0.499
 
 

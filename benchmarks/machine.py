@@ -7,8 +7,6 @@ from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-__all__ = ["CORES", "ROOT", "SHARED", "described", "peak_memory", "use_cores"]
-
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared" / "data"
 CORES = 2

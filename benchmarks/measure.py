@@ -7,8 +7,6 @@ import json
 from benchmarks.figure import plain
 from benchmarks.options import Options
 
-__all__: list[str] = []
-
 
 def main() -> None:
     """Every subject is a module of this folder with `measure(options)`."""

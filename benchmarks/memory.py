@@ -11,8 +11,6 @@ from benchmarks.machine import ROOT, peak_memory
 from benchmarks.options import Options
 from palpate.app.cli import main as palpate
 
-__all__ = ["measure"]
-
 GIGABYTE = 1e9
 
 

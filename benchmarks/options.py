@@ -1,8 +1,6 @@
-"""What a subject is told."""
+"""Choices of a run that every subject gets."""
 
 from dataclasses import dataclass
-
-__all__ = ["Options"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,6 @@ from palpate.estimation import cramer_rao_bound
 from palpate.pipeline import fit_session
 from palpate.records import Estimate, Session, read_session
 
-__all__ = ["measure"]
-
 FOLDER = SHARED / "halfball_probes"
 
 

@@ -14,8 +14,6 @@ from benchmarks.session_observations import exact, session_observations, thinned
 from palpate.estimation import FitSettings, IntervalMethod
 from palpate.records import read_session
 
-__all__ = ["measure"]
-
 REPEATS = 500
 STEP = 5
 DISTURBANCES = {

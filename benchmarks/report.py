@@ -5,8 +5,6 @@ from pathlib import Path
 
 from benchmarks.figure import BEM, ESTIMATION, FACILITY, FLOW, Figure, Limit
 
-__all__ = ["as_markdown", "as_text", "number", "write_part"]
-
 HEAD = "| what | unit | must | reach for | reached | kept | how |"
 KEPT = (
     '"kept" says which demand is met: "reach", "must", or "missed"; "not reached" where only "reach'

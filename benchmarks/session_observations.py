@@ -6,8 +6,6 @@ from palpate import pipeline
 from palpate.estimation import ProbeObservations
 from palpate.records import Session
 
-__all__ = ["exact", "session_observations", "thinned"]
-
 
 def session_observations(session: Session) -> list[ProbeObservations]:
     """Measured displacements of every probing with the model's response."""

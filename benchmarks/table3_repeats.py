@@ -15,15 +15,19 @@ from jaxtyping import Float
 
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
-from palpate.lab import Material, choose_variant, make_sessions, read_lab_config
-from palpate.lab.config_files import built_in
-from palpate.paper.budget import CALIBRATION, REGISTRATION, with_misjudged_rig
-from palpate.paper.constants import pictures_measured
-from palpate.paper.motion import quickened
+from palpate.lab import Material, built_in, choose_variant, make_sessions, read_lab_config
+from palpate.paper import (
+    CALIBRATION,
+    CONSTANTS,
+    REGISTRATION,
+    constant_errors,
+    intervals_hold,
+    pictures_measured,
+    quickened,
+    with_misjudged_rig,
+)
 from palpate.pipeline import fit_session
 from palpate.records import Estimate, ProbeEstimate, Session, read_session
-
-__all__ = ["evaluated", "measure"]
 
 REPEATS = 20
 # As in the error budget.
@@ -37,7 +41,6 @@ _WRONG = (
     f" {_ERROR.rotation:g} deg and {1e3 * _ERROR.translation:g} mm, object"
     f" {_ERROR.object_rotation:g} deg and {1e3 * _ERROR.object_translation:g} mm"
 )
-CONSTANTS = {"poisson_ratio": "nu", "shear_modulus": "G", "young_modulus": "E"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +66,24 @@ def measure(options: Options) -> list[Figure]:
         wanted = [(replace(config, seed=seed), Path(name) / str(seed)) for seed in seeds]
         for _, folder in wanted:
             folder.mkdir()
-        make_sessions(wanted, variant=choose_variant(), progress=_shown)
+        make_sessions(wanted, variant=choose_variant(), progress=_log_progress)
         return evaluated([read_session(folder) for _, folder in wanted], config.material)
 
 
 def evaluated(sessions: Sequence[Session], material: Material) -> list[Figure]:
-    """Figures of sessions that are repeats of each other, each in a folder named by its seed."""
+    """Figures of sessions that repeat each other, each in a folder named by its seed."""
     estimates = [_estimate(session) for session in sessions]
     misjudged = [_estimate(_misjudged(session)) for session in sessions]
-    together, told = _repeats(estimates, material), _repeats(misjudged, material)
-    alone = _repeats([one for each in estimates for one in each.probes], material)
+    together, wrong = _repeats(estimates, material), _repeats(misjudged, material)
+    alone = _repeats([probe for each in estimates for probe in each.probes], material)
     count, singles = len(estimates), len(alone.error)
     note = f"{count} seeds: texture, misalignment, readings and noise anew"
     return [
         *_coverage("all probings", together, note),
         *_coverage("single probings", alone, f"{singles} probings; {note}"),
-        *_coverage("all probings, calibration and pose a little wrong", told, f"{note}; {_WRONG}"),
+        *_coverage("all probings, calibration and pose a little wrong", wrong, f"{note}; {_WRONG}"),
         *_errors("all probings", together, note),
-        *_errors("all probings, calibration and pose a little wrong", told, f"{note}; {_WRONG}"),
+        *_errors("all probings, calibration and pose a little wrong", wrong, f"{note}; {_WRONG}"),
         *_spread(alone, f"{singles} probings; {note}"),
     ]
 
@@ -90,7 +93,7 @@ def _estimate(session: Session) -> Estimate:
     start = time.perf_counter()
     estimate = fit_session(pictures_measured(session)).estimate
     young, nu = estimate.young_modulus, estimate.poisson_ratio
-    _said(
+    _log(
         f"{session.path.parent.name}: nu {nu.value:.4f} {np.round(nu.ci95, 4).tolist()},"
         f" E {young.value:.0f} {np.round(young.ci95).tolist()},"
         f" {time.perf_counter() - start:.0f} s"
@@ -99,24 +102,20 @@ def _estimate(session: Session) -> Estimate:
 
 
 def _misjudged(session: Session) -> Session:
-    """The same pictures, told a calibration and a pose of the object that are a little wrong."""
+    """The same pictures with a calibration and a pose of the object that are a little wrong."""
     folder = session.path.parent
     rng = np.random.default_rng([int(folder.name), 1])
-    return with_misjudged_rig(session, _ERROR, rng, folder / "rig_told.toml")
+    return with_misjudged_rig(session, _ERROR, rng, folder / "rig_misjudged.toml")
 
 
 def _repeats(estimates: Sequence[Estimate | ProbeEstimate], material: Material) -> Repeats:
-    truth = np.array([getattr(material, name) for name in CONSTANTS])
-    known = [[getattr(one, name) for name in CONSTANTS] for one in estimates]
-    value = np.array([[constant.value for constant in row] for row in known])
-    ends = np.array([[constant.ci95 for constant in row] for row in known])
-    scale = np.array([1.0, 0.01 * truth[1], 0.01 * truth[2]])
-    return Repeats((value - truth) / scale, (ends[..., 0] <= truth) & (truth <= ends[..., 1]))
+    error = constant_errors(estimates, material) * [1.0, 100.0, 100.0]
+    return Repeats(error, intervals_hold(estimates, material))
 
 
 def _coverage(which: str, repeats: Repeats, note: str) -> list[Figure]:
     share = 100 * repeats.held.mean(axis=0)
-    by_name = ", ".join(f"{s} {x:.0f} %" for s, x in zip(CONSTANTS.values(), share, strict=True))
+    by_name = ", ".join(f"{s} {x:.0f} %" for s, x in zip(CONSTANTS, share, strict=True))
     # Intervals of one repeat are wrong together: chance is that of the repeats.
     chance = 100 * repeats.held.mean(axis=1).std() / np.sqrt(len(repeats.held))
     return [
@@ -147,10 +146,10 @@ def _spread(repeats: Repeats, note: str) -> list[Figure]:
     ]  # fmt: skip
 
 
-def _shown(text: str, share: float) -> None:
-    _said(f"{100 * share:3.0f} % {text}")
+def _log_progress(text: str, share: float) -> None:
+    _log(f"{100 * share:3.0f} % {text}")
 
 
-def _said(text: str) -> None:
+def _log(text: str) -> None:
     """The last line of standard output belongs to the figures."""
     print(text, file=sys.stderr, flush=True)

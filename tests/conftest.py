@@ -21,6 +21,30 @@ def _is_unchecked(decorator: Any) -> bool:
 
 _import_hook._is_no_type_check = _is_unchecked
 
+# What takes longest starts first, so that processes that share the tests end together. The first
+# two need different kernels: none is compiled twice at the same time.
+_LONGEST_FIRST = (
+    "tests/vision/joint/test_flow.py",
+    "tests/truth",
+    "tests/paper",
+    "tests/vision/joint",
+    "tests/lab",
+    "tests/vision",
+    "tests/pipeline",
+    "tests/examples",
+    "tests/app",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first; within them the order stays."""
+
+    def place(item: pytest.Item) -> int:
+        matching = (k for k, name in enumerate(_LONGEST_FIRST) if item.nodeid.startswith(name))
+        return next(matching, len(_LONGEST_FIRST))
+
+    items.sort(key=place)
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:

@@ -5,8 +5,6 @@ import numpy as np
 
 from palpate.records import Camera
 
-__all__ = ["BARREL", "RATIONAL", "REAL", "make_camera", "moved", "terms"]
-
 # A webcam-like barrel, all eight terms at once, and a real lens of 50 mm (of a stereo challenge).
 BARREL = (-0.3, 0.1, 1e-3, -2e-3, -0.02)
 RATIONAL = (-0.3, 0.1, 2e-3, -1e-3, 0.02, 0.05, 0.01, -0.02)

@@ -9,8 +9,6 @@ import numpy as np
 from benchmarks.peers.environment import Environment, last_line, run_command
 from palpate.geometry import TriangleMesh
 
-__all__ = ["laplace_times"]
-
 HERE = Path(__file__).resolve().parent
 
 

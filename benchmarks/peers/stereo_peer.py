@@ -7,8 +7,6 @@ import numpy as np
 
 from benchmarks.peers.environment import Environment, last_line, run_command
 
-__all__ = ["StereoField", "stereo_field"]
-
 HERE = Path(__file__).resolve().parent / "stereo"
 PROGRAM = "al-dic-3d"
 # Pixel, point and displacement at rest, by instant; NaN where it found nothing.

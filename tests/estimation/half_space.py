@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 from palpate.estimation import ProbeObservations
 
-__all__ = ["Cantilever", "HalfSpace", "half_space_probes", "surface_grid"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfSpace:

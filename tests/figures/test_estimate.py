@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from app.estimate_samples import constants, sample_result
+from estimate_samples import constants, sample_result
 
+from palpate.figures.displacement import best_direction, make_view, projected
 from palpate.figures.estimate import write_plots
-from palpate.figures.surface_view import best_direction, make_view, projected
 from palpate.geometry import TriangleMesh
 from palpate.records import Status, read_session
 
@@ -41,8 +41,8 @@ def test_all_pictures_are_written(tmp_path, session, result):
         assert 200 <= height <= 1200
 
 
-def test_a_constant_that_is_not_told_can_be_drawn(tmp_path, session, result):
-    lost = constants(told=False)
+def test_a_constant_that_is_not_identifiable_can_be_drawn(tmp_path, session, result):
+    lost = constants(known=False)
     probe = replace(result.estimate.probes[0], **lost)
     estimate = replace(
         result.estimate,

@@ -1,25 +1,25 @@
 """Pictures of measured motions: what is coloured, how, where, and what the texts say."""
 
 import struct
-from dataclasses import replace
+from dataclasses import fields, replace
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from flow_samples import SHAPE, SIDE, STEP, camera, motion, sample
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_hex
+from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from palpate.figures.flow import flow_figure, quality_figure, write_flow_pictures
+from palpate.figures.flow import CAUSE_COLOURS, flow_figure, quality_figure, write_flow_pictures
 from palpate.figures.flow_view import (
-    COLOURED,
-    UNCOLOURED,
-    cause_layer,
-    interpolated,
+    CLAY,
+    draw_picture,
+    draw_points,
+    draw_vertices,
     make_flow_view,
-    tinted,
-    vertex_layer,
+    seen_corners,
 )
+from palpate.geometry import TriangleMesh
 from palpate.vision import Outcome, SurfaceMap
 
 REJECT = {Outcome.SCORE: [100, 101, 102], Outcome.TEXTURE: [7]}
@@ -68,7 +68,8 @@ def test_the_view_is_the_object_with_a_margin(view, cube):
     # A margin of 5 per cent and two pixels, each side.
     assert (view.high - view.low <= 1.1 * np.ptp(columns) + 7).all()
     assert view.stride == 1
-    assert (view.triangle >= 0).sum() == len(rows)
+    seen = np.unique(cube.surface.triangle[cube.surface.triangle >= 0])
+    np.testing.assert_array_equal(np.sort(view.triangles), seen)
     assert view.grey.min() == 0.0
     assert view.grey.max() == 1.0
 
@@ -89,74 +90,91 @@ def test_an_object_out_of_view_leaves_the_whole_picture(cube):
     nothing = SurfaceMap(np.full((*SHAPE, 3), np.nan), np.full(SHAPE, -1))
     view = make_flow_view(cube.picture, cube.camera, nothing, cube.mesh)
     assert view.grey.shape == SHAPE
-    assert np.isnan(interpolated(cube.flow, cube.flow.score, view)).all()
+    assert len(view.triangles) == len(seen_corners(view)) == 0
+
+
+def test_the_nearest_triangle_is_drawn_last():
+    """Two triangles one behind the other, both seen in some pixel."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.01], [1, 0, 0.01], [0, 1, 0.01]])
+    mesh = TriangleMesh(0.04 * vertices, np.array([[3, 4, 5], [0, 1, 2]]))
+    triangle = np.full(SHAPE, -1)
+    triangle[10, 10], triangle[20, 20] = 0, 1
+    surface = SurfaceMap(np.full((*SHAPE, 3), np.nan), triangle)
+    view = make_flow_view(np.zeros(SHAPE), camera(), surface, mesh)
+    # The camera looks down: the one with the greater z is nearer.
+    assert view.triangles.tolist() == [1, 0]
+
+
+@pytest.fixture
+def axes():
+    return Figure().subplots()
 
 
 @pytest.mark.parametrize("stride", [1, 3])
-def test_values_are_linear_between_points(view, cube, stride):
-    thinned = replace(
-        view, stride=stride, grey=view.grey[::stride, ::stride],
-        point=view.point[::stride, ::stride], triangle=view.triangle[::stride, ::stride],
-    )  # fmt: skip
-    values = 0.3 + 0.02 * cube.flow.pixel[:, 0] - 0.05 * cube.flow.pixel[:, 1]
-    image = interpolated(cube.flow, values, thinned)
-    row, column = np.indices(image.shape) * stride
-    place = np.stack([column, row], axis=2) + view.low
-    inner = ((place >= cube.flow.pixel.min(axis=0)) & (place <= cube.flow.pixel.max(axis=0))).all(2)
-    assert inner.sum() > 5000 / stride**2
-    expected = 0.3 + 0.02 * place[..., 0] - 0.05 * place[..., 1]
-    # Rounding of sums of four terms.
-    np.testing.assert_allclose(image[inner], expected[inner], rtol=0, atol=1e-12)
+def test_pixels_are_drawn_at_their_places(view, axes, stride):
+    draw_picture(axes, replace(view, stride=stride, grey=view.grey[::stride, ::stride]))
+    (left, right, below, top), size = axes.images[0].get_extent(), axes.images[0].get_size()
+    # The first pixel's centre is its place in the whole picture, and so is the last one's.
+    assert (left + 0.5, top + 0.5) == tuple(view.low)
+    assert (right - left, below - top) == (stride * size[1], stride * size[0])
+    # Rows count downwards.
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]
+    assert axes.get_xlim() == (view.low[0] - 0.5, view.high[0] - 0.5)
 
 
-def test_nothing_is_shown_around_a_point_without_a_value(view, cube):
-    image = interpolated(cube.flow, cube.flow.displacement[:, 0], view)
-    column, row = (cube.flow.pixel[101] - view.low).astype(int)
-    assert np.isnan(image[row - 1 : row + 2, column - 1 : column + 2]).all()
-    assert np.isfinite(image[row + STEP, column])
-    assert np.isnan(image[view.triangle < 0]).all()
+def test_a_value_is_a_square_around_its_point(cube, axes):
+    values = np.arange(len(cube.flow.pixel), dtype=float)
+    values[101] = np.nan
+    draw_points(axes, cube.flow, values, "viridis", Normalize(0.0, 1.0))
+    (image,) = axes.images
+    left, _, _, top = image.get_extent()
+    grid = np.asarray(image.get_array().filled(np.nan))
+    for k in (0, 100, 101, 300, 624):
+        column, row = ((cube.flow.pixel[k] - (left, top)) / STEP - 0.5).astype(int)
+        np.testing.assert_array_equal(grid[row, column], values[k])
+    assert np.isfinite(grid).sum() == len(values) - 1
+    right, below = cube.flow.pixel.max(axis=0) + 0.5 * STEP
+    assert image.get_extent()[1:3] == [right, below]
 
 
-def test_colours_are_the_maps_with_the_texture_over_them(view):
-    values = np.where(view.triangle >= 0, 0.25, np.nan)
-    image = tinted(values, view, "viridis", Normalize(0.0, 1.0)).astype(float) / 255.0
-    there = view.triangle >= 0
-    share = COLOURED[0] + (COLOURED[1] - COLOURED[0]) * view.grey[there]
-    pure = np.array(mpl.colormaps["viridis"](0.25)[:3])
-    # A byte has 1/255, half of it is lost in rounding.
-    np.testing.assert_allclose(image[there], share[:, None] * pure, rtol=0, atol=0.5 / 255 + 1e-9)
-    outside = image[~there]
-    assert np.ptp(outside, axis=1).max() == 0.0
-    assert outside.min() >= UNCOLOURED[0] - 0.5 / 255
+def test_a_flow_without_points_leaves_the_picture_alone(cube, axes):
+    count = len(cube.flow.pixel)
+    values = {field.name: getattr(cube.flow, field.name) for field in fields(cube.flow)}
+    nothing = replace(
+        cube.flow,
+        **{name: v[:0] for name, v in values.items() if np.ndim(v) and len(v) == count},
+    )
+    draw_points(axes, nothing, np.zeros(0), "viridis", Normalize(0.0, 1.0))
+    assert not axes.images
 
 
-def test_vertices_are_coloured_by_their_length_between_them(view, cube):
+def test_triangles_are_coloured_where_all_their_vertices_were_measured(view, cube, axes):
     norm = Normalize(0.0, 3e-4)
-    image = vertex_layer(cube.vertices, view, "viridis", norm).astype(float)
-    # Triangles with three measured vertices: the face less two of its six strips on every side.
+    draw_vertices(axes, cube.vertices, view, "viridis", norm)
+    clay, coloured, dots = axes.collections
     known = np.isfinite(cube.vertices.displacement[:, 0])
-    whole = known[cube.mesh.triangles].all(axis=1)
-    there = (view.triangle >= 0) & whole[view.triangle]
-    assert 3000 < there.sum() < (view.triangle >= 0).sum()
-    length = motion(view.point[there])[:, 0]
-    expected = 255.0 * mpl.colormaps["viridis"](norm(length))[:, :3]
-    light = image[there] / expected
-    # The face is flat: one brightness all over, and two half bytes of rounding a channel.
-    brightness = np.median(light)
-    # It faces the camera, the light comes from (-0.45, 0.55, 0.7): a fifth of shade, times cosine.
-    assert brightness == pytest.approx(0.78 + 0.22 * 0.7 / 0.9975, abs=0.01)
-    np.testing.assert_allclose(image[there], brightness * expected, rtol=0, atol=2.0)
-    clay = image[(view.triangle >= 0) & ~there]
-    assert np.ptp(clay, axis=1).max() < 15.0
+    whole = known[cube.mesh.triangles[view.triangles]].all(axis=1)
+    assert 0 < whole.sum() < len(view.triangles)
+    assert len(clay.get_paths()) == len(view.triangles)
+    assert len(coloured._triangulation.triangles) == whole.sum()
+    # Dots: every measured vertex that is seen, at its place and in the colour of its length.
+    rows = seen_corners(view)
+    rows = rows[known[rows]]
+    place = 79.5 + (cube.mesh.vertices[rows, 0] - 0.5 * SIDE) * 1000.0 / 0.4
+    np.testing.assert_allclose(np.asarray(dots.get_offsets())[:, 0], place, atol=1e-9)
+    length = motion(cube.mesh.vertices[rows])[:, 0]
+    np.testing.assert_allclose(dots.get_array(), length, rtol=1e-12)
+    np.testing.assert_allclose(np.sort(coloured.get_array()[coloured.get_array() > 0]),
+                               np.sort(length), rtol=1e-12)  # fmt: skip
 
 
-def test_causes_have_their_colours(view, cube):
-    image = cause_layer(cube.flow, view, {int(Outcome.SCORE): "#ff0000"})
-    column, row = (cube.flow.pixel[[101, 7, 300]] - view.low).astype(int).T
-    score, texture, valid = image[row, column].astype(int)
-    assert score[0] > 200
-    assert score[1] == score[2] == 0
-    assert np.ptp(texture) == np.ptp(valid) == 0
+def test_without_vertices_the_mesh_is_grey(view, axes):
+    draw_vertices(axes, None, view, "viridis", Normalize(0.0, 1.0))
+    (clay,) = axes.collections
+    colours = clay.get_facecolor()[:, :3]
+    assert np.ptp(colours, axis=1).max() < 15.0 / 255.0
+    # The face is flat: one brightness all over, from the light's cosine of 0.7 / 0.9975.
+    np.testing.assert_allclose(colours, CLAY([0.7 / 0.9975])[:, :3].repeat(len(colours), 0))
 
 
 # Figures
@@ -236,14 +254,21 @@ def test_few_long_motions_do_not_cross_the_panel(view):
 
 def test_colours_are_on_a_square_root_scale(cube, view):
     figure = flow_figure("n01", cube.flow, None, view)
-    colours = np.asarray(figure.axes[1].images[0].get_array()).astype(float)
+    image = figure.axes[1].images[1]
     top = np.nanquantile(np.linalg.norm(cube.flow.displacement, axis=1), 0.99)
-    column, row = (cube.flow.pixel[300] - view.low).astype(int)
-    share = np.sqrt(motion(cube.flow.point[300:301])[0, 0] / top)
-    texture = COLOURED[0] + (COLOURED[1] - COLOURED[0]) * view.grey[row, column]
-    expected = 255.0 * texture * np.array(mpl.colormaps["viridis"](share)[:3])
-    # One of 256 colours of the map, and rounding to a byte.
-    np.testing.assert_allclose(colours[row, column], expected, rtol=0, atol=3.0)
+    length = motion(cube.flow.point[300:301])[0, 0]
+    assert float(image.norm(length)) == pytest.approx(np.sqrt(length / top), rel=1e-9)
+    assert length in np.asarray(image.get_array())
+
+
+def test_causes_have_their_colours(cube, view):
+    image = quality_figure("n01", cube.flow, view).axes[0].images[1]
+    grid = image.get_array()
+    numbers = np.asarray(grid[~grid.mask])
+    # One point without texture, three that look different.
+    found = [to_hex(image.cmap(image.norm(number))) for number in np.sort(numbers)]
+    score, texture = CAUSE_COLOURS[Outcome.SCORE], CAUSE_COLOURS[Outcome.TEXTURE]
+    assert found == [texture.lower(), *[score.lower()] * 3]
 
 
 def test_the_figure_says_what_it_shows_and_in_which_unit(cube, view):

@@ -5,7 +5,7 @@ from pathlib import Path
 from palpate.geometry import write_mesh
 from palpate.lab import Head
 from palpate.lab.bodies.specimens import half_ball
-from palpate.lab.pictures.stereo_head import make_head
+from palpate.lab.pictures.head import make_head
 from palpate.records import write_rig
 
 SESSION = """\

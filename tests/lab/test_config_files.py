@@ -61,7 +61,7 @@ def test_a_mesh_of_ones_own(read, tmp_path):
     config = read(own + "[support]\nbox = { min = [-1, -1, -1], max = [1, 1, 1e-6] }\n")
     np.testing.assert_allclose(config.specimen.mesh.vertices, mesh.vertices, atol=1e-9)
     assert len(config.specimen.held) == 2 * 5 * 4
-    # Elements are as large as the mesh's triangles unless told: an equilateral one of that area.
+    # By default elements are as large as the mesh's triangles: an equilateral one of that area.
     assert config.specimen.element == pytest.approx(np.sqrt(0.5e-4 * 4 / np.sqrt(3)), rel=1e-6)
 
 
@@ -88,9 +88,14 @@ BAD = [
     ("misalignment = 2.0", "misalignment = -2.0", r"\[arm\]: misalignment is -2; must not be neg"),
     ("noise = 0.002", 'noise = "much"', r"\[force_sensor\] noise: is 'much'; must be a finite num"),
     ("noise = 0.002", "bias = [0, 1]", r"\[force_sensor\] bias: is \[0, 1\]; must be three finite"),
-    ("columns = 200", "columns = 20", r"\[head\]: pictures are 20 x 160 px; must be at least 32"),
+    ("columns = 200", "columns = 20", r"\[head\]: columns is 20; must be at least 32 px"),
     ("columns = 200", "columns = 200.5", r"\[head\] columns: is 200.5; must be a whole number"),
+    ("columns = 200", "toward = [0, 0, 0]", r"\[head\]: toward is .*; must be a dir"),
+    ("columns = 200", "focal = 0", r"\[head\]: focal is 0; must be positive"),
     ("columns = 200", "cameras = 5", r"\[head\]: cameras is 5; must be 2, 3 or 4"),
+    ("samples = 8", "full_well = 0", r"\[pictures\]: full_well is 0; must be positive"),
+    ("samples = 8", "noise = -1", r"\[pictures\]: noise is -1; must not be negative"),
+    ("samples = 8", "response = -0.1", r"\[pictures\]: response is -0.1; must not be negative"),
     ("samples = 8", "bits = 10", r"\[pictures\]: bits is 10; must be 8 or 12"),
     ("depth = 4e-3", "", r"\[\[probe\]\]: 'n01' needs a depth or a force, one of them"),
     ("depth = 4e-3", "depth = 4e-3\nforce = 1", r"\[\[probe\]\]: 'n01' needs a depth or a force"),
@@ -126,5 +131,5 @@ def test_a_missing_file_is_refused(tmp_path):
 
 def test_a_part_that_is_no_table_is_refused(read):
     text = HALF_BALL.replace("[look]\nsize = 4e-3\n", "").replace("seed = 3", "seed = 3\nlook = 1")
-    with pytest.raises(RecordError, match="look: must be a table"):
+    with pytest.raises(RecordError, match="look: is 1; must be a table"):
         read(text)

@@ -11,10 +11,11 @@ from lab.planned_sessions import planned_session
 
 from palpate.errors import InputError
 from palpate.geometry import closest_points
-from palpate.lab import Calibration, ForceSensor, Material, Variant, read_lab_config
+from palpate.lab import Calibration, Material, Sensor, Variant, read_lab_config
 from palpate.lab.config_files import built_in
-from palpate.paper.budget import error_budget as budget
-from palpate.paper.constants import pictures_measured
+from palpate.paper import budget
+from palpate.paper.budget import SourceErrors, budget_picture, budget_table, sizes_table
+from palpate.paper.constants import constant_errors, pictures_measured
 from palpate.records import Constant, DisplacementField, ProbeEstimate, read_rig, read_session
 
 NAMES = [
@@ -60,7 +61,7 @@ def test_what_was_measured_is_not_measured_again(session):
     known = with_displacements(session)
     assert pictures_measured(known) is known
     # Other forces over the same pictures: nothing is left to measure.
-    forces = budget._with_forces(known, ForceSensor(noise=0.01), np.random.default_rng(1))
+    forces = budget._with_forces(known, Sensor(noise=0.01), np.random.default_rng(1))
     assert pictures_measured(forces) is forces
     # There are no pictures in this folder.
     with pytest.raises(InputError, match="rest_c0"):
@@ -71,18 +72,23 @@ def test_where_it_begins_no_error_is_left(config):
     noisy = replace(
         config,
         calibration=Calibration(1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
-        force_sensor=ForceSensor(1.0, 1.0, np.ones(3), 1.0),
+        force_sensor=Sensor(1.0, 1.0, np.ones(3), 1.0),
         pictures=replace(config.pictures, full_well=1e4, gain_drift=0.1),
         material=replace(config.material, law="neo-hookean"),
     )
     exact = budget._exact(noisy)
     assert changed(exact.calibration, Calibration()) == set()
-    assert changed(exact.force_sensor, ForceSensor()) == set()
+    assert changed(exact.force_sensor, Sensor()) == set()
     assert (exact.arm.misalignment, exact.arm.placement) == (0.0, 0.0)
     told = exact.pictures
     assert (told.noise, told.full_well, told.gain_drift) == (0.0, None, 0.0)
     assert exact.material.law == "linear"
     assert (exact.arm.tip, exact.arm.radius) == (config.arm.tip, config.arm.radius)
+
+
+def bench(config, name):
+    """The bench that has this source's error alone."""
+    return next(each for known, _, each in budget._benches(config) if known == name)
 
 
 @pytest.mark.parametrize(
@@ -97,19 +103,17 @@ def test_where_it_begins_no_error_is_left(config):
     ],
 )
 def test_a_source_changes_one_thing_only(config, name, parts):
-    (source,) = (one for one in budget._seen(config) if one.name == name)
-    exact = budget._exact(config)
-    assert changed(source.change(exact), exact) == parts
+    assert changed(bench(config, name), budget._exact(config)) == parts
 
 
 def test_the_last_source_is_the_bench_itself(config):
-    last = budget._seen(config)[-1]
-    assert last.change(budget._exact(config)) is config
+    *_, (name, _, last) = budget._benches(config)
+    assert name == "table 3"
+    assert last is config
 
 
 def test_the_coarse_mesh_is_of_the_same_body(config):
-    (source,) = (one for one in budget._seen(config) if one.name == "mesh size")
-    coarse = source.change(budget._exact(config)).specimen
+    coarse = bench(config, "mesh size").specimen
     fine = config.specimen
     assert len(fine.mesh.vertices) / len(coarse.mesh.vertices) == pytest.approx(4.0, rel=0.25)
     # Vertices of both lie on the ball of 40 mm or on its base.
@@ -121,7 +125,7 @@ def test_the_coarse_mesh_is_of_the_same_body(config):
 
 
 def test_forces_are_read_with_the_sensors_noise(session):
-    sensor = ForceSensor(noise=0.01)
+    sensor = Sensor(noise=0.01)
     errors = []
     for seed in range(300):
         told = budget._with_forces(session, sensor, np.random.default_rng(seed))
@@ -133,9 +137,9 @@ def test_forces_are_read_with_the_sensors_noise(session):
     assert (session.probings[0].force == [0, 0, -0.5]).all()
 
 
-def test_another_rig_is_told_and_the_first_one_stays(session, tmp_path):
+def test_the_misjudged_rig_is_another_file_and_the_true_one_stays(session, tmp_path):
     before = session.rig.read_bytes()
-    file = tmp_path / "told.toml"
+    file = tmp_path / "misjudged.toml"
     known = with_displacements(session)
     told = budget.with_misjudged_rig(known, Calibration(centre=2.0), np.random.default_rng(1), file)
     assert told.rig == file
@@ -157,11 +161,11 @@ def test_errors_are_against_the_truth():
         for value in (1.01 * truth.shear_modulus, 0.23, 0.97 * 52e3)
     )
     probe = ProbeEstimate("n01", shear, nu, young, 9, 0, 0, 1e-5, None)
-    np.testing.assert_allclose(budget._errors(probe, truth), [0.02, 0.01, -0.03])
+    np.testing.assert_allclose(constant_errors([probe, probe], truth), [[0.02, 0.01, -0.03]] * 2)
 
 
 def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
-    made, estimated = [], []
+    made, rigs = [], []
 
     def make(wanted, *, variant, progress):
         progress("making", 1.0)
@@ -169,13 +173,13 @@ def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
             made.append((one, folder.name))
             planned_session(folder)
 
-    def source(name, size, sessions, truth):
-        estimated.append((name, [one.rig.name for one in sessions]))
+    def errors(sessions, truth):
+        rigs.append([session.rig.name for session in sessions])
         assert truth is config.material
-        return budget.ErrorSource(name, size, np.zeros((2, 3)), np.zeros((len(sessions), 3)))
+        return np.zeros((2, 3)), np.zeros((len(sessions), 3))
 
     monkeypatch.setattr(budget, "make_sessions", make)
-    monkeypatch.setattr(budget, "_source", source)
+    monkeypatch.setattr(budget, "_errors", errors)
     monkeypatch.setattr(budget, "pictures_measured", lambda session: session)
     said = []
     sources = budget.error_budget(
@@ -187,6 +191,48 @@ def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
     assert len(made) == 7
     assert said == sorted(said)
     assert said[-1] < 1.0
-    rigs = dict(estimated)
-    assert rigs["force noise"] == ["rig.toml"] * 3
-    assert len(set(rigs["calibration"] + rigs["registration"])) == 6
+    force, calibration, registration = rigs[-4:-1]
+    assert force == ["rig.toml"] * 3
+    assert len(set(calibration + registration)) == 6
+
+
+# As a table and a picture
+
+NONE = SourceErrors("none", "", np.array([[0.01, 0.0, 0.03], [-0.01, 0.0, 0.04]]),
+                   np.array([[0.002, 0.0, -0.01]]))  # fmt: skip
+FORCE = SourceErrors("force noise", "1 N", np.array([[0.02, 0.0, -0.06]]),
+                    np.array([[0.003, 0.0, 0.03], [-0.004, 0.0, 0.04]]))  # fmt: skip
+
+
+def _row(table, number):
+    return dict(zip(table.columns, table.rows[number], strict=True))
+
+
+def test_means_and_root_mean_squares_of_single_and_joint_errors():
+    table = budget_table([NONE, FORCE])
+    none, force = _row(table, 0), _row(table, 1)
+    assert (none["source"], force["source"]) == ("none", "force noise")
+    assert sizes_table([NONE, FORCE]).rows[1] == ("force noise", "1 N")
+    assert (none["draws"], force["draws"]) == (1, 2)
+    assert none["E mean (%)"] == pytest.approx(3.5)
+    assert none["E rms (%)"] == pytest.approx(100 * np.sqrt((0.03**2 + 0.04**2) / 2))
+    assert none["nu mean"] == pytest.approx(0.0)
+    assert none["nu rms"] == pytest.approx(0.01)
+    assert none["all: E rms (%)"] == pytest.approx(1.0)
+    assert force["E mean (%)"] == pytest.approx(-6.0)
+    assert force["all: E rms (%)"] == pytest.approx(100 * np.sqrt((0.03**2 + 0.04**2) / 2))
+    assert force["all: nu rms"] == pytest.approx(np.sqrt((0.003**2 + 0.004**2) / 2))
+
+
+def test_a_larger_error_has_a_longer_bar():
+    def inked(factor):
+        longer = SourceErrors("a", "", factor * FORCE.single, FORCE.joint)
+        widest = SourceErrors("b", "", 4.0 * FORCE.single, FORCE.joint)
+        picture = budget_picture([NONE, longer, widest]).astype(int)
+        # The bars' pale blue.
+        return int((np.abs(picture[..., :3] - [0xC9, 0xE2, 0xF2]).max(axis=2) < 3).sum())
+
+    # None's bars and the widest one's stay: twice the middle one's is its own length more.
+    first, second, third = inked(1.0), inked(2.0), inked(3.0)
+    assert second - first == pytest.approx(third - second, rel=0.05)
+    assert second - first > 1000

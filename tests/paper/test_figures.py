@@ -2,15 +2,14 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from flow_samples import rig, sample
 
 from palpate.errors import InputError
-from palpate.paper.figures import flow_curves, flow_picture, stacked, vertex_curves, write_picture
-from palpate.paper.motion import PaperSession
-from palpate.paper.published import FlowRow, Spread, VertexRow
+from palpate.paper.figures import flow_curves, flow_picture, vertex_curves
+from palpate.paper.published import MotionRow, Spread
+from palpate.paper.sessions import PaperSession
 from palpate.pipeline import MeasuredMotion, SessionFlow
 from palpate.records import Session, Step
 
@@ -35,15 +34,15 @@ def measured(monkeypatch):
 
 def flows(bias):
     return tuple(
-        FlowRow(
-            step, Spread(1.0, 0.1 / step), Spread(2.5e-3 * step + bias, 1e-4), 0.0, 2.5e-3 * step, 5
+        MotionRow(
+            step, Spread(1.0, 0.1 / step), Spread(2.5e-3 * step + bias, 1e-4), 2.5e-3 * step, 0.0, 5
         )
         for step in (1, 2, 3)
     )
 
 
 def directions(error):
-    return tuple(VertexRow(step, Spread(np.radians(error), 0.1)) for step in (1, 2, 3))
+    return tuple(MotionRow(step, Spread(np.radians(error), 0.1)) for step in (1, 2, 3))
 
 
 def height_of(picture, colour, columns):
@@ -71,11 +70,6 @@ def test_motions_that_are_not_there_are_refused(monkeypatch):
         flow_picture(found, "joint", "s2", "")
 
 
-def test_pictures_are_stacked_from_the_top():
-    above, below = np.full((2, 5, 4), 1, np.uint8), np.full((3, 5, 4), 2, np.uint8)
-    assert stacked([above, below])[:, 0, 0].tolist() == [1, 1, 2, 2, 2]
-
-
 def test_a_larger_bias_is_drawn_higher():
     picture = flow_curves({"x": {"lang-pai": flows(1e-3), "joint": flows(1e-5)}})
     first_panel = slice(100, picture.shape[1] // 3)
@@ -92,11 +86,3 @@ def test_directions_have_one_scale_in_all_panels():
     rows = [height_of(picture, BLUE, slice(k * third + 95, (k + 1) * third - 20)) for k in range(3)]
     assert rows[0] == pytest.approx(rows[2], abs=1.0)
     assert rows[1] < rows[0] - 50
-
-
-def test_pictures_are_written_as_png_without_loss(tmp_path):
-    picture = np.random.default_rng(1).integers(0, 256, (12, 9, 4), dtype=np.uint8)
-    picture[..., 3] = 255
-    write_picture(tmp_path / "a.png", picture)
-    read = cv2.imread(str(tmp_path / "a.png"))
-    np.testing.assert_array_equal(read[..., ::-1], picture[..., :3])

@@ -43,8 +43,8 @@ def test_angles_are_in_radians_and_vary_less_with_greater_translation(rows):
 
 
 def test_errors_of_direction_are_printed_in_degrees():
-    assert np.degrees(PAPER_ANGLE_ERROR_X[0].angle_error.mean) == pytest.approx(10.9142)
-    assert np.degrees(PAPER_ANGLE_ERROR_Y[5].angle_error.std) == pytest.approx(9.994)
+    assert np.degrees(PAPER_ANGLE_ERROR_X[0].angle.mean) == pytest.approx(10.9142)
+    assert np.degrees(PAPER_ANGLE_ERROR_Y[5].angle.std) == pytest.approx(9.994)
     assert all(row.length is row.command is None for row in TURNS[0] + TURNS[1])
 
 

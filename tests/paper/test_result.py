@@ -1,11 +1,21 @@
 """Results as files and as a page."""
 
+import csv
+import io
+
 import numpy as np
 import pytest
 
 from palpate.errors import InputError
-from palpate.paper.result import PaperResult, check_page, write_page, write_result
-from palpate.paper.result_table import ResultTable
+from palpate.paper.result import (
+    PaperResult,
+    ResultTable,
+    check_page,
+    csv_text,
+    markdown_text,
+    write_page,
+    write_result,
+)
 
 PICTURE = np.full((4, 5, 4), 255, np.uint8)
 
@@ -74,3 +84,37 @@ def test_a_page_that_cannot_be_written_is_refused(written):
     page.mkdir()
     with pytest.raises(InputError, match="choose another place with --page"):
         write_page(page, results, folders, command="c")
+
+
+# Tables
+
+TABLE = ResultTable(
+    "Lengths [a]",
+    ("source", "step", "length (mm)", "points"),
+    (0, 0, 2, 0),
+    (("paper [b]", 1, 2.5, None), ("joint", 12, 1.0 / 3.0, 488), ("none", 2, np.nan, 0)),
+)
+
+
+def test_markdown_has_a_row_each_numbers_to_the_right_and_rounded():
+    assert markdown_text(TABLE).splitlines() == [
+        "| source | step | length (mm) | points |",
+        "|---|---:|---:|---:|",
+        "| paper [b] | 1 | 2.50 | - |",
+        "| joint | 12 | 0.33 | 488 |",
+        "| none | 2 | - | 0 |",
+    ]
+
+
+def test_csv_keeps_all_digits_and_leaves_the_unknown_empty():
+    rows = list(csv.reader(io.StringIO(csv_text([TABLE]))))
+    assert rows[0] == list(TABLE.columns)
+    assert rows[1] == ["paper [b]", "1", "2.5", ""]
+    assert float(rows[2][2]) == 1.0 / 3.0
+    assert rows[3] == ["none", "2", "", "0"]
+
+
+def test_tables_in_one_file_are_an_empty_line_apart():
+    text = csv_text([TABLE, TABLE])
+    assert text.count("\n\n") == 1
+    assert text.split("\n\n")[1] == csv_text([TABLE])

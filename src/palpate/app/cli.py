@@ -12,9 +12,44 @@ from palpate.errors import NotConvergedError, PalpateError
 BAD_INPUT = 2
 NOT_OK = 3
 _INTERRUPTED = 130
-# What `palpate lab` does where it is not told: `palpate lab CONFIG.toml OUT`.
+# Name: where it is, and what its help says.
+_COMMANDS = {
+    "fit": (
+        "fit:fit",
+        "Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
+    ),
+    "check": ("check:check", "Say everything about a session that can be said without solving."),
+    "flow": (
+        "flow:flow",
+        "Measure how the surface moved, from the pictures of calibrated cameras.",
+    ),
+    "import": (
+        "import_results:import_displacements",
+        "Take displacements measured by another program into a session.",
+    ),
+    "poke": (
+        "poke:poke",
+        "Press a tool on a session's object: how far it gives way, and where it strains.",
+    ),
+    "compression": (
+        "compression:compression",
+        "Young's modulus from compression tests of cylinders.",
+    ),
+    "reproduce": (
+        "reproduce:reproduce",
+        "Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
+    ),
+}
+# What `palpate lab` does where no word says it: `palpate lab CONFIG.toml OUT`.
 _MAKE = "make"
-_LAB_WORDS = (_MAKE, "plan", "--help", "-h", "--version")
+_LAB_COMMANDS = {
+    _MAKE: ("lab:lab", "Measure a virtual specimen: pictures, forces and the truth as a session."),
+    "plan": (
+        "plan:plan",
+        "Say what the cameras of a session will see, and what precision to expect of it.",
+    ),
+}
+_LAB_WORDS = (*_LAB_COMMANDS, "--help", "-h", "--version")
 
 
 def make_app() -> App:
@@ -27,48 +62,12 @@ def make_app() -> App:
         help_format="plaintext",
         error_console=Console(stderr=True),
     )
-    app.command(
-        "palpate.app.commands.fit:fit",
-        name="fit",
-        help="Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
-    )
-    app.command(
-        "palpate.app.commands.check:check",
-        name="check",
-        help="Say everything about a session that can be said without solving.",
-    )
-    app.command(
-        "palpate.app.commands.flow:flow",
-        name="flow",
-        help="Measure how the surface moved, from the pictures of calibrated cameras.",
-    )
-    app.command(
-        "palpate.app.commands.import_results:import_displacements",
-        name="import",
-        help="Take displacements measured by another program into a session.",
-    )
-    app.command(
-        "palpate.app.commands.compression:compression",
-        name="compression",
-        help="Young's modulus from compression tests of cylinders.",
-    )
+    for name, (place, text) in _COMMANDS.items():
+        app.command(f"palpate.app.commands.{place}", name=name, help=text)
     lab = App(name="lab", help="Virtual measurements: made with their truth, or planned.")
-    lab.command(
-        "palpate.app.commands.lab:lab",
-        name=_MAKE,
-        help="Measure a virtual specimen: pictures, forces and the truth as a session.",
-    )
-    lab.command(
-        "palpate.app.commands.plan:plan",
-        name="plan",
-        help="Say what the cameras of a session will see, and what it will tell.",
-    )
+    for name, (place, text) in _LAB_COMMANDS.items():
+        lab.command(f"palpate.app.commands.{place}", name=name, help=text)
     app.command(lab)
-    app.command(
-        "palpate.app.commands.reproduce:reproduce",
-        name="reproduce",
-        help="Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
-    )
     return app
 
 

@@ -1,17 +1,28 @@
-"""figures."""
+"""Pictures: of an estimate, of a probing's displacement, of measured motions.
+
+Purpose    : draw results with matplotlib, all in one style; only what a picture needs is computed.
+Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`.
+Gives      : matplotlib figures, PNG files, pixels.
+Depends on : `vision`, `estimation`, `records`, `geometry`.
+Read first : `style.py`, then `estimate.py` and `flow.py`.
+"""
 
 from palpate.figures.displacement import displacement_figure as displacement_figure
-from palpate.figures.estimate import (
-    BLUE as BLUE,
-    GREY as GREY,
-    INK as INK,
-    ORANGE as ORANGE,
-    STYLE as STYLE,
-    probings_figure as probings_figure,
-    write_plots as write_plots,
-)
+from palpate.figures.estimate import probings_figure as probings_figure, write_plots as write_plots
 from palpate.figures.flow import (
     flow_figure as flow_figure,
     write_flow_pictures as write_flow_pictures,
 )
 from palpate.figures.flow_view import make_flow_view as make_flow_view
+from palpate.figures.style import (
+    BLUE as BLUE,
+    GREY as GREY,
+    INK as INK,
+    ORANGE as ORANGE,
+    PALE_BLUE as PALE_BLUE,
+    Picture as Picture,
+    figure_pixels as figure_pixels,
+    open_frame as open_frame,
+    save_pixels as save_pixels,
+    styled as styled,
+)

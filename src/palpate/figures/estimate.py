@@ -1,9 +1,7 @@
 """Pictures of an estimate: likelihood, each probing alone, measured against predicted."""
 
 from pathlib import Path
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -13,28 +11,26 @@ from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap
 from palpate.figures.displacement import displacement_figure
+from palpate.figures.style import (
+    BLUE,
+    GREY,
+    MIDDLE_BLUE,
+    ORANGE,
+    PALE_BLUE,
+    open_frame,
+    save_figure,
+    styled,
+)
 from palpate.records import Constant, Estimate, Session, modulus_unit
 
-# Okabe and Ito's palette: told apart by colour-blind readers, and in grey.
-BLUE, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#8a8f98", "#1c1f24"
-STYLE: dict[Any, Any] = {
-    "font.size": 8.0,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8.0,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 7.5,
-    "savefig.dpi": 150.0,
+# Per cent: deviance, chi squared with two degrees of freedom.
+REGIONS = {50: 1.3863, 95: 5.9915}
+MAX_DEVIANCE = 16.0  # up to which the likelihood is shown
+_SYMBOLS = {
+    "poisson_ratio": r"Poisson's ratio $\nu$",
+    "shear_modulus": "shear modulus $G$",
+    "young_modulus": "Young's modulus $E$",
 }
-REGIONS = {50: 1.3863, 95: 5.9915}  # per cent: deviance, chi squared with two degrees of freedom
-WIDEST = 16.0  # deviance up to which the likelihood is shown
 
 
 def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]:
@@ -58,28 +54,17 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     ------
     OSError                 a file cannot be written
     """
-    written = []
-    with mpl.rc_context(STYLE):
-        written.append(
-            _saved(_likelihood(result.likelihood, result.estimate), folder, "likelihood")
-        )
-        if result.estimate.probes:
-            written.append(_saved(probings_figure(result.estimate), folder, "probings"))
-        by_name = {probing.name: probing for probing in session.probings}
-        for number, fit in enumerate(result.probes, start=1):
-            figure = displacement_figure(session.mesh, by_name[fit.name], fit)
-            if figure is not None:
-                below = folder / "displacement"
-                below.mkdir(exist_ok=True)
-                written.append(_saved(figure, below, _file_name(fit.name, number)))
+    written = [save_figure(likelihood_figure(result), folder / "likelihood.png")]
+    if result.estimate.probes:
+        written.append(save_figure(probings_figure(result.estimate), folder / "probings.png"))
+    by_name = {probing.name: probing for probing in session.probings}
+    for number, fit in enumerate(result.probes, start=1):
+        figure = displacement_figure(session.mesh, by_name[fit.name], fit)
+        if figure is not None:
+            below = folder / "displacement"
+            below.mkdir(exist_ok=True)
+            written.append(save_figure(figure, below / f"{_file_name(fit.name, number)}.png"))
     return written
-
-
-def _saved(figure: Figure, folder: Path, name: str) -> Path:
-    """Write one figure."""
-    path = folder / f"{name}.png"
-    figure.savefig(path, pil_kwargs={"compress_level": 2})  # the usual 6 takes as long as drawing
-    return path
 
 
 def _file_name(name: str, number: int) -> str:
@@ -88,67 +73,62 @@ def _file_name(name: str, number: int) -> str:
     return name if plain.isalnum() and name[0] != "." else f"probing-{number}"
 
 
-def _plain(axes: Axes) -> None:
-    """Leave out the frame's upper and right line."""
-    axes.spines[["top", "right"]].set_visible(False)
+@styled
+def likelihood_figure(result: FitResult) -> Figure:
+    """Regions of 50 and 95 per cent over Poisson's ratio and shear modulus.
 
+    Parameters
+    ----------
+    result : FitResult
 
-def _likelihood(likelihood: LikelihoodMap, estimate: Estimate) -> Figure:
-    """Regions of 50 and 95 per cent over Poisson's ratio and shear modulus."""
+    Returns
+    -------
+    Figure                          4.6 by 3.6 inches
+    """
+    estimate = result.estimate
     factor, unit = modulus_unit(estimate.shear_modulus.value)
-    nu, shear = likelihood.poisson_ratio, likelihood.shear_modulus / factor
-    deviance = likelihood.deviance.T
+    nu, shear, deviance = _refined(result.likelihood)
+    shear = shear / factor
     figure = Figure(figsize=(4.6, 3.6))
     axes = figure.add_axes((0.14, 0.13, 0.82, 0.76))
-    levels = [0.0, REGIONS[50], REGIONS[95]]
-    fine_nu, fine_shear, fine = _refined(nu, shear, deviance)
-    levels[0] = min(0.0, float(fine.min())) - 1e-9  # a spline may dip below zero
-    axes.contourf(fine_nu, fine_shear, fine, levels=levels, colors=["#5aa6d6", "#c9e2f2"])
-    axes.contour(fine_nu, fine_shear, fine, levels=levels[1:], colors=BLUE, linewidths=0.8)
-    best_nu, best = estimate.poisson_ratio.value, estimate.shear_modulus.value / factor
-    near = deviance < WIDEST
-    rows, columns = near.any(axis=1), near.any(axis=0)
-    axes.set_xlim(*_padded(nu[columns], nu))
-    axes.set_ylim(*_padded(shear[rows], shear))
+    # A spline may dip below zero.
+    levels = [min(0.0, float(deviance.min())) - 1e-9, *REGIONS.values()]
+    axes.contourf(nu, shear, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE])
+    axes.contour(nu, shear, deviance, levels=levels[1:], colors=BLUE, linewidths=0.8)
     young = estimate.young_modulus.value
-    axes.plot(nu, young / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8)
-    axes.plot(
-        best_nu,
-        best,
-        "o",
-        color=ORANGE,
-        markersize=5,
-        markeredgecolor="white",
-        zorder=5,
-        clip_on=False,
+    (same_young,) = axes.plot(
+        nu, young / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8
     )
-    axes.set_xlabel(r"Poisson's ratio $\nu$")
-    axes.set_ylabel(f"shear modulus $G$ ({unit})")
+    (best,) = axes.plot(
+        estimate.poisson_ratio.value, estimate.shear_modulus.value / factor, "o", color=ORANGE,
+        markersize=5, markeredgecolor="white", zorder=5, clip_on=False,
+    )  # fmt: skip
+    axes.set(xlim=(nu[0], nu[-1]), ylim=(shear[0], shear[-1]))
+    axes.set(xlabel=r"Poisson's ratio $\nu$", ylabel=f"shear modulus $G$ ({unit})")
     young_factor, young_unit = modulus_unit(young)
-    handles = [
-        axes.lines[1],
-        Patch(facecolor="#5aa6d6", edgecolor=BLUE, linewidth=0.8),
-        Patch(facecolor="#c9e2f2", edgecolor=BLUE, linewidth=0.8),
-        axes.lines[0],
+    patches = [
+        Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
+        for colour in (MIDDLE_BLUE, PALE_BLUE)
     ]
     labels = ["best", "50 %", "95 %", f"$E$ = {young / young_factor:.4g} {young_unit}"]
+    handles = [best, *patches, same_young]
     figure.legend(handles, labels, loc="upper center", ncols=4, columnspacing=1.4)
-    _plain(axes)
+    open_frame(axes)
     return figure
 
 
 def _refined(
-    nu: Float[np.ndarray, " k"],
-    shear: Float[np.ndarray, " l"],
-    deviance: Float[np.ndarray, "l k"],
+    likelihood: LikelihoodMap,
 ) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"], Float[np.ndarray, "b a"]]:
     """The part of the map that is shown, on a finer grid: a coarse one makes regions angular."""
-    near = deviance < WIDEST
-    columns, rows = np.flatnonzero(near.any(axis=0)), np.flatnonzero(near.any(axis=1))
-    if min(len(columns), len(rows)) == 0:
+    nu, shear, deviance = likelihood.poisson_ratio, likelihood.shear_modulus, likelihood.deviance.T
+    near = deviance < MAX_DEVIANCE
+    if not near.any():
         return nu, shear, deviance
-    across = slice(max(columns[0] - 2, 0), columns[-1] + 3)
-    along = slice(max(rows[0] - 2, 0), rows[-1] + 3)
+    along, across = (
+        slice(max(found[0] - 2, 0), found[-1] + 3)
+        for found in (np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0)))
+    )
     nu, shear, part = nu[across], shear[along], deviance[along, across]
     if min(part.shape) < 4 or not np.isfinite(part).all():
         return nu, shear, part
@@ -156,19 +136,18 @@ def _refined(
     return fine_nu, fine_shear, RectBivariateSpline(shear, nu, part)(fine_shear, fine_nu)
 
 
-def _padded(shown: Float[np.ndarray, " a"], grid: Float[np.ndarray, " b"]) -> tuple[float, float]:
-    """Ends of what is shown, a little wider, inside the grid."""
-    if len(shown) < 2:
-        return float(grid.min()), float(grid.max())
-    more = 0.05 * (shown.max() - shown.min())
-    return (
-        float(max(shown.min() - more, grid.min())),
-        float(min(shown.max() + more, grid.max())),
-    )
-
-
+@styled
 def probings_figure(estimate: Estimate) -> Figure:
-    """Constants of each probing alone with 95 per cent intervals; the joint ones as a band."""
+    """Constants of each probing alone with 95 per cent intervals; the joint ones as a band.
+
+    Parameters
+    ----------
+    estimate : Estimate             with probings
+
+    Returns
+    -------
+    Figure                          7 inches wide, as high as its probings need
+    """
     count = len(estimate.probes)
     height = 1.25 + 0.2 * max(count, 3)
     figure = Figure(figsize=(7.0, height))
@@ -178,20 +157,17 @@ def probings_figure(estimate: Estimate) -> Figure:
         left=min(0.03 + 0.011 * longest, 0.3), right=0.97, wspace=0.14,
         bottom=0.5 / height, top=1 - 0.5 / height,
     )  # fmt: skip
-    constants = ("poisson_ratio", "shear_modulus", "young_modulus")
-    symbols = (r"Poisson's ratio $\nu$", "shear modulus $G$", "Young's modulus $E$")
-    for axes, name, symbol in zip(panels, constants, symbols, strict=True):
+    for axes, (name, symbol) in zip(panels, _SYMBOLS.items(), strict=True):
         joint = getattr(estimate, name)
         factor, unit = (1.0, "") if name == "poisson_ratio" else modulus_unit(joint.value)
         singles = [getattr(probe, name) for probe in estimate.probes]
         _dots(axes, singles, joint, factor)
         axes.set_xlabel(f"{symbol} ({unit})" if unit else symbol)
         if not estimate.identifiable[name]:
-            axes.set_title("not told by these data", color=ORANGE)
+            axes.set_title("not identifiable from these data", color=ORANGE)
     panels[0].set_yticks(range(count), [probe.name for probe in estimate.probes], parse_math=False)
     panels[0].set_ylim(count - 0.4, -0.6)
-    handles = [panels[0].lines[0], panels[0].patches[0]]
-    handles = [panels[0].containers[0], *handles]
+    handles = [panels[0].containers[0], panels[0].lines[0], panels[0].patches[0]]
     labels = ["one probing, 95 %", "all probings", "its 95 % interval"]
     figure.legend(handles, labels, loc="upper center", ncols=3)
     return figure

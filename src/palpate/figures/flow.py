@@ -7,24 +7,30 @@ others are.
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, PowerNorm
+from matplotlib.colors import ListedColormap, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
 
-from palpate.figures.estimate import STYLE
 from palpate.figures.flow_view import (
     FlowView,
-    cause_layer,
-    in_view,
-    interpolated,
-    tinted,
-    vertex_layer,
+    draw_picture,
+    draw_points,
+    draw_vertices,
+    seen_corners,
+)
+from palpate.figures.style import (
+    add_arrows,
+    add_colour_bar,
+    add_texts,
+    magnification_text,
+    place_below,
+    save_figure,
+    styled,
+    three_panels,
+    title_panel,
 )
 from palpate.records import length_unit
 from palpate.shapes import Points, PointScalars
@@ -39,12 +45,10 @@ from palpate.vision import (
     project,
 )
 
-PANEL = 2.7  # inches
-LONG_ARROW = 0.12  # of a panel's longer side: an arrow that one in twenty exceeds
+USUAL_ARROW = 0.12  # of a panel's longer side: an arrow that one in twenty exceeds
 LONGEST_ARROW = 0.2  # of it, but for one in two hundred
-SHORT_ARROW = 0.012  # of it: a shorter one would be a blot
+SHORTEST_ARROW = 0.012  # of it: a shorter one would be a blot
 ARROWS_ACROSS = 11  # more would hide the colours
-# Okabe and Ito's palette: told apart by colour-blind readers.
 CAUSE_COLOURS = {
     int(Outcome.HIDDEN): "#0072B2",
     int(Outcome.TEXTURE): "#E69F00",
@@ -56,7 +60,7 @@ CAUSE_COLOURS = {
 }
 # None of them is grey anywhere: grey is what has no value.
 _OPTICAL, _LENGTH, _SIGMA = "plasma", "viridis", "magma"
-_UNKNOWN = 1e30  # end of a scale that has nothing on it
+_NO_LIMIT = 1e30  # end of a scale that has nothing on it
 
 
 def write_flow_pictures(
@@ -84,17 +88,12 @@ def write_flow_pictures(
     OSError                         a file cannot be written
     """
     names = (f"{stem}.png", f"{stem}_quality.png")
-    with mpl.rc_context(STYLE):
-        figures = (
-            flow_figure(name, flow, vertices, view),
-            quality_figure(name, flow, view),
-        )
-        for file, figure in zip(names, figures, strict=True):
-            # The usual level of compression, 6, takes as long as drawing.
-            figure.savefig(folder / file, pil_kwargs={"compress_level": 2})
+    save_figure(flow_figure(name, flow, vertices, view), folder / names[0])
+    save_figure(quality_figure(name, flow, view), folder / names[1])
     return names
 
 
+@styled
 def flow_figure(
     name: str,
     flow: RangeFlow,
@@ -112,73 +111,83 @@ def flow_figure(
     flow : RangeFlow
     vertices : VertexDisplacement or None
     view : FlowView
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
     """
-    optical = project(view.camera, flow.point + flow.displacement) - project(
-        view.camera, flow.point
-    )
-    shift, length = (np.linalg.norm(moved, axis=1) for moved in (optical, flow.displacement))
+    pixel = project(view.camera, flow.point)
+    optical = project(view.camera, flow.point + flow.displacement) - pixel
+    shift, length = (np.linalg.norm(vector, axis=1) for vector in (optical, flow.displacement))
     pixels, metres = _quantile(shift, 0.99), _quantile(length, 0.99)
-    figure, panels = _layout(view)
-    _image(panels[0], view, f"2-D optical flow in {view.camera.name}",
-           tinted(interpolated(flow, shift, view), view, _OPTICAL, _root(pixels)))  # fmt: skip
-    _image(
-        panels[1],
-        view,
-        "range flow",
-        tinted(interpolated(flow, length, view), view, _LENGTH, _root(metres)),
-    )
-    _image(panels[2], view, "displacement of the vertices",
-           vertex_layer(vertices, view, _LENGTH, _root(metres)))  # fmt: skip
+    figure, panels = three_panels(view.high - view.low)
+    titles = (f"2-D optical flow in {view.camera.name}", "range flow",
+              "displacement of the vertices")  # fmt: skip
+    for axes, title in zip(panels, titles, strict=True):
+        draw_picture(axes, view)
+        title_panel(axes, title)
+    draw_points(panels[0], flow, shift, _OPTICAL, _root(pixels))
+    draw_points(panels[1], flow, length, _LENGTH, _root(metres))
+    draw_vertices(panels[2], vertices, view, _LENGTH, _root(metres))
     across = float((view.high - view.low).max()) * _stretch(shift)
     along = _size_there(view) * _stretch(length)
-    _arrows(panels[0], view, project(view.camera, flow.point), across * optical)
+    _arrows(panels[0], view, pixel, across * optical)
     _arrows_in_space(panels[1], view, flow.point, along * flow.displacement)
+    rows, measured = seen_corners(view), 0
     if vertices is not None:
-        _dots(panels[2], view, vertices, _root(metres))
-        corner = view.mesh.vertices[in_view(view)]
-        motion = vertices.displacement[in_view(view)]
-        _arrows_in_space(panels[2], view, corner, along * motion)
+        measured = int(measured_vertices(vertices)[rows].sum())
+        motion = along * vertices.displacement[rows]
+        _arrows_in_space(panels[2], view, view.mesh.vertices[rows], motion)
     factor, unit = length_unit(metres)
     _bar(figure, panels[:1], _OPTICAL, _root(pixels), "motion in the picture (px)")
     _bar(figure, panels[1:], _LENGTH, _root(metres / factor), f"displacement $|u|$ ({unit})")
-    drawn = f"colours: square-root scale; arrows: {_times(across)} the motion, {_times(along)} |u|"
-    drawn = drawn if is_valid(flow).any() else ""
-    known = 0 if vertices is None else int(measured_vertices(vertices)[in_view(view)].sum())
-    title = f"{name}: {_counts(flow)}, {known} of {len(in_view(view))} vertices measured"
-    _texts(figure, title, drawn, _rejected(flow))
+    scales = f"{magnification_text(across)} the motion, {magnification_text(along)} |u|"
+    note = f"colours: square-root scale; arrows: {scales}" if is_valid(flow).any() else ""
+    heading = f"{name}: {_counts(flow)}, {measured} of {len(rows)} vertices measured"
+    add_texts(figure, heading, note, _rejected(flow))
     return figure
 
 
+@styled
 def quality_figure(name: str, flow: RangeFlow, view: FlowView) -> Figure:
-    """Why points were rejected, and the standard deviation of the others across and along the axis.
+    """Why points were rejected, and the standard deviation of the others across the view and along.
 
     Parameters
     ----------
     name : str
     flow : RangeFlow
     view : FlowView
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
     """
-    figure, panels = _layout(view)
-    _image(panels[0], view, "rejected, and why", cause_layer(flow, view, CAUSE_COLOURS))
+    figure, panels = three_panels(view.high - view.low)
+    titles = ("rejected, and why", "1 sigma across the view", "1 sigma in depth")
+    for axes, title in zip(panels, titles, strict=True):
+        draw_picture(axes, view)
+        title_panel(axes, title)
+    causes = np.array([*CAUSE_COLOURS])
+    number = np.where(np.isin(flow.outcome, causes), np.searchsorted(causes, flow.outcome), np.nan)
+    colours = ListedColormap(list(CAUSE_COLOURS.values()))
+    draw_points(panels[0], flow, number, colours, Normalize(-0.5, len(causes) - 0.5))
     _legend(figure, panels[0], flow)
-    titles = ("1 sigma across the view", "1 sigma in depth")
     sigmas = camera_sigma(flow.covariance, view.camera)
-    for axes, sigma, title in zip(panels[1:], sigmas, titles, strict=True):
+    for axes, sigma in zip(panels[1:], sigmas, strict=True):
         high = _quantile(sigma, 0.95)
-        layer = tinted(interpolated(flow, sigma, view), view, _SIGMA, Normalize(0.0, high))
-        _image(axes, view, title, layer)
+        draw_points(axes, flow, sigma, _SIGMA, Normalize(0.0, high))
         factor, unit = length_unit(high)
-        said = f"of one point ({unit}), median {_quantile(sigma, 0.5) / factor:.3g}"
-        _bar(figure, [axes], _SIGMA, Normalize(0.0, high / factor), said)
+        label = f"of one point ({unit}), median {_quantile(sigma, 0.5) / factor:.3g}"
+        _bar(figure, [axes], _SIGMA, Normalize(0.0, high / factor), label)
     window = f"window of {flow.subset} px, a point every {flow.step} px"
-    _texts(figure, f"{name}: {_counts(flow)}", f"seen by {view.camera.name}", window)
+    add_texts(figure, f"{name}: {_counts(flow)}", f"seen by {view.camera.name}", window)
     return figure
 
 
 def _quantile(values: PointScalars, share: float) -> float:
-    """Quantile of what is known, above zero; `_UNKNOWN` where nothing is."""
+    """Quantile of what is known, above zero; `_NO_LIMIT` where nothing is."""
     known = values[np.isfinite(values)]
-    return max(float(np.quantile(known, share)), 1e-12) if len(known) else _UNKNOWN
+    return max(float(np.quantile(known, share)), 1e-12) if len(known) else _NO_LIMIT
 
 
 def _root(top: float) -> Normalize:
@@ -189,12 +198,7 @@ def _root(top: float) -> Normalize:
 def _stretch(length: PointScalars) -> float:
     """Length of an arrow in panels, a unit of a motion."""
     usual, most = _quantile(length, 0.95), _quantile(length, 0.995)
-    return min(LONG_ARROW / usual, LONGEST_ARROW / most)
-
-
-def _times(factor: float) -> str:
-    """A factor to two digits, never with an exponent."""
-    return f"{factor:.2g} times" if factor < 10 else f"{factor:.0f} times"
+    return min(USUAL_ARROW / usual, LONGEST_ARROW / most)
 
 
 def _counts(flow: RangeFlow) -> str:
@@ -204,33 +208,6 @@ def _counts(flow: RangeFlow) -> str:
 def _rejected(flow: RangeFlow) -> str:
     count = len(flow.outcome) - int(is_valid(flow).sum())
     return f"grey: {count} points rejected, or nothing measured"
-
-
-def _layout(view: FlowView) -> tuple[Figure, list[Axes]]:
-    """A figure with three panels of the view's shape, room above and below."""
-    columns, rows = (view.high - view.low).tolist()
-    height = float(np.clip(PANEL * rows / columns, 0.6, 3.6))
-    total = height + 1.23
-    figure = Figure(figsize=(3 * PANEL + 0.3, total))
-    grid = figure.add_gridspec(
-        1, 3, left=0.01, right=0.99, top=1 - 0.50 / total, bottom=0.73 / total, wspace=0.025
-    )
-    return figure, [figure.add_subplot(grid[0, column]) for column in range(3)]
-
-
-def _image(axes: Axes, view: FlowView, title: str, colours: np.ndarray) -> None:
-    """Pixels at their places in the picture, and a title."""
-    left, top = view.low - 0.5
-    below, right = np.array(colours.shape[:2]) * view.stride + (top, left)
-    axes.imshow(colours, extent=(left, right, below, top), interpolation="antialiased")
-    axes.set_xlim(left, view.high[0] - 0.5)
-    axes.set_ylim(view.high[1] - 0.5, top)
-    axes.set_axis_off()
-    # A title proper would look for room above ticks that are not there: it takes 30 ms.
-    axes.annotate(
-        title, (0.5, 1.0), (0.0, 5.0), xycoords="axes fraction", textcoords="offset points",
-        ha="center", fontsize=8.5, annotation_clip=False, parse_math=False,
-    )  # fmt: skip
 
 
 def _size_there(view: FlowView) -> float:
@@ -247,57 +224,22 @@ def _arrows_in_space(axes: Axes, view: FlowView, point: Points, vector: Points) 
     _arrows(axes, view, place, project(view.camera, point + vector) - place)
 
 
-def _dots(axes: Axes, view: FlowView, vertices: VertexDisplacement, norm: Normalize) -> None:
-    """The measured vertices themselves, also those whose neighbours were not measured."""
-    rows = in_view(view)
-    rows = rows[measured_vertices(vertices)[rows]]
-    place = project(view.camera, view.mesh.vertices[rows])
-    length = np.linalg.norm(vertices.displacement[rows], axis=1)
-    size = float(np.clip(1500.0 / max(len(rows), 1), 2.0, 9.0))
-    axes.scatter(
-        place[:, 0], place[:, 1], c=length, s=size, cmap=_LENGTH, norm=norm, linewidths=0.3,
-        edgecolors="#1c1f24", zorder=2,
-    )  # fmt: skip
-
-
 def _arrows(
-    axes: Axes,
-    view: FlowView,
-    place: Float[np.ndarray, "n 2"],
-    vector: Float[np.ndarray, "n 2"],
+    axes: Axes, view: FlowView, place: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
 ) -> None:
-    """Arrows at points of an even choice, light with a dark rim: seen on every colour."""
-    known = np.flatnonzero(np.isfinite(vector).all(axis=1) & np.isfinite(place).all(axis=1))
-    pitch = float((view.high - view.low).max()) / ARROWS_ACROSS
-    cell = np.floor((place[known] - view.low) / pitch)
-    off = np.linalg.norm((place[known] - view.low) / pitch - cell - 0.5, axis=1)
-    order = np.argsort(off, kind="stable")
-    _, first = np.unique(cell[order], axis=0, return_index=True)
-    chosen = known[order[first]]
-    shortest = SHORT_ARROW * pitch * ARROWS_ACROSS
-    chosen = chosen[np.linalg.norm(vector[chosen], axis=1) > shortest]
-    axes.quiver(
-        *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
-        units="inches", width=0.022, headwidth=3.4, headlength=3.6, headaxislength=3.2,
-        minlength=0.5, color="white", edgecolor="#1c1f24", linewidth=0.5, zorder=3,
-    )  # fmt: skip
+    """Light arrows with a dark rim: seen on every colour."""
+    side = float((view.high - view.low).max())
+    pitch, shortest = side / ARROWS_ACROSS, SHORTEST_ARROW * side
+    add_arrows(axes, place, vector, pitch=pitch, shortest=shortest, colour="white")
 
 
 def _bar(figure: Figure, panels: list[Axes], cmap: str, norm: Normalize, label: str) -> None:
-    """A horizontal colour bar under the middle of some panels."""
-    total = figure.get_figheight()
-    cells = [axes.get_position(original=True) for axes in panels]
-    left, right, width = cells[0].x0, cells[-1].x1, 0.62 * cells[0].width
-    if norm.vmax is None or norm.vmax >= _UNKNOWN:
-        figure.text(0.5 * (left + right), 0.55 / total, "nothing was measured", ha="center")
-        return
-    axes = figure.add_axes((0.5 * (left + right - width), 0.61 / total, width, 0.075 / total))
-    bar = figure.colorbar(
-        ScalarMappable(norm, cmap), cax=axes, orientation="horizontal", extend="max",
-        ticks=MaxNLocator(4),
-    )  # fmt: skip
-    bar.outline.set_linewidth(0.4)
-    bar.set_label(label, labelpad=2)
+    """A colour bar under some panels, or a word where there is nothing on its scale."""
+    if norm.vmax is None or norm.vmax >= _NO_LIMIT:
+        middle, _ = place_below(figure, panels)
+        figure.text(middle, 0.55 / figure.get_figheight(), "nothing was measured", ha="center")
+    else:
+        add_colour_bar(figure, panels, cmap, norm, label)
 
 
 def _legend(figure: Figure, axes: Axes, flow: RangeFlow) -> None:
@@ -308,22 +250,10 @@ def _legend(figure: Figure, axes: Axes, flow: RangeFlow) -> None:
         for cause, colour in CAUSE_COLOURS.items()
         if counts[name := Outcome(cause).name.lower()]
     ]
-    place = axes.get_position(original=True)
+    middle, _ = place_below(figure, [axes])
     if handles:
         figure.legend(
             handles=handles, loc="upper center", ncols=3, columnspacing=0.9, handlelength=0.9,
             handletextpad=0.4, borderaxespad=0.0, labelspacing=0.35, fontsize=7.0,
-            bbox_to_anchor=(0.5 * (place.x0 + place.x1), 0.68 / figure.get_figheight()),
+            bbox_to_anchor=(middle, 0.68 / figure.get_figheight()),
         )  # fmt: skip
-
-
-def _texts(figure: Figure, title: str, left: str, right: str) -> None:
-    """Heading, and two notes along the lower edge."""
-    total = figure.get_figheight()
-    # Names may hold dollars: they are no mathematics.
-    figure.text(
-        0.5, 1 - 0.07 / total, title, ha="center", va="top", fontsize=9, weight="bold",
-        parse_math=False,
-    )  # fmt: skip
-    for place, side, text in ((0.01, "left", left), (0.99, "right", right)):
-        figure.text(place, 0.05 / total, text, ha=side, va="bottom", fontsize=6.5, parse_math=False)

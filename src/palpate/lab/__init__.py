@@ -1,22 +1,23 @@
 """The virtual measurement facility: specimens, arm, cameras, sensors; sessions with their truth.
 
 Purpose    : make the data of a measurement whose truth is known, as a bench would give them.
-Takes      : a configuration, `palpate-lab/1`.
-Gives      : a session folder, `truth.toml`, truth maps.
-Depends on : `vision`, `records`, `geometry`; never on `bem`: what estimates a specimen must not
-             have made it.
-Read first : `config.py`, `facility.py`, then `finite_elements.py`, `mitsuba_scene.py`.
+Takes      : a configuration in TOML, format `palpate-lab/1`, and a seed.
+Gives      : a session folder, and beside it `truth.toml` and truth maps.
+Depends on : `vision`, `records`, `geometry`; never on `bem`: what estimates a specimen's constants
+             must not have made the specimen.
+Read first : `config.py`, `bench/facility.py`, then `bodies/contact.py`, `pictures/studio.py`.
 """
 
 from palpate.lab.bench import (
-    force_std as force_std,
     make_session as make_session,
     make_sessions as make_sessions,
     planned_pictures as planned_pictures,
-    read_force as read_force,
+    read_sensor as read_sensor,
+    sensor_std as sensor_std,
 )
 from palpate.lab.bodies import (
     SHAPES as SHAPES,
+    Punch as Punch,
     Tip as Tip,
     cylinder as cylinder,
     half_ball as half_ball,
@@ -28,14 +29,13 @@ from palpate.lab.bodies import (
 from palpate.lab.config import (
     Arm as Arm,
     Calibration as Calibration,
-    ForceSensor as ForceSensor,
     Head as Head,
     LabConfig as LabConfig,
     Look as Look,
     Material as Material,
     Pictures as Pictures,
-    PositionSensor as PositionSensor,
     Probe as Probe,
+    Sensor as Sensor,
     Specimen as Specimen,
     Stage as Stage,
 )
@@ -47,5 +47,5 @@ from palpate.lab.config_files import (
 from palpate.lab.pictures import (
     Variant as Variant,
     choose_variant as choose_variant,
-    misjudged as misjudged,
+    miscalibrated as miscalibrated,
 )

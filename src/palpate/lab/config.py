@@ -1,14 +1,57 @@
-"""What the virtual facility is told; lengths in metres, angles in degrees."""
+"""Settings of the virtual facility; lengths in metres, angles in degrees.
 
-from collections.abc import Mapping
+A field's annotation holds its limits; `read_lab_config` reads every class field by field.
+"""
+
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
+from palpate.lab.bodies import TipName
 from palpate.shapes import Indices, Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What a setting must be.
+
+    Parameters
+    ----------
+    text : str                      "must be positive", for the message
+    holds : function                value -> bool
+    """
+
+    text: str
+    holds: Callable[[Any], bool]
+
+
+Positive = Annotated[float, Limit("must be positive", lambda x: 0.0 < x < np.inf)]
+NotNegative = Annotated[float, Limit("must not be negative", lambda x: 0.0 <= x < np.inf)]
+Share = Annotated[float, Limit("must be in 0 to 1", lambda x: 0.0 <= x <= 1.0)]
+Count = Annotated[int, Limit("must be 1 or more", lambda x: x >= 1)]
+Pixels = Annotated[int, Limit("must be at least 32 px", lambda x: x >= 32)]
+Direction = Annotated[
+    Vector3, Limit("must be a direction, not zero", lambda x: np.linalg.norm(x) > 0.0)
+]
+
+
+class _Limited:
+    """Settings that keep to the limits of their fields."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            value = getattr(self, name)
+            for part in (hint, *get_args(hint)):
+                for limit in getattr(part, "__metadata__", ()):
+                    if value is not None and not limit.holds(value):
+                        shown = f"{value:g}" if np.ndim(value) == 0 else np.array2string(value)
+                        raise InputError(f"{name} is {shown}; {limit.text}")
 
 
 def _zeros() -> Vector3:
@@ -37,25 +80,23 @@ class Specimen:
 
 
 @dataclass(frozen=True, slots=True)
-class Material:
+class Material(_Limited):
     """What it is made of.
 
     Parameters
     ----------
-    young_modulus : float [Pa]
+    young_modulus : float [Pa]      > 0
     poisson_ratio : float           -1 to 0.5
     law : "linear" or "neo-hookean" the second for large motions
+
+    Raises
+    ------
+    InputError                      out of range; so in all classes here
     """
 
-    young_modulus: float
-    poisson_ratio: float
+    young_modulus: Annotated[float, Limit("must be positive, in Pa", lambda x: x > 0.0)]
+    poisson_ratio: Annotated[float, Limit("must be in (-1, 0.5)", lambda x: -1.0 < x < 0.5)]
     law: Literal["linear", "neo-hookean"] = "linear"
-
-    def __post_init__(self) -> None:
-        if not self.young_modulus > 0.0:
-            raise InputError(f"young_modulus is {self.young_modulus:g}; must be positive, in Pa")
-        if not -1.0 < self.poisson_ratio < 0.5:
-            raise InputError(f"poisson_ratio is {self.poisson_ratio:g}; must be in (-1, 0.5)")
 
     @property
     def shear_modulus(self) -> float:
@@ -64,130 +105,90 @@ class Material:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Look(_Limited):
     """How its surface looks.
 
     Parameters
     ----------
     texture : "speckle", "natural" or "poor"
-    size : float [m]                of a speckle, of the finest or of the weak structure
+    size : float [m]                > 0; of a speckle, of the finest or of the weak structure
     gloss : float                   share of the light that makes highlights, 0 to 1
     """
 
     texture: Literal["speckle", "natural", "poor"] = "speckle"
-    size: float = 2e-3
-    gloss: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.size > 0.0:
-            raise InputError(f"size is {self.size:g} m; must be positive")
-        if not 0.0 <= self.gloss <= 1.0:
-            raise InputError(f"gloss is {self.gloss:g}; must be in 0 to 1")
+    size: Positive = 2e-3
+    gloss: Share = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class Arm(_Limited):
     """The arm and its tip.
 
     Parameters
     ----------
     tip : "sphere" or "punch"       a punch is flat and round
-    radius : float [m]              of the tip
+    radius : float [m]              > 0; of the tip
     misalignment : float [degrees]  standard deviation of the tip's direction, about each of two
                                     axes
     placement : float [m]           standard deviation of where it touches, along the surface, each
-                                    of two directions; the session is told where it was sent
+                                    of two directions; the session holds where it was sent
     sticking : bool                 the tip holds what it touches, else the surface slides
     """
 
-    tip: Literal["sphere", "punch"] = "sphere"
-    radius: float = 4.5e-3
-    misalignment: float = 0.0
-    placement: float = 0.0
+    tip: TipName = "sphere"
+    radius: Positive = 4.5e-3
+    misalignment: NotNegative = 0.0
+    placement: NotNegative = 0.0
     sticking: bool = False
 
-    def __post_init__(self) -> None:
-        _positive(radius=self.radius)
-        _not_negative(misalignment=self.misalignment, placement=self.placement)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ForceSensor:
-    """What the force sensor adds to each component.
+class Sensor(_Limited):
+    """What a sensor of force, or of the arm's or a stage's position, adds to each component.
 
     Parameters
     ----------
-    noise : float [N]               standard deviation
-    relative_noise : float          the same, as a share of the force's size
-    bias : (3,) float [N]
-    resolution : float [N]          readings are whole multiples; 0: any
+    noise : float [N or m]          standard deviation
+    relative_noise : float          the same, as a share of the reading's size
+    bias : (3,) float [N or m]
+    resolution : float [N or m]     readings are whole multiples; 0: any
     """
 
-    noise: float = 0.0
-    relative_noise: float = 0.0
+    noise: NotNegative = 0.0
+    relative_noise: NotNegative = 0.0
     bias: Vector3 = field(default_factory=_zeros)
-    resolution: float = 0.0
-
-    def __post_init__(self) -> None:
-        _not_negative(
-            noise=self.noise, relative_noise=self.relative_noise, resolution=self.resolution
-        )
+    resolution: NotNegative = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PositionSensor:
-    """What the arm's position sensor, or a stage's encoder, adds to each component.
-
-    Parameters
-    ----------
-    noise : float [m]
-    bias : (3,) float [m]
-    resolution : float [m]
-    """
-
-    noise: float = 0.0
-    bias: Vector3 = field(default_factory=_zeros)
-    resolution: float = 0.0
-
-    def __post_init__(self) -> None:
-        _not_negative(noise=self.noise, resolution=self.resolution)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Probe:
+class Probe(_Limited):
     """One probing: to a depth, or to a force.
 
     Parameters
     ----------
     name : str
     point : (3,) float [m]          where the arm is sent, on the surface
-    direction : (3,) float or None  into the body; along the normal unless told
-    depth : float [m] or None       way of the tip from its first touch
-    force : float [N] or None       its force in the end
+    direction : (3,) float or None  into the body; None: along the normal
+    depth : float [m] or None       > 0; travel of the tip from its first touch
+    force : float [N] or None       > 0; its force in the end
     steps : int                     instants with pictures, the last one at the end
     """
 
     name: str
     point: Vector3
-    direction: Vector3 | None = None
-    depth: float | None = None
-    force: float | None = None
-    steps: int = 1
+    direction: Direction | None = None
+    depth: Positive | None = None
+    force: Positive | None = None
+    steps: Count = 1
 
     def __post_init__(self) -> None:
+        _Limited.__post_init__(self)
         if (self.depth is None) == (self.force is None):
             raise InputError(f"'{self.name}' needs a depth or a force, one of them")
-        for name in ("depth", "force"):
-            if getattr(self, name) is not None:
-                _positive(**{name: getattr(self, name)})
-        if self.steps < 1:
-            raise InputError(f"steps is {self.steps}; must be 1 or more")
-        if self.direction is not None and not np.linalg.norm(self.direction) > 0.0:
-            raise InputError("direction is zero; must point into the body")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stage:
+class Stage(_Limited):
     """A motion stage that carries the object, rigid, from step to step.
 
     Parameters
@@ -198,21 +199,15 @@ class Stage:
     axis, centre : (3,) float
     """
 
-    steps: int
+    steps: Count
     translation: Vector3 = field(default_factory=_zeros)
     rotation: float = 0.0
-    axis: Vector3 = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    axis: Direction = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     centre: Vector3 = field(default_factory=_zeros)
-
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise InputError(f"steps is {self.steps}; must be 1 or more")
-        if not np.linalg.norm(self.axis) > 0.0:
-            raise InputError("axis is zero; must be a direction")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Head:
+class Head(_Limited):
     """The cameras.
 
     Parameters
@@ -221,74 +216,54 @@ class Head:
                                     far as the object allows; or `cameras` evenly on a ring around
                                     the direction of view
     cameras : int                   of a ring, 2 to 4
-    distance : float [m]            from the middle of the object
-    baseline : float [m]            between reference and others, or the ring's diameter
+    distance : float [m]            > 0; from the middle of the object
+    baseline : float [m]            > 0; between reference and others, or the ring's diameter
     toward : (3,) float             direction from the object to the head
-    columns, rows : int [px]
-    focal : float [px] or None      unless told such that the object fills three quarters of the
+    columns, rows : int [px]        at least 32
+    focal : float [px] or None      > 0; None: such that the object fills three quarters of the
                                     picture
     k1 : float                      barrel (negative) or cushion of the lenses
     file : str or None              a rig of one's own instead, with the object in its frame
     """
 
     layout: Literal["trinocular", "ring"] = "trinocular"
-    cameras: int = 3
-    distance: float = 0.8
-    baseline: float = 0.1
-    toward: Vector3 = field(default_factory=lambda: np.array([0.3, -0.5, 0.8]))
-    columns: int = 640
-    rows: int = 480
-    focal: float | None = None
+    cameras: Annotated[int, Limit("must be 2, 3 or 4", lambda x: x in (2, 3, 4))] = 3
+    distance: Positive = 0.8
+    baseline: Positive = 0.1
+    toward: Direction = field(default_factory=lambda: np.array([0.3, -0.5, 0.8]))
+    columns: Pixels = 640
+    rows: Pixels = 480
+    focal: Positive | None = None
     k1: float = 0.0
     file: str | None = None
 
-    def __post_init__(self) -> None:
-        _positive(distance=self.distance, baseline=self.baseline)
-        if not 2 <= self.cameras <= 4:
-            raise InputError(f"cameras is {self.cameras}; must be 2, 3 or 4")
-        if min(self.columns, self.rows) < 32:
-            raise InputError(
-                f"pictures are {self.columns} x {self.rows} px; must be at least 32 each way"
-            )
-        if self.focal is not None:
-            _positive(focal=self.focal)
-        if not np.linalg.norm(self.toward) > 0.0:
-            raise InputError("toward is zero; must point from the object to the head")
-
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """By how much the rig that the session is told differs from the one that took the pictures.
+class Calibration(_Limited):
+    """By how much the rig in the session differs from the one that took the pictures.
 
     Standard deviations, another error for each camera: of the focal length as a share, the
     principal point [px], the camera's rotation [degrees] and place [m]; and of the object's pose,
     the same for all cameras.
     """
 
-    focal: float = 0.0
-    centre: float = 0.0
-    rotation: float = 0.0
-    translation: float = 0.0
-    object_rotation: float = 0.0
-    object_translation: float = 0.0
-
-    def __post_init__(self) -> None:
-        _not_negative(
-            focal=self.focal, centre=self.centre, rotation=self.rotation,
-            translation=self.translation, object_rotation=self.object_rotation,
-            object_translation=self.object_translation,
-        )  # fmt: skip
+    focal: NotNegative = 0.0
+    centre: NotNegative = 0.0
+    rotation: NotNegative = 0.0
+    translation: NotNegative = 0.0
+    object_rotation: NotNegative = 0.0
+    object_translation: NotNegative = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
+class Pictures(_Limited):
     """How pictures are taken.
 
     Parameters
     ----------
     samples : int                   rays through a pixel; 9 leave less noise than the sensor has
     noise : float                   read noise [grey levels of 255]
-    full_well : float or None       electrons at white: their number is noisy too
+    full_well : float or None       electrons at white, > 0: their number is noisy too
     response : float [px]           blur of lens and chip, standard deviation
     gain_drift : float              standard deviation of each picture's brightness, as a share
     bits : int                      8 or 12
@@ -297,36 +272,25 @@ class Pictures:
     lamp : float [m]                side of the lamp: the longer, the softer its shadows
     """
 
-    samples: int = 9
-    noise: float = 1.5
-    full_well: float | None = None
-    response: float = 0.6
-    gain_drift: float = 0.0
-    bits: int = 8
-    aperture: float = 0.0
-    motion_blur: float = 0.0
-    lamp: float = 0.2
-
-    def __post_init__(self) -> None:
-        _positive(lamp=self.lamp)
-        _not_negative(
-            noise=self.noise, response=self.response, gain_drift=self.gain_drift,
-            aperture=self.aperture, motion_blur=self.motion_blur,
-        )  # fmt: skip
-        if self.samples < 1:
-            raise InputError(f"samples is {self.samples}; must be 1 or more")
-        if self.bits not in (8, 12):
-            raise InputError(f"bits is {self.bits}; must be 8 or 12")
+    samples: Count = 9
+    noise: NotNegative = 1.5
+    full_well: Positive | None = None
+    response: NotNegative = 0.6
+    gain_drift: NotNegative = 0.0
+    bits: Annotated[int, Limit("must be 8 or 12", lambda x: x in (8, 12))] = 8
+    aperture: NotNegative = 0.0
+    motion_blur: NotNegative = 0.0
+    lamp: Positive = 0.2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LabConfig:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LabConfig(_Limited):
     """A measurement to be made.
 
     Parameters
     ----------
     name : str
-    seed : int                      every random number comes from it
+    seed : int                      every random number comes from it; 0 to 2^32 - 1
     probes : tuple of Probe         none where there is a stage
     stage : Stage or None
 
@@ -336,36 +300,23 @@ class LabConfig:
     """
 
     name: str
-    seed: int
+    seed: Annotated[int, Limit("must be 0 to 2^32 - 1", lambda x: 0 <= x < 2**32)] = 1
     specimen: Specimen
     material: Material
-    look: Look
-    arm: Arm
-    force_sensor: ForceSensor
-    position_sensor: PositionSensor
-    probes: tuple[Probe, ...]
-    stage: Stage | None
-    head: Head
-    calibration: Calibration
-    pictures: Pictures
+    look: Look = field(default_factory=Look)
+    arm: Arm = field(default_factory=Arm)
+    force_sensor: Sensor = field(default_factory=Sensor)
+    position_sensor: Sensor = field(default_factory=Sensor)
+    probes: tuple[Probe, ...] = ()
+    stage: Stage | None = None
+    head: Head = field(default_factory=Head)
+    calibration: Calibration = field(default_factory=Calibration)
+    pictures: Pictures = field(default_factory=Pictures)
 
     def __post_init__(self) -> None:
+        _Limited.__post_init__(self)
         if bool(self.probes) == (self.stage is not None):
             raise InputError("give [[probe]] tables or a [stage], one of them")
         names = [probe.name for probe in self.probes]
         if twins := {name for name in names if names.count(name) > 1}:
             raise InputError(f"two probes are named '{min(twins)}'; give each its own name")
-        if not 0 <= self.seed < 2**32:
-            raise InputError(f"seed is {self.seed}; must be 0 to 2^32 - 1")
-
-
-def _positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{name} is {value:g}; must be positive")
-
-
-def _not_negative(**values: float) -> None:
-    for name, value in values.items():
-        if not (np.isfinite(value) and value >= 0.0):
-            raise InputError(f"{name} is {value:g}; must not be negative")

@@ -1,36 +1,28 @@
 """Configurations of the virtual facility from files: `palpate-lab/1`, in TOML."""
 
+from dataclasses import MISSING, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import read_mesh, triangle_areas
 from palpate.lab.bodies import SHAPES
-from palpate.lab.config import (
-    Arm,
-    Calibration,
-    ForceSensor,
-    Head,
-    LabConfig,
-    Look,
-    Material,
-    Pictures,
-    PositionSensor,
-    Probe,
-    Specimen,
-    Stage,
-)
-from palpate.lab.config_table import settings_from_table
+from palpate.lab.config import LabConfig, Probe, Specimen
 from palpate.records import TomlTable, read_support, read_toml
 
 LAB_FORMAT = "palpate-lab/1"
-_PLAIN = ("name", "seed")
-_TABLES = (
-    "specimen", "material", "support", "look", "arm", "force_sensor", "position_sensor", "probe",
-    "stage", "head", "calibration", "pictures",
-)  # fmt: skip
+# Keys that are no fields of `LabConfig`, or not as they stand in the file.
+_APART = ("format", "specimen", "support", "probe")
+# Chords cut off a round body by the square of their length: a ninth of what the mesh loses.
+_ROUNDER = 3.0
+# The facility's own specimens stand on this plane.
+_BASE = {"point": [0, 0, 0], "normal": [0, 0, 1], "tolerance": 1e-9}
+
+Settings = TypeVar("Settings")
 
 
 def read_lab_config(path: Path | str) -> LabConfig:
@@ -51,32 +43,24 @@ def read_lab_config(path: Path | str) -> LabConfig:
     MeshError                       a mesh that is no closed surface
     """
     root = read_toml(Path(path))
-    root.check_keys(("format", *_PLAIN, *_TABLES))
+    known = (field.name for field in fields(LabConfig) if field.name not in ("probes", "specimen"))
+    root.check_keys((*_APART, *known))
     if root.text("format") != LAB_FORMAT:
         root.fail("format", f"is '{root.text('format')}'; must be '{LAB_FORMAT}'")
-
-    def part(key: str, kind: type) -> object:
-        """Settings of a table that may be left out."""
-        values = root.values.get(key, {})
-        if not isinstance(values, dict):
-            root.fail(key, "must be a table")
-        return settings_from_table(TomlTable(root.file, f"[{key}]", values), kind)
-
     probes = root.tables("probe", "[[probe]]") if "probe" in root.values else ()
-    kinds = {
-        "material": Material, "look": Look, "arm": Arm, "force_sensor": ForceSensor,
-        "position_sensor": PositionSensor, "head": Head, "calibration": Calibration,
-        "pictures": Pictures,
-    }  # fmt: skip
-    plain = {"seed": 1, **{key: root.values[key] for key in _PLAIN if key in root.values}}
-    return settings_from_table(
+    plain = {key: value for key, value in root.values.items() if key not in _APART}
+    return _settings(
         TomlTable(root.file, "", plain),
         LabConfig,
         specimen=_specimen(root),
-        probes=tuple(settings_from_table(one, Probe) for one in probes),
-        stage=part("stage", Stage) if "stage" in root.values else None,
-        **{key: part(key, kind) for key, kind in kinds.items()},
+        probes=tuple(_settings(probe, Probe) for probe in probes),
     )
+
+
+def built_in() -> dict[str, Path]:
+    """Configurations that come with the program, by name."""
+    folder = Path(str(files("palpate.lab"))) / "configs"
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
 def _specimen(root: TomlTable) -> Specimen:
@@ -104,13 +88,37 @@ def _specimen(root: TomlTable) -> Specimen:
     return Specimen(mesh, body, held, support, element)
 
 
-# Chords cut off a round body by the square of their length: a ninth of what the mesh loses.
-_ROUNDER = 3.0
-# The facility's own specimens stand on this plane.
-_BASE = {"point": [0, 0, 0], "normal": [0, 0, 1], "tolerance": 1e-9}
+def _settings(table: TomlTable, kind: type[Settings], **given: Any) -> Settings:
+    """A dataclass whose fields are the keys of a table; those with a default may be left out."""
+    known = [field for field in fields(kind) if field.name not in given]  # type: ignore[arg-type]
+    table.check_keys([field.name for field in known])
+    hints = get_type_hints(kind)
+    values = dict(given)
+    for field in known:
+        needed = field.default is MISSING and field.default_factory is MISSING
+        if needed or field.name in table.values:
+            values[field.name] = _value(table, field.name, hints[field.name])
+    try:
+        return kind(**values)
+    except InputError as error:
+        table.fail("", str(error))
 
 
-def built_in() -> dict[str, Path]:
-    """Configurations that come with the program, by name."""
-    folder = Path(str(files("palpate.lab"))) / "configs"
-    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
+def _value(table: TomlTable, key: str, hint: Any) -> Any:
+    """Value of a key as the field's type wants it."""
+    if get_origin(hint) in (Union, UnionType):
+        (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
+    if isinstance(hint, type) and is_dataclass(hint):
+        inner = table.table(key, f"[{key}]") if key in table.values else None
+        return _settings(inner or TomlTable(table.file, f"[{key}]", {}), hint)
+    if get_origin(hint) is Literal:
+        return table.choice(key, get_args(hint))
+    value = table.get(key)
+    for kind, text in ((bool, "true or false"), (int, "a whole number")):
+        if hint is kind and type(value) is not kind:
+            table.fail(key, f"is {value!r}; must be {text}")
+    if hint is float:
+        return table.number(key)
+    if hint is str:
+        return table.text(key)
+    return value if hint in (bool, int) else table.vector(key)

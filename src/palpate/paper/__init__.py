@@ -1,19 +1,41 @@
-"""paper."""
+"""The paper's experiments made anew on the virtual bench.
 
+Purpose    : repeat tables 1 to 3 and figures 2 to 4 of Lang and Pai (2001), and say what limits
+             table 3, by source of error.
+Takes      : built-in configurations of the lab.
+Gives      : `PaperResult`: text, tables and pictures, as files and as a page.
+Depends on : `figures`, `pipeline`, `lab`, `estimation`, `vision`, `records`, `geometry`.
+Read first : `published.py`, `experiments.py`, `sessions.py`.
+"""
+
+from palpate.paper.budget import (
+    CALIBRATION as CALIBRATION,
+    REGISTRATION as REGISTRATION,
+    with_misjudged_rig as with_misjudged_rig,
+)
+from palpate.paper.constants import (
+    CONSTANTS as CONSTANTS,
+    constant_errors as constant_errors,
+    estimated_constants as estimated_constants,
+    intervals_hold as intervals_hold,
+    pictures_measured as pictures_measured,
+)
 from palpate.paper.experiments import (
     EXPERIMENTS as EXPERIMENTS,
-    Experiment as Experiment,
     Workplace as Workplace,
-)
-from palpate.paper.motion import (
-    PaperSession as PaperSession,
-    measured_session as measured_session,
-    quickened as quickened,
+    run_experiments as run_experiments,
 )
 from palpate.paper.result import (
     PaperResult as PaperResult,
+    ResultTable as ResultTable,
     check_page as check_page,
+    shown_rows as shown_rows,
     write_page as write_page,
     write_result as write_result,
 )
-from palpate.paper.result_table import terminal_table as terminal_table
+from palpate.paper.sessions import (
+    PaperSession as PaperSession,
+    measured_session as measured_session,
+    quickened as quickened,
+    true_material as true_material,
+)

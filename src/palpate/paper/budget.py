@@ -2,39 +2,52 @@
 
 A bench without any error is where it begins; each source is then put in alone, in the size of a
 careful laboratory. Sources that change the pictures get pictures of their own. Those that change
-only what the estimate is told, readings and calibration, are drawn several times over the same
-pictures.
+only the readings or the calibration are drawn several times over the same pictures.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from palpate.errors import InputError
+from palpate.figures import (
+    BLUE,
+    GREY,
+    ORANGE,
+    PALE_BLUE,
+    Picture,
+    figure_pixels,
+    open_frame,
+    styled,
+)
 from palpate.geometry import mesh_quality
 from palpate.lab import (
     Arm,
     Calibration,
-    ForceSensor,
     LabConfig,
     Material,
-    Specimen,
+    Sensor,
     Variant,
-    force_std,
     half_ball,
     make_sessions,
-    misjudged,
-    read_force,
+    miscalibrated,
+    read_sensor,
+    sensor_std,
 )
-from palpate.paper.constants import pictures_measured
+from palpate.paper.constants import constant_errors, pictures_measured
+from palpate.paper.result import Cell, ResultTable
 from palpate.pipeline import fit_session
 from palpate.progress import Progress, part_of, silent
-from palpate.records import Estimate, ProbeEstimate, Session, read_rig, read_session, write_rig
+from palpate.records import Session, read_rig, read_session, write_rig
 
-Change = Callable[[LabConfig], LabConfig]
+# From the exact session, a generator and a file for another rig, to the session that is fitted.
+Change = Callable[[Session, np.random.Generator, Path], Session]
 # Share of the time that goes into the sessions; estimates take the rest.
 _MAKING = 0.6
 # Where it touches; a robot's repeatability and the care with which its frame was found [m].
@@ -45,10 +58,12 @@ CALIBRATION = Calibration(focal=1e-3, centre=0.1, rotation=0.002, translation=2e
 REGISTRATION = Calibration(object_rotation=0.3, object_translation=3e-4)
 # The session's mesh, this many times as coarse.
 _COARSER = 2.0
+# Columns of SourceErrors' errors.
+_NU, _YOUNG = 0, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ErrorSource:
+class SourceErrors:
     """Errors that one source alone makes.
 
     Attributes
@@ -64,24 +79,6 @@ class ErrorSource:
     joint: Float[np.ndarray, "d 3"]
 
 
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """A source that changes the pictures: what it does to the bench without errors."""
-
-    name: str
-    size: str
-    change: Change
-
-
-@dataclass(frozen=True, slots=True)
-class _Told:
-    """A source that changes what the estimate is told: a session from the exact one."""
-
-    name: str
-    size: str
-    change: Callable[[Session, np.random.Generator, Path], Session]
-
-
 def error_budget(
     config: LabConfig,
     folder: Path,
@@ -89,7 +86,7 @@ def error_budget(
     variant: Variant,
     draws: int = 5,
     progress: Progress | None = None,
-) -> tuple[ErrorSource, ...]:
+) -> tuple[SourceErrors, ...]:
     """Errors of the constants, by source.
 
     Parameters
@@ -98,12 +95,12 @@ def error_budget(
                                     noise, image noise and misalignment
     folder : Path                   empty: the sessions stay there
     variant : Variant               of Mitsuba
-    draws : int                     of the sources that only change what is told, >= 1
-    progress : callable or None     told what is done (text) and how far it is (0 to 1)
+    draws : int                     of the sources that change no picture, >= 1
+    progress : callable or None     called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
-    tuple of ErrorSource            the bench without errors first, all of the bench's own errors
+    tuple of SourceErrors            the bench without errors first, all of the bench's own errors
                                     together last
 
     Raises
@@ -111,35 +108,34 @@ def error_budget(
     InputError, RecordError         as `make_sessions`
     """
     say = progress or silent
-    seen, told = _seen(config), _told(config)
-    exact = _exact(config)
-    folders = [folder / _plain(source.name) for source in seen]
-    for one in folders:
-        one.mkdir()
+    benches, readings = _benches(config), _readings(config)
+    folders = [folder / _plain(name) for name, _, _ in benches]
+    for each in folders:
+        each.mkdir()
     make_sessions(
-        [(source.change(exact), one) for source, one in zip(seen, folders, strict=True)],
+        [(bench, each) for (_, _, bench), each in zip(benches, folders, strict=True)],
         variant=variant,
         progress=part_of(say, 0.0, _MAKING),
     )
-    count = len(seen) + draws * len(told)
-    done = 0
-    sources = []
     # Its motion serves every source that changes no picture and no camera.
     first = pictures_measured(read_session(folders[0]))
-    sessions = [first, *(read_session(one) for one in folders[1:])]
-    for source, session in zip(seen, sessions, strict=True):
-        say(source.name, _MAKING + (1.0 - _MAKING) * done / count)
-        sources.append(_source(source.name, source.size, [session], config.material))
-        done += 1
-    for number, other in enumerate(told):
-        drawn = []
-        for draw in range(draws):
-            rng = np.random.default_rng([config.seed, number, draw])
-            drawn.append(other.change(first, rng, folder / f"{_plain(other.name)}_{draw}.toml"))
-        say(other.name, _MAKING + (1.0 - _MAKING) * done / count)
-        sources.insert(-1, _source(other.name, other.size, drawn, config.material))
-        done += draws
-    return tuple(sources)
+    sessions = [[first], *([read_session(each)] for each in folders[1:])]
+    for number, (name, _, change) in enumerate(readings):
+        drawn = [
+            change(
+                first,
+                np.random.default_rng([config.seed, number, draw]),
+                folder / f"{_plain(name)}_{draw}.toml",
+            )
+            for draw in range(draws)
+        ]
+        sessions.insert(-1, drawn)
+    sources = [source[:2] for source in (*benches[:-1], *readings, benches[-1])]
+    found: list[SourceErrors] = []
+    for (name, size), drawn in zip(sources, sessions, strict=True):
+        say(name, _MAKING + (1.0 - _MAKING) * len(found) / len(sources))
+        found.append(SourceErrors(name, size, *_errors(drawn, config.material)))
+    return tuple(found)
 
 
 def _exact(config: LabConfig) -> LabConfig:
@@ -148,83 +144,69 @@ def _exact(config: LabConfig) -> LabConfig:
         config,
         material=replace(config.material, law="linear"),
         arm=Arm(tip=config.arm.tip, radius=config.arm.radius),
-        force_sensor=ForceSensor(),
+        force_sensor=Sensor(),
         calibration=Calibration(),
         pictures=replace(config.pictures, noise=0.0, full_well=None, gain_drift=0.0),
     )
 
 
-def _seen(config: LabConfig) -> tuple[_Seen, ...]:
-    """Sources that change the pictures."""
+def _benches(config: LabConfig) -> list[tuple[str, str, LabConfig]]:
+    """Sources that change the pictures: name, size, and the bench that has this error alone."""
+    exact = _exact(config)
+
+    def changed(part: str, **values: Any) -> LabConfig:
+        return replace(exact, **{part: replace(getattr(exact, part), **values)})
+
     noise, turn = config.pictures.noise, config.arm.misalignment
     edge = mesh_quality(config.specimen.mesh).edge_mean
-    return (
-        _Seen("none", "flow and mesh alone", lambda exact: exact),
-        _Seen(
-            "image noise",
-            f"{noise:g} of 255 grey levels",
-            lambda exact: replace(exact, pictures=replace(exact.pictures, noise=noise)),
-        ),
-        _Seen(
-            "tip misalignment",
-            f"{turn:g}° about each axis",
-            lambda exact: replace(exact, arm=replace(exact.arm, misalignment=turn)),
-        ),
-        _Seen(
-            "tip placement",
-            f"{1e3 * _PLACEMENT:g} mm along each direction",
-            lambda exact: replace(exact, arm=replace(exact.arm, placement=_PLACEMENT)),
-        ),
-        _Seen(
-            "mesh size",
-            f"edges of {1e3 * _COARSER * edge:.2g} mm, not {1e3 * edge:.2g} mm",
-            lambda exact: replace(exact, specimen=_coarse(exact, _COARSER * edge)),
-        ),
-        _Seen(
-            "nonlinearity",
-            "neo-Hookean body",
-            lambda exact: replace(exact, material=replace(exact.material, law="neo-hookean")),
-        ),
-        _Seen("table 3", "force and image noise, misalignment", lambda _: config),
-    )
+    radius = float(config.specimen.mesh.vertices[:, 2].max())
+    coarse = half_ball(radius=radius, edge=_COARSER * edge)
+    edges = f"edges of {1e3 * _COARSER * edge:.2g} mm, not {1e3 * edge:.2g} mm"
+    place = f"{1e3 * _PLACEMENT:g} mm along each direction"
+    return [
+        ("none", "flow and mesh alone", exact),
+        ("image noise", f"{noise:g} of 255 grey levels", changed("pictures", noise=noise)),
+        ("tip misalignment", f"{turn:g}° about each axis", changed("arm", misalignment=turn)),
+        ("tip placement", place, changed("arm", placement=_PLACEMENT)),
+        ("mesh size", edges, changed("specimen", mesh=coarse)),
+        ("nonlinearity", "neo-Hookean body", changed("material", law="neo-hookean")),
+        ("table 3", "force and image noise, misalignment", config),
+    ]
 
 
-def _told(config: LabConfig) -> tuple[_Told, ...]:
-    """Sources that change what the estimate is told."""
+def _readings(config: LabConfig) -> list[tuple[str, str, Change]]:
+    """Sources that change readings or calibration, and no picture: name, size, and the change."""
     sensor, calibration, pose = config.force_sensor, CALIBRATION, REGISTRATION
-    return (
-        _Told(
+    cameras = (
+        f"focal length {100 * calibration.focal:g} %, centre {calibration.centre:g} px, camera"
+        f" {calibration.rotation:g}° and {1e3 * calibration.translation:g} mm"
+    )
+    return [
+        (
             "force noise",
             f"{1e3 * sensor.noise:g} mN and {100 * sensor.relative_noise:g} %",
             lambda session, rng, _: _with_forces(session, sensor, rng),
         ),
-        _Told(
+        (
             "calibration",
-            f"focal length {100 * calibration.focal:g} %, centre {calibration.centre:g} px, camera"
-            f" {calibration.rotation:g}° and {1e3 * calibration.translation:g} mm",
+            cameras,
             lambda session, rng, file: with_misjudged_rig(session, calibration, rng, file),
         ),
-        _Told(
+        (
             "registration",
             f"{pose.object_rotation:g}° and {1e3 * pose.object_translation:g} mm on each axis",
             lambda session, rng, file: with_misjudged_rig(session, pose, rng, file),
         ),
-    )
+    ]
 
 
-def _coarse(config: LabConfig, edge: float) -> Specimen:
-    """The same body with a coarser mesh of it for the session."""
-    radius = float(config.specimen.mesh.vertices[:, 2].max())
-    return replace(config.specimen, mesh=half_ball(radius=radius, edge=edge))
-
-
-def _with_forces(session: Session, sensor: ForceSensor, rng: np.random.Generator) -> Session:
+def _with_forces(session: Session, sensor: Sensor, rng: np.random.Generator) -> Session:
     """A session whose exact forces were read from a sensor."""
     probings = tuple(
         replace(
             probing,
-            force=read_force(probing.force, sensor, rng=rng),
-            force_std=np.full(3, force_std(probing.force, sensor)),
+            force=read_sensor(probing.force, sensor, rng=rng),
+            force_std=np.full(3, sensor_std(probing.force, sensor)),
         )
         for probing in session.probings
     )
@@ -234,7 +216,7 @@ def _with_forces(session: Session, sensor: ForceSensor, rng: np.random.Generator
 def with_misjudged_rig(
     session: Session, error: Calibration, rng: np.random.Generator, file: Path
 ) -> Session:
-    """A session that is told another rig than the one that took its pictures.
+    """A session whose rig is not quite the one that took its pictures.
 
     Parameters
     ----------
@@ -253,28 +235,112 @@ def with_misjudged_rig(
     """
     if session.rig is None:
         raise InputError(f"{session.path}: has no rig")
-    write_rig(file, misjudged(read_rig(session.rig), error, session.mesh, rng=rng))
+    write_rig(file, miscalibrated(read_rig(session.rig), error, session.mesh, rng=rng))
     probings = tuple(replace(probing, displacement=None) for probing in session.probings)
     return replace(session, rig=file, probings=probings)
 
 
-def _source(name: str, size: str, sessions: Sequence[Session], truth: Material) -> ErrorSource:
-    """Errors of the estimates of some sessions; what was measured already is not measured anew."""
-    results = [fit_session(pictures_measured(session)) for session in sessions]
-    single = [_errors(probe, truth) for result in results for probe in result.estimate.probes]
-    joint = [_errors(result.estimate, truth) for result in results]
-    return ErrorSource(name, size, np.array(single), np.array(joint))
-
-
-def _errors(estimate: Estimate | ProbeEstimate, truth: Material) -> list[float]:
-    """Error of nu, and of G and E as shares."""
-    return [
-        estimate.poisson_ratio.value - truth.poisson_ratio,
-        estimate.shear_modulus.value / truth.shear_modulus - 1.0,
-        estimate.young_modulus.value / truth.young_modulus - 1.0,
-    ]
+def _errors(
+    sessions: Sequence[Session], truth: Material
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "d 3"]]:
+    """Errors of single probings and of all; what was measured already is not measured anew."""
+    joint = [fit_session(pictures_measured(session)).estimate for session in sessions]
+    single = [probe for estimate in joint for probe in estimate.probes]
+    return constant_errors(single, truth), constant_errors(joint, truth)
 
 
 def _plain(name: str) -> str:
     """A source's name as a folder."""
     return name.replace(" ", "_")
+
+
+def budget_table(sources: Sequence[SourceErrors]) -> ResultTable:
+    """Mean and root mean square error of single probings, and of all together, by source.
+
+    Parameters
+    ----------
+    sources : sequence of SourceErrors
+
+    Returns
+    -------
+    ResultTable                     E in per cent
+    """
+    percent = np.array([1.0, 100.0, 100.0])
+    rows: list[tuple[Cell, ...]] = []
+    for source in sources:
+        mean = (percent * source.single.mean(axis=0)).tolist()
+        single, joint = (percent * _rms(e) for e in (source.single, source.joint))
+        each = (mean[_YOUNG], single[_YOUNG], mean[_NU], single[_NU], joint[_YOUNG], joint[_NU])
+        rows.append((source.name, len(source.joint), *map(float, each)))
+    columns = (
+        "source", "draws", "E mean (%)", "E rms (%)", "nu mean", "nu rms",
+        "all: E rms (%)", "all: nu rms",
+    )  # fmt: skip
+    title = "Error of single probings, and of all together, with one source of error at a time"
+    return ResultTable(title, columns, (0, 0, 2, 2, 4, 4, 2, 4), tuple(rows))
+
+
+def sizes_table(sources: Sequence[SourceErrors]) -> ResultTable:
+    """How much of each source there was.
+
+    Parameters
+    ----------
+    sources : sequence of SourceErrors
+
+    Returns
+    -------
+    ResultTable
+    """
+    rows = tuple((source.name, source.size) for source in sources)
+    return ResultTable("Sizes of the sources", ("source", "size"), (0, 0), rows)
+
+
+@styled
+def budget_picture(sources: Sequence[SourceErrors]) -> Picture:
+    """The same root mean squares as bars (single probings) and dots (all of them together).
+
+    Parameters
+    ----------
+    sources : sequence of SourceErrors      the bench without errors first, the whole bench last
+
+    Returns
+    -------
+    Picture
+    """
+    height = 1.1 + 0.27 * len(sources)
+    figure = Figure(figsize=(8.4, height))
+    panels = figure.subplots(1, 2, sharey=True)
+    figure.subplots_adjust(
+        left=0.15, right=0.98, wspace=0.08, top=1 - 0.42 / height, bottom=0.5 / height
+    )
+    for axes, column, factor, label in (
+        (panels[0], _YOUNG, 100.0, "rms error of Young's modulus $E$ (%)"),
+        (panels[1], _NU, 1.0, r"rms error of Poisson's ratio $\nu$"),
+    ):
+        _panel(axes, sources, column, factor)
+        axes.set_xlabel(label)
+    panels[0].set_yticks(range(len(sources)), [source.name for source in sources])
+    panels[0].set_ylim(len(sources) - 0.4, -0.6)
+    handles = [panels[0].containers[0], panels[0].lines[0], panels[0].lines[1]]
+    labels = ["single probings", "all together", "single, without any source"]
+    figure.legend(handles, labels, loc="upper center", ncols=3)
+    return figure_pixels(figure)
+
+
+def _panel(axes: Axes, sources: Sequence[SourceErrors], column: int, factor: float) -> None:
+    """Bars and dots of one constant."""
+    rows = np.arange(len(sources))
+    single = factor * np.array([_rms(source.single)[column] for source in sources])
+    joint = factor * np.array([_rms(source.joint)[column] for source in sources])
+    axes.barh(rows, single, height=0.62, color=PALE_BLUE, edgecolor=BLUE, linewidth=0.6)
+    axes.plot(joint, rows, "o", color=ORANGE, markersize=4.5, zorder=3, clip_on=False)
+    axes.axvline(single[0], color=GREY, linestyle="--", linewidth=0.8, zorder=0)
+    axes.axhline(len(sources) - 1.5, color=GREY, linewidth=0.5)
+    axes.set_xlim(left=0.0)
+    axes.tick_params(axis="y", length=0)
+    open_frame(axes)
+
+
+def _rms(errors: np.ndarray) -> np.ndarray:
+    """Root mean square of each column."""
+    return np.sqrt((errors**2).mean(axis=0))

@@ -1,35 +1,50 @@
 """The paper's experiments by name: which sessions each one needs, and what it makes of them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from palpate.lab import Variant, built_in, read_lab_config
-from palpate.paper.budget import error_budget
-from palpate.paper.budget_page import budget_picture, budget_table, sizes_table
-from palpate.paper.constants import compression_test, estimated_constants, true_material
-from palpate.paper.constants_page import (
-    constants_picture,
+from palpate.figures import figure_pixels, probings_figure
+from palpate.lab import LabConfig, Variant, built_in, read_lab_config
+from palpate.paper.budget import budget_picture, budget_table, error_budget, sizes_table
+from palpate.paper.constants import (
+    compressed_modulus,
     constants_summary,
     constants_table,
+    estimated_constants,
     motion_picture,
 )
-from palpate.paper.figures import flow_curves, flow_picture, stacked, vertex_curves
-from palpate.paper.motion import METHODS, Method, PaperSession, flow_rows, quickened, vertex_rows
+from palpate.paper.figures import flow_curves, flow_picture, vertex_curves
+from palpate.paper.motion import (
+    PAPER,
+    flow_rows,
+    flow_summary,
+    flow_table,
+    vertex_rows,
+    vertex_summary,
+    vertex_table,
+)
 from palpate.paper.published import (
     PAPER_ANGLE_ERROR_ROTATION,
     PAPER_ANGLE_ERROR_X,
     PAPER_ANGLE_ERROR_Y,
     PAPER_FLOW_LEFT_REAR,
     PAPER_FLOW_REAR_RIGHT,
+    MotionRow,
 )
-from palpate.paper.result import PaperResult
-from palpate.paper.result_table import Cell, ResultTable
-from palpate.paper.tables import PAPER, Row, flow_summary, flow_table, vertex_summary, vertex_table
-from palpate.paper.truth import true_displacement
-from palpate.progress import Progress
+from palpate.paper.result import Cell, PaperResult, ResultTable
+from palpate.paper.sessions import (
+    METHODS,
+    Method,
+    PaperSession,
+    measured_session,
+    quickened,
+    true_displacement,
+    true_material,
+)
+from palpate.progress import Progress, part_of
 from palpate.shapes import PointScalars
 from palpate.vision import is_valid
 
@@ -37,26 +52,35 @@ from palpate.vision import is_valid
 _X, _Y, _TURN, _PROBING = "translation-x", "translation-y", "rotation-z", "toy-probing"
 _BALL = "half-ball"
 Measured = Mapping[str, PaperSession]
-# How often a source of errors is drawn that changes only what the estimate is told.
+# How often a source of error that changes no picture is drawn.
 _DRAWS = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Workplace:
-    """Where an experiment can make sessions of its own.
+    """Where and how an experiment makes sessions of its own.
 
     Attributes
     ----------
     folder : Path                   for folders of sessions
     variant : Variant               of Mitsuba
     quick : bool                    small pictures and few steps
-    progress : callable
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
     """
 
     folder: Path
     variant: Variant
     quick: bool
     progress: Progress
+
+    def config(self, name: str) -> LabConfig:
+        """A built-in configuration, for a quick look if so wanted."""
+        config = read_lab_config(built_in()[name])
+        return quickened(config) if self.quick else config
+
+    def part(self, begin: float, end: float, name: str) -> "Workplace":
+        """The same for a part of the work."""
+        return replace(self, progress=part_of(self.progress, begin, end, prefix=f"{name}: "))
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +89,46 @@ class Experiment:
 
     Attributes
     ----------
-    what : str                      a line about it
     sessions : tuple of str         built-in configurations that are measured for it
     result : callable               from these, by name, and a workplace to what is written
     """
 
-    what: str
     sessions: tuple[str, ...]
     result: Callable[[Measured, Workplace], PaperResult]
+
+
+def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperResult]:
+    """Make and measure the sessions of some experiments, each once, and evaluate them.
+
+    Parameters
+    ----------
+    names : sequence of str         keys of `EXPERIMENTS`
+    work : Workplace
+
+    Returns
+    -------
+    dict of str to PaperResult      by experiment, in the order of the names
+
+    Raises
+    ------
+    InputError, RecordError         as `measured_session`
+    """
+    needed = list(dict.fromkeys(name for each in names for name in EXPERIMENTS[each].sessions))
+    count = len(needed) + len(names)
+    measured, results = {}, {}
+    work.folder.mkdir(exist_ok=True)
+    for k, name in enumerate(needed):
+        part = work.part(k / count, (k + 1) / count, name)
+        folder = work.folder / name
+        folder.mkdir()
+        measured[name] = measured_session(
+            work.config(name), folder, variant=work.variant, progress=part.progress
+        )
+    for k, name in enumerate(names, start=len(needed)):
+        part = work.part(k / count, (k + 1) / count, name)
+        part.progress("evaluation", 0.0)
+        results[name] = EXPERIMENTS[name].result(measured, part)
+    return results
 
 
 def _table1(measured: Measured, _work: Workplace) -> PaperResult:
@@ -84,7 +140,7 @@ def _table1(measured: Measured, _work: Workplace) -> PaperResult:
         " and the optical axis of the reference camera. Length: of that flow. The paper's motion"
         " (a), to the left-rear, stands beside the one along x, (b), to the rear-right, beside the"
         " one along y; the angles themselves are those of other directions. The length's bias is"
-        " against the encoder for the paper, against the true way for the virtual bench.",
+        " against the encoder for the paper, against the true path for the virtual bench.",
         flow_summary("Table 1, the worst of it", tests),
         tuple(flow_table(f"Table 1, {name}", rows) for name, rows in tests.items()),
         {"table1": flow_curves(tests)},
@@ -103,7 +159,7 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
         "The same translations, and a rotation of 2 degrees a step about the object's z. Angle"
         " error: between the measured and the true displacement of a vertex. Command: mean length"
         " of the true displacement of the vertices that were measured. Near the axis of the"
-        " rotation vertices hardly move, and their directions are hard to tell for any method. The"
+        " rotation vertices hardly move, and any method has trouble with their directions. The"
         " paper's errors hold those of the registration of its mesh, too; here the pose is given.",
         vertex_summary("Table 2, its first and last steps", tests),
         tuple(vertex_table(f"Table 2, {name}", rows) for name, rows in tests.items()),
@@ -114,7 +170,7 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
 def _figure2(measured: Measured, _work: Workplace) -> PaperResult:
     shown = ((_X, "s2", "translation by 5 mm"), (_TURN, "s1", "rotation by 2°"))
     pictures = {
-        f"figure2_{method}": stacked(
+        f"figure2_{method}": np.concatenate(
             [
                 flow_picture(measured[name], method, step, f"{title}, {method}")
                 for name, step, title in shown
@@ -126,7 +182,7 @@ def _figure2(measured: Measured, _work: Workplace) -> PaperResult:
         "Figure 2: optical flow and range flow of a rigid object",
         "Above a translation by 5 mm, below a rotation by 2 degrees about the object's z: optical"
         " flow, range flow, and the displacement of the vertices. The table has medians over the"
-        " valid points: of their true way, and of the length of the error.",
+        " valid points: of their true displacement, and of the length of the error.",
         _points("Figure 2, points that were tracked", measured, [(n, s) for n, s, _ in shown]),
         (),
         pictures,
@@ -139,7 +195,7 @@ def _figure3(measured: Measured, _work: Workplace) -> PaperResult:
         "Figure 3: a probing",
         "A soft toy is pushed from the side at an ear. Optical flow, range flow, and the"
         " displacement of the vertices; the probe hides what is behind it. The table has medians"
-        " over the valid points: of their true way, and of the length of the error.",
+        " over the valid points: of their true displacement, and of the length of the error.",
         _points("Figure 3, points that were tracked", measured, [(_PROBING, last)]),
         (),
         {
@@ -160,19 +216,21 @@ def _table3(measured: Measured, _work: Workplace) -> PaperResult:
         "Each probing alone, and all together, from pictures and forces. The paper's error of E is"
         " against its compression test, the others are against the truth. The cylinder of the"
         " compression test sticks to its lower plate, so that it says a little too much.",
-        constants_summary(found, truth, compression_test(truth)),
-        tuple(constants_table(one, f"Table 3, {method}") for method, one in found.items()),
-        {f"table3_{method}": constants_picture(one) for method, one in found.items()},
+        constants_summary(found, truth, compressed_modulus(truth)),
+        tuple(constants_table(each, f"Table 3, {method}") for method, each in found.items()),
+        {
+            f"table3_{method}": figure_pixels(probings_figure(each.result.estimate))
+            for method, each in found.items()
+        },
     )
 
 
 def _budget(_measured: Measured, work: Workplace) -> PaperResult:
-    config = read_lab_config(built_in()[_BALL])
-    place = work.folder / "budget"
-    place.mkdir()
+    folder = work.folder / "budget"
+    folder.mkdir()
     sources = error_budget(
-        quickened(config) if work.quick else config,
-        place,
+        work.config(_BALL),
+        folder,
         variant=work.variant,
         draws=1 if work.quick else _DRAWS,
         progress=work.progress,
@@ -180,8 +238,8 @@ def _budget(_measured: Measured, work: Workplace) -> PaperResult:
     return PaperResult(
         "What limits table 3",
         "The bench of table 3 without any error, then with one source of error at a time, in the"
-        " size that a careful laboratory has. `none` is what flow, mesh and the idea of the contact"
-        " leave: a sphere presses a little sideways, too, and the estimate does not know. Errors of"
+        " size that a careful laboratory has. `none` is what flow, mesh and the contact's model"
+        " leave: a sphere also presses a little sideways, which the model leaves out. Errors of"
         " calibration and registration are the same for all probings: more probings do not help"
         " against them.",
         budget_table(sources),
@@ -197,8 +255,8 @@ def _figure4(measured: Measured, _work: Workplace) -> PaperResult:
     shown = names[:: max(len(names) // 2, 1)][:2]
     return PaperResult(
         "Figure 4: measured and simulated displacement",
-        "Two probings of the half ball: the displacement of its vertices as the pictures tell it,"
-        " and as the boundary element model with the estimated constants has it.",
+        "Two probings of the half ball: the displacement of its vertices as measured from the"
+        " pictures, and as predicted by the boundary element model with the estimated constants.",
         constants_table(found, "Figure 4, the constants of the simulation"),
         (),
         {f"figure4_{name}": motion_picture(found, name) for name in shown},
@@ -206,12 +264,14 @@ def _figure4(measured: Measured, _work: Workplace) -> PaperResult:
 
 
 def _beside(
-    own: Sequence[Row],
+    own: Sequence[MotionRow],
     measured: PaperSession,
-    rows_of: Callable[[PaperSession, Method], Sequence[Row]],
-) -> dict[str, Sequence[Row]]:
+    rows_of: Callable[[PaperSession, Method], Sequence[MotionRow]],
+) -> dict[str, Sequence[MotionRow]]:
     """The paper's rows, as many as were measured, and those of each method."""
-    found: dict[str, Sequence[Row]] = {method: rows_of(measured, method) for method in METHODS}
+    found: dict[str, Sequence[MotionRow]] = {
+        method: rows_of(measured, method) for method in METHODS
+    }
     return {PAPER: own[: len(found[METHODS[0]])], **found}
 
 
@@ -236,7 +296,7 @@ def _points(title: str, measured: Measured, motions: Sequence[tuple[str, str]]) 
                 )
             )  # fmt: skip
     columns = (
-        "session", "instant", "source", "points", "valid", "true way (mm)", "error (mm)",
+        "session", "instant", "source", "points", "valid", "true motion (mm)", "error (mm)",
         "vertices",
     )  # fmt: skip
     return ResultTable(title, columns, (0, 0, 0, 0, 0, 4, 4, 0), tuple(cells))
@@ -250,11 +310,11 @@ def _median(lengths: PointScalars) -> float | None:
 
 # By the name that the command line knows.
 EXPERIMENTS: dict[str, Experiment] = {
-    "table1": Experiment("range flow of a translation", (_X, _Y), _table1),
-    "table2": Experiment("displacement of vertices, rigid motion", (_X, _Y, _TURN), _table2),
-    "table3": Experiment("constants of a half ball", (_BALL,), _table3),
-    "budget": Experiment("what limits table 3, by source of error", (), _budget),
-    "figure2": Experiment("optical and range flow of a rigid object", (_X, _TURN), _figure2),
-    "figure3": Experiment("flow of a probing", (_PROBING,), _figure3),
-    "figure4": Experiment("measured beside simulated displacement", (_BALL,), _figure4),
+    "table1": Experiment((_X, _Y), _table1),
+    "table2": Experiment((_X, _Y, _TURN), _table2),
+    "table3": Experiment((_BALL,), _table3),
+    "budget": Experiment((), _budget),
+    "figure2": Experiment((_X, _TURN), _figure2),
+    "figure3": Experiment((_PROBING,), _figure3),
+    "figure4": Experiment((_BALL,), _figure4),
 }

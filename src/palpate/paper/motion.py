@@ -1,160 +1,37 @@
-"""The paper's tests of range flow, tables 1 and 2: measured in the virtual facility, and reduced.
+"""Tables 1 and 2 of the paper: motion of a rigid object, its own numbers beside both methods.
 
-A session is made from a configuration, its motion is measured by the paper's method and by the
-default one, and every instant becomes a row of the table's columns. The rows have the types of the
-paper's own ones.
+Every instant of a measured session becomes a row of the same type as the paper's own ones.
 
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import InputError
-from palpate.lab import LabConfig, Variant, make_session
-from palpate.paper.published import FlowRow, Spread, VertexRow
-from palpate.pipeline import MeasuredMotion, MotionSettings, SessionFlow, measure_motion
-from palpate.progress import Progress, part_of, silent
-from palpate.records import Session, TomlTable, read_session, read_toml
+from palpate.paper.published import MotionRow, Spread
+from palpate.paper.result import ResultTable
+from palpate.paper.sessions import (
+    Method,
+    PaperSession,
+    RigidStep,
+    rigid_displacement,
+    rigid_steps,
+)
+from palpate.pipeline import MeasuredMotion
 from palpate.shapes import Points, PointScalars, Vector3, Vertices
 from palpate.vision import RangeFlow, VertexDisplacement, is_valid
 
-Method = Literal["lang-pai", "joint"]
-METHODS: tuple[Method, ...] = ("lang-pai", "joint")
-# Share of the time that goes into making a session; measuring it takes the rest.
-_MAKING = 0.5
-# A quick run: steps, and by how much pictures are smaller.
-_QUICK_STEPS, _QUICK_SHRINK = 3, 2
+# What the paper's own numbers are called beside the names of the methods.
+PAPER = "paper"
+_MM = 1e3
+# Of one direction or motion: source to its rows; of several: motion to these.
+Rows = Mapping[str, Sequence[MotionRow]]
+Tests = Mapping[str, Rows]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperSession:
-    """A session of the facility and its motion by several methods.
-
-    Attributes
-    ----------
-    session : Session               `truth.toml` is beside its file
-    found : mapping of method to SessionFlow
-    """
-
-    session: Session
-    found: Mapping[Method, SessionFlow]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RigidStep:
-    """True motion of a rigid object from the first instant to a later one.
-
-    Attributes
-    ----------
-    motion : (4, 4) float [m]       x(step) = R x(first) + t, object frame
-    encoder : float [m]             way of the stage by its encoder
-    """
-
-    motion: Float[np.ndarray, "4 4"]
-    encoder: float
-
-
-def quickened(config: LabConfig) -> LabConfig:
-    """A configuration for a quick look: half the pixels a side, three steps or probings at most.
-
-    The texture grows with the pixels, so that it can be matched as well.
-
-    Parameters
-    ----------
-    config : LabConfig
-    """
-    head, look, stage = config.head, config.look, config.stage
-    small = replace(
-        head,
-        columns=head.columns // _QUICK_SHRINK,
-        rows=head.rows // _QUICK_SHRINK,
-        focal=None if head.focal is None else head.focal / _QUICK_SHRINK,
-    )
-    if stage is not None:
-        stage = replace(stage, steps=min(stage.steps, _QUICK_STEPS))
-    coarse = replace(look, size=_QUICK_SHRINK * look.size)
-    probes = config.probes[:_QUICK_STEPS]
-    return replace(config, head=small, look=coarse, stage=stage, probes=probes)
-
-
-def measured_session(
-    config: LabConfig,
-    folder: Path,
-    *,
-    methods: Sequence[Method] = METHODS,
-    variant: Variant,
-    progress: Progress | None = None,
-) -> PaperSession:
-    """Make a session in the facility and measure its motion.
-
-    The object's pose is taken as the session gives it.
-
-    Parameters
-    ----------
-    config : LabConfig
-    folder : Path                   an empty folder: the session stays there
-    methods : sequence of Method
-    variant : Variant               of Mitsuba
-    progress : callable             told what is done (text) and how far it is (0 to 1)
-
-    Returns
-    -------
-    PaperSession
-
-    Raises
-    ------
-    InputError, RecordError         as `make_session` and `measure_motion`
-    """
-    say = progress or silent
-    make_session(config, folder, variant=variant, progress=part_of(say, 0.0, _MAKING))
-    session, found = read_session(folder), {}
-    for k, method in enumerate(methods):
-        begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
-        found[method] = measure_motion(
-            session,
-            settings=MotionSettings(method=method, pose="given"),
-            progress=part_of(say, begin, end, prefix=f"{method}: "),
-        )
-    return PaperSession(session, found)
-
-
-def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
-    """What the truth beside a session says of its steps after the first.
-
-    Parameters
-    ----------
-    session : Session               made by the facility, with steps
-
-    Returns
-    -------
-    tuple of RigidStep
-
-    Raises
-    ------
-    RecordError                     no `truth.toml` that can be read, a step without its motion
-    InputError                      another number of steps than the session's
-    """
-    root = read_toml(session.path.parent / "truth.toml")
-    tables = root.tables("step", "[[step]]")
-    if len(tables) != len(session.steps):
-        raise InputError(
-            f"{root.file}: has {len(tables)} steps, the session {len(session.steps)}; they must"
-            " come from the same run of the facility: make the session anew"
-        )
-    start = tables[0].vector("encoder")
-    return tuple(
-        RigidStep(_motion(table), float(np.linalg.norm(table.vector("encoder") - start)))
-        for table in tables[1:]
-    )
-
-
-def flow_rows(measured: PaperSession, method: Method) -> tuple[FlowRow, ...]:
+def flow_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
     """Table 1 of one method: a row for each step after the first.
 
     Parameters
@@ -164,45 +41,47 @@ def flow_rows(measured: PaperSession, method: Method) -> tuple[FlowRow, ...]:
 
     Returns
     -------
-    tuple of FlowRow                `command` is the true way: the virtual stage goes where it is
+    tuple of MotionRow              `command` is the true path: the virtual stage goes where it is
                                     sent. Steps whose pictures could not be used have no points
 
     Raises
     ------
     RecordError, InputError         as `rigid_steps`
     """
-    found = measured.found[method]
-    axis = found.rig.cameras[found.rig.reference].T_camera_object[2, :3]
+    rig = measured.found[method].rig
+    axis = rig.cameras[rig.reference].T_camera_object[2, :3]
     return tuple(
         flow_row(
-            motion.flow,
-            axis,
-            step=k,
-            encoder=true.encoder,
+            motion.flow, axis, step=step, encoder=true.encoder,
             command=float(np.linalg.norm(true.motion[:3, 3])),
         )
-        for k, (motion, true) in enumerate(_instants(measured, method), start=1)
-    )
+        for step, (motion, true) in enumerate(_instants(measured, method), start=1)
+    )  # fmt: skip
 
 
 def flow_row(
     flow: RangeFlow | None, axis: Vector3, *, step: int, encoder: float, command: float
-) -> FlowRow:
+) -> MotionRow:
     """A row of table 1 from the range flow of its instant.
 
     Parameters
     ----------
     flow : RangeFlow or None
     axis : (3,) float [-]           optical axis of the reference camera, unit, object frame
-    step, encoder, command          see `FlowRow`
+    step : int                      from 1
+    encoder, command : float [m]    see `MotionRow`
+
+    Returns
+    -------
+    MotionRow
     """
     moved = np.zeros((0, 3)) if flow is None else flow.displacement[is_valid(flow)]
     length = np.linalg.norm(moved, axis=1)
     angle = _angle(moved, np.broadcast_to(axis, moved.shape))
-    return FlowRow(step, _spread(angle), _spread(length), encoder, command, len(moved))
+    return MotionRow(step, _spread(angle), _spread(length), command, encoder, len(moved))
 
 
-def vertex_rows(measured: PaperSession, method: Method) -> tuple[VertexRow, ...]:
+def vertex_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
     """Table 2 of one method: a row for each step after the first.
 
     Parameters
@@ -212,67 +91,198 @@ def vertex_rows(measured: PaperSession, method: Method) -> tuple[VertexRow, ...]
 
     Returns
     -------
-    tuple of VertexRow
+    tuple of MotionRow
 
     Raises
     ------
     RecordError, InputError         as `rigid_steps`
     """
-    place = measured.session.mesh.vertices
+    vertices = measured.session.mesh.vertices
     return tuple(
-        vertex_row(motion.vertices, place, true.motion, step=k)
-        for k, (motion, true) in enumerate(_instants(measured, method), start=1)
+        vertex_row(motion.vertices, vertices, true.motion, step=step)
+        for step, (motion, true) in enumerate(_instants(measured, method), start=1)
     )
 
 
 def vertex_row(
-    vertices: VertexDisplacement | None,
-    place: Vertices,
+    measured: VertexDisplacement | None,
+    vertices: Vertices,
     motion: Float[np.ndarray, "4 4"],
     *,
     step: int,
-) -> VertexRow:
+) -> MotionRow:
     """A row of table 2 from the displacement of the vertices at its instant.
 
     Parameters
     ----------
-    vertices : VertexDisplacement or None
-    place : (v, 3) float [m]        of the vertices at the first instant
+    measured : VertexDisplacement or None
+    vertices : (v, 3) float [m]     their places at the first instant
     motion : (4, 4) float [m]       what really happened to them
-    step : int
+    step : int                      from 1
 
     Returns
     -------
-    VertexRow                       a vertex on the axis of a turn has no direction: it counts for
-                                    the lengths only
+    MotionRow                       a vertex on the axis of a rotation has no direction: it counts
+                                    for the lengths only
     """
-    moved = np.full(place.shape, np.nan) if vertices is None else vertices.displacement
+    moved = np.full(vertices.shape, np.nan) if measured is None else measured.displacement
     known = np.isfinite(moved).all(axis=1)
-    true = place[known] @ (motion[:3, :3] - np.eye(3)).T + motion[:3, 3]
-    return VertexRow(
+    true = rigid_displacement(motion, vertices[known])
+    return MotionRow(
         step,
         _spread(_angle(moved[known], true)),
         _spread(np.linalg.norm(moved[known], axis=1)),
-        _spread(np.linalg.norm(true, axis=1)).mean,
-        int(known.sum()),
+        command=_spread(np.linalg.norm(true, axis=1)).mean,
+        count=int(known.sum()),
     )
+
+
+def flow_table(title: str, rows: Rows) -> ResultTable:
+    """Table 1 for one direction: each step by each source.
+
+    Parameters
+    ----------
+    title : str
+    rows : mapping of source to its rows    the paper's and the methods'
+
+    Returns
+    -------
+    ResultTable                     angles in degrees, lengths in mm
+    """
+    columns = (
+        "step", "source", "angle (deg)", "sigma (deg)", "length (mm)", "sigma (mm)",
+        "encoder (mm)", "command (mm)", "points",
+    )  # fmt: skip
+    cells = [
+        (row.step, source, *_degrees(row.angle), *_millimetres(row.length),
+         _millimetre(row.encoder), _millimetre(row.command), row.count)
+        for source, row in _by_step(rows)
+    ]  # fmt: skip
+    return ResultTable(title, columns, (0, 0, 2, 2, 4, 4, 4, 4, 0), tuple(cells))
+
+
+def vertex_table(title: str, rows: Rows) -> ResultTable:
+    """Table 2 for one motion: each step by each source.
+
+    Parameters
+    ----------
+    title, rows                     as in `flow_table`
+
+    Returns
+    -------
+    ResultTable                     angles in degrees, lengths in mm
+    """
+    columns = (
+        "step", "source", "angle error (deg)", "sigma (deg)", "length (mm)", "sigma (mm)",
+        "command (mm)", "vertices",
+    )  # fmt: skip
+    cells = [
+        (row.step, source, *_degrees(row.angle), *_millimetres(row.length),
+         _millimetre(row.command), row.count)
+        for source, row in _by_step(rows)
+    ]  # fmt: skip
+    return ResultTable(title, columns, (0, 0, 2, 2, 4, 4, 4, 0), tuple(cells))
+
+
+def flow_summary(title: str, tests: Tests) -> ResultTable:
+    """The worst of table 1: bias and spread of lengths, spread of the angle at the first step.
+
+    Parameters
+    ----------
+    title : str
+    tests : mapping of motion to mapping of source to rows
+
+    Returns
+    -------
+    ResultTable                     angles in degrees, lengths in mm
+    """
+    columns = (
+        "motion", "source", "length bias, worst step (mm)", "length sigma, worst step (mm)",
+        "angle sigma, first step (deg)", "steps",
+    )  # fmt: skip
+    cells = [
+        (motion, source, _MM * _worst([length_bias(row) for row in rows]),
+         _worst([_millimetres(row.length)[1] for row in rows]), _degrees(rows[0].angle)[1],
+         len(rows))
+        for motion, source, rows in _each(tests)
+    ]  # fmt: skip
+    return ResultTable(title, columns, (0, 0, 4, 4, 2, 0), tuple(cells))
+
+
+def vertex_summary(title: str, tests: Tests) -> ResultTable:
+    """The ends of table 2: errors of the direction at the first and at the last step.
+
+    Parameters
+    ----------
+    title, tests                    as in `flow_summary`
+
+    Returns
+    -------
+    ResultTable                     angles in degrees
+    """
+    columns = (
+        "motion", "source", "angle error, first step (deg)", "sigma (deg)",
+        "angle error, last step (deg)", "sigma (deg)", "steps",
+    )  # fmt: skip
+    cells = [
+        (motion, source, *_degrees(rows[0].angle), *_degrees(rows[-1].angle), len(rows))
+        for motion, source, rows in _each(tests)
+    ]
+    return ResultTable(title, columns, (0, 0, 2, 2, 2, 2, 0), tuple(cells))
+
+
+def length_bias(row: MotionRow) -> float:
+    """Mean length of table 1 less the true one [m]; NaN where it is not known.
+
+    The paper's stage did not quite go where it was sent, so that its encoder is the truth; the
+    virtual stage obeys, and its command is.
+
+    Parameters
+    ----------
+    row : MotionRow                 the paper's rows have no count
+
+    Returns
+    -------
+    float [m]
+    """
+    true = row.encoder if row.count is None else row.command
+    if row.length is None or true is None:
+        return float("nan")
+    return row.length.mean - true
 
 
 def _instants(measured: PaperSession, method: Method) -> list[tuple[MeasuredMotion, RigidStep]]:
     """Measured and true motion of each step after the first."""
-    found = measured.found[method]
-    return list(zip(found.motions, rigid_steps(measured.session), strict=True))
+    return list(zip(measured.found[method].motions, rigid_steps(measured.session), strict=True))
 
 
-def _motion(table: TomlTable) -> Float[np.ndarray, "4 4"]:
-    """Rotation and translation of a step."""
-    rows = table.get("R")
-    if not (isinstance(rows, list) and len(rows) == 3):
-        table.fail("R", f"is {rows!r}; must be three rows of three numbers")
-    motion = np.eye(4)
-    motion[:3, :3] = [TomlTable(table.file, table.name, {"R": row}).vector("R") for row in rows]
-    motion[:3, 3] = table.vector("t")
-    return motion
+def _each(tests: Tests) -> list[tuple[str, str, Sequence[MotionRow]]]:
+    """Motion, source and rows of each source."""
+    return [(motion, *each) for motion, rows in tests.items() for each in rows.items()]
+
+
+def _by_step(rows: Rows) -> list[tuple[str, MotionRow]]:
+    """Sources and their rows, step after step."""
+    pairs = [(source, row) for source, each in rows.items() for row in each]
+    return sorted(pairs, key=lambda pair: pair[1].step)
+
+
+def _degrees(spread: Spread) -> tuple[float, float]:
+    return float(np.degrees(spread.mean)), float(np.degrees(spread.std))
+
+
+def _millimetres(spread: Spread | None) -> tuple[float | None, float | None]:
+    return (None, None) if spread is None else (_MM * spread.mean, _MM * spread.std)
+
+
+def _millimetre(length: float | None) -> float | None:
+    return None if length is None else _MM * length
+
+
+def _worst(values: Sequence[float | None]) -> float:
+    """The value farthest from zero, with its sign; NaN where one is not known."""
+    known = np.array(values, dtype=float)
+    return float(known[np.argmax(np.abs(known))])
 
 
 def _angle(vectors: Points, others: Points) -> PointScalars:

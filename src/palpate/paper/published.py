@@ -13,52 +13,40 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean and standard deviation of a quantity over points; NaN of no points."""
+    """Mean and standard deviation of a quantity over points.
+
+    Attributes
+    ----------
+    mean, std : float               in the quantity's unit; NaN of no points
+    """
 
     mean: float
     std: float
 
 
 @dataclass(frozen=True, slots=True)
-class FlowRow:
-    """A row of table 1: range flow of the tracked points after some steps of a translation.
+class MotionRow:
+    """A row of table 1 or 2: what was measured after some steps of a rigid motion.
 
     Attributes
     ----------
     step : int                      from 1
-    angle : Spread [rad]            between the flow and the optical axis of the reference camera
-    length : Spread [m]
-    encoder : float [m]             way from the first instant, as the stage's encoder tells it
-    command : float [m]             way that it was sent
-    points : int or None            tracked up to this step; None: not told
+    angle : Spread [rad]            table 1: between the range flow and the optical axis of the
+                                    reference camera; table 2: between the measured and the true
+                                    displacement of a vertex
+    length : Spread or None [m]     of the flow or displacement; None: not printed
+    command : float or None [m]     table 1: travel that the stage was sent; table 2: mean length of
+                                    the true displacement of the same vertices
+    encoder : float or None [m]     table 1: travel from the first instant by the stage's encoder
+    count : int or None             tracked points or measured vertices; None: not printed
     """
 
     step: int
     angle: Spread
-    length: Spread
-    encoder: float
-    command: float
-    points: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class VertexRow:
-    """A row of table 2: displacement of the vertices after some steps of a rigid motion.
-
-    Attributes
-    ----------
-    step : int                      from 1
-    angle_error : Spread [rad]      between the measured and the true displacement
-    length : Spread or None [m]     None: not told
-    command : float or None [m]     mean length of the true displacement of the same vertices
-    vertices : int or None          measured
-    """
-
-    step: int
-    angle_error: Spread
     length: Spread | None = None
     command: float | None = None
-    vertices: int | None = None
+    encoder: float | None = None
+    count: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +57,7 @@ class MaterialRow:
     ----------
     node : int or None              that was probed; None: all of them
     poisson_ratio : float [-]
-    shear_modulus : float           unit not told there; N/cm^2 would fit its other units
+    shear_modulus : float           unit not printed; N/cm^2 would fit its other units
     young_modulus : float           the same unit
     """
 
@@ -79,35 +67,26 @@ class MaterialRow:
     young_modulus: float
 
 
-def _flow(*rows: tuple[float, float, float, float, float, float]) -> tuple[FlowRow, ...]:
-    """Rows of table 1 as printed: angle and sigma [deg], length, sigma, encoder, command [cm]."""
-    return tuple(
-        FlowRow(
-            step,
-            Spread(float(np.deg2rad(angle)), float(np.deg2rad(angle_std))),
-            Spread(1e-2 * length, 1e-2 * length_std),
-            1e-2 * encoder,
-            1e-2 * command,
+def _rows(*rows: tuple[float, ...]) -> tuple[MotionRow, ...]:
+    """Rows as printed: angle and sigma [deg], then, where printed, length, sigma, encoder (table 1
+    only) and command [cm]."""
+    made = []
+    for step, row in enumerate(rows, start=1):
+        angle, metres = np.deg2rad(row[:2]).tolist(), [1e-2 * length for length in row[2:]]
+        made.append(
+            MotionRow(
+                step,
+                Spread(*angle),
+                Spread(*metres[:2]) if metres else None,
+                command=metres[-1] if metres else None,
+                encoder=metres[2] if len(metres) == 4 else None,
+            )
         )
-        for step, (angle, angle_std, length, length_std, encoder, command) in enumerate(rows, 1)
-    )
-
-
-def _vertices(*rows: tuple[float, ...]) -> tuple[VertexRow, ...]:
-    """Rows of table 2 as printed: error and sigma [deg]; length, sigma, command [cm] if told."""
-    return tuple(
-        VertexRow(
-            step,
-            Spread(float(np.deg2rad(row[0])), float(np.deg2rad(row[1]))),
-            Spread(1e-2 * row[2], 1e-2 * row[3]) if len(row) > 2 else None,
-            1e-2 * row[4] if len(row) > 2 else None,
-        )
-        for step, row in enumerate(rows, 1)
-    )
+    return tuple(made)
 
 
 # Table 1 (a): motion to the left-rear of the reference picture.
-PAPER_FLOW_LEFT_REAR = _flow(
+PAPER_FLOW_LEFT_REAR = _rows(
     (67.0081, 10.2836, 0.2678, 0.0340, 0.2355, 0.2500),
     (64.7748, 5.7253, 0.5396, 0.0402, 0.4864, 0.5000),
     (64.8529, 4.1890, 0.8113, 0.0464, 0.7374, 0.7500),
@@ -118,7 +97,7 @@ PAPER_FLOW_LEFT_REAR = _flow(
     (65.2725, 1.9633, 2.1747, 0.0827, 1.9929, 2.0000),
 )
 # Table 1 (b): motion to the rear-right.
-PAPER_FLOW_REAR_RIGHT = _flow(
+PAPER_FLOW_REAR_RIGHT = _rows(
     (48.8813, 7.4717, 0.2367, 0.0334, 0.2230, 0.2500),
     (46.2486, 4.5264, 0.4926, 0.0461, 0.4750, 0.5000),
     (46.0249, 3.3112, 0.7404, 0.0518, 0.7146, 0.7500),
@@ -129,17 +108,17 @@ PAPER_FLOW_REAR_RIGHT = _flow(
     (45.2843, 2.3798, 2.0266, 0.0937, 1.9736, 2.0000),
 )
 # Table 2, translation in X.
-PAPER_ANGLE_ERROR_X = _vertices(
+PAPER_ANGLE_ERROR_X = _rows(
     (10.9142, 23.2285), (8.6968, 20.3784), (7.9037, 18.9947), (8.0567, 21.4754),
     (8.3435, 23.5471), (8.0368, 24.2161), (8.1894, 26.5517), (7.9706, 28.0945),
 )  # fmt: skip
 # Table 2, translation in Y.
-PAPER_ANGLE_ERROR_Y = _vertices(
+PAPER_ANGLE_ERROR_Y = _rows(
     (7.4402, 15.0430), (5.8115, 11.7741), (5.2960, 10.6937), (5.0309, 10.2249),
     (4.8527, 9.9227), (4.8800, 9.994), (4.9821, 10.1555), (4.9916, 10.1864),
 )  # fmt: skip
 # Table 2, rotation around Z by 2 degrees a step.
-PAPER_ANGLE_ERROR_ROTATION = _vertices(
+PAPER_ANGLE_ERROR_ROTATION = _rows(
     (23.5574, 47.8135, 0.2998, 0.0518, 0.3053),
     (24.8044, 58.0988, 0.5928, 0.0884, 0.6089),
     (19.1940, 42.1753, 0.8739, 0.1468, 0.9052),

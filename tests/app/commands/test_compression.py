@@ -37,7 +37,7 @@ def test_several_files_give_their_mean(palpate, record, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--diameter", "50mm"), "does not tell the height; give it, e.g. --height 50mm"),
+        (("--diameter", "50mm"), "does not say the height; give it, e.g. --height 50mm"),
         (("--diameter", "50", "--height", "30mm"), "did you mean 50mm?"),
     ],
 )

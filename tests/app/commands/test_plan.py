@@ -15,7 +15,9 @@ def folder(tmp_path):
 def test_a_plan_tells_the_precision_and_shows_the_view(palpate, folder, tmp_path):
     code, out, _ = palpate("lab", "plan", folder, "--young-modulus", 5e4)
     assert code == 0
-    assert all(word in out for word in ("n01", "n02", "all", "c2", "E = 50 kPa, nu = 0.3"))
+    # A title is broken where its table is narrower.
+    text = " ".join(out.split())
+    assert all(word in text for word in ("n01", "n02", "all", "c2", "E = 50 kPa, nu = 0.3"))
     names = {path.stem for path in (tmp_path / "bench-plan").glob("*.png")}
     assert names == {f"{a}_{b}" for a in ("rest", "n01", "n02") for b in ("c0", "c1", "c2")}
     rest, probed = (

@@ -16,9 +16,9 @@ from palpate.errors import InputError
 from palpate.geometry import write_mesh
 from palpate.lab import Variant, read_lab_config
 from palpate.lab.config_files import built_in
-from palpate.paper.budget import ErrorSource
+from palpate.paper.budget import SourceErrors
 from palpate.paper.experiments import EXPERIMENTS
-from palpate.paper.motion import METHODS, PaperSession
+from palpate.paper.sessions import METHODS, PaperSession
 from palpate.pipeline import MeasuredMotion, SessionFlow
 from palpate.records import read_session
 
@@ -102,7 +102,7 @@ def bench(monkeypatch, tmp_path):
         }
         return PaperSession(session, found)
 
-    monkeypatch.setattr(reproduce_command, "measured_session", measured_session)
+    monkeypatch.setattr("palpate.paper.experiments.measured_session", measured_session)
     monkeypatch.setattr(
         reproduce_command, "choose_variant", lambda: Variant("none", "no [bench]", None)
     )
@@ -222,7 +222,7 @@ def test_the_budget_makes_its_own_sessions(monkeypatch, tmp_path, capsys):
         progress("making", 0.5)
         asked.append((config, folder.name, draws))
         errors = np.full((1, 3), 0.01)
-        return tuple(ErrorSource(name, "much", errors, errors) for name in ("none", "all of it"))
+        return tuple(SourceErrors(name, "much", errors, errors) for name in ("none", "all of it"))
 
     monkeypatch.setattr("palpate.paper.experiments.error_budget", budget)
     monkeypatch.setattr(reproduce_command, "choose_variant", lambda: Variant("none", "no", None))

@@ -1,18 +1,20 @@
-"""The arm: where it goes, what it is refused, what the session is told."""
+"""The arm: where it goes, what it is refused, what the session holds."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
-from palpate.lab import Arm, Head, Probe
-from palpate.lab.bench.arm import Probed, aimed, contact_told, fine_place, probed, rod_at
+from palpate.lab import Arm, Head, Material, Probe, built_in, read_lab_config
+from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at
+from palpate.lab.bench.session_text import probe_tables
 from palpate.lab.bodies.contact import touch
 from palpate.lab.bodies.finite_elements import held_nodes, make_body
 from palpate.lab.bodies.specimens import block, half_ball, toy
 from palpate.lab.bodies.tetrahedra import make_solid
-from palpate.lab.pictures.stereo_head import make_head
-from palpate.records import ContactProfile
+from palpate.lab.pictures.head import make_head
 
 BALL = half_ball(radius=0.04, edge=0.006)
 TOP = np.array([0.0, 0.0, 0.04])
@@ -28,14 +30,15 @@ def _probe(**values):
 
 @pytest.fixture(scope="module")
 def body():
-    solid = make_solid(BALL.vertices, BALL.triangles, edge=0.012, fine=((TOP, 0.006, 0.002),))
+    # Coarse: the elements under the tip are a third of what it touches.
+    solid = make_solid(BALL.vertices, BALL.triangles, edge=0.015, fine=((TOP, 0.004, 0.0025),))
     base = np.flatnonzero((np.abs(BALL.vertices[BALL.triangles][:, :, 2]) < 1e-9).all(axis=1))
     held = held_nodes(solid, base)
     return make_body(solid, held, shear_modulus=2e4, poisson_ratio=0.3)
 
 
 def test_an_arm_without_errors_goes_along_the_inward_normal():
-    tip = aimed(_probe(), Arm(radius=5e-3), BALL, rng=_rng())
+    tip = aim(_probe(), Arm(radius=5e-3), BALL, rng=_rng())
     # The mean over the facets around the pole, which are alike: no sixth of one is left.
     np.testing.assert_allclose(tip.direction, [0.0, 0.0, -1.0], atol=1e-9)
     np.testing.assert_allclose(tip.point, [0.0, 0.0, 0.045], atol=1e-9)
@@ -44,10 +47,9 @@ def test_an_arm_without_errors_goes_along_the_inward_normal():
 @pytest.mark.parametrize("kind", ["sphere", "punch"])
 def test_a_slanted_tip_touches_where_it_was_sent(body, kind):
     direction = np.array([0.4, 0.0, -1.0])
-    tip = aimed(_probe(direction=direction), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
+    tip = aim(_probe(direction=direction), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
     np.testing.assert_allclose(tip.direction, direction / np.linalg.norm(direction), atol=1e-12)
-    way = touch(body.solid, tip)
-    place = tip.point + way * tip.direction
+    place = tip.point + touch(body.solid, tip) * tip.direction
     if kind == "sphere":
         # The centre is one radius over the touched place; facets of 6 mm make it uncertain.
         np.testing.assert_allclose(np.linalg.norm(place - [0, 0, 0]), 0.045, atol=2e-4)
@@ -60,7 +62,7 @@ def test_errors_of_the_arm_have_the_spread_that_was_asked_for():
     arm, down = Arm(radius=5e-3, misalignment=2.0, placement=1e-3), np.array([0.0, 0.0, -1.0])
     mesh = block(length=0.08, width=0.08, height=0.04, edge=0.02)
     rng = _rng(1)
-    tips = [aimed(_probe(direction=down), arm, mesh, rng=rng) for _ in range(600)]
+    tips = [aim(_probe(direction=down), arm, mesh, rng=rng) for _ in range(600)]
     turned = np.degrees(np.array([tip.direction[:2] for tip in tips]))
     placed = np.array([tip.point - TOP - [0, 0, 5e-3] for tip in tips])
     # 600 draws: 3 % of chance; three of these and more.
@@ -81,7 +83,7 @@ def test_errors_of_the_arm_have_the_spread_that_was_asked_for():
 )
 def test_a_probe_that_cannot_be_done_is_refused(probe, text):
     with pytest.raises(InputError, match=text):
-        aimed(probe, Arm(radius=5e-3), BALL, rng=_rng())
+        aim(probe, Arm(radius=5e-3), BALL, rng=_rng())
 
 
 def test_an_arm_through_an_ear_of_the_toy_is_refused():
@@ -90,51 +92,54 @@ def test_an_arm_through_an_ear_of_the_toy_is_refused():
     inner = head.vertices[np.argmin(np.linalg.norm(head.vertices - [0.012, 0.0, 0.066], axis=1))]
     probe = _probe(point=inner, direction=np.array([1.0, 0.0, -0.05]))
     with pytest.raises(InputError, match="the arm would run through the body at"):
-        aimed(probe, Arm(radius=3e-3), head, rng=_rng())
+        aim(probe, Arm(radius=3e-3), head, rng=_rng())
 
 
 def test_steps_go_evenly_to_the_depth_or_to_the_force(body):
-    tip = aimed(_probe(), Arm(radius=6e-3), BALL, rng=_rng())
-    deep = probed(body, _probe(steps=2), tip, sticking=False, finite=False)
+    tip = aim(_probe(), Arm(radius=6e-3), BALL, rng=_rng())
+    deep = probe_body(body, _probe(steps=2), tip, sticking=False, finite=False)
     np.testing.assert_allclose([state.depth for state in deep.states], [1e-3, 2e-3], rtol=1e-12)
-    pushed = probed(body, _probe(depth=None, force=0.2, steps=2), tip, sticking=False,
+    pushed = probe_body(body, _probe(depth=None, force=0.2, steps=2), tip, sticking=False,
                     finite=False)  # fmt: skip
     forces = [state.force @ tip.direction for state in pushed.states]
     np.testing.assert_allclose(forces, [0.1, 0.2], rtol=1e-6)
 
 
 def test_a_soft_body_of_finite_strain_gives_way_farther(body):
-    tip = aimed(_probe(), Arm(radius=6e-3), BALL, rng=_rng())
+    tip = aim(_probe(), Arm(radius=6e-3), BALL, rng=_rng())
     probe = _probe(depth=None, force=0.3)
-    linear, finite = (
-        probed(body, probe, tip, sticking=False, finite=one).states[0] for one in (False, True)
+    linear, far = (
+        probe_body(body, probe, tip, sticking=False, finite=finite).states[0]
+        for finite in (False, True)
     )
-    np.testing.assert_array_equal(finite.load, linear.load)
+    np.testing.assert_array_equal(far.load, linear.load)
     # Several percent where a tenth of the radius is pressed in, and the tip goes along.
-    assert 1.01 < finite.depth / linear.depth < 1.3
+    assert 1.01 < far.depth / linear.depth < 1.3
     np.testing.assert_allclose(
-        finite.place - linear.place, (finite.depth - linear.depth) * tip.direction, atol=1e-12
+        far.place - linear.place, (far.depth - linear.depth) * tip.direction, atol=1e-12
     )
 
 
 def test_a_sticking_tip_to_a_force_is_refused(body):
-    tip = aimed(_probe(), Arm(), BALL, rng=_rng())
+    tip = aim(_probe(), Arm(), BALL, rng=_rng())
     with pytest.raises(InputError, match="goes to a force with a sticking tip; give a depth"):
-        probed(body, _probe(depth=None, force=0.2), tip, sticking=True, finite=False)
+        probe_body(body, _probe(depth=None, force=0.2), tip, sticking=True, finite=False)
 
 
-@pytest.mark.parametrize(
-    ("kind", "profile"), [("sphere", ContactProfile.HERTZ), ("punch", ContactProfile.UNIFORM)]
-)
-def test_the_session_is_told_where_the_arm_was_sent(body, kind, profile):
+@pytest.mark.parametrize(("kind", "profile"), [("sphere", "hertz"), ("punch", "uniform")])
+def test_the_session_holds_where_the_arm_was_sent(body, kind, profile):
     arm = Arm(tip=kind, radius=6e-3, placement=1e-3)
-    tip = aimed(_probe(), arm, BALL, rng=_rng(2))
-    told = contact_told(probed(body, _probe(), tip, sticking=False, finite=False))
-    assert told.profile is profile
-    np.testing.assert_array_equal(told.point, TOP)
+    tip = aim(_probe(), arm, BALL, rng=_rng(2))
+    done = probe_body(body, _probe(), tip, sticking=False, finite=False)
+    config = replace(read_lab_config(built_in()["demo"]), arm=arm)
+    session, truth = probe_tables(config, done, rng=_rng())
+    contact = session["contact"]
+    np.testing.assert_allclose(truth["direction"], tip.direction)
+    assert contact["profile"] == profile
+    np.testing.assert_array_equal(contact["point"], TOP)
     # Hertz: the root of radius times depth; a punch touches with its face.
     hertz = np.sqrt(2e-3 / (1 / 6e-3 + 1 / 40e-3))
-    assert told.radius == pytest.approx(hertz if kind == "sphere" else 6e-3, rel=0.15)
+    assert contact["radius"] == pytest.approx(hertz if kind == "sphere" else 6e-3, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -146,8 +151,8 @@ def test_the_session_is_told_where_the_arm_was_sent(body, kind, profile):
     ],
 )
 def test_elements_are_small_where_the_tip_touches(kind, probe, radius):
-    tip = aimed(probe, Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
-    point, reach, edge = fine_place(tip, probe, young=5e4, poisson=0.3)
+    tip = aim(probe, Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
+    point, reach, edge = fine_place(tip, probe, Material(5e4, 0.3))
     np.testing.assert_array_equal(point, TOP)
     assert (reach, edge) == pytest.approx((radius, radius / 3))
 
@@ -155,8 +160,8 @@ def test_elements_are_small_where_the_tip_touches(kind, probe, radius):
 @pytest.mark.parametrize("kind", ["sphere", "punch"])
 def test_the_rod_stands_on_the_tip_and_ends_before_the_cameras(body, kind):
     rig = make_head(Head(distance=0.4), BALL)
-    tip = aimed(_probe(), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
-    state = probed(body, _probe(), tip, sticking=False, finite=False).states[0]
+    tip = aim(_probe(), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
+    state = probe_body(body, _probe(), tip, sticking=False, finite=False).states[0]
     rod = rod_at(tip, state.place, rig.cameras)
     checked_mesh(rod)
     along = (rod.vertices - state.place) @ tip.direction
@@ -171,4 +176,3 @@ def test_the_rod_stands_on_the_tip_and_ends_before_the_cameras(body, kind):
         cap = np.pi * 2e-3**2 * (3 * 5e-3 - 2e-3) / 3
         full = 4 / 3 * np.pi * 5e-3**3 - cap + np.pi * 4e-3**2 * (-along.min() - 3e-3)
     assert enclosed_volume(rod) == pytest.approx(full, rel=0.02)
-    assert isinstance(Probed(_probe(), tip, (state,)), Probed)

@@ -7,16 +7,22 @@ import pytest
 from surfaces import box
 
 from palpate.errors import InputError
-from palpate.lab.bodies.contact import Tip, press, press_to_force, touch
-from palpate.lab.bodies.finite_elements import make_body, reaction
+from palpate.lab.bodies.contact import _facet_samples, press, press_to_force, touch
+from palpate.lab.bodies.finite_elements import (
+    hooke_moduli,
+    make_body,
+    quadratic_basis,
+    stiffness_matrix,
+)
 from palpate.lab.bodies.tetrahedra import make_solid
+from palpate.lab.bodies.tips import Punch, Sphere
 
 SHEAR, POISSON = 7e4, 0.3
 CONTACT_MODULUS = 2 * SHEAR / (1 - POISSON)
 SIZE = 0.2
 TOP = np.array([SIZE / 2, SIZE / 2, SIZE])
 DOWN = np.array([0.0, 0.0, -1.0])
-BALL = Tip(0.01, TOP, DOWN)
+BALL = Sphere(0.01, TOP, DOWN)
 FINE = 1e-3
 
 
@@ -49,7 +55,7 @@ def test_a_ball_presses_as_hertz_says(block):
 
 def test_a_flat_punch_presses_as_boussinesq_says(block):
     radius, depth = 0.002, 1e-4
-    (state,) = press(block, Tip(radius, TOP, DOWN, flat=True), np.array([depth]))
+    (state,) = press(block, Punch(radius, TOP, DOWN), np.array([depth]))
     # The rim lies between nodes: the punch is smaller by up to a node's distance of 0.35 mm.
     assert -state.force[2] == pytest.approx(2 * radius * CONTACT_MODULUS * depth, rel=0.08)
     under = np.linalg.norm((block.solid.nodes - TOP)[:, :2], axis=1) < 0.9 * radius
@@ -75,10 +81,13 @@ def test_nothing_enters_the_tip_and_nothing_is_pulled(block):
 
 
 def test_reaction_equals_force(block):
+    stiffness = stiffness_matrix(quadratic_basis(block.solid), hooke_moduli(SHEAR, POISSON))
     for sticking in (False, True):
         (state,) = press(block, BALL, np.array([3e-4]), sticking=sticking)
-        held = reaction(block, state.displacement, state.load)
-        np.testing.assert_allclose(held, -state.force, atol=1e-9)
+        inner = (stiffness @ state.displacement.ravel()).reshape(-1, 3)
+        # Rounding; forces are 0.2 N.
+        np.testing.assert_allclose(inner[block.held].sum(axis=0), -state.force, atol=1e-9)
+        np.testing.assert_allclose(inner[~block.held], state.load[~block.held], atol=1e-9)
 
 
 def test_a_press_to_a_force_is_the_press_to_its_depth(block):
@@ -105,18 +114,18 @@ def test_what_sticks_moves_with_the_tip(block):
 
 def test_touch_knows_where_the_surface_is(block):
     assert touch(block.solid, BALL) == pytest.approx(-BALL.radius, abs=2e-6)
-    far = Tip(0.01, TOP - 0.05 * DOWN, DOWN)
+    far = Sphere(0.01, TOP - 0.05 * DOWN, DOWN)
     assert touch(block.solid, far) == pytest.approx(0.04, abs=2e-6)
-    punch = Tip(0.002, TOP - 0.05 * DOWN, 3.0 * DOWN, flat=True)
+    punch = Punch(0.002, TOP - 0.05 * DOWN, 3.0 * DOWN)
     assert touch(block.solid, punch) == pytest.approx(0.05, abs=1e-12)
 
 
 def test_a_tilted_way_gives_a_sideways_force(block):
     tilt = np.array([np.sin(0.1), 0.0, -np.cos(0.1)])
-    (state,) = press(block, Tip(0.01, TOP, tilt), np.array([3e-4]))
+    (state,) = press(block, Sphere(0.01, TOP, tilt), np.array([3e-4]))
     # Without friction the force is the plane's normal, but for the dent's own slope.
     assert abs(state.force[0]) < 0.02 * abs(state.force[2])
-    stuck = press(block, Tip(0.01, TOP, tilt), np.linspace(5e-5, 3e-4, 6), sticking=True)[-1]
+    stuck = press(block, Sphere(0.01, TOP, tilt), np.linspace(5e-5, 3e-4, 6), sticking=True)[-1]
     # A flat bonded punch has 2 (1 - nu) / (2 - nu) of its normal stiffness sideways (0.82).
     assert 0.04 < stuck.force[0] / abs(stuck.force[2]) < 0.09
 
@@ -125,7 +134,7 @@ def test_what_sticks_is_let_go_where_it_would_be_pulled(block):
     # Dragged along, the tip leaves what lies behind it.
     steep = np.array([np.sin(1.4), 0.0, -np.cos(1.4)])
     states = press(
-        block, Tip(0.01, TOP - 0.01 * DOWN, steep), np.linspace(1e-4, 1.5e-3, 15), sticking=True
+        block, Sphere(0.01, TOP - 0.01 * DOWN, steep), np.linspace(1e-4, 1.5e-3, 15), sticking=True
     )
     for state in states:
         offset = block.solid.nodes + state.displacement - state.place
@@ -150,17 +159,17 @@ def test_bad_forces_are_refused(block, force):
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.nan])
 def test_bad_radii_are_refused(radius):
     with pytest.raises(InputError, match="tip's radius"):
-        Tip(radius, TOP, DOWN)
+        Sphere(radius, TOP, DOWN)
 
 
 def test_a_tip_without_direction_is_refused():
     with pytest.raises(InputError, match="zero vector"):
-        Tip(0.01, TOP, np.zeros(3))
+        Sphere(0.01, TOP, np.zeros(3))
 
 
 def test_a_tip_that_passes_the_body_is_refused(block):
     with pytest.raises(InputError, match="passes the body"):
-        press(block, Tip(0.01, np.array([1.0, 0.0, SIZE]), DOWN), np.array([1e-4]))
+        press(block, Sphere(0.01, np.array([1.0, 0.0, SIZE]), DOWN), np.array([1e-4]))
 
 
 def test_a_tip_between_the_nodes_is_refused(block):
@@ -170,15 +179,24 @@ def test_a_tip_between_the_nodes_is_refused(block):
     widest = size.argmax()
     corner = block.solid.nodes[block.solid.facets[widest, :3]].mean(axis=0)
     with pytest.raises(InputError, match="no node"):
-        press(block, Tip(0.01, corner, DOWN), np.array([1e-4]))
+        press(block, Sphere(0.01, corner, DOWN), np.array([1e-4]))
 
 
 def test_a_tip_on_the_support_is_refused(block):
     side = np.array([SIZE, SIZE / 2, 0.001])
     with pytest.raises(InputError, match="nodes of the support"):
-        press(block, Tip(0.1, side, np.array([-1.0, 0.0, 0.0])), np.array([1e-3]))
+        press(block, Sphere(0.1, side, np.array([-1.0, 0.0, 0.0])), np.array([1e-3]))
 
 
 def test_a_sphere_deeper_than_its_radius_is_refused(block):
     with pytest.raises(InputError, match="a sphere goes in by less than its radius"):
         press(block, BALL, np.array([1e-4, BALL.radius]))
+
+
+def test_samples_of_a_face_are_of_degree_two():
+    place = _facet_samples()
+    assert place.shape == (48, 3)
+    assert (place > 0.0).all()
+    # Means over a triangle: a 1/3, a^2 1/6, a b 1/12; the rule is exact.
+    np.testing.assert_allclose(place.mean(axis=0), 1 / 3, rtol=1e-12)
+    np.testing.assert_allclose(place.T @ place / 48, (np.ones((3, 3)) + np.eye(3)) / 12, rtol=1e-12)

@@ -8,7 +8,7 @@ from surfaces import box, joined, sphere
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry import TriangleMesh, closest_points, enclosed_volume
-from palpate.lab.bodies.quadratic_elements import shape_gradients
+from palpate.lab.bodies.finite_elements import quadratic_basis
 from palpate.lab.bodies.tetrahedra import EDGES, make_solid, quadratic_solid, skin
 
 
@@ -17,7 +17,7 @@ def filled(mesh, **options):
 
 
 def volume(solid):
-    return float(shape_gradients(solid).volume.sum())
+    return float(quadratic_basis(solid).dx.sum())
 
 
 def edge_lengths(solid):

@@ -73,7 +73,7 @@ def test_a_compiler_that_fails_costs_only_its_own_process(libraries, monkeypatch
 
 def test_a_compiler_that_hangs_is_given_up(libraries, monkeypatch):
     monkeypatch.setattr(mitsuba_variant, "_TRIAL", "import time; time.sleep(60)")
-    monkeypatch.setattr(mitsuba_variant, "_PATIENCE", 0.2)
+    monkeypatch.setattr(mitsuba_variant, "_TIMEOUT_S", 0.2)
     variant = choose_variant(folders=[str(libraries)], environment={})
     assert "could not be tried" in variant.why
 

@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from palpate.errors import InputError
+from palpate.lab import Pictures
 from palpate.lab.pictures.sensor import (
-    Sensor,
     blur_radius,
+    counting_noise,
     defocused,
     exposure_gain,
     grey_picture,
-    motion_blurred,
 )
 
-PLAIN = Sensor(gain=100.0, response=0.0, read_noise=0.0, full_well=None)
+PLAIN = Pictures(response=0.0, noise=0.0)
+GAIN = 100.0
 SHAPE = (300, 400)
 # Pixels in a picture; the relative error of a variance is sqrt(2 / COUNT) = 0.4 %.
 COUNT = SHAPE[0] * SHAPE[1]
@@ -47,34 +48,38 @@ def _spread(picture):
     )
 
 
-def test_grey_is_gain_times_radiance_plus_offset():
-    picture = grey_picture(_even(0.5), replace(PLAIN, offset=10.0), rng=_rng())
+def test_grey_is_gain_times_radiance():
+    picture = grey_picture(_even(0.5), PLAIN, gain=GAIN, rng=_rng())
     assert picture.dtype == np.uint8
-    assert (picture == 60).all()
+    assert (picture == 50).all()
 
 
 def test_twelve_bits_lie_at_the_high_end_of_sixteen():
-    picture = grey_picture(_even(0.5), replace(PLAIN, bits=12), rng=_rng())
+    picture = grey_picture(_even(0.5), replace(PLAIN, bits=12), gain=GAIN, rng=_rng())
     assert picture.dtype == np.uint16
     assert (picture == round(50.0 / 255.0 * 4095.0) << 4).all()
     # As the reader divides it: 255 / 65535.
     assert picture[0, 0] / 257.0 == pytest.approx(50.0, abs=0.05)
-    assert grey_picture(_even(9.0), replace(PLAIN, bits=12), rng=_rng()).max() == 4095 << 4
+    assert (
+        grey_picture(_even(9.0), replace(PLAIN, bits=12), gain=GAIN, rng=_rng()).max() == 4095 << 4
+    )
 
 
 def test_grey_levels_are_cut_at_black_and_white():
-    noisy = replace(PLAIN, read_noise=5.0)
-    assert grey_picture(_even(9.0), noisy, rng=_rng()).min() == 255
-    dark = grey_picture(_even(-1.0), noisy, rng=_rng())
+    noisy = replace(PLAIN, noise=5.0)
+    assert grey_picture(_even(9.0), noisy, gain=GAIN, rng=_rng()).min() == 255
+    dark = grey_picture(_even(-1.0), noisy, gain=GAIN, rng=_rng())
     assert dark.min() == 0
     # Half of a normal variable is below zero; what is above has a mean of sigma / sqrt(2 pi).
     assert dark.mean() == pytest.approx(5.0 / np.sqrt(2.0 * np.pi), rel=0.02)
 
 
 @pytest.mark.parametrize("bits", [8, 12])
-def test_read_noise_has_its_variance_and_the_rounding(bits):
-    sensor = replace(PLAIN, read_noise=1.5, bits=bits)
-    picture = grey_picture(_even(1.0), sensor, rng=_rng()) / (1.0 if bits == 8 else 65520 / 255)
+def test_noise_has_its_variance_and_the_rounding(bits):
+    sensor = replace(PLAIN, noise=1.5, bits=bits)
+    picture = grey_picture(_even(1.0), sensor, gain=GAIN, rng=_rng()) / (
+        1.0 if bits == 8 else 65520 / 255
+    )
     step = 1.0 if bits == 8 else 255.0 / 4095.0
     assert picture.mean() == pytest.approx(100.0, abs=4.0 * 1.5 / np.sqrt(COUNT) + 1e-2 * step)
     # Sheppard: rounding adds step^2 / 12. Four times the error of a variance.
@@ -84,7 +89,7 @@ def test_read_noise_has_its_variance_and_the_rounding(bits):
 def test_counting_noise_is_the_root_of_the_electrons():
     sensor = replace(PLAIN, full_well=5_000.0, bits=12)
     for radiance in (0.5, 2.0):
-        picture = grey_picture(_even(radiance), sensor, rng=_rng()) / (65520 / 255)
+        picture = grey_picture(_even(radiance), sensor, gain=GAIN, rng=_rng()) / (65520 / 255)
         grey = 100.0 * radiance
         variance = grey * 255.0 / 5_000.0 + (255.0 / 4095.0) ** 2 / 12.0
         assert picture.var() == pytest.approx(variance, rel=4.0 * np.sqrt(2.0 / COUNT))
@@ -92,24 +97,24 @@ def test_counting_noise_is_the_root_of_the_electrons():
 
 
 def test_noise_of_neighbours_and_of_pictures_is_independent():
-    sensor = replace(PLAIN, read_noise=2.0, full_well=5_000.0)
+    sensor = replace(PLAIN, noise=2.0, full_well=5_000.0)
     rng = _rng()
-    one, two = (grey_picture(_even(1.0), sensor, rng=rng) - 100.0 for _ in range(2))
+    first, second = (grey_picture(_even(1.0), sensor, gain=GAIN, rng=rng) - 100.0 for _ in range(2))
     limit = 4.0 / np.sqrt(COUNT)
-    assert abs(np.corrcoef(one.ravel(), two.ravel())[0, 1]) < limit
-    assert abs(np.corrcoef(one[:, :-1].ravel(), one[:, 1:].ravel())[0, 1]) < limit
-    assert np.array_equal(grey_picture(_even(1.0), sensor, rng=_rng()) - 100.0, one)
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
+    assert abs(np.corrcoef(first[:, :-1].ravel(), first[:, 1:].ravel())[0, 1]) < limit
+    assert np.array_equal(grey_picture(_even(1.0), sensor, gain=GAIN, rng=_rng()) - 100.0, first)
 
 
 def test_response_spreads_a_point_by_its_width_and_keeps_its_light():
-    sensor = replace(PLAIN, gain=100.0 * 2 * np.pi, response=1.2, bits=12)
-    picture = grey_picture(_dot(), sensor, rng=_rng()) / 16.0 / 4095.0 * 255.0
+    sensor, gain = replace(PLAIN, response=1.2, bits=12), 100.0 * 2 * np.pi
+    picture = grey_picture(_dot(), sensor, gain=gain, rng=_rng()) / 16.0 / 4095.0 * 255.0
     across, along, middle = _spread(picture)
     # Rounding cuts the tails off.
     assert across == pytest.approx(1.2, rel=0.01)
     assert along == pytest.approx(1.2, rel=0.01)
     assert middle == pytest.approx((25.0, 20.0), abs=1e-6)
-    assert picture.sum() == pytest.approx(sensor.gain, rel=5e-3)
+    assert picture.sum() == pytest.approx(gain, rel=5e-3)
 
 
 @pytest.mark.parametrize("radius", [0.8, 2.3, 5.0])
@@ -150,42 +155,27 @@ def test_blur_follows_the_thin_lens():
     assert np.isnan(radius[0, 3])
 
 
-def test_motion_blur_is_the_mean_of_the_frames():
-    frames = [np.roll(_dot(), k, axis=1) for k in range(-2, 3)]
-    picture = motion_blurred(frames)
-    assert picture.dtype == np.float32
-    assert picture[20, 23:28] == pytest.approx(np.full(5, 0.2))
-    assert picture.sum() == pytest.approx(1.0, rel=1e-6)
-
-
 def test_exposure_brings_the_bright_parts_to_their_level():
     picture = np.zeros((100, 100), dtype=np.float32)
     picture[:50] = np.linspace(0.5, 1.0, 5000).reshape(50, 100)
-    gain = exposure_gain([picture, np.zeros((9, 9), dtype=np.float32)], level=200.0, share=0.9)
-    assert gain * 0.95 == pytest.approx(200.0, rel=1e-3)
+    gain = exposure_gain([picture, np.full((9, 9), 0.015, dtype=np.float32)])
+    # 995 of 1000 lit pixels stay at or below 220; what is darker than 2 % of white is not lit.
+    assert gain * 0.9975 == pytest.approx(220.0, rel=1e-4)
+    dark = np.full((100, 100), 0.025, dtype=np.float32)
+    assert exposure_gain([picture, dark]) * (1.0 - 0.015 / 2) == pytest.approx(220.0, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"gain": 0.0}, "gain of the sensor is 0"),
-        ({"response": -0.1}, "response of the sensor is -0.1"),
-        ({"read_noise": -1.0}, "read_noise of the sensor is -1"),
-        ({"full_well": 0.0}, "full_well of the sensor is 0 electrons"),
-        ({"offset": 255.0}, "offset of the sensor is 255"),
-        ({"bits": 10}, "the sensor has 10 bits"),
-    ],
-)
-def test_a_sensor_that_cannot_be_is_refused(change, message):
-    with pytest.raises(InputError, match=message):
-        replace(PLAIN, **change)
+def test_counting_noise_is_that_of_the_pictures():
+    sensor = replace(PLAIN, full_well=5_000.0, bits=12)
+    picture = grey_picture(_even(1.275), sensor, gain=GAIN, rng=_rng()) / (65520 / 255)
+    # Four times the error of a standard deviation.
+    assert counting_noise(sensor, 127.5) == pytest.approx(picture.std(), rel=4 / np.sqrt(2 * COUNT))
+    assert counting_noise(PLAIN, 127.5) == 0.0
 
 
 def test_calls_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="pictures are black"):
         exposure_gain([_even(0.0)])
-    with pytest.raises(InputError, match="at least one frame"):
-        motion_blurred([])
     with pytest.raises(InputError, match="radius of blur is -1 px"):
         defocused(_even(1.0), -1.0)
     with pytest.raises(InputError, match="aperture 0 m"):

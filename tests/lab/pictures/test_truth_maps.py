@@ -1,5 +1,7 @@
 """Truth maps against closed forms, and against the pictures by a dense optical flow of OpenCV."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,13 +9,14 @@ from scipy.spatial import cKDTree
 from surfaces import box, sphere
 
 from palpate.errors import CalibrationError, InputError
-from palpate.geometry import read_mesh, vertex_normals
-from palpate.lab.pictures.mitsuba_scene import Body, Lamp, Light, render
+from palpate.geometry import TriangleMesh, read_mesh
+from palpate.lab import Pictures
 from palpate.lab.pictures.mitsuba_variant import choose_variant
 from palpate.lab.pictures.render_mesh import make_render_mesh
-from palpate.lab.pictures.sensor import Sensor, exposure_gain, grey_picture
+from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
+from palpate.lab.pictures.sensor import exposure_gain, grey_picture
 from palpate.lab.pictures.textures import speckle
-from palpate.lab.pictures.truth_maps import surface_maps, truth_map, write_truth_map
+from palpate.lab.pictures.truth_maps import truth_map, write_truth_map
 from palpate.records import Camera, Rig, read_rig
 from palpate.vision import project
 
@@ -53,12 +56,12 @@ def ball():
 def rod():
     """A rod in front of the ball, along the axis of the first camera's picture to the right."""
     mesh = box((0.1, 0.012, 0.012), 1, origin=(0.01, -0.006, RADIUS + 0.01))
-    return mesh.vertices, mesh.triangles
+    return mesh
 
 
 def test_points_lie_on_the_rays_and_move_as_the_material_does(ball):
     rig = _rig()
-    truth = truth_map(rig, ball.vertices, ball.vertices + _push(ball.vertices), ball.triangles)
+    truth = truth_map(rig, ball, ball.vertices + _push(ball.vertices))
     assert truth.shape == SIZE[::-1]
     row, column = np.divmod(truth.pixel, SIZE[0])
     assert np.abs(project(rig.cameras[0], truth.point) - np.stack([column, row], 1)).max() < 1e-6
@@ -75,7 +78,7 @@ def test_points_lie_on_the_rays_and_move_as_the_material_does(ball):
 def test_a_ball_hides_what_lies_past_its_horizon(ball):
     """A point is seen where the ray to the camera leaves the ball: normal . toward > 0."""
     rig = _rig()
-    truth = truth_map(rig, ball.vertices, ball.vertices, ball.triangles)
+    truth = truth_map(rig, ball, ball.vertices)
     normal = truth.point / RADIUS
     for k, camera in enumerate(rig.cameras):
         pose = camera.T_camera_object
@@ -92,12 +95,12 @@ def test_a_ball_hides_what_lies_past_its_horizon(ball):
 
 def test_the_tool_hides_what_lies_behind_it_in_the_loaded_pictures_only(ball, rod):
     rig = _rig()
-    truth = truth_map(rig, ball.vertices, ball.vertices, ball.triangles, others=[rod])
+    truth = truth_map(rig, ball, ball.vertices, tool=rod)
     assert (truth.hidden_rest & 1).sum() == 0
     camera = rig.cameras[0]
     # Nearest the camera is the rod's upper face; it hides the pixels within its outline.
     pixel = np.stack(np.divmod(truth.pixel, SIZE[0])[::-1], axis=1).astype(np.float64)
-    corner = project(camera, rod[0])
+    corner = project(camera, rod.vertices)
     outline = cv2.convexHull(corner.astype(np.float32))
     away = np.array([cv2.pointPolygonTest(outline, tuple(p), True) for p in pixel])
     hidden = (truth.hidden_loaded & 1).astype(bool)
@@ -109,7 +112,7 @@ def test_the_tool_hides_what_lies_behind_it_in_the_loaded_pictures_only(ball, ro
 
 def test_points_that_leave_the_picture_are_hidden(ball):
     shift = np.array([0.02, 0.0, 0.0])
-    truth = truth_map(_rig(), ball.vertices, ball.vertices + shift, ball.triangles)
+    truth = truth_map(_rig(), ball, ball.vertices + shift)
     camera = _rig().cameras[0]
     outside = project(camera, truth.point + shift)[:, 0] > SIZE[0] - 1
     assert outside.sum() > 1000
@@ -119,36 +122,24 @@ def test_points_that_leave_the_picture_are_hidden(ball):
     assert (truth.hidden_loaded & 1)[outside].all()
 
 
-def test_maps_of_the_rest_surface_may_be_used_again(ball):
-    rig = _rig()
-    at_rest = surface_maps(rig, ball.vertices, ball.triangles)
-    loaded = ball.vertices + _push(ball.vertices)
-    again = truth_map(rig, ball.vertices, loaded, ball.triangles, at_rest=at_rest)
-    fresh = truth_map(rig, ball.vertices, loaded, ball.triangles)
-    assert np.array_equal(again.displacement, fresh.displacement)
-    assert np.array_equal(again.hidden_loaded, fresh.hidden_loaded)
-
-
 def test_pictures_move_as_the_map_says(ball, rod):
     """OpenCV's dense flow between rendered pictures, in every camera, away from what hides."""
     rig = _rig()
     texture = speckle(ball.vertices, sphere(3, RADIUS), size=2e-3, rng=np.random.default_rng(1))
     loaded = ball.vertices + _push(ball.vertices)
-    light = Light((Lamp(np.array([0.2, 0.2, 0.5]), np.zeros(3), 0.1, 8.0),), 0.6)
-    rod_body = _body(*rod, np.zeros(len(rod[0])))
+    light = Light(0.6, Lamp(np.array([0.2, 0.2, 0.5]), np.zeros(3), 0.1, 8.0))
+    rod_body = DrawnBody(rod, np.zeros(len(rod.vertices)))
     variant = choose_variant(folders=(), environment={})
     options = {"variant": variant, "samples": 9}
     rest = render([_body(ball.vertices, ball.triangles, texture)], rig.cameras, light, seed=1,
                   **options)  # fmt: skip
     bodies = [_body(loaded, ball.triangles, texture), rod_body]
     moved = render(bodies, rig.cameras, light, seed=2, **options)
-    truth = truth_map(
-        rig, ball.vertices, loaded, ball.triangles, others=[(rod_body.vertices, rod_body.triangles)]
-    )
-    sensor = Sensor(exposure_gain(rest), response=0.5, read_noise=1.0)
+    truth = truth_map(rig, ball, loaded, tool=rod)
+    chip, gain = Pictures(response=0.5, noise=1.0), exposure_gain(rest)
     rng = np.random.default_rng(2)
     for k, camera in enumerate(rig.cameras):
-        pictures = [grey_picture(one[k], sensor, rng=rng) for one in (rest, moved)]
+        pictures = [grey_picture(shot[k], chip, gain=gain, rng=rng) for shot in (rest, moved)]
         dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         dis.setFinestScale(0)
         flow = dis.calc(*pictures, None)
@@ -166,7 +157,7 @@ def test_pictures_move_as_the_map_says(ball, rod):
 
 
 def _body(vertices, triangles, grey):
-    return Body(vertices, triangles, vertex_normals(vertices, triangles), grey)
+    return DrawnBody(TriangleMesh(vertices, triangles), grey)
 
 
 def _far_from(places, points):
@@ -183,9 +174,7 @@ def _inside(pixel, points):
 
 
 def test_the_file_holds_what_the_format_says_and_the_same_bytes(ball, rod, tmp_path):
-    truth = truth_map(
-        _rig(), ball.vertices, ball.vertices + _push(ball.vertices), ball.triangles, others=[rod]
-    )
+    truth = truth_map(_rig(), ball, ball.vertices + _push(ball.vertices), tool=rod)
     for name in ("a", "b"):
         write_truth_map(tmp_path / f"{name}.npz", truth)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
@@ -204,7 +193,7 @@ def test_points_agree_with_those_of_the_shared_half_ball(shared_data):
     folder = shared_data / "halfball_images"
     rig = read_rig(folder / "rig.toml")
     fine = make_render_mesh(read_mesh(folder / "mesh.ply"), rig.cameras, edge=3.0)
-    truth = truth_map(rig, fine.vertices, fine.vertices, fine.triangles)
+    truth = truth_map(rig, fine, fine.vertices)
     with np.load(folder / "truth_n01.npz") as shared:
         assert tuple(shared["shape"]) == truth.shape
         _, here, there = np.intersect1d(truth.pixel, shared["pixel"], return_indices=True)
@@ -218,21 +207,20 @@ def test_points_agree_with_those_of_the_shared_half_ball(shared_data):
 
 
 def test_refusals(ball):
-    still = (ball.vertices, ball.vertices, ball.triangles)
     rig = _rig()
     many = tuple(
         Camera(f"c{k}", SIZE, rig.cameras[0].matrix, np.zeros(8), rig.cameras[0].T_camera_object)
         for k in range(9)
     )
     with pytest.raises(InputError, match="hold 8 cameras, a bit each; the rig has 9"):
-        truth_map(Rig(many, 0, "test"), *still)
+        truth_map(Rig(many, 0, "test"), ball, ball.vertices)
     with pytest.raises(InputError, match="vertices at rest and 3 loaded"):
-        truth_map(rig, ball.vertices, ball.vertices[:3], ball.triangles)
+        truth_map(rig, ball, ball.vertices[:3])
     with pytest.raises(InputError, match="has no size"):
-        truth_map(_rig(size=None), *still)
-    aside = ball.vertices + np.array([1.0, 0.0, 0.0])
+        truth_map(_rig(size=None), ball, ball.vertices)
+    aside = replace(ball, vertices=ball.vertices + np.array([1.0, 0.0, 0.0]))
     with pytest.raises(InputError, match="camera 'c0' sees nothing of the body"):
-        truth_map(rig, aside, aside, ball.triangles)
+        truth_map(rig, aside, aside.vertices)
     above = ball.vertices + np.array([0.0, 0.0, DISTANCE])
     with pytest.raises(CalibrationError, match="beside or behind"):
-        truth_map(rig, ball.vertices, above, ball.triangles)
+        truth_map(rig, ball, above)

@@ -1,1 +1,11 @@
-"""commands."""
+"""The commands, a file each.
+
+Purpose    : read what a command needs, call the pipeline, print and write what it gives.
+Takes      : arguments of the command line, already of the right types.
+Gives      : an exit code.
+Depends on : `app.terminal`, `paper`, `figures`, `pipeline`, `lab`, `estimation`, `vision`, `bem`,
+             `probe`, `records`, `geometry`.
+Read first : `fit.py`.
+
+Nothing is imported here: `palpate --help` must not load the numerics.
+"""

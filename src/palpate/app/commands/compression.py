@@ -1,19 +1,16 @@
 """`palpate compression`: Young's modulus of cylinders pressed between plates."""
 
-import json
 import math
-import os
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
+from palpate.app.terminal import print_file_notes, terminal_table
 from palpate.errors import InputError
 from palpate.probe import (
     CompressionRecord,
@@ -23,7 +20,14 @@ from palpate.probe import (
     metres_from_text,
     read_compression,
 )
-from palpate.records import Constant, constant_text, interval_text, modulus_unit
+from palpate.records import (
+    Constant,
+    constant_text,
+    interval_text,
+    json_text,
+    modulus_unit,
+    placed_files,
+)
 
 
 def compression(
@@ -69,7 +73,7 @@ def compression(
     """
     strain_range = _strain_range(strain)
     results = []
-    said: dict[str, list[str]] = {}
+    notes: list[tuple[str, str]] = []
     for file in files:
         record = read_compression(
             file,
@@ -88,15 +92,12 @@ def compression(
             source=str(file),
         )
         results.append(result)
-        for note in (*record.notes, *result.notes):
-            said.setdefault(note, []).append(file.name)
+        notes += [(file.name, note) for note in (*record.notes, *result.notes)]
     if out is not None:
         _write(out, results)
     console = Console()
     console.print(_table(results))
-    for note, names in said.items():
-        whose = names[0] if len(names) == 1 else f"{len(names)} of {len(files)} files"
-        console.print(f"Note ({whose}): {note}", markup=False, highlight=False)
+    print_file_notes(console, notes, files=len(files))
     return 0
 
 
@@ -105,7 +106,7 @@ def _size(given: str | None, name: str, record: CompressionRecord, found: float 
     if given is not None:
         return metres_from_text(given, name=f"--{name}")
     if found is None:
-        raise InputError(f"{record.source}: does not tell the {name}; give it, e.g. --{name} 50mm")
+        raise InputError(f"{record.source}: does not say the {name}; give it, e.g. --{name} 50mm")
     return found
 
 
@@ -133,53 +134,29 @@ def _write(path: Path, results: list[CompressionResult]) -> None:
         },
         "specimens": [asdict(result) for result in results],
     }
-    staging = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        staging.write_text(json.dumps(_finite(record), indent=1, allow_nan=False) + "\n")
-        staging.replace(path)
-    except OSError as error:
-        staging.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose another file with --out"
-        ) from error
-
-
-def _finite(value: Any) -> Any:
-    """The same record with None in place of numbers that JSON does not know."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    with placed_files([path]) as (staged,):
+        staged.write_text(json_text(record), encoding="utf-8")
 
 
 def _table(results: list[CompressionResult]) -> Table:
     """One line per specimen, and their mean where there are several."""
     series = compression_series(results)
     factor, unit = modulus_unit(series.young_modulus)
-    table = Table(title="Compression tests", box=SIMPLE_HEAD)
-    table.add_column("file")
-    table.add_column(f"E ± 1 sigma ({unit})", justify="right")
-    table.add_column(f"95 % interval ({unit})", justify="right")
-    table.add_column("readings", justify="right")
-    table.add_column("off the line", justify="right")
-    for result in results:
-        constant = Constant(result.young_modulus, result.std, result.ci95)
-        table.add_row(
-            escape(Path(result.source).name),
-            constant_text(constant, factor=factor),
-            interval_text(constant, factor=factor),
+    lines = [
+        (
+            Path(result.source).name,
+            Constant(result.young_modulus, result.std, result.ci95),
             str(result.readings),
             f"{100.0 * result.nonlinearity:.1f} %",
         )
+        for result in results
+    ]
     if len(results) > 1:
         mean = Constant(series.young_modulus, series.spread, series.ci95)
-        table.add_section()
-        table.add_row(
-            f"mean and spread of {len(results)}",
-            constant_text(mean, factor=factor),
-            interval_text(mean, factor=factor),
-            "",
-            "",
-        )
-    return table
+        lines.append((f"mean and spread of {len(results)}", mean, "", ""))
+    columns = (f"E ± 1 sigma ({unit})", f"95 % interval ({unit})", "readings", "off the line")
+    rows = [
+        (name, constant_text(young, factor=factor), interval_text(young, factor=factor), *rest)
+        for name, young, *rest in lines
+    ]
+    return terminal_table("Compression tests", ("file", *columns), rows, total=len(results) > 1)

@@ -5,12 +5,10 @@ from pathlib import Path
 from typing import Annotated, get_args, get_type_hints
 
 from cyclopts import Parameter
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, progress_bar
+from palpate.app.terminal import print_notes, progress_bar, terminal_table
 from palpate.errors import InputError
 from palpate.lab import (
     SHAPES,
@@ -98,25 +96,23 @@ def _closing(config: LabConfig, out: Path) -> str:
 
 def _lists() -> list[Table]:
     """What there is to choose from."""
-    ready = _table("Built-in configurations", "name", "what")
-    for name, file in built_in().items():
-        first = file.read_text(encoding="utf-8").splitlines()[0]
-        ready.add_row(name, escape(first.lstrip("# ")))
-    shapes = _table("Specimens: shape, in \\[specimen]", "shape", "lengths (m)", "what")
-    for name, shape in SHAPES.items():
-        shapes.add_row(name, ", ".join((*shape.lengths, "edge")), shape.summary)
-    shapes.add_row("-", "mesh, element", 'any closed surface: mesh = "file.ply", and \\[support]')
-    words = _table("Choices", "key", "one of")
-    for kind, table, key in (
-        (Material, "material", "law"), (Look, "look", "texture"), (Arm, "arm", "tip"),
-        (Head, "head", "layout"),
-    ):  # fmt: skip
-        words.add_row(rf"\[{table}] {key}", ", ".join(get_args(get_type_hints(kind)[key])))
-    return [ready, shapes, words]
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
-    for column in columns:
-        table.add_column(column)
-    return table
+    ready = [
+        (name, file.read_text(encoding="utf-8").splitlines()[0].lstrip("# "))
+        for name, file in built_in().items()
+    ]
+    shapes = [
+        (name, ", ".join((*shape.lengths, "edge")), shape.summary) for name, shape in SHAPES.items()
+    ]
+    shapes.append(("-", "mesh, element", 'any closed surface: mesh = "file.ply", and [support]'))
+    words = [
+        (f"[{table}] {key}", ", ".join(get_args(get_type_hints(kind)[key])))
+        for kind, table, key in (
+            (Material, "material", "law"), (Look, "look", "texture"), (Arm, "arm", "tip"),
+            (Head, "head", "layout"),
+        )
+    ]  # fmt: skip
+    return [
+        terminal_table("Built-in configurations", ("name", "what"), ready),
+        terminal_table("Specimens: shape, in [specimen]", ("shape", "lengths (m)", "what"), shapes),
+        terminal_table("Choices", ("key", "one of"), words),
+    ]

@@ -1,15 +1,13 @@
-"""`palpate lab plan`: what cameras will see and what a session will tell, before it is made."""
+"""`palpate lab plan`: what cameras will see and which precision to expect of a session."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, progress_bar
+from palpate.app.terminal import print_notes, progress_bar, terminal_table
 from palpate.errors import InputError
 from palpate.lab import choose_variant, planned_pictures
 from palpate.pipeline import MATCHING_NOISE, MeasurementPlan, plan_measurement
@@ -28,7 +26,7 @@ def plan(
     """Say what to expect of a measurement: which precision, from which probings, in which view.
 
     Renders the object with a good speckle as each camera will see it, at rest and with the tool at
-    each contact, and tells the smallest standard deviations that cameras and force allow.
+    each contact, and gives the smallest standard deviations that cameras and force allow.
 
     Parameters
     ----------
@@ -80,37 +78,29 @@ def _save(file: Path, picture: np.ndarray) -> None:
 
 
 def _cameras(found: MeasurementPlan) -> Table:
-    table = Table(title="What each camera sees", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("camera")
-    table.add_column("of the free surface", justify="right")
-    for name, share in found.visible.items():
-        table.add_row(escape(name), f"{100 * share:.0f} %")
-    return table
+    rows = [(name, f"{100 * share:.0f} %") for name, share in found.visible.items()]
+    return terminal_table("What each camera sees", ("camera", "of the free surface"), rows)
 
 
 def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
     """One row a probing, and one of all together."""
     factor, unit = modulus_unit(young)
-    table = Table(
-        title=f"Standard deviations to expect, at E = {young / factor:.4g} {unit},"
-        f" nu = {poisson:g}",
-        title_justify="left",
-        box=SIMPLE_HEAD,
+    rows = [
+        (
+            probing.name, str(probing.seen), f"{1e3 * probing.displacement:.3g}",
+            f"{1e3 * probing.sigma:.2g}", *_deviations(probing.precision, factor),
+        )
+        for probing in found.probings
+    ]  # fmt: skip
+    rows.append(("all", "", "", "", *_deviations(found.precision, factor)))
+    return terminal_table(
+        f"Standard deviations to expect, at E = {young / factor:.4g} {unit}, nu = {poisson:g}",
+        ("probing", "seen", "|u| mm", "sigma mm", "nu", f"G {unit}", f"E {unit}"),
+        rows,
         caption="seen: vertices that two cameras see; |u|, sigma: median displacement there, and of"
-        " its noise; bounds for noise, with 0.7 % of scale: real pictures tell no more",
-        caption_justify="left",
+        " its noise; bounds for noise, with 0.7 % of scale: no real picture does better",
+        total=True,
     )
-    table.add_column("probing")
-    for column in ("seen", "|u| mm", "sigma mm", "nu", f"G {unit}", f"E {unit}"):
-        table.add_column(column, justify="right")
-    for one in found.probings:
-        table.add_row(
-            escape(one.name), str(one.seen), f"{1e3 * one.displacement:.3g}",
-            f"{1e3 * one.sigma:.2g}", *_deviations(one.precision, factor),
-        )  # fmt: skip
-    table.add_section()
-    table.add_row("all", "", "", "", *_deviations(found.precision, factor), style="bold")
-    return table
 
 
 def _deviations(precision: dict[str, float], factor: float) -> tuple[str, str, str]:

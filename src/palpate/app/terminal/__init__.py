@@ -1,9 +1,21 @@
-"""terminal."""
+"""What commands write on the terminal.
 
-from palpate.app.terminal.flow_table import flow_table as flow_table
-from palpate.app.terminal.notes import print_notes as print_notes
+Purpose    : tables, notes and a progress bar that look alike in every command.
+Takes      : texts; `Estimate`, `MotionFigures`.
+Gives      : rich tables; lines on stdout and stderr.
+Depends on : `pipeline`, `records`.
+Read first : `tables.py`.
+"""
+
+from palpate.app.terminal.notes import (
+    print_file_notes as print_file_notes,
+    print_notes as print_notes,
+)
 from palpate.app.terminal.progress import progress_bar as progress_bar
 from palpate.app.terminal.tables import (
     constants_table as constants_table,
+    flow_table as flow_table,
+    number_text as number_text,
     probes_table as probes_table,
+    terminal_table as terminal_table,
 )

@@ -1,11 +1,13 @@
-"""Notes to the person at the keyboard, on standard error."""
+"""Notes to the person at the keyboard: on standard error, or below a table."""
 
 import sys
 from collections.abc import Iterable
 
+from rich.console import Console
+
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Print what was mended, converted or looks implausible, one line each.
+    """Print what was mended, converted or looks implausible on stderr, one line each.
 
     Parameters
     ----------
@@ -13,3 +15,20 @@ def print_notes(notes: Iterable[str]) -> None:
     """
     for note in notes:
         print(f"palpate: note: {note}", file=sys.stderr)
+
+
+def print_file_notes(console: Console, notes: Iterable[tuple[str, str]], *, files: int) -> None:
+    """Print each note once, with the file that it is about, or how many they are.
+
+    Parameters
+    ----------
+    console : Console
+    notes : iterable of two str     name of a file, note about it
+    files : int                     all of them
+    """
+    names: dict[str, list[str]] = {}
+    for name, note in notes:
+        names.setdefault(note, []).append(name)
+    for note, each in names.items():
+        whose = each[0] if len(each) == 1 else f"{len(each)} of {files} files"
+        console.print(f"Note ({whose}): {note}", markup=False, highlight=False)

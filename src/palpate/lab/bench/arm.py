@@ -8,21 +8,21 @@ import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, vertex_normals
-from palpate.lab.bodies import Body, Press, Tip, press, press_to_force, rod, solve_finite
-from palpate.lab.config import Arm, Probe
-from palpate.records import Camera, Contact, ContactProfile, camera_centre
+from palpate.lab.bodies import TIPS, Body, Press, Tip, press, press_to_force, rod, solve_finite
+from palpate.lab.config import Arm, Material, Probe
+from palpate.records import Camera, camera_centre
 from palpate.shapes import Vector3
 
-# A point this far off the surface, in radii of the tip, was not meant to be on it.
-_OFF = 0.25
+# Of the tip's radius: a point farther from the surface was not meant to be on it.
+_MAX_DISTANCE = 0.25
 # Elements under the tip: so many across the touched circle.
-_ACROSS = 6.0
-# The rod ends before the nearest camera.
-_ROD_REACH = 0.5
+_ELEMENTS_ACROSS = 6.0
+# Of the distance to the nearest camera: the rod ends before it.
+_ROD_LENGTH = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Probed:
+class Pressed:
     """What happened in one probing.
 
     Attributes
@@ -37,8 +37,8 @@ class Probed:
     states: tuple[Press, ...]
 
 
-def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator) -> Tip:
-    """The tip as it really goes: turned and set down a little beside what it was told.
+def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator) -> Tip:
+    """The tip as it really goes: turned a little, and set down beside where it was sent.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generato
     place = closest_points(mesh, probe.point[None])
     on = place.position[0]
     normal = _smooth_normal(mesh, place)
-    if place.distance[0] > _OFF * arm.radius:
+    if place.distance[0] > _MAX_DISTANCE * arm.radius:
         inside = "inside" if (on - probe.point) @ normal > 0.0 else "away from"
         raise InputError(
             f"probe '{probe.name}': its point is {1e3 * place.distance[0]:.3g} mm {inside} the"
@@ -72,47 +72,37 @@ def aimed(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generato
             f"probe '{probe.name}': its direction {np.round(direction, 3).tolist()} leads out of"
             f" the body, whose outward normal there is {np.round(normal, 3).tolist()}; turn it"
         )
-    across = np.stack(_across(direction))
+    across = np.stack(_perpendicular(direction))
     turn = np.deg2rad(arm.misalignment) * rng.standard_normal(2) @ across
-    beside = arm.placement * rng.standard_normal(2) @ np.stack(_across(normal))
-    flat = arm.tip == "punch"
+    beside = arm.placement * rng.standard_normal(2) @ np.stack(_perpendicular(normal))
+    tip = TIPS[arm.tip](arm.radius, on + beside, cv2.Rodrigues(turn)[0] @ direction)
     # A sphere that comes in at a slant touches there if its centre goes over the place.
-    axis = on + beside + (0.0 if flat else arm.radius) * normal
-    tip = Tip(arm.radius, axis, cv2.Rodrigues(turn)[0] @ direction, flat=flat)
-    _check_way(probe.name, tip, mesh)
+    tip = replace(tip, point=tip.point + tip.lead(np.zeros(1)) * normal)
+    _check_path(probe.name, tip, mesh)
     return tip
 
 
-def fine_place(
-    tip: Tip, probe: Probe, *, young: float, poisson: float
-) -> tuple[Vector3, float, float]:
+def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, float, float]:
     """Where a body needs small elements, and how small: under the tip.
 
-    The touched circle is taken from Hertz's formulae for a half space.
+    The touched circle is taken from the formulae for a half space.
 
     Parameters
     ----------
     tip : Tip
     probe : Probe
-    young : float [Pa]
-    poisson : float
+    material : Material
 
     Returns
     -------
     point (3,), radius, edge [m]
     """
-    if tip.flat:
-        radius = tip.radius
-    elif probe.depth is not None:
-        radius = np.sqrt(tip.radius * probe.depth)
-    else:
-        reduced = young / (1.0 - poisson**2)
-        radius = np.cbrt(0.75 * float(probe.force or 0.0) * tip.radius / reduced)
-    radius = min(float(radius), tip.radius)
-    return probe.point, radius, 2.0 * radius / _ACROSS
+    modulus = material.young_modulus / (1.0 - material.poisson_ratio**2)
+    radius = tip.half_space_radius(probe.depth, probe.force, modulus)
+    return probe.point, radius, 2.0 * radius / _ELEMENTS_ACROSS
 
 
-def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) -> Probed:
+def probe_body(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) -> Pressed:
     """Press a tip as a probe asks.
 
     Parameters
@@ -126,7 +116,7 @@ def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) 
 
     Returns
     -------
-    Probed                          as many states as the probe has steps
+    Pressed                         as many states as the probe has steps
 
     Raises
     ------
@@ -134,24 +124,24 @@ def probed(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) 
                                     support
     NotConvergedError               the contact does not settle
     """
-    if sticking and probe.depth is None:
-        raise InputError(
-            f"probe '{probe.name}' goes to a force with a sticking tip; give a depth instead"
-        )
     share = np.arange(1, probe.steps + 1) / probe.steps
     if probe.depth is not None:
         states = press(body, tip, share * probe.depth, sticking=sticking)
+    elif sticking:
+        raise InputError(
+            f"probe '{probe.name}' goes to a force with a sticking tip; give a depth instead"
+        )
     else:
         forces = share * float(probe.force or 0.0)
-        states = tuple(press_to_force(body, tip, float(one)) for one in forces)
-    return Probed(
-        probe, tip, tuple(_at_finite_strain(body, tip, one) for one in states) if finite else states
-    )
+        states = tuple(press_to_force(body, tip, float(force)) for force in forces)
+    if finite:
+        states = tuple(_at_finite_strain(body, tip, state) for state in states)
+    return Pressed(probe, tip, states)
 
 
 def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
     """The same forces on the same nodes, and how far they push a body of finite strain."""
-    displacement = solve_finite(body, state.load, steps=1).displacement
+    displacement = solve_finite(body, state.load)
     weight = np.linalg.norm(state.load, axis=1)
     farther = (weight @ (displacement - state.displacement) / weight.sum()) @ tip.direction
     return replace(
@@ -162,20 +152,8 @@ def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
     )
 
 
-def contact_told(probed: Probed) -> Contact:
-    """The contact as a person at the bench would put it into a session.
-
-    Where the arm was sent; for a sphere Hertz's pressure over the touched circle, for a punch an
-    even one over its face.
-    """
-    tip = probed.tip
-    profile = ContactProfile.UNIFORM if tip.flat else ContactProfile.HERTZ
-    radius = tip.radius if tip.flat else probed.states[-1].radius
-    return Contact(point=probed.probe.point, radius=radius, profile=profile)
-
-
 def rod_at(tip: Tip, place: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
-    """The arm's rod at one instant, as long as half the way to the nearest camera.
+    """The arm's rod at one instant, half as long as the nearest camera is away.
 
     Parameters
     ----------
@@ -188,9 +166,9 @@ def rod_at(tip: Tip, place: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
     TriangleMesh                    closed, outward, object frame
     """
     away = [np.linalg.norm(camera_centre(camera) - place) for camera in cameras]
-    length = _ROD_REACH * float(min(away))
-    upright = rod(radius=tip.radius, length=length, flat=tip.flat)
-    axes = np.stack([*_across(-tip.direction), -tip.direction])
+    length = _ROD_LENGTH * float(min(away))
+    upright = rod(tip.outline(), radius=tip.radius, length=length)
+    axes = np.stack([*_perpendicular(-tip.direction), -tip.direction])
     return TriangleMesh(place + upright.vertices @ axes, upright.triangles)
 
 
@@ -201,7 +179,7 @@ def _smooth_normal(mesh: TriangleMesh, place: SurfacePoints) -> Vector3:
     return normal / np.linalg.norm(normal)
 
 
-def _across(direction: Vector3) -> tuple[Vector3, Vector3]:
+def _perpendicular(direction: Vector3) -> tuple[Vector3, Vector3]:
     """Two unit vectors that make a right-handed frame with a direction as the third."""
     other = np.eye(3)[np.abs(direction).argmin()]
     first = np.cross(other, direction)
@@ -209,7 +187,7 @@ def _across(direction: Vector3) -> tuple[Vector3, Vector3]:
     return first, np.cross(direction, first)
 
 
-def _check_way(name: str, tip: Tip, mesh: TriangleMesh) -> None:
+def _check_path(name: str, tip: Tip, mesh: TriangleMesh) -> None:
     """Refuse an arm that runs through the body on its way to where it touches."""
     offset = mesh.vertices - tip.point
     behind = -(offset @ tip.direction)  # of the sphere's centre at first touch, or of the face

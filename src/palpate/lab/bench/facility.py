@@ -1,7 +1,7 @@
 """The virtual facility: from a configuration to a session folder with its truth.
 
-The session is an ordinary one and holds nothing but what a bench would give. Beside it `truth.toml`
-and the truth maps tell what really was.
+The session is an ordinary one and holds only what a bench would give. `truth.toml` and the truth
+maps beside it hold what was really there.
 """
 
 from collections.abc import Sequence
@@ -10,21 +10,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 from scipy.sparse import csr_array
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, write_mesh
-from palpate.lab.bench.arm import aimed, fine_place, probed, rod_at
-from palpate.lab.bench.readings import read_position
-from palpate.lab.bench.session_tables import (
-    head_of_session,
-    head_of_truth,
+from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at
+from palpate.lab.bench.session_text import (
+    Table,
     instant_name,
-    probe_of_session,
-    probe_of_truth,
+    probe_tables,
+    step_tables,
+    write_session,
 )
-from palpate.lab.bench.session_writing import toml_table
-from palpate.lab.bench.stage import stage_motions
 from palpate.lab.bodies import Body, Tip, held_nodes, make_body, make_solid, surface_values
 from palpate.lab.config import LabConfig, Probe, Stage
 from palpate.lab.pictures import (
@@ -33,44 +31,65 @@ from palpate.lab.pictures import (
     exposure,
     make_head,
     make_studio,
-    misjudged,
-    photographed,
-    surface_maps,
+    miscalibrated,
+    photograph,
     truth_map,
     write_truth_map,
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, read_rig, write_rig
 from palpate.shapes import Vertices
-from palpate.vision import SurfaceMap, project
+from palpate.vision import project
 
 # One stream of random numbers for each purpose, so that a further probing changes no other.
 _TEXTURE, _ARM, _SENSORS, _CALIBRATION, _PICTURES = range(5)
 # Share of the object's vertices that every camera must see in its picture.
-_SEEN = 0.9
+_MIN_SEEN = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Planned:
-    """A session that can be measured as far as one can say without finite elements or light."""
+class _Plan:
+    """A session that can be measured, as far as can be checked without finite elements or light."""
 
     config: LabConfig
     folder: Path
     rig: Rig
     tips: tuple[Tip, ...]
 
+    def rng(self, stream: int, number: int = 0) -> np.random.Generator:
+        """Random numbers of one purpose."""
+        return np.random.default_rng([self.config.seed, stream, number])
 
-@dataclass(frozen=True, slots=True, eq=False)
+
 class _Bench:
-    """What is put up before the first picture, and its two files as far as they are written."""
+    """One session while it is measured: texture and light are up."""
 
-    config: LabConfig
-    folder: Path
-    rig: Rig
-    tips: tuple[Tip, ...]
-    studio: Studio
-    session: list[str]
-    truth: list[str]
+    def __init__(self, plan: _Plan, variant: Variant) -> None:
+        """Put up texture and light; write what the session knows before the first picture."""
+        config, folder, rig = plan.config, plan.folder, plan.rig
+        mesh = config.specimen.mesh
+        self.plan = plan
+        self.studio: Studio = make_studio(config, rig, variant, rng=plan.rng(_TEXTURE))
+        self.measured: list[tuple[Table, Table]] = []
+        calibrated = miscalibrated(rig, config.calibration, mesh, rng=plan.rng(_CALIBRATION))
+        (folder / "images").mkdir()
+        write_mesh(folder / "mesh.ply", mesh)
+        write_rig(folder / "rig.toml", calibrated)
+        write_rig(folder / "rig_true.toml", rig)
+
+    def photograph(
+        self, name: str, number: int, instants: Sequence[Vertices], rod: TriangleMesh | None = None
+    ) -> None:
+        """Take and keep one picture of every camera; several instants blur it."""
+        plan = self.plan
+        rng = plan.rng(_PICTURES, number)
+        pictures = photograph(self.studio, plan.config, instants, rod, rng=rng)
+        for camera, picture in zip(plan.rig.cameras, pictures, strict=True):
+            file = plan.folder / "images" / f"{name}_{camera.name}.png"
+            done, content = cv2.imencode(".png", picture)
+            if not done:
+                raise RecordError(f"{file}: the picture cannot be encoded as PNG")
+            file.write_bytes(content.tobytes())
 
 
 def make_session(
@@ -85,7 +104,7 @@ def make_session(
     config : LabConfig
     folder : Path                   an empty folder
     variant : Variant               of Mitsuba
-    progress : callable or None     told what is done (text) and how far it is (0 to 1)
+    progress : callable or None     gets what is done (text) and how much of all (0 to 1)
 
     Raises
     ------
@@ -118,16 +137,23 @@ def make_sessions(
     InputError, RecordError         as `make_session`
     """
     say = progress or silent
-    groups = _alike([_planned(config, folder) for config, folder in wanted])
+    groups: list[list[_Plan]] = []
+    for plan in [_plan(config, folder) for config, folder in wanted]:
+        same = (group for group in groups if _same_bodies(group[0].config, plan.config))
+        group = next(same, None)
+        if group is None:
+            groups.append([plan])
+        else:
+            group.append(plan)
     done = 0
     try:
         for group in groups:
-            begin, end = done / len(wanted), (done + len(group)) / len(wanted)
+            part = part_of(say, done / len(wanted), (done + len(group)) / len(wanted))
             stage = group[0].config.stage
             if stage is None:
-                _probings(group, variant, part_of(say, begin, end))
+                _measure_probings(group, variant, part)
             else:
-                _steps(_bench(group[0], variant), stage, part_of(say, begin, end))
+                _measure_steps(_Bench(group[0], variant), stage, part)
             done += len(group)
     except OSError as error:
         raise RecordError(
@@ -135,170 +161,122 @@ def make_sessions(
         ) from error
 
 
-def _planned(config: LabConfig, folder: Path) -> _Planned:
+def stage_motions(stage: Stage) -> Float[np.ndarray, "s 4 4"]:
+    """Motion of the object from the first instant to each, the first included.
+
+    Parameters
+    ----------
+    stage : Stage                   s - 1 steps
+
+    Returns
+    -------
+    (s, 4, 4) float [m]             x(step) = R x(first) + t, object frame
+    """
+    axis = stage.axis / np.linalg.norm(stage.axis)
+    motions = np.tile(np.eye(4), (stage.steps + 1, 1, 1))
+    for k, motion in enumerate(motions):
+        turn = cv2.Rodrigues(np.deg2rad(k * stage.rotation) * axis)[0]
+        motion[:3, :3] = turn
+        motion[:3, 3] = stage.centre - turn @ stage.centre + k * stage.translation
+    return motions
+
+
+def _plan(config: LabConfig, folder: Path) -> _Plan:
     """Refuse cameras that see too little, and an arm that misses."""
     rig, mesh = _rig(config), config.specimen.mesh
     _check_view(rig, mesh)
-    tips = tuple(
-        aimed(probe, config.arm, mesh, rng=_rng(config, _ARM, k))
-        for k, probe in enumerate(config.probes)
+    plan = _Plan(config, folder, rig, ())
+    tips = (
+        aim(probe, config.arm, mesh, rng=plan.rng(_ARM, k)) for k, probe in enumerate(config.probes)
     )
-    return _Planned(config, folder, rig, tips)
+    return replace(plan, tips=tuple(tips))
 
 
-def _bench(planned: _Planned, variant: Variant) -> _Bench:
-    """Put up texture and light; write what the session knows before the first picture."""
-    config, folder, rig, mesh = (
-        planned.config, planned.folder, planned.rig, planned.config.specimen.mesh,
-    )  # fmt: skip
-    studio = make_studio(config, rig, variant, rng=_rng(config, _TEXTURE))
-    told = misjudged(rig, config.calibration, mesh, rng=_rng(config, _CALIBRATION))
-    (folder / "images").mkdir()
-    write_mesh(folder / "mesh.ply", mesh)
-    write_rig(folder / "rig.toml", told)
-    write_rig(folder / "rig_true.toml", rig)
-    return _Bench(
-        config, folder, rig, planned.tips, studio,
-        [head_of_session(config)], [head_of_truth(config)],
-    )  # fmt: skip
-
-
-def _alike(sessions: Sequence[_Planned]) -> list[list[_Planned]]:
-    """Sessions whose bodies are pressed at the same places, together; stages alone."""
-    groups: list[list[_Planned]] = []
-    for session in sessions:
-        alike = (one for one in groups if _same_bodies(one[0].config, session.config))
-        group = next(alike, None)
-        if group is None:
-            groups.append([session])
-        else:
-            group.append(session)
-    return groups
-
-
-def _same_bodies(one: LabConfig, other: LabConfig) -> bool:
+def _same_bodies(a: LabConfig, b: LabConfig) -> bool:
     """Whether two configurations, one made from the other, need the same finite elements."""
-    a, b = one.specimen, other.specimen
     return (
-        one.stage is None
-        and one.probes is other.probes
-        and (a.body is b.body and a.held is b.held and a.element == b.element)
-        and (one.arm.tip, one.arm.radius) == (other.arm.tip, other.arm.radius)
-        and replace(one.material, law="linear") == replace(other.material, law="linear")
+        a.stage is None
+        and a.probes is b.probes
+        and a.specimen.body is b.specimen.body
+        and a.specimen.held is b.specimen.held
+        and a.specimen.element == b.specimen.element
+        and (a.arm.tip, a.arm.radius) == (b.arm.tip, b.arm.radius)
+        and replace(a.material, law="linear") == replace(b.material, law="linear")
     )
 
 
-def _probings(sessions: Sequence[_Planned], variant: Variant, say: Progress) -> None:
+def _measure_probings(plans: Sequence[_Plan], variant: Variant, say: Progress) -> None:
     """Every probing of one body in several sessions: physics, pictures, readings, truth."""
-    config, tips = sessions[0].config, sessions[0].tips
+    config, tips = plans[0].config, plans[0].tips
     say("finite elements", 0.0)
     # Before any light is made: a body that cannot be filled or held is refused here.
     body = _body(config, config.probes[0], tips[0])
-    benches, at_rest = [], []
-    for session in sessions:
+    benches = []
+    for plan in plans:
         say("texture and light", 0.02)
-        bench = _bench(session, variant)
-        rest = bench.studio.mesh.vertices
-        at_rest.append(surface_maps(bench.rig, rest, bench.studio.mesh.triangles))
-        _take(bench, "rest", [(rest, ())], 0)
+        bench = _Bench(plan, variant)
+        bench.photograph("rest", 0, [bench.studio.mesh.vertices])
         benches.append(bench)
     for k, probe in enumerate(config.probes):
         say(f"probing {probe.name}", 0.1 + 0.9 * k / len(tips))
         # Small elements under this tip only: a body for each is less than one for all.
         body = body if k == 0 else _body(config, probe, tips[k])
-        _probing(benches, body, k, at_rest)
-    for bench in benches:
-        _write(bench)
-
-
-def _probing(
-    benches: Sequence[_Bench], body: Body, k: int, at_rest: Sequence[tuple[SurfaceMap, ...]]
-) -> None:
-    """One probing on every bench."""
-    drawn: Vertices | None = None
-    carried = None
-    for bench, maps in zip(benches, at_rest, strict=True):
-        rest = bench.studio.mesh.vertices
         # From nodal values to the drawn vertices: the same where cameras and mesh are.
-        if drawn is None or carried is None or not np.array_equal(rest, drawn):
-            drawn, carried = rest, surface_values(body.solid, rest)
-        _pressed(bench, body, carried, k, maps)
+        carried: dict[bytes, csr_array] = {}
+        for bench in benches:
+            rest = bench.studio.mesh.vertices
+            if rest.tobytes() not in carried:
+                carried[rest.tobytes()] = surface_values(body.solid, rest)
+            _measure_probing(bench, body, carried[rest.tobytes()], k)
+    for bench in benches:
+        write_session(bench.plan.folder, bench.plan.config, bench.measured)
 
 
-def _pressed(
-    bench: _Bench, body: Body, carried: csr_array, k: int, at_rest: tuple[SurfaceMap, ...]
-) -> None:
+def _measure_probing(bench: _Bench, body: Body, carried: csr_array, k: int) -> None:
     """One probing on one bench; `carried` takes nodal values to the drawn vertices."""
-    config, mesh, tip = bench.config, bench.studio.mesh, bench.tips[k]
-    rest, probe = mesh.vertices, config.probes[k]
-    found = probed(
-        body, probe, tip, sticking=config.arm.sticking,
-        finite=config.material.law == "neo-hookean",
-    )  # fmt: skip
+    plan, mesh = bench.plan, bench.studio.mesh
+    config, tip, rest = plan.config, plan.tips[k], mesh.vertices
+    finite = config.material.law == "neo-hookean"
+    done = probe_body(body, config.probes[k], tip, sticking=config.arm.sticking, finite=finite)
     before = rest
-    for number, state in enumerate(found.states, start=1):
+    for number, state in enumerate(done.states, start=1):
         after = rest + carried @ state.displacement
-        rods = (rod_at(tip, state.place, bench.rig.cameras),)
-        blurred = [(moment, rods) for moment in exposure(config, before, after)]
-        _take(bench, instant_name(probe, number), blurred, 1000 * (k + 1) + number)
+        rod = rod_at(tip, state.place, plan.rig.cameras)
+        name = instant_name(done.probe, number)
+        bench.photograph(name, 1000 * (k + 1) + number, exposure(config, before, after), rod)
         before = after
-    whole = [(rod.vertices, rod.triangles) for rod in rods]
-    seen = truth_map(bench.rig, rest, after, mesh.triangles, others=whole, at_rest=at_rest)
-    write_truth_map(bench.folder / f"truth_{probe.name}.npz", seen)
-    bench.session.append(probe_of_session(config, found, _rng(config, _SENSORS, k)))
-    bench.truth.append(probe_of_truth(config, found))
+    seen = truth_map(plan.rig, mesh, after, tool=rod)
+    write_truth_map(plan.folder / f"truth_{done.probe.name}.npz", seen)
+    bench.measured.append(probe_tables(config, done, rng=plan.rng(_SENSORS, k)))
 
 
-def _steps(bench: _Bench, stage: Stage, say: Progress) -> None:
+def _measure_steps(bench: _Bench, stage: Stage, say: Progress) -> None:
     """A rigid object on a motion stage."""
-    config, rest = bench.config, bench.studio.mesh.vertices
-    before = rest
+    plan, config = bench.plan, bench.plan.config
+    rest = before = bench.studio.mesh.vertices
     for k, motion in enumerate(stage_motions(stage)):
-        say(f"step s{k}", k / (stage.steps + 1))
+        name = f"s{k}"
+        say(f"step {name}", k / (stage.steps + 1))
         after = rest @ motion[:3, :3].T + motion[:3, 3]
-        _take(bench, f"s{k}", [(one, ()) for one in exposure(config, before, after)], k)
+        bench.photograph(name, k, exposure(config, before, after))
         before = after
-        read = read_position(motion[:3, 3], config.position_sensor, rng=_rng(config, _SENSORS, k))
-        images = f"images/s{k}_{{camera}}.png"
-        bench.session.append(toml_table("[[step]]", {"name": f"s{k}", "images": images}))
-        bench.truth.append(
-            toml_table(
-                "[[step]]",
-                {"name": f"s{k}", "R": motion[:3, :3], "t": motion[:3, 3], "encoder": read},
-            )
-        )
-    _write(bench)
+        bench.measured.append(step_tables(config, name, motion, rng=plan.rng(_SENSORS, k)))
+    write_session(plan.folder, config, bench.measured)
 
 
 def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
     """The specimen in finite elements, small ones under the tip."""
     material, specimen = config.material, config.specimen
-    young, poisson = material.young_modulus, material.poisson_ratio
     solid = make_solid(
         specimen.body.vertices,
         specimen.body.triangles,
         edge=specimen.element,
-        fine=(fine_place(tip, probe, young=young, poisson=poisson),),
+        fine=(fine_place(tip, probe, material),),
     )
     held = held_nodes(solid, specimen.held)
-    return make_body(solid, held, shear_modulus=material.shear_modulus, poisson_ratio=poisson)
-
-
-def _take(
-    bench: _Bench,
-    name: str,
-    instants: Sequence[tuple[Vertices, tuple[TriangleMesh, ...]]],
-    number: int,
-) -> None:
-    """Take and keep one picture of every camera."""
-    rng = _rng(bench.config, _PICTURES, number)
-    pictures = photographed(bench.studio, bench.config, instants, rng=rng)
-    for camera, picture in zip(bench.rig.cameras, pictures, strict=True):
-        file = bench.folder / "images" / f"{name}_{camera.name}.png"
-        done, content = cv2.imencode(".png", picture)
-        if not done:
-            raise RecordError(f"{file}: the picture cannot be encoded as PNG")
-        file.write_bytes(content.tobytes())
+    return make_body(
+        solid, held, shear_modulus=material.shear_modulus, poisson_ratio=material.poisson_ratio
+    )
 
 
 def _rig(config: LabConfig) -> Rig:
@@ -321,18 +299,9 @@ def _check_view(rig: Rig, mesh: TriangleMesh) -> None:
         if (depth > 0.0).all():
             pixel = project(camera, mesh.vertices)
             share = float(((pixel >= 0) & (pixel <= np.array(camera.size) - 1)).all(axis=1).mean())
-        if share < _SEEN:
+        if share < _MIN_SEEN:
             raise InputError(
                 f"camera '{camera.name}' has {100 * share:.0f} % of the object in its picture; must"
-                f" be {100 * _SEEN:.0f} % or more: move it away, turn it, or shorten its focal"
+                f" be {100 * _MIN_SEEN:.0f} % or more: move it away, turn it, or shorten its focal"
                 " length"
             )
-
-
-def _write(bench: _Bench) -> None:
-    for name, tables in (("session.toml", bench.session), ("truth.toml", bench.truth)):
-        (bench.folder / name).write_text("".join(tables).rstrip() + "\n", encoding="utf-8")
-
-
-def _rng(config: LabConfig, stream: int, number: int = 0) -> np.random.Generator:
-    return np.random.default_rng([config.seed, stream, number])

@@ -6,25 +6,14 @@ import numpy as np
 from jaxtyping import UInt8
 
 from palpate.errors import InputError
-from palpate.lab.bench.arm import aimed, rod_at
-from palpate.lab.config import (
-    Arm,
-    Calibration,
-    ForceSensor,
-    Head,
-    LabConfig,
-    Look,
-    Material,
-    Pictures,
-    PositionSensor,
-    Probe,
-    Specimen,
-)
-from palpate.lab.pictures import Variant, make_studio, photographed
+from palpate.geometry import TriangleMesh
+from palpate.lab.bench.arm import aim, rod_at
+from palpate.lab.config import Arm, LabConfig, Look, Material, Probe, Specimen
+from palpate.lab.pictures import Variant, make_studio, photograph
 from palpate.records import Rig, Session, read_rig
 
 # A speckle of so many pixels is best matched.
-_SPECKLE = 4.0
+_SPECKLE_PX = 4.0
 
 
 def planned_pictures(
@@ -55,20 +44,22 @@ def planned_pictures(
     studio = make_studio(config, rig, variant, rng=np.random.default_rng(1))
     rest = studio.mesh.vertices
     rng = np.random.default_rng(2)
-    for name, rods in _instants(session, config, rig):
-        pictures = photographed(studio, config, [(rest, rods)], rng=rng)
+    for name, rod in _instants(session, config, rig):
+        pictures = photograph(studio, config, [rest], rod, rng=rng)
         for camera, picture in zip(rig.cameras, pictures, strict=True):
             yield f"{name}_{camera.name}", picture
 
 
-def _instants(session: Session, config: LabConfig, rig: Rig) -> Iterator[tuple[str, tuple]]:
+def _instants(
+    session: Session, config: LabConfig, rig: Rig
+) -> Iterator[tuple[str, TriangleMesh | None]]:
     """Rest, and each probing with its tool where it touches the object at rest."""
-    yield "rest", ()
+    yield "rest", None
     for probing in session.probings:
         arm = Arm(radius=max(config.arm.radius, probing.contact.radius or 0.0))
         probe = Probe(probing.name, probing.contact.point, probing.force, depth=1.0)
-        tip = aimed(probe, arm, session.mesh, rng=np.random.default_rng(0))
-        yield probing.name, (rod_at(tip, tip.point, rig.cameras),)
+        tip = aim(probe, arm, session.mesh, rng=np.random.default_rng(0))
+        yield probing.name, rod_at(tip, tip.point, rig.cameras)
 
 
 def _as_config(session: Session, rig: Rig) -> LabConfig:
@@ -77,19 +68,12 @@ def _as_config(session: Session, rig: Rig) -> LabConfig:
     depth = float(
         np.median(mesh.vertices @ camera.T_camera_object[2, :3]) + camera.T_camera_object[2, 3]
     )
-    probes = tuple(Probe(one.name, one.contact.point, depth=1.0) for one in session.probings)
     return LabConfig(
         name=session.name,
-        seed=1,
         specimen=Specimen(mesh, mesh, session.held_triangles, {}, depth),
         material=Material(1.0, 0.3),
-        look=Look(size=_SPECKLE * depth / float(camera.matrix[0, 0])),
-        arm=Arm(),
-        force_sensor=ForceSensor(),
-        position_sensor=PositionSensor(),
-        probes=probes,
-        stage=None,
-        head=Head(),
-        calibration=Calibration(),
-        pictures=Pictures(),
+        look=Look(size=_SPECKLE_PX * depth / float(camera.matrix[0, 0])),
+        probes=tuple(
+            Probe(probing.name, probing.contact.point, depth=1.0) for probing in session.probings
+        ),
     )

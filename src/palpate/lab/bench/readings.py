@@ -2,56 +2,46 @@
 
 import numpy as np
 
-from palpate.lab.config import ForceSensor, PositionSensor
+from palpate.lab.config import Sensor
 from palpate.shapes import Vector3
 
 
-def read_force(force: Vector3, sensor: ForceSensor, *, rng: np.random.Generator) -> Vector3:
-    """A reading of a force [N].
+def read_sensor(truth: Vector3, sensor: Sensor, *, rng: np.random.Generator) -> Vector3:
+    """A reading of a force, a position or a displacement.
 
     Parameters
     ----------
-    force : (3,) float [N]
-    sensor : ForceSensor
+    truth : (3,) float [N or m]
+    sensor : Sensor
     rng : Generator
 
     Returns
     -------
-    (3,) float [N]
+    (3,) float [N or m]
     """
-    sigma = np.hypot(sensor.noise, sensor.relative_noise * np.linalg.norm(force))
-    return _rounded(force + sensor.bias + sigma * rng.standard_normal(3), sensor.resolution)
+    noise = _noise(truth, sensor) * rng.standard_normal(3)
+    value = truth + sensor.bias + noise
+    step = sensor.resolution
+    return step * np.rint(value / step) if step > 0.0 else value
 
 
-def read_position(place: Vector3, sensor: PositionSensor, *, rng: np.random.Generator) -> Vector3:
-    """A reading of a place or a way [m].
-
-    Parameters
-    ----------
-    place : (3,) float [m]
-    sensor : PositionSensor
-    rng : Generator
-
-    Returns
-    -------
-    (3,) float [m]
-    """
-    return _rounded(place + sensor.bias + sensor.noise * rng.standard_normal(3), sensor.resolution)
-
-
-def force_std(force: Vector3, sensor: ForceSensor) -> float:
-    """Standard deviation of each component that the sensor's data sheet would state [N].
+def sensor_std(truth: Vector3, sensor: Sensor) -> float:
+    """Standard deviation of each component that the sensor's data sheet would state.
 
     The rounding counts as noise; a bias is not on the sheet.
+
+    Parameters
+    ----------
+    truth : (3,) float [N or m]
+    sensor : Sensor
+
+    Returns
+    -------
+    float [N or m]
     """
-    sigma = np.hypot(sensor.noise, sensor.relative_noise * float(np.linalg.norm(force)))
-    return float(np.hypot(sigma, sensor.resolution / np.sqrt(12.0)))
+    return float(np.hypot(_noise(truth, sensor), sensor.resolution / np.sqrt(12.0)))
 
 
-def position_std(sensor: PositionSensor) -> float:
-    """The same of a position sensor [m]."""
-    return float(np.hypot(sensor.noise, sensor.resolution / np.sqrt(12.0)))
-
-
-def _rounded(value: Vector3, resolution: float) -> Vector3:
-    return resolution * np.rint(value / resolution) if resolution > 0.0 else value
+def _noise(truth: Vector3, sensor: Sensor) -> float:
+    """Standard deviation before the rounding."""
+    return float(np.hypot(sensor.noise, sensor.relative_noise * np.linalg.norm(truth)))

@@ -1,8 +1,14 @@
-"""bodies."""
+"""Specimens, their finite elements, and the tips that are pressed into them.
+
+Purpose    : how far a rigid tip presses into a held body, and with which force.
+Takes      : a closed surface, held triangles, elastic constants, a tip with a depth or a force.
+Gives      : nodal forces and displacements, and their values at points of the surface.
+Depends on : `geometry`, `records`; scikit-fem for the elements.
+Read first : `finite_elements.py`, `contact.py`, then `tips.py`, `tetrahedra.py`.
+"""
 
 from palpate.lab.bodies.contact import (
     Press as Press,
-    Tip as Tip,
     press as press,
     press_to_force as press_to_force,
 )
@@ -11,6 +17,7 @@ from palpate.lab.bodies.finite_elements import (
     held_nodes as held_nodes,
     make_body as make_body,
     surface_values as surface_values,
+    triangle_shapes as triangle_shapes,
 )
 from palpate.lab.bodies.neo_hookean import solve_finite as solve_finite
 from palpate.lab.bodies.specimens import (
@@ -20,3 +27,4 @@ from palpate.lab.bodies.specimens import (
     rod as rod,
 )
 from palpate.lab.bodies.tetrahedra import make_solid as make_solid
+from palpate.lab.bodies.tips import TIPS as TIPS, Punch as Punch, Tip as Tip, TipName as TipName

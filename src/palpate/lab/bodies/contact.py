@@ -13,50 +13,20 @@ from scipy.optimize import brentq, nnls
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import TriangleMesh, area_vectors
-from palpate.lab.bodies.finite_elements import Body, solve_loads
-from palpate.lab.bodies.quadratic_elements import triangle_rule, triangle_shapes
+from palpate.lab.bodies.finite_elements import Body, solve_load, triangle_shapes
 from palpate.lab.bodies.tetrahedra import Solid
-from palpate.shapes import Points, PointScalars, Vector3
+from palpate.lab.bodies.tips import Tip
+from palpate.shapes import Points, Vector3
 
-_ROUNDS = 60
+_MAX_ROUNDS = 60
 # Normals and active nodes count as settled when forces change by less than this share.
 _SETTLED = 1e-10
 # A round and held body is not far from a half space: where the search for a force's depth begins.
-_GUESSED = 1.2
+_FIRST_DEPTH = 1.2
 # Nodes that would enter the tip at this many times its depth may come to touch it.
-_MARGIN = 1.3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tip:
-    """Rigid end of a probe on its way: a sphere, or a flat round punch.
-
-    Parameters
-    ----------
-    radius : float [m]              of the sphere or of the punch's face
-    point : (3,) float [m]          the axis of its motion goes through it
-    direction : (3,) float [-]      of its motion, towards the body; made a unit vector
-    flat : bool                     a punch whose face is perpendicular to its motion
-
-    Raises
-    ------
-    InputError                      radius not positive, direction without length
-    """
-
-    radius: float
-    point: Vector3
-    direction: Vector3
-    flat: bool = False
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.radius) and self.radius > 0.0):
-            raise InputError(f"the tip's radius is {self.radius}; must be positive, in metres")
-        length = float(np.linalg.norm(self.direction))
-        if length == 0.0:
-            raise InputError("the tip's direction is the zero vector; it must point to the body")
-        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
-        unit = fixed_array(np.asarray(self.direction) / length, name="direction", shape=(3,))
-        object.__setattr__(self, "direction", unit)
+_CANDIDATE_DEPTH = 1.3
+# Every outer face is sampled on this many parts a side to find where the tip touches first.
+_PARTS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +35,7 @@ class Press:
 
     Parameters
     ----------
-    depth : float [m]               way of the tip from its first touch
+    depth : float [m]               travel of the tip from its first touch
     place : (3,) float [m]          centre of the sphere, or of the punch's face
     force : (3,) float [N]          total, of the tip on the body
     radius : float [m]              of a circle as large as the touched part of the surface
@@ -101,16 +71,15 @@ def touch(solid: Solid, tip: Tip) -> float:
     ------
     InputError                      the tip passes the body
     """
-    place, _ = triangle_rule()
-    shape, _ = triangle_shapes(place)
     facets = solid.facets[_facing(solid, tip)]
+    shape = triangle_shapes(_facet_samples())
     points = np.einsum("qv,fva->fqa", shape, solid.nodes[facets]).reshape(-1, 3)
-    way = _way(tip, np.concatenate([points, solid.nodes[np.unique(facets)]]))
-    if not np.isfinite(way).any():
+    travel = tip.travel(np.concatenate([points, solid.nodes[np.unique(facets)]]))
+    if not np.isfinite(travel).any():
         raise InputError(
             "the tip passes the body without touching it; check its point and direction"
         )
-    return float(way.min())
+    return float(travel.min())
 
 
 def press(
@@ -124,7 +93,7 @@ def press(
     tip : Tip
     depths : (s,) float [m]         increasing, > 0, from the first touch
     sticking : bool                 what touches the tip moves with it; else it slides freely.
-                                    Sticking depends on the way: take small steps
+                                    Sticking depends on the path: take small steps
 
     Returns
     -------
@@ -140,13 +109,13 @@ def press(
         raise InputError(
             f"depths are {depths.tolist()}; must be positive and increasing, in metres"
         )
-    if not tip.flat and depths[-1] >= tip.radius:
+    if depths[-1] >= tip.max_depth:
         raise InputError(
             f"depth is {1e3 * depths[-1]:.3g} mm, the tip's radius {1e3 * tip.radius:.3g} mm; a"
             " sphere goes in by less than its radius: press less deep, or take a larger one"
         )
     start = touch(body.solid, tip)
-    near = _candidates(body, tip, start + _MARGIN * depths[-1])
+    near = _candidates(body, tip, start + _CANDIDATE_DEPTH * depths[-1])
     anchor = np.full((len(near.node), 3), np.nan)
     states = []
     for depth in depths:
@@ -175,8 +144,9 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
     start = touch(body.solid, tip)
-    reach = _GUESSED * _half_space_depth(body, tip, force)
-    near = _candidates(body, tip, start + _MARGIN * reach)
+    modulus = 2.0 * body.shear_modulus / (1.0 - body.poisson_ratio)
+    reach = _FIRST_DEPTH * tip.half_space_depth(force, modulus)
+    near = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
 
     def excess(depth: float) -> float:
         if depth == 0.0:
@@ -188,22 +158,23 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
         # Force grows with the depth to the power 1 (punch) to 1.5 (sphere): a little beyond.
         grown = 1.1 * force / max(short + force, 1e-3 * force)
         low, reach = reach, reach * min(grown, 4.0)
-        near = _candidates(body, tip, start + _MARGIN * reach)
+        near = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
     depth = float(brentq(excess, low, reach, xtol=_SETTLED * reach, rtol=_SETTLED))
     return _state(body, tip, near, _sliding(near, tip, start + depth), start, depth)
 
 
-def _half_space_depth(body: Body, tip: Tip, force: float) -> float:
-    """How deep a force presses the tip into a flat body without end [m].
+def _facet_samples() -> Float[np.ndarray, "q 3"]:
+    """Barycentric coordinates of the points of degree 2 on each of a triangle's 16 parts.
 
     Source
     ------
-    Johnson, Contact Mechanics (1985), equations 4.23 (sphere) and 3.36 (punch).
+    Strang and Fix, An analysis of the finite element method (1973): the three-point rule.
     """
-    reduced = 2.0 * body.shear_modulus / (1.0 - body.poisson_ratio)
-    if tip.flat:
-        return force / (2.0 * tip.radius * reduced)
-    return float(np.cbrt((0.75 * force / reduced) ** 2 / tip.radius))
+    cell = 6 * np.stack(np.meshgrid(*2 * [np.arange(_PARTS)], indexing="ij"), -1).reshape(-1, 1, 2)
+    upright, inverted = [[1, 1], [4, 1], [1, 4]], [[5, 5], [2, 5], [5, 2]]
+    place = np.concatenate([cell + upright, cell + inverted]).reshape(-1, 2) / (6 * _PARTS)
+    place = place[place.sum(axis=1) < 1.0]
+    return np.column_stack([place, 1.0 - place.sum(axis=1)])
 
 
 def _facing(solid: Solid, tip: Tip) -> Bool[np.ndarray, " f"]:
@@ -211,22 +182,11 @@ def _facing(solid: Solid, tip: Tip) -> Bool[np.ndarray, " f"]:
     return area_vectors(TriangleMesh(solid.nodes, solid.facets[:, :3])) @ tip.direction < 0.0
 
 
-def _way(tip: Tip, points: Points) -> PointScalars:
-    """How far along its axis the tip first touches each point; infinite for those it passes."""
-    offset = points - tip.point
-    along = offset @ tip.direction
-    beside = np.linalg.norm(offset - along[:, None] * tip.direction, axis=1)
-    if tip.flat:
-        return np.where(beside <= tip.radius * (1.0 + 1e-9), along, np.inf)
-    rise = np.sqrt(np.clip(tip.radius**2 - beside**2, 0.0, None))
-    return np.where(beside < tip.radius, along - rise, np.inf)
-
-
 def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
     """Nodes that the tip would enter, were it to go as far as `reach` through the body at rest."""
     solid = body.solid
     nodes = np.unique(solid.facets[_facing(solid, tip)])
-    nodes = nodes[_way(tip, solid.nodes[nodes]) < reach]
+    nodes = nodes[tip.travel(solid.nodes[nodes]) < reach]
     if not len(nodes):
         raise InputError(
             "no node of the body lies under the tip; use smaller elements there (fine places)"
@@ -245,17 +205,7 @@ def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
     return _Candidates(nodes, solid.nodes[nodes], compliance)
 
 
-def _distance(tip: Tip, way: float, points: Points) -> tuple[PointScalars, Points]:
-    """Distance of points from the tip, negative inside, and the tip's outward normal there."""
-    place = tip.point + way * tip.direction
-    if tip.flat:
-        return (points - place) @ tip.direction, np.broadcast_to(tip.direction, points.shape)
-    offset = points - place
-    length = np.linalg.norm(offset, axis=1)
-    return length - tip.radius, offset / length[:, None]
-
-
-def _sliding(near: _Candidates, tip: Tip, way: float) -> Points:
+def _sliding(near: _Candidates, tip: Tip, travel: float) -> Points:
     """Forces on the candidates without friction, (k, 3) [N].
 
     Source
@@ -266,8 +216,8 @@ def _sliding(near: _Candidates, tip: Tip, way: float) -> Points:
     """
     moved = np.zeros_like(near.rest)
     forces = np.zeros_like(near.rest)
-    for _ in range(_ROUNDS):
-        distance, normal = _distance(tip, way, near.rest + moved)
+    for _ in range(_MAX_ROUNDS):
+        distance, normal = tip.distance(travel, near.rest + moved)
         entered = np.einsum("ka,ka->k", normal, moved) - distance
         square = np.einsum("ka,kalb,lb->kl", normal, near.compliance, normal)
         root = np.linalg.cholesky(square)
@@ -277,21 +227,21 @@ def _sliding(near: _Candidates, tip: Tip, way: float) -> Points:
         if np.abs(forces - before).max() <= _SETTLED * np.abs(forces).max():
             return forces
     raise NotConvergedError(
-        f"the contact does not settle in {_ROUNDS} rounds; press less deep or in smaller steps"
+        f"the contact does not settle in {_MAX_ROUNDS} rounds; press less deep or in smaller steps"
     )
 
 
 def _stuck(
-    near: _Candidates, tip: Tip, way: float, anchor: Float[np.ndarray, "k 3"]
+    near: _Candidates, tip: Tip, travel: float, anchor: Float[np.ndarray, "k 3"]
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
     """Forces on the candidates when touched nodes stay where they are on the tip.
 
     `anchor` is each node's place on the tip (NaN: not touching), relative to its axis point.
     """
     anchor = anchor.copy()
-    place = tip.point + way * tip.direction
+    place = tip.point + travel * tip.direction
     count = len(near.node)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         forces = np.zeros((count, 3))
         held = np.flatnonzero(np.isfinite(anchor[:, 0]))
         if len(held):
@@ -299,7 +249,7 @@ def _stuck(
             block = near.compliance[held][:, :, held].reshape(3 * len(held), -1)
             forces[held] = np.linalg.solve(block, wanted.ravel()).reshape(-1, 3)
         moved = near.rest + np.einsum("kalb,lb->ka", near.compliance, forces)
-        distance, normal = _distance(tip, way, moved)
+        distance, normal = tip.distance(travel, moved)
         pulled = np.einsum("ka,ka->k", normal, forces) < 0.0
         entered = (distance < -1e-9 * tip.radius) & np.isnan(anchor[:, 0])
         if not (pulled | entered).any():
@@ -308,7 +258,7 @@ def _stuck(
         entered &= ~pulled
         anchor[entered] = (moved - distance[:, None] * normal - place)[entered]
     raise NotConvergedError(
-        f"the sticking contact does not settle in {_ROUNDS} rounds; press in smaller steps"
+        f"the sticking contact does not settle in {_MAX_ROUNDS} rounds; press in smaller steps"
     )
 
 
@@ -326,7 +276,7 @@ def _state(
         force=load.sum(axis=0),
         radius=float(np.sqrt(_node_areas(body.solid)[touched].sum() / np.pi)),
         load=load,
-        displacement=solve_loads(body, load[:, :, None])[:, :, 0],
+        displacement=solve_load(body, load),
     )
 
 

@@ -8,10 +8,17 @@ candidates are fixed sequences, not random numbers: the same surface gives the s
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_normals
+from palpate.geometry import (
+    CREASE_ANGLE,
+    Sides,
+    TriangleMesh,
+    closest_points,
+    split_sides,
+    unit_normals,
+)
 from palpate.shapes import Points, PointScalars
 
 Spacing = Callable[[np.ndarray], np.ndarray]
@@ -25,7 +32,7 @@ _ROUNDS = 8
 _PIECE = 0.25
 # The spacing grows by this much per metre from a fine place, so that neighbours differ little.
 _GROWTH = 0.3
-# Inner points keep off the surface by this share of the spacing: the height of an even tetrahedron
+# Inner points stay this share of the spacing off the surface: the height of an even tetrahedron
 # is 0.8 of its edge, and a flatter first layer is better than a sliver.
 _OFF_SURFACE = 0.6
 # Cells of a body centred lattice whose nearest points (0.87 cells) and second nearest (1 cell)
@@ -114,7 +121,7 @@ def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[
         corner = (corner[split][:, None] + cell * _EIGHTHS).reshape(-1, 3)
     points = np.concatenate(levels)
     distance, _ = cKDTree(shell).query(points)
-    # Before the costly question of inside: what is left is too far from the surface to shade it.
+    # Cheap test first: whether a point is inside is costly to find out.
     points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
     points = points[inside(mesh, points)]
     gap = closest_points(mesh, points).distance
@@ -142,7 +149,9 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     # An edge's pseudonormal is the sum of its two faces' normals; the offset is perpendicular to
     # the edge, so the face of the nearest triangle alone has the wrong sign only for ties across
     # a sharp edge, which the sum settles.
-    edge_of, at_edge = _edge_normals(mesh, normals)
+    edge_of = _sides(mesh).edge
+    at_edge = np.zeros((int(edge_of.max()) + 1, 3))
+    np.add.at(at_edge, edge_of, normals[:, None])
     zero = place.barycentric <= 1e-9
     normal = normals[place.triangle].copy()
     on_edge = zero.sum(axis=1) == 1
@@ -154,27 +163,13 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     return np.einsum("na,na->n", points - place.position, normal) < 0.0
 
 
-def _edge_normals(
-    mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]
-) -> tuple[Int[np.ndarray, "m 3"], Float[np.ndarray, "e 3"]]:
-    """Edge from corner i to i + 1 of every triangle, and the sum of its faces' normals."""
-    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2)
-    _, where = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
-    where = where.reshape(-1, 3)
-    total = np.zeros((int(where.max()) + 1, 3))
-    np.add.at(total, where, normals[:, None])
-    return where, total
-
-
 def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
     """Corners where sharp edges end or turn, then points along the sharp edges."""
     normals = unit_normals(mesh)
+    sides = _sides(mesh)
     ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    edge, where = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    order = np.argsort(where.ravel(), kind="stable") // 3
-    pair = order.reshape(-1, 2)
-    turn = np.einsum("ea,ea->e", normals[pair[:, 0]], normals[pair[:, 1]])
-    edge = edge[turn < np.cos(CREASE_ANGLE)]
+    _, first = np.unique(sides.edge, return_index=True)
+    edge = np.sort(ends[first[sides.cut]], axis=1)
     along = mesh.vertices[edge[:, 1]] - mesh.vertices[edge[:, 0]]
     along /= np.linalg.norm(along, axis=1)[:, None]
     degree = np.bincount(edge.ravel(), minlength=len(mesh.vertices))
@@ -196,6 +191,11 @@ def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
     return np.concatenate(points)
 
 
+def _sides(mesh: TriangleMesh) -> Sides:
+    """Edges of a mesh, and which of them are sharp."""
+    return split_sides(mesh, np.zeros(len(mesh.triangles), dtype=np.int64))
+
+
 def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " v"]:
     """Vertices like the tip of a cone, around which no single edge is sharp."""
     mean = np.zeros_like(mesh.vertices)
@@ -208,7 +208,7 @@ def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.n
 
 
 def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, PointScalars]:
-    """Many points of a surface and the share of one wanted point that each stands for."""
+    """Many points of a surface, and the share of a wanted point that each stands for."""
     corner, small = mesh.vertices[mesh.triangles], []
     while len(corner):
         longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
@@ -243,7 +243,7 @@ def _lattice(low: np.ndarray, high: np.ndarray, cell: float) -> Points:
 
 
 def _thinned(points: Points, spacing: Spacing) -> Float[np.ndarray, "k 3"]:
-    """Points in the given order, less those too near to one that was kept before them."""
+    """Points in the given order, less those too near to a point that was kept before them."""
     if not len(points):
         return points
     tree = cKDTree(points)

@@ -1,38 +1,29 @@
-"""Linear elasticity of a solid by quadratic tetrahedra: how the virtual specimens give way.
+"""Linear elasticity of a solid in quadratic tetrahedra: how the virtual specimens deform.
 
-Nothing of the boundary elements is used: what estimates a specimen's constants must not have made
-the specimen.
+Elements, quadrature and sums over elements are scikit-fem's. Nothing of the boundary elements is
+used: what estimates a specimen's constants must not have made the specimen.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array, kron
 
 from palpate.errors import InputError, SingularSystemError
-from palpate.geometry import TriangleMesh, area_vectors, closest_points
-from palpate.lab.bodies.quadratic_elements import (
-    NodePairs,
-    block_matrix,
-    node_pairs,
-    shape_gradients,
-    triangle_rule,
-    triangle_shapes,
-)
+from palpate.geometry import closest_points
 from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
 from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, skin
-from palpate.records import Contact, ContactProfile
-from palpate.shapes import Points, Vector3
+from palpate.optional_imports import late_import
+from palpate.shapes import Points
 
+# Of the body's size: held nodes nearer to a line than this hold it by rounding only.
+_IN_LINE = 1e-6
 # Barycentric coordinates of a six-node triangle's nodes.
 _NODE_PLACE = np.array(
     [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]], dtype=float
-)  # Of the body's size: held nodes nearer to a line than this hold it by rounding only.
-_IN_LINE = 1e-6
-
-Density = Callable[[np.ndarray], np.ndarray]
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,18 +36,20 @@ class Body:
     held : (n,) bool                nodes that cannot move
     shear_modulus : float [Pa]
     poisson_ratio : float [-]
-    pairs : NodePairs               structure of the stiffness
-    stiffness : (3 n, 3 n) [N/m]    of all nodes, in blocks of three
-    factor : Cholesky               of the free nodes' part
+    factor : Cholesky               of the free nodes' stiffness
     """
 
     solid: Solid
     held: Bool[np.ndarray, " n"]
     shear_modulus: float
     poisson_ratio: float
-    pairs: NodePairs
-    stiffness: bsr_array
     factor: Cholesky
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """Lame's constants mu and lambda [Pa]."""
+        mu, nu = self.shear_modulus, self.poisson_ratio
+        return mu, 2.0 * mu * nu / (1.0 - 2.0 * nu)
 
 
 def held_nodes(solid: Solid, triangles: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " n"]:
@@ -66,6 +59,10 @@ def held_nodes(solid: Solid, triangles: Int[np.ndarray, " k"]) -> Bool[np.ndarra
     ----------
     solid : Solid
     triangles : (k,) int            of the surface that was filled, e.g. a session's support
+
+    Returns
+    -------
+    (n,) bool                       of all nodes
 
     Raises
     ------
@@ -94,12 +91,23 @@ def make_body(
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu < 0.5; quadratic elements lock little up to 0.499
 
+    Returns
+    -------
+    Body
+
     Raises
     ------
-    InputError                      constants out of range, no or all nodes held
+    InputError                      constants out of range, no or all nodes held; scikit-fem is not
+                                    installed
     SingularSystemError             the held nodes leave the body free to turn
     """
-    check_constants(shear_modulus, poisson_ratio)
+    if not (np.isfinite(shear_modulus) and shear_modulus > 0.0):
+        raise InputError(f"shear_modulus is {shear_modulus}; must be positive, in pascals")
+    if not -1.0 < poisson_ratio < 0.5:
+        raise InputError(
+            f"poisson_ratio is {poisson_ratio}; must be in (-1, 0.5): for an incompressible body"
+            " take 0.499"
+        )
     if not held.any() or held.all():
         raise InputError(
             f"{int(held.sum())} of {len(held)} nodes are held; must be some of them, not all"
@@ -110,157 +118,109 @@ def make_body(
             f"the {int(held.sum())} held nodes lie in a line: the body is free to turn about it;"
             " hold more of its surface"
         )
-    pairs = node_pairs(solid)
-    stiffness = block_matrix(pairs, _element_matrices(solid, shear_modulus, poisson_ratio))
-    factor = factorise(free_part(stiffness, held), solid.nodes[~held])
-    return Body(solid, held, shear_modulus, poisson_ratio, pairs, stiffness, factor)
+    moduli = hooke_moduli(shear_modulus, poisson_ratio)
+    stiffness = free_part(stiffness_matrix(quadratic_basis(solid), moduli), held)
+    factor = factorise(stiffness, solid.nodes[~held])
+    return Body(solid, held, shear_modulus, poisson_ratio, factor)
 
 
-def check_constants(shear_modulus: float, poisson_ratio: float) -> None:
-    """Refuse constants that no elastic solid has, or that the elements cannot carry."""
-    if not (np.isfinite(shear_modulus) and shear_modulus > 0.0):
-        raise InputError(f"shear_modulus is {shear_modulus}; must be positive, in pascals")
-    if not -1.0 < poisson_ratio < 0.5:
-        raise InputError(
-            f"poisson_ratio is {poisson_ratio}; must be in (-1, 0.5): for an incompressible body"
-            " take 0.499"
-        )
+def quadratic_basis(solid: Solid) -> Any:
+    """scikit-fem's ten-node elements over a solid, with the four quadrature points of degree 2.
+
+    Four points integrate straight elements exactly and leave a ten-node tetrahedron no motion
+    without energy. The unknowns are numbered as `solid.nodes`.
+
+    Parameters
+    ----------
+    solid : Solid
+
+    Returns
+    -------
+    skfem.Basis                     scalar: one unknown a node
+
+    Raises
+    ------
+    InputError                      scikit-fem is not installed
+    """
+    skfem = _skfem()
+    nodes, corners = (np.ascontiguousarray(a.T) for a in (solid.nodes, solid.elements[:, :4]))
+    return skfem.Basis(skfem.MeshTet2(nodes, corners), skfem.ElementTetP2(), intorder=2)
 
 
-def _element_matrices(
-    solid: Solid, shear_modulus: float, poisson_ratio: float
-) -> Float[np.ndarray, "m 10 3 10 3"]:
-    """Stiffness of every element between (node, component) and (node, component) [N/m]."""
+def hooke_moduli(shear_modulus: float, poisson_ratio: float) -> Float[np.ndarray, "3 3 3 3"]:
+    """Derivative of the stress component aA by the displacement gradient bB [Pa]."""
     lame = 2.0 * shear_modulus * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
-    slopes = shape_gradients(solid)
-    count, points = slopes.volume.shape
-    root = np.sqrt(slopes.volume)[:, :, None]
-    flat = slopes.gradient.reshape(count, points, 30) * root
-    product = np.matmul(flat.transpose(0, 2, 1), flat).reshape(count, 10, 3, 10, 3)
-    matrix = lame * product + shear_modulus * product.transpose(0, 1, 4, 3, 2)
-    same = np.einsum("micjc->mij", product)
-    for a in range(3):
-        matrix[:, :, a, :, a] += shear_modulus * same
-    return matrix
+    unit = np.eye(3)
+    return lame * np.einsum("aA,bB->aAbB", unit, unit) + shear_modulus * (
+        np.einsum("ab,AB->aAbB", unit, unit) + np.einsum("aB,bA->aAbB", unit, unit)
+    )
 
 
-def free_part(stiffness: bsr_array, held: Bool[np.ndarray, " n"]) -> bsr_array:
+def stiffness_matrix(basis: Any, moduli: Float[np.ndarray, "3 3 3 3 *quadrature"]) -> csr_array:
+    """Second derivative of a body's energy by its nodal displacements.
+
+    Parameters
+    ----------
+    basis : skfem.Basis             of `quadratic_basis`
+    moduli : (3, 3, 3, 3) or (3, 3, 3, 3, m, q) float [Pa]   derivative of the stress component aA
+                                    by the displacement gradient bB, which is that of bB by aA; the
+                                    same everywhere, or of every quadrature point
+
+    Returns
+    -------
+    (3 n, 3 n) sparse [N/m]         three unknowns a node, node by node
+    """
+    total = csr_array((3 * basis.N, 3 * basis.N))
+    for a, b in zip(*np.triu_indices(3), strict=True):
+        block = _form(moduli[a, :, b]).assemble(basis)
+        place = np.zeros((3, 3))
+        place[a, b] = 1.0
+        total += kron(block, place)
+        if a != b:
+            total += kron(block.T, place.T)
+    return csr_array(total)
+
+
+def _form(moduli: Float[np.ndarray, "3 3 *quadrature"]) -> Any:
+    """Bilinear form: the gradients of two shape functions, weighted."""
+    terms = [(i, j) for i, j in np.ndindex(3, 3) if moduli[i, j].any()]
+
+    def density(u: Any, v: Any, _: Any) -> np.ndarray:
+        return sum(moduli[i, j] * v.grad[i] * u.grad[j] for i, j in terms)
+
+    return _skfem().BilinearForm(density)
+
+
+def free_part(stiffness: csr_array, held: Bool[np.ndarray, " n"]) -> csr_array:
     """Rows and columns of the nodes that can move."""
-    free = np.flatnonzero(~held)
-    chosen = csr_array(
-        (np.arange(1, len(stiffness.indices) + 1), stiffness.indices, stiffness.indptr),
-        shape=(len(held), len(held)),
-    )[free][:, free]
-    blocks = stiffness.data[chosen.data - 1]
-    size = 3 * len(free)
-    return bsr_array((blocks, chosen.indices, chosen.indptr), shape=(size, size))
+    free = np.repeat(~held, 3)
+    return stiffness[free][:, free]
 
 
-def solve_loads(body: Body, loads: Float[np.ndarray, "n 3 k"]) -> Float[np.ndarray, "n 3 k"]:
+def solve_load(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Displacement of all nodes under nodal forces.
 
     Parameters
     ----------
     body : Body
-    loads : (n, 3, k) float [N]     forces on the nodes; those on held nodes move nothing
+    load : (n, 3) float [N]         forces on the nodes; those on held nodes move nothing
 
     Returns
     -------
-    (n, 3, k) float [m]
+    (n, 3) float [m]
     """
-    displacement = np.zeros(loads.shape)
+    displacement = np.zeros(load.shape)
     free = ~body.held
-    right = loads[free].reshape(-1, loads.shape[2])
-    displacement[free] = body.factor.solve(right).reshape(-1, 3, loads.shape[2])
+    displacement[free] = body.factor.solve(load[free].reshape(-1, 1)).reshape(-1, 3)
     return displacement
 
 
-def reaction(
-    body: Body, displacement: Float[np.ndarray, "n 3"], load: Float[np.ndarray, "n 3"]
-) -> Vector3:
-    """Force of the support on the body [N]."""
-    inner = (body.stiffness @ displacement.ravel()).reshape(-1, 3)
-    return (inner - load)[body.held].sum(axis=0)
-
-
-def traction_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.ndarray, "n 3"]:
-    """Nodal forces of a tool's traction, as a session's `contact` and `force` describe it.
-
-    Parameters
-    ----------
-    solid : Solid
-    contact : Contact               with a radius
-    force : (3,) float [N]          total; the traction has its direction everywhere
-
-    Returns
-    -------
-    (n, 3) float [N]                they add up to `force`
-
-    Raises
-    ------
-    InputError                      a contact at a vertex, or one that misses the surface
-    """
-    if contact.radius is None:
-        raise InputError(
-            f"the contact profile is '{contact.profile.value}', which needs a boundary element"
-            " mesh; a virtual specimen takes smooth, uniform or hertz, with a radius"
-        )
-    outside = skin(solid.nodes, solid.facets)
-    first = closest_points(outside, contact.point[None])
-    if first.distance[0] >= contact.radius:
-        raise InputError(
-            f"the contact point is {1e3 * first.distance[0]:.3g} mm from the body, farther than its"
-            f" radius of {1e3 * contact.radius:.3g} mm; check its frame and units"
-        )
-    normals = area_vectors(TriangleMesh(solid.nodes, solid.facets[:, :3]))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    # A thin body's far side faces away from the tool.
-    facing = normals @ normals[first.triangle[0] // 4] > -0.5
-    radius, profile = contact.radius, contact.profile
-
-    def pressure(position: np.ndarray) -> np.ndarray:
-        s = np.linalg.norm(position - contact.point, axis=-1) / radius
-        return _profile(profile, s)
-
-    corners = solid.nodes[solid.facets]
-    middle = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-    near = np.linalg.norm(middle - contact.point, axis=1) < radius + reach
-    share = facet_loads(solid, np.flatnonzero(near & facing), pressure)
-    return share[:, None] * (force / share.sum())
-
-
-def _profile(profile: ContactProfile, s: np.ndarray) -> np.ndarray:
-    """Pressure at a distance over the radius, up to a factor."""
-    left = np.clip(1.0 - s**2, 0.0, None)
-    if profile is ContactProfile.SMOOTH:
-        return left**2
-    return np.sqrt(left) if profile is ContactProfile.HERTZ else (left > 0.0).astype(float)
-
-
-def facet_loads(
-    solid: Solid, facets: Int[np.ndarray, " k"], density: Density
-) -> Float[np.ndarray, " n"]:
-    """Integral over outer faces of each node's shape function times a density.
-
-    Parameters
-    ----------
-    solid : Solid
-    facets : (k,) int
-    density : (k, q, 3) positions [m] -> (k, q)   per area
-
-    Returns
-    -------
-    (n,) float                      they add up to the integral of the density
-    """
-    place, weight = triangle_rule()
-    corner = solid.nodes[solid.facets[facets]]
-    shape, slope = triangle_shapes(place)
-    position = np.einsum("qv,kva->kqa", shape, corner)
-    along = np.einsum("qvd,kva->kqda", slope, corner)
-    area = 0.5 * np.linalg.norm(np.cross(along[:, :, 0], along[:, :, 1]), axis=2)
-    share = np.einsum("q,kq,kq,qv->kv", weight, area, density(position), shape)
-    return np.bincount(solid.facets[facets].ravel(), share.ravel(), minlength=len(solid.nodes))
+def triangle_shapes(barycentric: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
+    """Shape functions of a six-node triangle (corners, then the middles of edges 01, 12, 20)."""
+    a, b, c = barycentric.T
+    return np.stack(
+        [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a], axis=1
+    )
 
 
 def surface_values(solid: Solid, points: Points) -> csr_array:
@@ -278,9 +238,12 @@ def surface_values(solid: Solid, points: Points) -> csr_array:
     place = closest_points(skin(solid.nodes, solid.facets), points)
     facet, quarter = np.divmod(place.triangle, 4)
     barycentric = np.einsum("nv,nvb->nb", place.barycentric, _NODE_PLACE[QUARTERS[quarter]])
-    weights, _ = triangle_shapes(barycentric)
     row = np.repeat(np.arange(len(points)), 6)
     return csr_array(
-        (weights.ravel(), (row, solid.facets[facet].ravel())),
+        (triangle_shapes(barycentric).ravel(), (row, solid.facets[facet].ravel())),
         shape=(len(points), len(solid.nodes)),
     )
+
+
+def _skfem() -> Any:
+    return late_import("skfem", extra="fem", purpose="the finite elements of a specimen")

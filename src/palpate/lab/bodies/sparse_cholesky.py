@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array
 
 from palpate.errors import SingularSystemError
 
@@ -62,17 +62,21 @@ class Cholesky:
         return x
 
 
-def factorise(matrix: bsr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
+def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
     """Factor of a matrix whose unknowns are three a node.
 
     Parameters
     ----------
-    matrix : (3 n, 3 n), blocks of 3 by 3   symmetric, positive definite
-    points : (n, 3) float [m]               place of each node, for the cuts
+    matrix : (3 n, 3 n) sparse      symmetric, positive definite; three unknowns a node
+    points : (n, 3) float [m]       place of each node, for the cuts
+
+    Returns
+    -------
+    Cholesky
 
     Raises
     ------
-    SingularSystemError                     not positive definite
+    SingularSystemError             not positive definite
 
     Source
     ------
@@ -81,11 +85,11 @@ def factorise(matrix: bsr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
     equations, ACM Transactions on Mathematical Software 9 (1983) 302. No pivoting, as the matrix is
     positive definite.
     """
+    blocks = matrix.tobsr((3, 3))
     graph = csr_array(
-        (np.ones(len(matrix.indices), dtype=np.int8), matrix.indices, matrix.indptr),
+        (np.ones(len(blocks.indices), dtype=np.int8), blocks.indices, blocks.indptr),
         shape=(len(points), len(points)),
     )
-    rows = csr_array(matrix)
     done = np.zeros(len(points), dtype=bool)
     place = np.empty(3 * len(points), dtype=np.int64)
     fronts: list[_Front] = []
@@ -103,7 +107,7 @@ def factorise(matrix: bsr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
         later = later[~done[later]]
         if work.size < (3 * (len(cut) + len(later))) ** 2:
             work = np.empty((3 * (len(cut) + len(later))) ** 2)
-        front, rest = _front(rows, place, cut, later, parts, work)
+        front, rest = _front(matrix, place, cut, later, parts, work)
         fronts.append(front)
         return later, rest
 

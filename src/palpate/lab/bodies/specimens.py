@@ -11,11 +11,9 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 
 # A ring of fewer vertices is no ring.
-_FEWEST = 6
+_MIN_RING = 6
 # The rod is a prism of about 2 pi times as many sides.
 _ROD_SIDES = 8.0
-# A round end larger than this sits on a thinner shaft, so that it hides less [m].
-_SHAFT = 4e-3
 # Bumps of the toy: direction from its middle, height over the radius, width in degrees.
 _BUMPS = (
     ((0.55, 0.0, 0.80), 0.60, 15.0),  # ears
@@ -146,7 +144,7 @@ def block(*, length: float, width: float, height: float, edge: float) -> Triangl
                     corner.append(number.setdefault(tuple(place), len(number)))
                 a, b, c, d = corner
                 cut = [[a, b, c], [a, c, d]] if (i + j) % 2 == 0 else [[a, b, d], [b, c, d]]
-                triangles += cut if side else [one[::-1] for one in cut]
+                triangles += cut if side else [triangle[::-1] for triangle in cut]
     vertices = np.array(list(number), dtype=float) * (size / cells) - [length / 2, width / 2, 0.0]
     return TriangleMesh(vertices, np.array(triangles))
 
@@ -182,14 +180,14 @@ def toy(*, radius: float, edge: float) -> TriangleMesh:
     return replace(ball, vertices=middle + away * scale[:, None])
 
 
-def rod(*, radius: float, length: float, flat: bool) -> TriangleMesh:
+def rod(end: Float[np.ndarray, "k 2"], *, radius: float, length: float) -> TriangleMesh:
     """The arm's rod, its end down: no specimen, it stands in the pictures.
 
     Parameters
     ----------
-    radius, length : float [m]
-    flat : bool                     a punch with its face at the origin; else a ball whose centre
-                                    is the origin, on a shaft of at most 4 mm radius
+    end : (k, 2) float [m]          radius and height of its end, from the axis to the shaft
+    radius : float [m]              of the tip, > 0
+    length : float [m]              height of its upper end, > 0
 
     Returns
     -------
@@ -200,14 +198,7 @@ def rod(*, radius: float, length: float, flat: bool) -> TriangleMesh:
     InputError                      lengths that are not positive
     """
     _check(radius, radius=radius, length=length)
-    shaft = radius if flat else min(radius, _SHAFT)
-    if flat:
-        end = np.array([[0.0, 0.0], [radius, 0.0]])
-    else:
-        angle = np.linspace(-0.5 * np.pi, np.arccos(shaft / radius), 13)
-        end = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        end[0, 0] = 0.0
-    top = [[shaft, length], [0.0, length]]
+    top = [[end[-1, 0], length], [0.0, length]]
     return _revolved(np.concatenate([end, top]), radius / _ROD_SIDES)
 
 
@@ -263,7 +254,7 @@ def _revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
     """
     rings, vertices, count = [], [], 0
     for k, (radius, height) in enumerate(contour):
-        size = 1 if radius == 0.0 else max(_FEWEST, int(np.rint(2.0 * np.pi * radius / edge)))
+        size = 1 if radius == 0.0 else max(_MIN_RING, int(np.rint(2.0 * np.pi * radius / edge)))
         # Half a step off from ring to ring: triangles nearer to equilateral.
         angle = 2.0 * np.pi * (np.arange(size) + 0.5 * (k % 2)) / size
         place = [radius * np.cos(angle), radius * np.sin(angle), np.full(size, height)]

@@ -22,6 +22,7 @@ from palpate.lab.bodies.even_points import (
     surface_points,
     volume_points,
 )
+from palpate.optional_imports import late_import
 from palpate.shapes import Points, Triangles, Vertices
 
 # Corners of the edges with mid-side nodes 4 to 9, in the order of skfem.ElementTetP2.
@@ -31,31 +32,16 @@ EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 FACES = np.array([[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [0, 3, 2, 7, 9, 6], [1, 2, 3, 5, 9, 8]])
 # Tetrahedra flatter than this (1 is regular) between four points of the surface are not body but
 # the gap between two ways to cut a quadrilateral; inside, points of so flat ones are moved.
-_FLAT = 0.1
+_MIN_SHAPE = 0.1
 _ROUNDS = 6
 # Shape functions of a six-node triangle at its centre.
 _CENTRE = np.array([-1.0, -1.0, -1.0, 4.0, 4.0, 4.0]) / 9.0
 # Nodes of the four triangles that the middles of its edges cut a six-node triangle into.
 QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 # A bent element may lose this much of its volume anywhere; beyond, it stays straight.
-_LEAST_VOLUME = 0.3
+_MIN_VOLUME = 0.3
 # Of the local edge; a larger gap means that the points are too far apart for the shape.
-_LARGEST_DEVIATION = 0.4
-
-
-def _node_slopes() -> Float[np.ndarray, "10 10 3"]:
-    """Slopes of the ten shape functions at the ten nodes: [node, function, direction]."""
-    corner = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    place = np.concatenate([corner, corner[EDGES].mean(axis=1)])
-    level = np.column_stack([1.0 - place.sum(axis=1), place])
-    rise = np.concatenate([-np.ones((1, 3)), np.eye(3)])
-    at_corner = (4.0 * level - 1.0)[:, :, None] * rise
-    i, j = EDGES.T
-    at_edge = 4.0 * (level[:, i, None] * rise[j] + level[:, j, None] * rise[i])
-    return np.concatenate([at_corner, at_edge], axis=1)
-
-
-_SLOPES = _node_slopes()
+_MAX_DEVIATION = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +100,7 @@ def make_solid(
     Raises
     ------
     InputError                        an edge or radius that is not positive
-    MeshError                         the surface is open, crosses itself or bounds no one solid; or
+    MeshError                         the surface is open, crosses itself, is several solids; or
                                       its details are finer than `edge`
     """
     for name, value in [("edge", edge)] + [("edge of a fine place", small) for *_, small in fine]:
@@ -133,7 +119,7 @@ def make_solid(
             f"an edge of {1e3 * edge:.3g} mm leaves no point inside the body; use a smaller edge"
         )
     points, tetrahedra = _tetrahedra(mesh, shell, inner, spacing)
-    return quadratic_solid(points, tetrahedra, mesh=mesh, largest=_LARGEST_DEVIATION * edge)
+    return quadratic_solid(points, tetrahedra, mesh=mesh, largest=_MAX_DEVIATION * edge)
 
 
 def quadratic_solid(
@@ -192,7 +178,7 @@ def _bent(
     wanted[sides] = closest_points(mesh, nodes[sides]).position
     straight = _volumes(nodes[elements[:, :4]])
     while True:
-        bad = elements[_least_determinant(wanted[elements]) < 6.0 * _LEAST_VOLUME * straight]
+        bad = elements[_least_determinant(wanted[elements]) < 6.0 * _MIN_VOLUME * straight]
         moved = np.unique(bad)
         moved = moved[(wanted[moved] != nodes[moved]).any(axis=1)]
         if not len(moved):
@@ -202,7 +188,10 @@ def _bent(
 
 def _least_determinant(corner: Float[np.ndarray, "m 10 3"]) -> Float[np.ndarray, " m"]:
     """Least determinant of the map from the unit tetrahedron, at an element's nodes [m^3]."""
-    return np.linalg.det(np.einsum("mva,pvd->mpad", corner, _SLOPES)).min(axis=1)
+    skfem = late_import("skfem", extra="fem", purpose="the finite elements of a specimen")
+    element = skfem.ElementTetP2()
+    slopes = np.stack([element.lbasis(element.doflocs.T, i)[1] for i in range(10)])
+    return np.linalg.det(np.einsum("mva,vdp->mpad", corner, slopes)).min(axis=1)
 
 
 def _turned(points: Points, tetrahedra: Int[np.ndarray, "m 4"]) -> Int[np.ndarray, "m 4"]:
@@ -290,7 +279,7 @@ def _inner_cells(
         faces = np.sort(cells[:, FACES[:, :3]], axis=2).reshape(-1, 3)
         _, where, times = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
         outer = (times[where.ravel()] == 1).reshape(-1, 4).sum(axis=1)
-        peel = (cells < count).all(axis=1) & (outer >= 2) & (_shape(points[cells]) < _FLAT)
+        peel = (cells < count).all(axis=1) & (outer >= 2) & (_shape(points[cells]) < _MIN_SHAPE)
         if not peel.any():
             return cells
         cells = cells[~peel]

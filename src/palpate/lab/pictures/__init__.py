@@ -1,18 +1,24 @@
-"""pictures."""
+"""What the facility's cameras see: textured bodies, light, lenses and chips.
 
+Purpose    : pictures of a body at rest and pressed, and what each of their pixels really shows.
+Takes      : a configuration, a rig, the drawn vertices at one instant or within an exposure.
+Gives      : grey pictures of every camera, truth maps, rigs and rigs with calibration errors.
+Depends on : `vision`, `records`, `geometry`, `lab.bodies`; Mitsuba for the rendering.
+Read first : `studio.py`, then `scene.py`, `sensor.py`, `truth_maps.py`.
+"""
+
+from palpate.lab.pictures.head import make_head as make_head, miscalibrated as miscalibrated
 from palpate.lab.pictures.mitsuba_variant import (
     Variant as Variant,
     choose_variant as choose_variant,
 )
-from palpate.lab.pictures.photographs import (
+from palpate.lab.pictures.studio import (
     Studio as Studio,
     exposure as exposure,
     make_studio as make_studio,
-    photographed as photographed,
+    photograph as photograph,
 )
-from palpate.lab.pictures.stereo_head import make_head as make_head, misjudged as misjudged
 from palpate.lab.pictures.truth_maps import (
-    surface_maps as surface_maps,
     truth_map as truth_map,
     write_truth_map as write_truth_map,
 )

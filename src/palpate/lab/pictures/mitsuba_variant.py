@@ -11,12 +11,13 @@ import subprocess
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from glob import glob
 from pathlib import Path
 from types import ModuleType
 
 from palpate.optional_imports import late_import
 
-# Environment variable by which Mitsuba's compiler is told its LLVM library.
+# Environment variable that names the LLVM library for Mitsuba's compiler.
 LLVM_SETTING = "DRJIT_LIBLLVM_PATH"
 # Where systems keep LLVM: Debian, Fedora and Arch, own builds, Homebrew, Windows.
 LLVM_FOLDERS = (
@@ -48,8 +49,8 @@ if list(drjit.llvm.Float([1.0, 2.0]) + 1.0) != [2.0, 3.0]:
     sys.exit("computes wrongly")
 print("LLVM", ".".join(map(str, version)))
 """
-# A trial takes 0.2 s; ten times ten of that is a machine that hangs.
-_PATIENCE = 20.0
+# A trial takes 0.2 s; after a hundred times that the machine hangs.
+_TIMEOUT_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +90,7 @@ def choose_variant(
     candidates = ([Path(setting)] if setting else []) + llvm_candidates(folders)
     unfit = []
     for library in candidates:
-        fit, finding = _tried(library)
+        fit, finding = _try(library)
         if fit:
             return Variant("llvm_ad_rgb", f"Mitsuba renders with {finding} ({library})", library)
         unfit.append(f"{library} {finding}")
@@ -113,13 +114,12 @@ def llvm_candidates(folders: Iterable[str] = LLVM_FOLDERS) -> list[Path]:
     -------
     list of Path                    by the version in the file's own name
     """
-    found = set()
-    for pattern in folders:
-        root = Path(pattern).anchor
-        if not Path(pattern).is_absolute():  # of another system
-            continue
-        for folder in Path(root).glob(str(Path(pattern).relative_to(root))):
-            found.update(_libraries(folder))
+    found = {
+        Path(file).resolve()
+        for folder in folders
+        for file in glob(f"{folder}/*LLVM*")
+        if _LIBRARY.fullmatch(Path(file).name)
+    }
     return sorted(found, key=lambda file: (_version(file), str(file)), reverse=True)
 
 
@@ -146,20 +146,12 @@ def load_mitsuba(variant: Variant) -> ModuleType:
     return mitsuba
 
 
-def _libraries(folder: Path) -> list[Path]:
-    """LLVM libraries directly in a folder, links resolved; none where it cannot be read."""
-    try:
-        return [file.resolve() for file in folder.iterdir() if _LIBRARY.fullmatch(file.name)]
-    except OSError:
-        return []
-
-
 def _version(library: Path) -> tuple[int, ...]:
     """Version in the name of a library; empty where it names none."""
     return tuple(int(number) for number in re.findall(r"\d+", library.name))
 
 
-def _tried(library: Path) -> tuple[bool, str]:
+def _try(library: Path) -> tuple[bool, str]:
     """Whether Mitsuba's compiler works with a library, and its version or what is wrong."""
     try:
         trial = subprocess.run(
@@ -168,7 +160,7 @@ def _tried(library: Path) -> tuple[bool, str]:
             text=True,
             errors="replace",
             env={**os.environ, LLVM_SETTING: str(library)},
-            timeout=_PATIENCE,
+            timeout=_TIMEOUT_S,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired):

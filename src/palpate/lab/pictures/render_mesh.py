@@ -13,36 +13,16 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, displacement_nodes, split_sides
+from palpate.lab.bodies import triangle_shapes
 from palpate.records import Camera, camera_centre, picture_size
-from palpate.shapes import Points, PointScalars, Triangles, Vertices
+from palpate.shapes import Triangles, Vertices
 from palpate.vision import project
 
-# A triangle whose normal points this far past the edge of visibility (cosine) is refined too: the
-# body's deformation may turn it into view.
-_PAST_EDGE = -0.2
-# So is one this share of the picture outside it.
-_OUTSIDE = 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RenderMesh:
-    """Fine triangles on the smooth surface of a coarse mesh, and where they lie on it.
-
-    Attributes
-    ----------
-    vertices : (v, 3) float [m]     at rest
-    triangles : (m, 3) int
-    base : (v,) int                 triangle of the coarse mesh that each vertex lies on
-    barycentric : (v, 3) float [-]  its weights there
-    longest : float [px]            longest edge that any camera sees; more than was asked for where
-                                    the vertices did not suffice
-    """
-
-    vertices: Vertices
-    triangles: Triangles
-    base: Int[np.ndarray, " v"]
-    barycentric: Float[np.ndarray, "v 3"]
-    longest: float
+# Cosine between a triangle's normal and the direction to the camera: one that faces away a little
+# is refined too, since the body's deformation may turn it into view.
+_MIN_COSINE = -0.2
+# So is a triangle outside the picture by no more than this share of it.
+_MAX_OUTSIDE = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,8 +54,8 @@ class _Edges:
 
 
 def make_render_mesh(
-    mesh: TriangleMesh, cameras: Sequence[Camera], *, edge: float = 1.0, most: int = 400_000
-) -> RenderMesh:
+    mesh: TriangleMesh, cameras: Sequence[Camera], *, edge: float = 1.0, max_vertices: int = 400_000
+) -> TriangleMesh:
     """Refine a mesh for the pictures of some cameras.
 
     Parameters
@@ -84,12 +64,12 @@ def make_render_mesh(
     cameras : sequence of Camera    each with a size
     edge : float [px]               longest edge in any camera; what is drawn between vertices is
                                     linear, and moves with the material whatever its length
-    most : int                      vertices at most; where they do not suffice the longest edges
-                                    are halved first, and `longest` says what was reached
+    max_vertices : int              where they do not suffice the longest edges are halved first
 
     Returns
     -------
-    RenderMesh
+    TriangleMesh                    fine triangles on the smooth surface that the mesh stands for;
+                                    vertices along creases are double
 
     Raises
     ------
@@ -97,10 +77,10 @@ def make_render_mesh(
                                     camera without a size
     """
     sides = split_sides(mesh, np.zeros(len(mesh.triangles), dtype=np.int64))
-    if not edge > 0.0 or most < len(sides.vertex):
+    if not edge > 0.0 or max_vertices < len(sides.vertex):
         raise InputError(
-            f"edge is {edge:g} px, at most {most} vertices; must be positive, and at least the"
-            f" {len(sides.vertex)} of the mesh with those of its creases doubled"
+            f"edge is {edge:g} px, at most {max_vertices} vertices; must be positive, and at least"
+            f" the {len(sides.vertex)} of the mesh with those of its creases doubled"
         )
     nodes = displacement_nodes(mesh, sides)
     corner = np.concatenate([mesh.vertices, nodes.weights @ mesh.vertices])[nodes.element]
@@ -115,9 +95,9 @@ def make_render_mesh(
     while True:
         edges = _edges(pieces)
         length = _seen_lengths(pieces, edges, cameras)
-        marked = _longest_ones(edges, length, edge, most - len(pieces.vertices))
+        marked = _edges_to_halve(edges, length, edge, max_vertices - len(pieces.vertices))
         if not marked.any():
-            return _finished(pieces, float(length.max(initial=0.0)))
+            return TriangleMesh(pieces.vertices, pieces.triangles)
         pieces = _halved(pieces, edges, marked, corner)
 
 
@@ -149,11 +129,11 @@ def _seen_lengths(
         facing /= size * np.linalg.norm(toward, axis=1)
         pixel = project(camera, pieces.vertices)
         seen = np.zeros(len(length), dtype=bool)
-        in_view = (facing > _PAST_EDGE) & _in_picture(camera, pixel, pieces.triangles)
+        in_view = (facing > _MIN_COSINE) & _in_picture(camera, pixel, pieces.triangles)
         seen[edges.of[in_view].ravel()] = True
         away = pixel[edges.ends[:, 1]] - pixel[edges.ends[:, 0]]
         length = np.fmax(length, np.where(seen, np.hypot(*away.T), 0.0))  # NaN: beyond the lens
-    # Both sides of a crease as the one that is seen longer.
+    # Both sides of a crease as the side that is seen longer.
     both = np.zeros(edges.weld.max() + 1)
     np.maximum.at(both, edges.weld, length)
     return both[edges.weld]
@@ -166,12 +146,12 @@ def _in_picture(
     inside = np.ones(len(triangles), dtype=bool)
     for axis, size in enumerate(picture_size(camera)):
         a, b, c = (pixel[column, axis] for column in triangles.T)
-        inside &= np.maximum(np.maximum(a, b), c) > -_OUTSIDE * size
-        inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _OUTSIDE) * size
+        inside &= np.maximum(np.maximum(a, b), c) > -_MAX_OUTSIDE * size
+        inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _MAX_OUTSIDE) * size
     return inside
 
 
-def _longest_ones(
+def _edges_to_halve(
     edges: _Edges, length: Float[np.ndarray, " e"], limit: float, room: int
 ) -> Bool[np.ndarray, " e"]:
     """Edges to halve: those above the limit, the longest first if there is not room for all."""
@@ -199,7 +179,8 @@ def _halved(
     _, weld = np.unique(edges.weld[marked], return_inverse=True)
     middle = 0.5 * (pieces.weight + np.roll(pieces.weight, -1, axis=1))
     first = edges.first[marked]
-    place = _smooth_points(corner[pieces.base[first // 3]], middle.reshape(-1, 3)[first])
+    shape = triangle_shapes(middle.reshape(-1, 3)[first])
+    place = np.einsum("nk,nka->na", shape, corner[pieces.base[first // 3]])
     split = _split_triangles(
         np.concatenate([pieces.triangles, number[edges.of]], axis=1),
         marked[edges.of],
@@ -237,25 +218,3 @@ def _split_triangles(
                 local = np.broadcast_to(np.array(turned), (len(rows), 3))
                 parts.append((rows, local, vertex[rows[:, None], local]))
     return parts
-
-
-def _smooth_points(
-    node: Float[np.ndarray, "n 6 3"], barycentric: Float[np.ndarray, "n 3"]
-) -> Points:
-    """Points of six-node triangles."""
-    a, b, c = barycentric.T
-    shape: list[PointScalars] = [
-        a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a,
-    ]  # fmt: skip
-    return np.einsum("kn,nka->na", np.stack(shape), node)
-
-
-def _finished(pieces: _Pieces, longest: float) -> RenderMesh:
-    """The result, every vertex with one of the places that its triangles give it."""
-    count = len(pieces.vertices)
-    base = np.zeros(count, dtype=np.int64)
-    weight = np.zeros((count, 3))
-    base[pieces.triangles] = pieces.base[:, None]
-    weight[pieces.triangles] = pieces.weight
-    # A vertex between triangles is written by several of them: both arrays by the same one last.
-    return RenderMesh(pieces.vertices, pieces.triangles, base, weight, longest)

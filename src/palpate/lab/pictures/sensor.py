@@ -4,16 +4,15 @@ Grey levels are those of 8 bits, 255 is white, also where more bits are stored.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8, UInt16
 
 from palpate.errors import InputError
+from palpate.lab.config import Pictures
 
-WHITE = 255.0
-BITS = (8, 12)
+_WHITE = 255.0
 # Files of 16 bits carry the 12 at their high end, as machine vision cameras do.
 _SHIFT = 4
 # Radii of blur a step apart are blended [px]: a quarter of a pixel changes the picture's sharpness
@@ -22,67 +21,24 @@ _RADIUS_STEP = 0.25
 # Parts of a pixel's side by which the area of a disc is counted: good to 1 % for a disc of a pixel,
 # to 0.1 % from two pixels on.
 _PARTS = 32
+# An exposure brings this share of the lit pixels to this grey level or below.
+_BRIGHT_LEVEL, _BRIGHT_SHARE = 220.0, 0.995
 # Pixels darker than this share of the brightest are background when an exposure is chosen.
 _DARK = 0.02
 
 Picture = Float32[np.ndarray, "rows columns"]
 
 
-@dataclass(frozen=True, slots=True)
-class Sensor:
-    """What a camera's chip does to the light.
-
-    Parameters
-    ----------
-    gain : float                    grey levels per unit of radiance
-    response : float [px]           standard deviation of a Gaussian blur: the lens's limit and the
-                                    spread of light between pixels
-    read_noise : float              standard deviation in grey levels, the same everywhere
-    full_well : float or None       electrons at white; their counting noise is the square root of
-                                    their number. None: no such noise
-    offset : float                  grey level of no light
-    bits : int                      8 or 12
-
-    Raises
-    ------
-    InputError                      out of range
-    """
-
-    gain: float
-    response: float = 0.6
-    read_noise: float = 1.0
-    full_well: float | None = 20_000.0
-    offset: float = 0.0
-    bits: int = 8
-
-    def __post_init__(self) -> None:
-        if not self.gain > 0.0:
-            raise InputError(f"gain of the sensor is {self.gain:g}; must be positive")
-        for name in ("response", "read_noise"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(
-                    f"{name} of the sensor is {getattr(self, name):g}; must not be negative"
-                )
-        if self.full_well is not None and not self.full_well > 0.0:
-            raise InputError(
-                f"full_well of the sensor is {self.full_well:g} electrons; must be positive, or"
-                " none for a sensor without counting noise"
-            )
-        if not 0.0 <= self.offset < WHITE:
-            raise InputError(f"offset of the sensor is {self.offset:g}; must be in 0 to 255")
-        if self.bits not in BITS:
-            raise InputError(f"the sensor has {self.bits} bits; must be 8 or 12")
-
-
 def grey_picture(
-    radiance: Picture, sensor: Sensor, *, rng: np.random.Generator
+    radiance: Picture, settings: Pictures, *, gain: float, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "rows columns"] | UInt16[np.ndarray, "rows columns"]:
     """A stored picture: blurred, counted, noisy, rounded and cut at black and white.
 
     Parameters
     ----------
     radiance : (rows, columns) float32  not negative
-    sensor : Sensor
+    settings : Pictures                 response, full well, noise and bits of the chip
+    gain : float                        grey levels per unit of radiance
     rng : Generator                     of the noise; another state for each picture
 
     Returns
@@ -90,35 +46,32 @@ def grey_picture(
     (rows, columns) uint8, or uint16 with the 12 bits at the high end, as it goes into a file
     """
     light = np.maximum(radiance, 0.0)
-    if sensor.response > 0.0:
+    if settings.response > 0.0:
         light = cv2.GaussianBlur(
-            light,
-            (0, 0),
-            sigmaX=sensor.response,
-            borderType=cv2.BORDER_REPLICATE,
+            light, (0, 0), sigmaX=settings.response, borderType=cv2.BORDER_REPLICATE
         )
-    grey = sensor.gain * light.astype(np.float64)
-    if sensor.full_well is not None:
-        per_grey = sensor.full_well / WHITE
+    grey = gain * light.astype(np.float64)
+    if settings.full_well is not None:
+        per_grey = settings.full_well / _WHITE
         grey = rng.poisson(grey * per_grey) / per_grey
-    grey += sensor.offset
-    if sensor.read_noise > 0.0:
-        grey += rng.normal(0.0, sensor.read_noise, grey.shape)
-    top = 2**sensor.bits - 1
-    level = np.clip(np.rint(grey * (top / WHITE)), 0, top)
-    return level.astype(np.uint8) if sensor.bits == 8 else level.astype(np.uint16) << _SHIFT
+    if settings.noise > 0.0:
+        grey += rng.normal(0.0, settings.noise, grey.shape)
+    top = 2**settings.bits - 1
+    level = np.clip(np.rint(grey * (top / _WHITE)), 0, top)
+    return level.astype(np.uint8) if settings.bits == 8 else level.astype(np.uint16) << _SHIFT
 
 
-def exposure_gain(
-    pictures: Sequence[Float32[np.ndarray, "_ _"]], *, level: float = 220.0, share: float = 0.995
-) -> float:
-    """Gain that brings the bright parts of the bodies to a grey level.
+def counting_noise(settings: Pictures, grey: float) -> float:
+    """Standard deviation of the number of electrons at a grey level, in grey levels."""
+    return 0.0 if settings.full_well is None else float(np.sqrt(grey * _WHITE / settings.full_well))
+
+
+def exposure_gain(pictures: Sequence[Float32[np.ndarray, "_ _"]]) -> float:
+    """Gain that brings the bright parts of the bodies to grey level 220.
 
     Parameters
     ----------
     pictures : sequence of (rows, columns) float32   radiance, together
-    level : float                   grey level wanted
-    share : float                   of the lit pixels that stay at or below it
 
     Returns
     -------
@@ -132,28 +85,7 @@ def exposure_gain(
     brightest = float(values.max(initial=0.0))
     if not brightest > 0.0:
         raise InputError("the pictures are black; put light on the bodies, or turn the cameras")
-    return level / float(np.quantile(values[values > _DARK * brightest], share))
-
-
-def motion_blurred(frames: Sequence[Picture]) -> Picture:
-    """Picture of a moving scene: the mean of frames taken evenly over the exposure.
-
-    Parameters
-    ----------
-    frames : sequence of (rows, columns) float32    radiance; enough that none is more than half a
-                                                    pixel from the next
-
-    Returns
-    -------
-    (rows, columns) float32
-
-    Raises
-    ------
-    InputError                      no frame
-    """
-    if not frames:
-        raise InputError("motion blur needs at least one frame")
-    return np.stack(list(frames)).mean(axis=0, dtype=np.float64).astype(np.float32)
+    return _BRIGHT_LEVEL / float(np.quantile(values[values > _DARK * brightest], _BRIGHT_SHARE))
 
 
 def blur_radius(
@@ -164,8 +96,8 @@ def blur_radius(
     Parameters
     ----------
     depth : (rows, columns) float [m]   along the axis; NaN, infinite: nothing there
-    focus : float [m]               depth that is sharp
-    aperture : float [m]            diameter of the lens's opening
+    focus : float [m]               depth that is sharp, > 0
+    aperture : float [m]            diameter of the lens's opening, > 0
     focal : float [px]              of the camera matrix, i.e. sharp at `focus`
 
     Returns

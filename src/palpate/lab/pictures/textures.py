@@ -1,7 +1,7 @@
 """Reflectance of a surface as a function of the position at rest: it moves with the material.
 
-All kinds are given at points and are smooth between them: `speckle` has rims of `RIM` times a
-dot's diameter, `natural` and `poor` hold no wave shorter than the one asked for. Points closer than
+Textures are given at points and are smooth between them: `speckle` has rims of `RIM` times a
+dot's diameter, `natural` holds no wave shorter than the one asked for. Points closer than
 a quarter of that rim or wave, as vertices of a render mesh are, lose nothing.
 """
 
@@ -13,6 +13,8 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, triangle_areas
 from palpate.shapes import Points, PointScalars
 
+# Share of the surface inside dots; reflectance of dots and ground.
+_COVERAGE, _DARK, _BRIGHT = 0.5, 0.1, 0.9
 # Width of the smooth rim of a dot, as a share of its diameter.
 RIM = 0.3
 # Waves of one octave; their sum is normal to the eye from about thirty on.
@@ -20,67 +22,87 @@ _WAVES = 48
 # Points whose waves are summed at once: some 40 MB.
 _CHUNK = 16384
 # Most dots that are drawn: a mistake in the unit of length asks for more.
-_MOST_DOTS = 5_000_000
+_MAX_DOTS = 5_000_000
 # The sum of the waves reaches this many of its standard deviations before it is bent to fit 0 to 1.
 _REACH = 2.0
 
 
-def speckle(
+def texture(
+    kind: str,
     points: Points,
     surface: TriangleMesh,
     *,
     size: float,
-    coverage: float = 0.5,
-    dark: float = 0.1,
-    bright: float = 0.9,
     rng: np.random.Generator,
+) -> PointScalars:
+    """Reflectance at points of an object at rest.
+
+    Parameters
+    ----------
+    kind : "speckle", "natural" or "poor"   natural textures have blotches of up to eight times
+                                    `size`, poor ones faint ones of up to four times, as a bare
+                                    moulded body shows them: hard to match, and meant to be
+    points : (n, 3) float [m]       on the surface, at rest
+    surface : TriangleMesh
+    size : float [m]                > 0; of a dot, or the shortest wavelength
+    rng : Generator
+
+    Returns
+    -------
+    (n,) float [-]                  0 to 1
+
+    Raises
+    ------
+    InputError                      more dots than can be drawn
+    """
+    if kind == "speckle":
+        return speckle(points, surface, size=size, rng=rng)
+    longest, contrast = (8.0, 0.15) if kind == "natural" else (4.0, 0.02)
+    return natural(points, coarsest=longest * size, finest=size, contrast=contrast, rng=rng)
+
+
+def speckle(
+    points: Points, surface: TriangleMesh, *, size: float, rng: np.random.Generator
 ) -> PointScalars:
     """Dark dots at random places of a bright surface, overlapping, as sprayed paint leaves them.
 
-    The dots are balls around points of the surface. A spot of paint whose rim is `RIM` wide has
-    no detail finer than that.
+    Half of the surface is covered. The dots are balls around points of the surface. A spot of paint
+    whose rim is `RIM` wide has no detail finer than that.
 
     Parameters
     ----------
     points : (n, 3) float [m]       on the surface, at rest
     surface : TriangleMesh          that carries the dots
-    size : float [m]                diameter of a dot at half its depth; three to five pixels are
-                                    best for matching
-    coverage : float [-]            share of the area inside dots
-    dark, bright : float [-]        reflectance of dots and ground, 0 to 1
+    size : float [m]                > 0; diameter of a dot at half its depth; three to five pixels
+                                    are best for matching
     rng : Generator                 of the places
 
     Returns
     -------
-    (n,) float [-]                  reflectance
+    (n,) float [-]                  reflectance, 0.1 to 0.9
 
     Raises
     ------
-    InputError                      out of range; more dots than can be drawn
+    InputError                      more dots than can be drawn
 
     Source
     ------
     Boolean model: discs of area a, lambda of them in unit area, cover 1 - exp(-lambda a).
     """
-    if not 0.0 < coverage < 1.0:
-        raise InputError(f"coverage is {coverage:g}; must be between 0 and 1")
-    if not (0.0 <= dark <= 1.0 and 0.0 <= bright <= 1.0):
-        raise InputError(f"dark is {dark:g}, bright {bright:g}; must be in 0 to 1")
-    _check_length("size of a dot", size)
     areas = triangle_areas(surface)
-    expected = -np.log1p(-coverage) / (0.25 * np.pi * size**2) * areas.sum()
-    if expected > _MOST_DOTS:
+    expected = -np.log1p(-_COVERAGE) / (0.25 * np.pi * size**2) * areas.sum()
+    if expected > _MAX_DOTS:
         raise InputError(
             f"dots of {size:g} m on {areas.sum():.3g} m^2 are {expected:.2g}; at most"
-            f" {_MOST_DOTS:.0e} are drawn: make them larger, and check the unit of length"
+            f" {_MAX_DOTS:.0e} are drawn: make them larger, and check the unit of length"
         )
     centres = _random_points(surface, areas, rng.poisson(expected), rng)
     if len(centres) == 0:
-        return np.full(len(points), bright)
+        return np.full(len(points), _BRIGHT)
     distance, _ = cKDTree(centres).query(points)
     # 1 inside, 0 outside; a cubic step of width RIM size around half the diameter.
     inside = np.clip(0.5 + (0.5 * size - distance) / (RIM * size), 0.0, 1.0)
-    return bright + (dark - bright) * inside**2 * (3.0 - 2.0 * inside)
+    return _BRIGHT + (_DARK - _BRIGHT) * inside**2 * (3.0 - 2.0 * inside)
 
 
 def natural(
@@ -88,8 +110,7 @@ def natural(
     *,
     coarsest: float,
     finest: float,
-    mean: float = 0.5,
-    contrast: float = 0.15,
+    contrast: float,
     rng: np.random.Generator,
 ) -> PointScalars:
     """Blotches of all sizes, as stone, skin or foam has them: octaves of smooth random waves.
@@ -100,31 +121,14 @@ def natural(
     Parameters
     ----------
     points : (n, 3) float [m]       at rest; anywhere
-    coarsest, finest : float [m]    longest and shortest wavelength
-    mean : float [-]                reflectance on average
-    contrast : float [-]            standard deviation of the reflectance; at most half of what
-                                    the mean leaves to 0 and to 1
+    coarsest, finest : float [m]    longest and shortest wavelength, > 0
+    contrast : float [-]            standard deviation of the reflectance, 0 to 0.25
     rng : Generator                 of the waves
 
     Returns
     -------
-    (n,) float [-]                  reflectance, in 0 to 1
-
-    Raises
-    ------
-    InputError                      out of range
+    (n,) float [-]                  reflectance, in 0 to 1 and 0.5 on average
     """
-    _check_length("shortest wavelength", finest)
-    if not coarsest >= finest:
-        raise InputError(
-            f"the longest wavelength is {coarsest:g} m, the shortest {finest:g} m; swap them"
-        )
-    room = min(mean, 1.0 - mean)
-    if not 0.0 <= contrast <= room / _REACH:
-        raise InputError(
-            f"contrast is {contrast:g} about a mean of {mean:g}; must be 0 to {room / _REACH:g},"
-            " half of what the mean leaves to black and white"
-        )
     octaves = max(1, int(np.ceil(np.log2(coarsest / finest) - 1e-9)))
     total = np.zeros(len(points))
     power = 0.0
@@ -135,40 +139,7 @@ def natural(
         power += weight**2
     # Bent smoothly, so that no reflectance leaves 0 to 1: five of a hundred points lie beyond two
     # standard deviations.
-    return mean + contrast * _REACH * np.tanh(total / (_REACH * np.sqrt(power)))
-
-
-def poor(
-    points: Points,
-    *,
-    size: float,
-    mean: float = 0.5,
-    contrast: float = 0.02,
-    rng: np.random.Generator,
-) -> PointScalars:
-    """Faint, smooth blotches: what a bare moulded body shows. Hard to match, and meant to be.
-
-    Parameters
-    ----------
-    points : (n, 3) float [m]       at rest
-    size : float [m]                shortest wavelength; the longest is four times that
-    mean, contrast : float [-]      as `natural`
-    rng : Generator
-
-    Returns
-    -------
-    (n,) float [-]                  reflectance
-
-    Raises
-    ------
-    InputError                      out of range
-    """
-    return natural(points, coarsest=4.0 * size, finest=size, mean=mean, contrast=contrast, rng=rng)
-
-
-def _check_length(name: str, value: float) -> None:
-    if not value > 0.0:
-        raise InputError(f"{name} is {value:g} m; must be positive")
+    return 0.5 + contrast * _REACH * np.tanh(total / (_REACH * np.sqrt(power)))
 
 
 def _random_points(

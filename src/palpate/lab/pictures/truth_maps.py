@@ -1,22 +1,23 @@
-"""What the pictures show, pixel by pixel: the truth that an estimate from them is held against."""
+"""What the pictures really show, pixel by pixel: the truth to compare an estimate with."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from palpate.errors import InputError
+from palpate.geometry import TriangleMesh
 from palpate.records import Rig, picture_size
-from palpate.shapes import PointIndices, Points, Triangles, Vertices
+from palpate.shapes import PointIndices, Points
 from palpate.vision import SurfaceMap, surface_map, visible
 
 # A point counts as hidden by its own body this far behind it, as a share of a pixel's width there:
 # depth is interpolated between pixel centres, and near the horizon the surface bends that much.
 _BEHIND = 0.1
 # Cameras that fit the bits of one byte.
-_MOST_CAMERAS = 8
+_MAX_CAMERAS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,50 +42,21 @@ class TruthMap:
     hidden_loaded: PointIndices
 
 
-def surface_maps(rig: Rig, vertices: Vertices, triangles: Triangles) -> tuple[SurfaceMap, ...]:
-    """What every camera of a rig sees of a surface.
-
-    Parameters
-    ----------
-    rig : Rig                       cameras with sizes
-    vertices : (v, 3) float [m]     object frame
-    triangles : (m, 3) int
-
-    Returns
-    -------
-    tuple of SurfaceMap             in the rig's order
-
-    Raises
-    ------
-    InputError                      a camera without a size
-    CalibrationError                a part of the surface beside or behind a camera
-    """
-    return tuple(
-        surface_map(camera, picture_size(camera)[::-1], vertices, triangles)
-        for camera in rig.cameras
-    )
-
-
 def truth_map(
     rig: Rig,
-    rest: Vertices,
+    mesh: TriangleMesh,
     loaded: Float[np.ndarray, "w 3"],
-    triangles: Triangles,
     *,
-    others: Sequence[tuple[np.ndarray, np.ndarray]] = (),
-    at_rest: Sequence[SurfaceMap] | None = None,
+    tool: TriangleMesh | None = None,
 ) -> TruthMap:
     """The truth of one pair of rest and loaded pictures.
 
     Parameters
     ----------
     rig : Rig                       cameras with sizes, at most eight
-    rest, loaded : (v, 3) float [m] vertices of the mesh that was drawn
-    triangles : (m, 3) int
-    others : pairs of (w, 3) float [m] and (k, 3) int   vertices and triangles of other bodies in
-                                    the loaded pictures, as the tool; at rest they are absent
-    at_rest : sequence of SurfaceMap or None    `surface_maps` of the rest surface, for a body that
-                                    is loaded again and again
+    mesh : TriangleMesh             that was drawn, at rest
+    loaded : (v, 3) float [m]       its vertices in the loaded pictures
+    tool : TriangleMesh or None     in the loaded pictures; absent at rest
 
     Returns
     -------
@@ -96,8 +68,16 @@ def truth_map(
                                     a reference camera that sees nothing of the body
     CalibrationError                a body beside or behind a camera
     """
-    _check(rig, rest, loaded)
-    seen = surface_maps(rig, rest, triangles) if at_rest is None else at_rest
+    if len(rig.cameras) > _MAX_CAMERAS:
+        raise InputError(
+            f"truth maps hold {_MAX_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
+        )
+    if len(mesh.vertices) != len(loaded):
+        raise InputError(
+            f"the mesh has {len(mesh.vertices)} vertices at rest and {len(loaded)} loaded; must be"
+            " the same"
+        )
+    seen = _surface_maps(rig, mesh)
     shown = seen[rig.reference]
     pixel = np.flatnonzero(shown.triangle.ravel() >= 0)
     if len(pixel) == 0:
@@ -106,16 +86,17 @@ def truth_map(
             " the object"
         )
     point = shown.point.reshape(-1, 3)[pixel]
-    corner = triangles[shown.triangle.ravel()[pixel]]
-    weight = _weights(rest[corner], point)
-    displacement = np.einsum("nc,nca->na", weight, (loaded - rest)[corner])
+    corner = mesh.triangles[shown.triangle.ravel()[pixel]]
+    weight = _barycentric(mesh.vertices[corner], point)
+    displacement = np.einsum("nc,nca->na", weight, (loaded - mesh.vertices)[corner])
     moved = point + displacement
-    hidden_loaded = _hidden(rig, surface_maps(rig, loaded, triangles), moved, behind=_BEHIND)
-    if others:
-        # By itself: where a tool touches the body both surfaces are one, but the tool's near side
+    hidden_loaded = _hidden(
+        rig, _surface_maps(rig, replace(mesh, vertices=loaded)), moved, behind=_BEHIND
+    )
+    if tool is not None:
+        # By itself: where a tool touches the body both surfaces coincide, but the tool's near side
         # is well in front.
-        tools = surface_maps(rig, *_joined(others))
-        hidden_loaded |= _hidden(rig, tools, moved, behind=0.0)
+        hidden_loaded |= _hidden(rig, _surface_maps(rig, tool), moved, behind=0.0)
     return TruthMap(
         shown.triangle.shape,
         pixel,
@@ -148,15 +129,12 @@ def write_truth_map(path: Path, truth: TruthMap) -> None:
     np.savez_compressed(path, allow_pickle=False, **entries)
 
 
-def _check(rig: Rig, rest: Vertices, loaded: Float[np.ndarray, "w 3"]) -> None:
-    if len(rig.cameras) > _MOST_CAMERAS:
-        raise InputError(
-            f"truth maps hold {_MOST_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
-        )
-    if len(rest) != len(loaded):
-        raise InputError(
-            f"the mesh has {len(rest)} vertices at rest and {len(loaded)} loaded; must be the same"
-        )
+def _surface_maps(rig: Rig, mesh: TriangleMesh) -> tuple[SurfaceMap, ...]:
+    """What every camera of a rig sees of a surface."""
+    return tuple(
+        surface_map(camera, picture_size(camera)[::-1], mesh.vertices, mesh.triangles)
+        for camera in rig.cameras
+    )
 
 
 def _hidden(rig: Rig, maps: Sequence[SurfaceMap], points: Points, *, behind: float) -> PointIndices:
@@ -170,16 +148,7 @@ def _hidden(rig: Rig, maps: Sequence[SurfaceMap], points: Points, *, behind: flo
     return bits
 
 
-def _joined(
-    bodies: Sequence[tuple[np.ndarray, np.ndarray]],
-) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
-    """Several meshes as one."""
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in bodies)])
-    triangles = [one + start for (_, one), start in zip(bodies, starts[:-1], strict=True)]
-    return np.concatenate([vertices for vertices, _ in bodies]), np.concatenate(triangles)
-
-
-def _weights(corner: Float[np.ndarray, "n 3 3"], point: Points) -> Float[np.ndarray, "n 3"]:
+def _barycentric(corner: Float[np.ndarray, "n 3 3"], point: Points) -> Float[np.ndarray, "n 3"]:
     """Barycentric coordinates of points in their triangles' planes."""
     a, b = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     normal = np.cross(a, b)

@@ -1,0 +1,257 @@
+"""How every picture looks: colours, letters, panels; a figure as a file and as pixels."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float, Shaped, UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.image import imsave
+from matplotlib.ticker import MaxNLocator
+
+Picture = UInt8[np.ndarray, "_ _ 4"]
+
+# Okabe and Ito's palette: distinguishable to colour-blind readers, and in grey.
+BLUE, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#8a8f98", "#1c1f24"
+PALE_BLUE, MIDDLE_BLUE = "#c9e2f2", "#5aa6d6"
+# Where the light comes from in the viewer's frame: right, up, toward the viewer.
+LIGHT = (-0.45, 0.55, 0.70)
+STYLE: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8.0,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "savefig.dpi": 150.0,
+}
+# A decorator for functions that draw: it sets the style while they run.
+styled = mpl.rc_context(STYLE)
+_PANEL = 2.7  # width of one of three panels [inches]
+# The default level of PNG compression, 6, takes as long as drawing.
+_PNG = {"compress_level": 2}
+
+
+@styled
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG at 150 dpi.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : Path                     its folder exists; a file of that name is replaced
+
+    Returns
+    -------
+    Path                            the same
+
+    Raises
+    ------
+    OSError                         the file cannot be written
+    """
+    figure.savefig(path, pil_kwargs=_PNG)
+    return path
+
+
+@styled
+def figure_pixels(figure: Figure) -> Picture:
+    """Pixels of a figure at the resolution of saved ones.
+
+    Parameters
+    ----------
+    figure : Figure
+
+    Returns
+    -------
+    (rows, columns, 4) uint8        red, green, blue, opacity
+    """
+    figure.set_dpi(STYLE["savefig.dpi"])
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba()).copy()
+
+
+def save_pixels(picture: Picture, path: Path) -> None:
+    """Write pixels as PNG.
+
+    Parameters
+    ----------
+    picture : (rows, columns, 4) uint8
+    path : Path                     its folder exists
+
+    Raises
+    ------
+    OSError                         the file cannot be written
+    """
+    imsave(path, picture, dpi=STYLE["savefig.dpi"], pil_kwargs=_PNG)
+
+
+def three_panels(size: Shaped[np.ndarray, "2"]) -> tuple[Figure, list[Axes]]:
+    """A figure with three panels side by side, room above them and below.
+
+    Parameters
+    ----------
+    size : (2,) float or int        width and height of what a panel shows, any unit: the panels
+                                    get its proportions unless they would be too flat or too tall
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
+    list of three Axes              from the left, without ticks
+    """
+    panel_height = min(max(_PANEL * float(size[1] / size[0]), 0.6), 3.6)
+    total = panel_height + 1.23
+    figure = Figure(figsize=(3 * _PANEL + 0.3, total))
+    grid = figure.add_gridspec(
+        1, 3, left=0.01, right=0.99, top=1 - 0.50 / total, bottom=0.73 / total, wspace=0.025
+    )
+    panels = [figure.add_subplot(grid[0, column]) for column in range(3)]
+    for axes in panels:
+        axes.set_axis_off()
+    return figure, panels
+
+
+def title_panel(axes: Axes, title: str) -> None:
+    """Write a title above a panel of `three_panels`.
+
+    Parameters
+    ----------
+    axes : Axes
+    title : str                     shown as it is, dollars too
+    """
+    # A title proper would look for room above ticks that are not there: it takes 30 ms.
+    axes.annotate(
+        title, (0.5, 1.0), (0.0, 5.0), xycoords="axes fraction", textcoords="offset points",
+        ha="center", fontsize=8.5, annotation_clip=False, parse_math=False,
+    )  # fmt: skip
+
+
+def place_below(figure: Figure, panels: Sequence[Axes]) -> tuple[float, float]:
+    """Middle of some panels and width of one, as fractions of the figure's width.
+
+    Parameters
+    ----------
+    figure : Figure
+    panels : sequence of Axes       neighbours
+
+    Returns
+    -------
+    tuple of two float              both from 0 to 1
+    """
+    cells = [axes.get_position(original=True) for axes in panels]
+    return 0.5 * (cells[0].x0 + cells[-1].x1), cells[0].width
+
+
+def add_colour_bar(
+    figure: Figure, panels: Sequence[Axes], cmap: str, norm: Normalize, label: str
+) -> None:
+    """Draw a horizontal colour bar, open at its upper end, under the middle of some panels.
+
+    Parameters
+    ----------
+    figure : Figure                 of `three_panels`
+    panels : sequence of Axes       neighbours
+    cmap : str                      a colour map of matplotlib
+    norm : Normalize                scale of the values
+    label : str                     below the bar
+    """
+    total = figure.get_figheight()
+    middle, panel_width = place_below(figure, panels)
+    width = 0.62 * panel_width
+    axes = figure.add_axes((middle - 0.5 * width, 0.61 / total, width, 0.075 / total))
+    bar = figure.colorbar(
+        ScalarMappable(norm, cmap), cax=axes, orientation="horizontal", extend="max",
+        ticks=MaxNLocator(4),
+    )  # fmt: skip
+    bar.outline.set_linewidth(0.4)
+    bar.set_label(label, labelpad=2)
+
+
+def add_texts(figure: Figure, heading: str, left: str, right: str) -> None:
+    """Write a heading, and two notes along the lower edge, on a figure of `three_panels`.
+
+    Parameters
+    ----------
+    figure : Figure
+    heading, left, right : str      shown as they are, dollars too
+    """
+    total = figure.get_figheight()
+    # Names may hold dollar signs: they are no mathematics.
+    figure.text(
+        0.5, 1 - 0.07 / total, heading, ha="center", va="top", fontsize=9, weight="bold",
+        parse_math=False,
+    )  # fmt: skip
+    for place, side, text in ((0.01, "left", left), (0.99, "right", right)):
+        figure.text(place, 0.05 / total, text, ha=side, va="bottom", fontsize=6.5, parse_math=False)
+
+
+def add_arrows(
+    axes: Axes,
+    place: Float[np.ndarray, "n 2"],
+    vector: Float[np.ndarray, "n 2"],
+    *,
+    pitch: float,
+    shortest: float = 0.0,
+    colour: str = INK,
+) -> None:
+    """Draw arrows at an even choice of points.
+
+    Parameters
+    ----------
+    axes : Axes
+    place, vector : (n, 2) float    in the units of the axes; rows with NaN have no arrow
+    pitch : float                   of square cells, the same unit: of the points in a cell the
+                                    nearest to its centre has an arrow
+    shortest : float                shorter ones would be blots and are left out
+    colour : str                    with a dark rim, if it is not dark itself
+    """
+    known = np.flatnonzero(np.isfinite(vector).all(axis=1) & np.isfinite(place).all(axis=1))
+    cell = np.floor(place[known] / pitch)
+    off_centre = np.linalg.norm(place[known] / pitch - cell - 0.5, axis=1)
+    order = np.argsort(off_centre, kind="stable")
+    _, first = np.unique(cell[order], axis=0, return_index=True)
+    chosen = known[order[first]]
+    chosen = chosen[np.linalg.norm(vector[chosen], axis=1) > shortest]
+    width, rim = (0.014, 0.0) if colour == INK else (0.022, 0.5)
+    axes.quiver(
+        *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
+        units="inches", width=width, headwidth=3.4, headlength=3.6, headaxislength=3.2,
+        minlength=0.5, color=colour, edgecolor=INK, linewidth=rim, zorder=3,
+    )  # fmt: skip
+
+
+def open_frame(axes: Axes) -> None:
+    """Leave out the upper and right line of the frame.
+
+    Parameters
+    ----------
+    axes : Axes
+    """
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def magnification_text(factor: float) -> str:
+    """A factor of arrows to two digits, never with an exponent: `3.2 times`.
+
+    Parameters
+    ----------
+    factor : float                  > 0
+
+    Returns
+    -------
+    str
+    """
+    return f"{factor:.2g} times" if factor < 10 else f"{factor:.0f} times"

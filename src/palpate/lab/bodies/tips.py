@@ -1,0 +1,157 @@
+"""Rigid tips of the arm's rod: every shape of tip is one class here and one entry of `TIPS`."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError
+from palpate.shapes import Points, PointScalars, Vector3
+
+TipName = Literal["sphere", "punch"]
+# A round end larger than this sits on a thinner shaft, so that it hides less [m].
+_SHAFT = 4e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tip(ABC):
+    """Rigid end of a probe on its way to the body.
+
+    Its place is a point of its axis: the middle of a sphere, or of a punch's face.
+
+    Parameters
+    ----------
+    radius : float [m]              > 0
+    point : (3,) float [m]          the axis of its motion goes through it
+    direction : (3,) float [-]      of its motion, towards the body; made a unit vector
+
+    Raises
+    ------
+    InputError                      radius not positive, direction without length
+    """
+
+    radius: float
+    point: Vector3
+    direction: Vector3
+    profile: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.radius) and self.radius > 0.0):
+            raise InputError(f"the tip's radius is {self.radius}; must be positive, in metres")
+        length = float(np.linalg.norm(self.direction))
+        if length == 0.0:
+            raise InputError("the tip's direction is the zero vector; it must point to the body")
+        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
+        unit = fixed_array(np.asarray(self.direction) / length, name="direction", shape=(3,))
+        object.__setattr__(self, "direction", unit)
+
+    def travel(self, points: Points) -> PointScalars:
+        """How far from `point` the tip goes until it touches each point [m]; infinite where it
+        passes."""
+        offset = points - self.point
+        along = offset @ self.direction
+        beside = np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
+        return along - self.lead(beside)
+
+    @property
+    def max_depth(self) -> float:
+        """Depth that it must stay below [m]."""
+        return np.inf
+
+    @abstractmethod
+    def lead(self, beside: PointScalars) -> PointScalars:
+        """How far its surface is ahead of its place, by the distance from its axis [m]; -inf
+        beside it."""
+
+    @abstractmethod
+    def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
+        """Distance of points from its surface, negative inside [m], and its normal there [-]."""
+
+    @abstractmethod
+    def half_space_depth(self, force: float, modulus: float) -> float:
+        """How deep a force [N] presses it into a half space of E / (1 - nu^2) [Pa]; [m]."""
+
+    @abstractmethod
+    def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
+        """Radius of the circle that it touches there, at a depth or under a force [m]."""
+
+    @abstractmethod
+    def outline(self) -> Float[np.ndarray, "k 2"]:
+        """Radius and height over its place of the rod's end, from the axis to the shaft [m]."""
+
+
+class Sphere(Tip):
+    """A ball on a shaft of at most 4 mm radius."""
+
+    __slots__ = ()
+    profile = "hertz"
+
+    @property
+    def max_depth(self) -> float:
+        """A sphere goes in by less than its radius [m]."""
+        return self.radius
+
+    def lead(self, beside: PointScalars) -> PointScalars:
+        """Height of the sphere over its centre [m]."""
+        rise = np.sqrt(np.clip(self.radius**2 - beside**2, 0.0, None))
+        return np.where(beside < self.radius, rise, -np.inf)
+
+    def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
+        """Along the radius."""
+        offset = points - (self.point + travel * self.direction)
+        length = np.linalg.norm(offset, axis=1)
+        return length - self.radius, offset / length[:, None]
+
+    def half_space_depth(self, force: float, modulus: float) -> float:
+        """Source: Johnson, Contact Mechanics (1985), equation 4.23."""
+        return float(np.cbrt((0.75 * force / modulus) ** 2 / self.radius))
+
+    def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
+        """Source: Johnson, Contact Mechanics (1985), equations 4.22 and 4.23."""
+        if depth is not None:
+            radius = np.sqrt(self.radius * depth)
+        else:
+            radius = np.cbrt(0.75 * float(force or 0.0) * self.radius / modulus)
+        return min(float(radius), self.radius)
+
+    def outline(self) -> Float[np.ndarray, "k 2"]:
+        """From the pole past the equator to the shaft."""
+        shaft = min(self.radius, _SHAFT)
+        angle = np.linspace(-0.5 * np.pi, np.arccos(shaft / self.radius), 13)
+        end = self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        end[0, 0] = 0.0
+        return end
+
+
+class Punch(Tip):
+    """A flat round face, perpendicular to its motion, as wide as its shaft."""
+
+    __slots__ = ()
+    profile = "uniform"
+
+    def lead(self, beside: PointScalars) -> PointScalars:
+        """Level up to its rim."""
+        return np.where(beside <= self.radius * (1.0 + 1e-9), 0.0, -np.inf)
+
+    def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
+        """Along its motion, as if its face had no end."""
+        offset = points - (self.point + travel * self.direction)
+        return offset @ self.direction, np.broadcast_to(self.direction, points.shape)
+
+    def half_space_depth(self, force: float, modulus: float) -> float:
+        """Source: Johnson, Contact Mechanics (1985), equation 3.36."""
+        return force / (2.0 * self.radius * modulus)
+
+    def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
+        """Its whole face, however deep."""
+        return self.radius
+
+    def outline(self) -> Float[np.ndarray, "k 2"]:
+        """The face."""
+        return np.array([[0.0, 0.0], [self.radius, 0.0]])
+
+
+TIPS: dict[TipName, type[Tip]] = {"sphere": Sphere, "punch": Punch}

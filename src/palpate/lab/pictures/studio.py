@@ -1,0 +1,197 @@
+"""Pictures of the bench: bodies, light, lenses, chips; every picture with its own noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, UInt
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh
+from palpate.lab.config import LabConfig
+from palpate.lab.pictures.mitsuba_variant import Variant
+from palpate.lab.pictures.render_mesh import make_render_mesh
+from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
+from palpate.lab.pictures.sensor import (
+    blur_radius,
+    counting_noise,
+    defocused,
+    exposure_gain,
+    grey_picture,
+)
+from palpate.lab.pictures.textures import texture
+from palpate.records import Camera, Rig, camera_centre
+from palpate.shapes import PointScalars, Vertices
+from palpate.vision import surface_map
+
+# Edge of the drawn triangles [px]; between its vertices the texture is linear and moves with them.
+_EDGE_PX = 1.5
+# Reflectance of the rod, and how much light comes from everywhere, of all light.
+_ROD_GREY = 0.03
+_AMBIENT = 0.55
+# The lamp stands beside the reference camera, this share of its distance away.
+_LAMP_BESIDE = 0.8
+# Windows must tell speckles from noise: grey levels of contrast over the chip's noise.
+_MIN_CONTRAST = 5.0
+# Grey level at which the noise of counting is compared with the contrast.
+_MID_GREY = 127.5
+# Instants within an exposure.
+_FRAMES = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Studio:
+    """All that stays the same from picture to picture.
+
+    Attributes
+    ----------
+    rig : Rig                       as it is
+    mesh : TriangleMesh             drawn: the object at rest, in fine triangles
+    grey : (v,) float               its reflectance
+    gloss : float
+    light : Light
+    gain : float                    grey levels per radiance
+    variant : Variant
+    """
+
+    rig: Rig
+    mesh: TriangleMesh
+    grey: PointScalars
+    gloss: float
+    light: Light
+    gain: float
+    variant: Variant
+
+
+def make_studio(
+    config: LabConfig, rig: Rig, variant: Variant, *, rng: np.random.Generator
+) -> Studio:
+    """Put up texture, light and exposure.
+
+    Parameters
+    ----------
+    config : LabConfig
+    rig : Rig                       as it is
+    variant : Variant               of Mitsuba
+    rng : Generator                 of the texture
+
+    Returns
+    -------
+    Studio
+
+    Raises
+    ------
+    InputError                      a texture whose contrast drowns in the chip's noise
+    """
+    surface = config.specimen.mesh
+    mesh = make_render_mesh(surface, rig.cameras, edge=_EDGE_PX)
+    look = config.look
+    grey = texture(look.texture, mesh.vertices, surface, size=look.size, rng=rng)
+    studio = Studio(rig, mesh, grey, look.gloss, _light(config, rig), 1.0, variant)
+    radiance = _radiance(studio, mesh.vertices, None, config.pictures.samples, 0)
+    studio = replace(studio, gain=exposure_gain(radiance))
+    _check_contrast(config, studio, radiance[rig.reference])
+    return studio
+
+
+def photograph(
+    studio: Studio,
+    config: LabConfig,
+    instants: Sequence[Vertices],
+    rod: TriangleMesh | None = None,
+    *,
+    rng: np.random.Generator,
+) -> tuple[UInt[np.ndarray, "_ _"], ...]:
+    """One picture from each camera.
+
+    Parameters
+    ----------
+    studio : Studio
+    config : LabConfig
+    instants : sequence of (v, 3) float [m]     the drawn vertices at one instant, or at several
+                                    within the exposure
+    rod : TriangleMesh or None      the arm's
+    rng : Generator                 of this picture's noise
+
+    Returns
+    -------
+    tuple of (rows, columns) uint8 or uint16
+    """
+    settings = config.pictures
+    seeds = rng.integers(0, 2**32, size=len(instants))
+    frames = [
+        _radiance(studio, vertices, rod, settings.samples, int(seed))
+        for vertices, seed in zip(instants, seeds, strict=True)
+    ]
+    pictures = []
+    for camera, moments in zip(studio.rig.cameras, zip(*frames, strict=True), strict=True):
+        light = np.stack(moments).mean(axis=0, dtype=np.float64).astype(np.float32)
+        if settings.aperture > 0.0:
+            light = defocused(light, _blur(studio, config, camera, instants[-1]))
+        gain = studio.gain * max(1.0 + settings.gain_drift * rng.standard_normal(), 0.1)
+        pictures.append(grey_picture(light, settings, gain=gain, rng=rng))
+    return tuple(pictures)
+
+
+def exposure(config: LabConfig, before: Vertices, after: Vertices) -> list[Vertices]:
+    """Vertices within an exposure that ends at `after`; one instant where nothing blurs."""
+    share = config.pictures.motion_blur
+    if share == 0.0:
+        return [after]
+    return [after - s * (after - before) for s in np.linspace(share, 0.0, _FRAMES)]
+
+
+def _light(config: LabConfig, rig: Rig) -> Light:
+    """A lamp beside the reference camera, and light from everywhere."""
+    vertices = config.specimen.mesh.vertices
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    reference = rig.cameras[rig.reference]
+    pose, eye = reference.T_camera_object, camera_centre(reference)
+    distance = float(np.linalg.norm(eye - middle))
+    place = eye + _LAMP_BESIDE * distance * (0.8 * pose[0, :3] - 0.6 * pose[1, :3])
+    side = config.pictures.lamp
+    # The same light on the object from any size of lamp and any distance.
+    radiance = (1.0 - _AMBIENT) * np.pi * float(np.sum((place - middle) ** 2)) / side**2
+    return Light(_AMBIENT, Lamp(place, middle, side, radiance))
+
+
+def _radiance(
+    studio: Studio, vertices: Vertices, rod: TriangleMesh | None, samples: int, seed: int
+) -> tuple[np.ndarray, ...]:
+    """Light that reaches the cameras."""
+    mesh = TriangleMesh(vertices, studio.mesh.triangles)
+    bodies = [DrawnBody(mesh, studio.grey, studio.gloss)]
+    if rod is not None:
+        bodies.append(DrawnBody(rod, np.full(len(rod.vertices), _ROD_GREY)))
+    return render(
+        bodies, studio.rig.cameras, studio.light, variant=studio.variant, samples=samples, seed=seed
+    )
+
+
+def _blur(
+    studio: Studio, config: LabConfig, camera: Camera, vertices: Vertices
+) -> Float[np.ndarray, "rows columns"]:
+    """Radius of the blur in each pixel of a camera that is focused on the object's middle [px]."""
+    columns, rows = camera.size or (0, 0)
+    seen = surface_map(camera, (rows, columns), vertices, studio.mesh.triangles)
+    depth = np.asarray(seen.point @ camera.T_camera_object[2, :3] + camera.T_camera_object[2, 3])
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    focus = float(camera.T_camera_object[2, :3] @ middle + camera.T_camera_object[2, 3])
+    return blur_radius(
+        depth, focus=focus, aperture=config.pictures.aperture, focal=float(camera.matrix[0, 0])
+    )
+
+
+def _check_contrast(config: LabConfig, studio: Studio, radiance: np.ndarray) -> None:
+    """Refuse a texture that no window can follow: before anything else is rendered."""
+    grey = studio.gain * radiance
+    lit = grey > 0.1 * grey.max()
+    # The reflectance's own spread: what shading adds is no texture.
+    contrast = float(np.std(studio.grey) / max(np.mean(studio.grey), 1e-9) * np.mean(grey[lit]))
+    noise = float(np.hypot(config.pictures.noise, counting_noise(config.pictures, _MID_GREY)))
+    if contrast < _MIN_CONTRAST * noise:
+        raise InputError(
+            f"the texture '{config.look.texture}' shows {contrast:.1f} grey levels of contrast"
+            f" beside a noise of {noise:.1f}; {_MIN_CONTRAST:g} times the noise is needed: take"
+            " 'speckle', or less noise"
+        )

@@ -1,0 +1,244 @@
+"""Sessions of the virtual facility, their motion measured by each method, and their truth."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import InputError, RecordError
+from palpate.lab import LabConfig, Material, Variant, make_session
+from palpate.pipeline import FLOW_METHODS, SessionFlow, measure_motion
+from palpate.progress import Progress, part_of, silent
+from palpate.records import Session, TomlTable, read_session, read_toml
+from palpate.shapes import Points
+from palpate.vision import RangeFlow
+
+Method = Literal["lang-pai", "joint"]
+METHODS: tuple[Method, ...] = ("lang-pai", "joint")
+# Share of the time that goes into making a session; measuring it takes the rest.
+_MAKING = 0.5
+# A quick run: steps, and by how much pictures are smaller.
+_QUICK_STEPS, _QUICK_SHRINK = 3, 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperSession:
+    """A session of the facility and its motion by several methods.
+
+    Attributes
+    ----------
+    session : Session               `truth.toml` is beside its file
+    found : mapping of method to SessionFlow
+    """
+
+    session: Session
+    found: Mapping[Method, SessionFlow]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidStep:
+    """True motion of a rigid object from the first instant to a later one.
+
+    Attributes
+    ----------
+    motion : (4, 4) float [m]       x(step) = R x(first) + t, object frame
+    encoder : float [m]             travel of the stage by its encoder
+    """
+
+    motion: Float[np.ndarray, "4 4"]
+    encoder: float
+
+
+def quickened(config: LabConfig) -> LabConfig:
+    """A configuration for a quick look: half the pixels a side, three steps or probings at most.
+
+    The texture grows with the pixels, so that it can be matched as well.
+
+    Parameters
+    ----------
+    config : LabConfig
+
+    Returns
+    -------
+    LabConfig
+    """
+    head, look, stage = config.head, config.look, config.stage
+    small = replace(
+        head,
+        columns=head.columns // _QUICK_SHRINK,
+        rows=head.rows // _QUICK_SHRINK,
+        focal=None if head.focal is None else head.focal / _QUICK_SHRINK,
+    )
+    if stage is not None:
+        stage = replace(stage, steps=min(stage.steps, _QUICK_STEPS))
+    coarse = replace(look, size=_QUICK_SHRINK * look.size)
+    probes = config.probes[:_QUICK_STEPS]
+    return replace(config, head=small, look=coarse, stage=stage, probes=probes)
+
+
+def measured_session(
+    config: LabConfig,
+    folder: Path,
+    *,
+    methods: Sequence[Method] = METHODS,
+    variant: Variant,
+    progress: Progress | None = None,
+) -> PaperSession:
+    """Make a session in the facility and measure its motion.
+
+    The object's pose is taken as the session gives it.
+
+    Parameters
+    ----------
+    config : LabConfig
+    folder : Path                   an empty folder: the session stays there
+    methods : sequence of Method
+    variant : Variant               of Mitsuba
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
+
+    Returns
+    -------
+    PaperSession
+
+    Raises
+    ------
+    InputError, RecordError         as `make_session` and `measure_motion`
+    """
+    say = progress or silent
+    make_session(config, folder, variant=variant, progress=part_of(say, 0.0, _MAKING))
+    session, found = read_session(folder), {}
+    for k, method in enumerate(methods):
+        begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
+        found[method] = measure_motion(
+            session,
+            method=FLOW_METHODS[method](),
+            pose="given",
+            progress=part_of(say, begin, end, prefix=f"{method}: "),
+        )
+    return PaperSession(session, found)
+
+
+def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
+    """What the truth beside a session says of its steps after the first.
+
+    Parameters
+    ----------
+    session : Session               made by the facility, with steps
+
+    Returns
+    -------
+    tuple of RigidStep
+
+    Raises
+    ------
+    RecordError                     no `truth.toml` that can be read, a step without its motion
+    InputError                      another number of steps than the session's
+    """
+    root = read_toml(session.path.parent / "truth.toml")
+    tables = root.tables("step", "[[step]]")
+    if len(tables) != len(session.steps):
+        raise InputError(
+            f"{root.file}: has {len(tables)} steps, the session {len(session.steps)}; they must"
+            " come from the same run of the facility: make the session anew"
+        )
+    start = tables[0].vector("encoder")
+    return tuple(
+        RigidStep(_motion(table), float(np.linalg.norm(table.vector("encoder") - start)))
+        for table in tables[1:]
+    )
+
+
+def true_material(session: Session) -> Material:
+    """What the specimen of a facility's session is made of.
+
+    Parameters
+    ----------
+    session : Session               with truth.toml beside its file
+
+    Returns
+    -------
+    Material
+
+    Raises
+    ------
+    RecordError                     it cannot be read
+    """
+    truth = read_toml(session.path.parent / "truth.toml")
+    return Material(truth.number("young_modulus"), truth.number("poisson_ratio"))
+
+
+def true_displacement(session: Session, name: str, flow: RangeFlow) -> Points:
+    """True displacement of the points of a range flow.
+
+    Parameters
+    ----------
+    session : Session               made by the facility: `truth.toml` or truth maps beside its file
+    name : str                      of a step after the first, or of a probing
+    flow : RangeFlow                of that instant
+
+    Returns
+    -------
+    (n, 3) float [m]                of a probing: at the pixel nearest to each point; NaN where the
+                                    reference camera does not see the object there
+
+    Raises
+    ------
+    InputError                      no such step or probing
+    RecordError                     the truth cannot be read
+    """
+    if not session.steps:
+        return _by_map(session, name, flow)
+    names = [step.name for step in session.steps[1:]]
+    if name not in names:
+        raise InputError(f"there is no step '{name}' after the first; there are {', '.join(names)}")
+    return rigid_displacement(rigid_steps(session)[names.index(name)].motion, flow.point)
+
+
+def rigid_displacement(motion: Float[np.ndarray, "4 4"], points: Points) -> Points:
+    """Displacement of points under a rigid motion.
+
+    Parameters
+    ----------
+    motion : (4, 4) float [m]
+    points : (n, 3) float [m]       before it
+
+    Returns
+    -------
+    (n, 3) float [m]
+    """
+    return points @ (motion[:3, :3] - np.eye(3)).T + motion[:3, 3]
+
+
+def _by_map(session: Session, name: str, flow: RangeFlow) -> Points:
+    """From the truth map of a probing."""
+    known = [probing.name for probing in session.probings]
+    if name not in known:
+        raise InputError(f"there is no probing '{name}'; there are {', '.join(known)}")
+    file = session.path.parent / f"truth_{name}.npz"
+    try:
+        with np.load(file, allow_pickle=False) as content:
+            pixel, moved = content["pixel"], content["U"].astype(float)
+            rows, columns = content["shape"].tolist()
+    except (OSError, ValueError, KeyError) as error:
+        raise RecordError(
+            f"{file}: cannot be read as a truth map; make the session anew with `palpate lab`"
+        ) from error
+    column, row = np.rint(flow.pixel).astype(int).T
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    wanted = np.where(inside, row * columns + column, -1)
+    place = np.minimum(np.searchsorted(pixel, wanted), len(pixel) - 1)
+    return np.where((pixel[place] == wanted)[:, None], moved[place], np.nan)
+
+
+def _motion(table: TomlTable) -> Float[np.ndarray, "4 4"]:
+    """Rotation and translation of a step."""
+    rows = table.get("R")
+    if not (isinstance(rows, list) and len(rows) == 3):
+        table.fail("R", f"is {rows!r}; must be three rows of three numbers")
+    motion = np.eye(4)
+    motion[:3, :3] = [TomlTable(table.file, table.name, {"R": row}).vector("R") for row in rows]
+    motion[:3, 3] = table.vector("t")
+    return motion

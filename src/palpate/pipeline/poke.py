@@ -1,0 +1,161 @@
+"""A push that was never measured, on an object whose constants are known: where it moves and
+strains."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.bem import (
+    InteriorState,
+    SurfaceSettings,
+    assemble_system,
+    cached_system,
+    interior_state,
+    make_elastic_map,
+    make_surface,
+)
+from palpate.errors import InputError
+from palpate.geometry import interpolation_matrix
+from palpate.pipeline.fit_session import surface_load
+from palpate.probe import find_contact_patch
+from palpate.progress import Progress, silent
+from palpate.records import Contact, Session, require_probings
+from palpate.shapes import Points, Vector3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PokedState:
+    """What an object does under a tool; gravity is not part of it.
+
+    Attributes
+    ----------
+    contact : Contact
+    displacement : (3,) float [m]           of the contact point
+    largest : (3,) float [m]                displacement of the vertex that moves most
+    largest_point : (3,) float [m]          that vertex
+    reaction : (3,) float [N]               force of the support on the object
+    interior : InteriorState or None        displacement and stress at interior points; None: no
+                                            points were asked for
+    """
+
+    contact: Contact
+    displacement: Vector3
+    largest: Vector3
+    largest_point: Vector3
+    reaction: Vector3
+    interior: InteriorState | None
+
+
+def poke_session(
+    session: Session,
+    force: Vector3,
+    contact: Contact,
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
+    interior: Points | None = None,
+    surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
+    progress: Progress | None = None,
+) -> PokedState:
+    """Press a tool on a session's object.
+
+    Parameters
+    ----------
+    session : Session
+    force : (3,) float [N]              of the tool on the object, object frame
+    contact : Contact                   where it presses
+    shear_modulus : float [Pa]          > 0
+    poisson_ratio : float [-]           -1 < nu <= 0.5
+    interior : (n, 3) float [m]         points inside the object, at least 5 % of a triangle's
+                                        radius from its surface
+    surface : SurfaceSettings           how the surface between the vertices is understood
+    cache : Path                        folder that keeps the surface integrals; None: none
+    progress : callable                 called with what is done (text) and how far it is (0 to 1)
+
+    Returns
+    -------
+    PokedState
+
+    Raises
+    ------
+    InputError                          constants out of range, a contact off the surface or on the
+                                        support, a point outside or too close to the surface
+    SingularSystemError                 the support does not hold the object
+    """
+    say = progress or silent
+    patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
+    boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
+    say("integrals over the surface", 0.0)
+    system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
+    say("factorisation", 0.6)
+    elastic_map = make_elastic_map(system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+    load = surface_load(patch)
+    (state,) = elastic_map.respond([load], force[None])
+    say("interior points", 0.8)
+    inside = None if interior is None else interior_state(elastic_map, load, force, interior)
+    at_contact = interpolation_matrix(
+        boundary.displacement, np.array([patch.triangle]), patch.barycentric[None]
+    )
+    most = int(np.argmax(np.linalg.norm(state.displacement, axis=1)))
+    return PokedState(
+        contact=contact,
+        displacement=(at_contact @ state.displacement)[0],
+        largest=state.displacement[most],
+        largest_point=session.mesh.vertices[most],
+        reaction=state.reaction,
+        interior=inside,
+    )
+
+
+def tool_contact(session: Session, point: Vector3, radius: float | None) -> Contact:
+    """The contact of a tool like that of a session's first probing at another point.
+
+    Parameters
+    ----------
+    session : Session                   with probings
+    point : (3,) float [m]
+    radius : float or None [m]          None: that of the probing
+
+    Returns
+    -------
+    Contact
+
+    Raises
+    ------
+    InputError                          no probings; no radius is given, and the session's probings
+                                        have none; a bad one
+    """
+    require_probings(session)
+    first = session.probings[0].contact
+    if first.radius is not None:
+        return replace(first, point=point, radius=first.radius if radius is None else radius)
+    if radius is None:
+        raise InputError(
+            f"{session.path}: its probings press on a vertex, so there is no radius of the contact;"
+            " give one with --radius: under a point the displacement grows without bound as the"
+            " mesh gets finer"
+        )
+    return Contact(point, radius, "smooth")
+
+
+def von_mises_stress(stress: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
+    """Equivalent stress: the uniaxial tension that distorts the material as much.
+
+    Parameters
+    ----------
+    stress : (n, 3, 3) float [Pa]       symmetric
+
+    Returns
+    -------
+    (n,) float [Pa]                     sqrt(3/2 s : s) of the deviator s, >= 0
+
+    Source
+    ------
+    von Mises, Nachrichten von der Gesellschaft der Wissenschaften zu Goettingen (1913), 582
+    """
+    mean = np.trace(stress, axis1=1, axis2=2) / 3.0
+    deviator = stress - mean[:, None, None] * np.eye(3)
+    return np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2)))

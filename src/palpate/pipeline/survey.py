@@ -1,0 +1,176 @@
+"""What can be said about a session before any fit, by counting."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.geometry import triangle_distances, unit_normals
+from palpate.records import DisplacementField, Probing, Session, observed_rows
+
+# Within this many contact radii a push shows as an imprint, farther away only as bending.
+NEAR_RADII = 8.0
+_MIN_NEAR_POINTS = 20
+_CLEAR_SIGNAL = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSurvey:
+    """What a displacement field amounts to.
+
+    Attributes
+    ----------
+    observed, missing : int             points with a displacement, and without
+    median_displacement : float [m]     of |u| over the measured points; NaN: none
+    median_sigma : float [m]            of the standard deviations of all components; NaN: none
+    """
+
+    observed: int
+    missing: int
+    median_displacement: float
+    median_sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProbingSurvey:
+    """What can be said about one probing before any fit.
+
+    Attributes
+    ----------
+    name : str
+    patch_triangles : int           triangles that the contact patch touches
+    elements_per_radius : float     contact radius over mean edge length in the patch; NaN: vertex
+    observed, missing : int
+    median_displacement : float [m] of |u| over the measured points; NaN: none
+    signal_to_noise : float         median |u| / sigma of a component; NaN where no sigma is given
+    tangential_signal : float       the same for the part of u along the surface
+    near : int                      measured points within eight contact radii
+    """
+
+    name: str
+    patch_triangles: int
+    elements_per_radius: float
+    observed: int
+    missing: int
+    median_displacement: float
+    signal_to_noise: float
+    tangential_signal: float
+    near: int
+
+
+def survey_field(field: DisplacementField) -> FieldSurvey:
+    """Counts and medians of a displacement field.
+
+    Parameters
+    ----------
+    field : DisplacementField
+
+    Returns
+    -------
+    FieldSurvey
+    """
+    measured = observed_rows(field)
+    length = np.linalg.norm(field.displacement[measured], axis=1)
+    sigma = np.zeros(0) if field.std is None else field.std[measured]
+    return FieldSurvey(
+        int(measured.sum()), int((~measured).sum()), _median(length), _median(sigma.ravel())
+    )
+
+
+def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
+    """Contact, counts and signal of one probing.
+
+    Parameters
+    ----------
+    session : Session
+    probing : Probing               of that session; without a displacement field nothing is seen
+
+    Returns
+    -------
+    ProbingSurvey
+    """
+    mesh, contact, field = session.mesh, probing.contact, probing.displacement
+    distance = triangle_distances(mesh, contact.point)
+    patch = np.flatnonzero(distance < (contact.radius or np.nextafter(distance.min(), np.inf)))
+    corner = mesh.vertices[mesh.triangles[patch]]
+    edge = float(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean())
+    elements = contact.radius / edge if contact.radius else np.nan
+    if field is None:
+        return ProbingSurvey(probing.name, len(patch), elements, 0, 0, np.nan, np.nan, np.nan, 0)
+    found, measured = survey_field(field), observed_rows(field)
+    moved = field.displacement[measured]
+    normal = unit_normals(mesh)[field.surface.triangle[measured]]
+    along = moved - np.einsum("na,na->n", moved, normal)[:, None] * normal
+    sigma = np.nan if field.std is None else field.std[measured].mean(axis=1)
+    away = np.linalg.norm(field.points[measured] - contact.point, axis=1)
+    return ProbingSurvey(
+        name=probing.name,
+        patch_triangles=len(patch),
+        elements_per_radius=elements,
+        observed=found.observed,
+        missing=found.missing,
+        median_displacement=found.median_displacement,
+        signal_to_noise=_median(np.linalg.norm(moved, axis=1) / sigma),
+        tangential_signal=_median(np.linalg.norm(along, axis=1) / sigma),
+        near=int((away < NEAR_RADII * (contact.radius or edge)).sum()),
+    )
+
+
+def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
+    """What the data promise, or how displacements are still to be measured, in words.
+
+    A guess by counting, not a computation.
+
+    Parameters
+    ----------
+    session : Session
+    surveys : sequence of ProbingSurvey     of all its probings
+
+    Returns
+    -------
+    str                             sentences
+    """
+    unread = [p.name for p in session.probings if p.displacement is None and p.images is not None]
+    if len(unread) == len(surveys):
+        return (
+            f"{len(unread)} probings have pictures and no displacements yet: `palpate flow` shows"
+            " what can be read from them, `palpate fit` reads them itself."
+        )
+    sentences = [_expectation(sum(survey.near for survey in surveys))]
+    weak = [s.name for s in surveys if s.signal_to_noise < _CLEAR_SIGNAL]
+    if weak:
+        names = ", ".join(weak[:5]) + (", ..." if len(weak) > 5 else "")
+        sentences.append(
+            f"Half the vectors or more are below {_CLEAR_SIGNAL:g} sigma in {len(weak)} of"
+            f" {len(surveys)} probings ({names}): expect wide intervals from these alone."
+        )
+    if not any(np.isfinite(survey.signal_to_noise) for survey in surveys):
+        sentences.append("No standard deviations are given; the noise will be estimated.")
+    coarse = [survey.name for survey in surveys if survey.elements_per_radius < 1.0]
+    if coarse:
+        sentences.append(
+            f"The contact is smaller than an element in {len(coarse)} probings: displacements next"
+            " to it will be inaccurate; refine the mesh there or leave near points out."
+        )
+    return " ".join([*sentences, "This is a guess by counting: `palpate fit` decides."])
+
+
+def _expectation(near: int) -> str:
+    """What so many measured points near the contacts promise."""
+    if near < _MIN_NEAR_POINTS:
+        return (
+            f"Only {near} measured points lie within {NEAR_RADII:g} contact radii of a contact:"
+            " such data show bending and stretching, which determine Young's modulus and say next"
+            " to nothing about Poisson's ratio."
+        )
+    return (
+        f"{near} measured vectors lie within {NEAR_RADII:g} contact radii of a contact: stiffness"
+        " should be identifiable, and so should Poisson's ratio if the vectors' parts along the"
+        " surface stand out of the noise."
+    )
+
+
+def _median(values: Float[np.ndarray, " k"]) -> float:
+    """Median of some values; NaN of none."""
+    return float(np.median(values)) if len(values) else np.nan

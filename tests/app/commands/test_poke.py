@@ -1,0 +1,134 @@
+"""`palpate poke`: the tables it prints, where the material comes from, and what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from palpate.app.commands import poke as poke_command
+from palpate.bem import InteriorState
+from palpate.pipeline import PokedState
+
+PUSH = ("--force", 0.3, 0, "-0.8", "--at", 0.02, 0.02, 0.04)
+MATERIAL = ("--shear-modulus", 2e4, "--poisson-ratio", 0.3)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """The model replaced; what it was asked for is collected."""
+    calls = []
+
+    def poke_session(session, force, contact, *, interior, **options):
+        calls.append((force, contact, interior, options))
+        inside = None
+        if interior is not None:
+            stress = np.tile(np.diag([0.0, 0.0, -3e3]), (len(interior), 1, 1))
+            inside = InteriorState(1e-4 * np.ones_like(interior), stress)
+        top = np.array([0.02, 0.02, 0.04])
+        moved = np.array([3e-4, 1e-12, -4e-4])
+        return PokedState(contact, moved, 2.0 * moved, top, -force, inside)
+
+    monkeypatch.setattr(poke_command, "poke_session", poke_session)
+    return calls
+
+
+def test_displacement_and_stress_are_printed(palpate, asked, cube_session):
+    inside = ("--interior", 0.02, 0.02, 0.02, 0.01, 0.02, 0.03)
+    code, out, err = palpate("poke", cube_session, *PUSH, *MATERIAL, *inside)
+    assert (code, err) == (0, "")
+    rows = {line[:10].strip(): line.split() for line in out.splitlines()}
+    assert rows["contact"][-4:] == ["0.300,", "0.000,", "-0.400", "0.5"]
+    assert rows["largest"][-4:] == ["0.600,", "0.000,", "-0.800", "1"]
+    # 3 kPa of compression: its von Mises stress is 3 kPa, too.
+    stresses = [line.split()[2:] for line in out.splitlines() if line.strip().startswith("inside")]
+    assert stresses[2] == stresses[3] == ["0.00", "0.00", "-3.00", "0.00", "0.00", "0.00", "3"]
+    text = " ".join(out.split())
+    assert "G = 20 kPa, nu = 0.3; a force of (0.300, 0.000, -0.800) N" in text
+    assert "over a radius of 6 mm" in text
+    ((force, contact, interior, _),) = asked
+    np.testing.assert_array_equal(force, [0.3, 0.0, -0.8])
+    np.testing.assert_array_equal(contact.point, [0.02, 0.02, 0.04])
+    np.testing.assert_array_equal(interior, [[0.02, 0.02, 0.02], [0.01, 0.02, 0.03]])
+
+
+def test_without_interior_points_there_is_one_table(palpate, asked, cube_session):
+    _, out, _ = palpate("poke", cube_session, *PUSH, *MATERIAL)
+    assert "Stress" not in out
+    assert asked[0][2] is None
+
+
+def test_the_material_is_youngs_modulus_or_the_shear_modulus(palpate, asked, cube_session):
+    palpate("poke", cube_session, *PUSH, "--young-modulus", 5.2e4, "--poisson-ratio", 0.3)
+    palpate("poke", cube_session, *PUSH, *MATERIAL, "--radius", 0.002, "--surface", "flat")
+    (_, _, _, first), (_, contact, _, second) = asked
+    # G = E / (2 (1 + nu))
+    assert first["shear_modulus"] == pytest.approx(2e4, rel=1e-12)
+    assert (first["poisson_ratio"], second["shear_modulus"]) == (0.3, 2e4)
+    assert (contact.radius, second["surface"].smooth) == (0.002, False)
+
+
+def estimate(folder, *, status="ok", shear=2.5e4):
+    """A result folder of `palpate fit` with these constants."""
+    known = {"std": 1.0, "ci95": [0.0, 1e9]}
+    names = {"shear_modulus": shear, "poisson_ratio": 0.2, "young_modulus": 6e4}
+    folder.mkdir()
+    content = {
+        "format": "palpate-estimate/1", "status": status, "probes": [], "seconds": {},
+        "identifiable": dict.fromkeys(names, True),
+        **{name: {"value": value, **known} for name, value in names.items()},
+    }  # fmt: skip
+    (folder / "estimate.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_the_material_may_come_from_a_fit(palpate, asked, cube_session, tmp_path):
+    folder = estimate(tmp_path / "result")
+    assert palpate("poke", cube_session, *PUSH, "--result", folder)[0] == 0
+    assert palpate("poke", cube_session, *PUSH, "--result", folder / "estimate.json")[0] == 0
+    for _, _, _, options in asked:
+        assert (options["shear_modulus"], options["poisson_ratio"]) == (2.5e4, 0.2)
+
+
+def test_an_estimate_that_is_not_ok_is_used_with_a_note(palpate, asked, cube_session, tmp_path):
+    folder = estimate(tmp_path / "result", status="poisson_ratio_not_identifiable")
+    code, _, err = palpate("poke", cube_session, *PUSH, "--result", folder)
+    assert code == 0
+    assert "palpate: note:" in err
+    assert "poisson_ratio_not_identifiable" in err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "give the material in one way"),
+        (("--shear-modulus", 2e4), "give the material in one way"),
+        ((*MATERIAL, "--young-modulus", 5e4), "give the material in one way"),
+        ((*MATERIAL, "--result", "."), "give the material in one way"),
+        (("--poisson-ratio", 0.6, "--young-modulus", 5e4), "--poisson-ratio is 0.6; must be"),
+        (("--poisson-ratio", "-1", "--young-modulus", 5e4), "--poisson-ratio is -1; must be"),
+        (("--result", "nowhere"), "nowhere"),
+        ((*MATERIAL, "--radius", "-0.1"), "radius is -0.1"),
+        ((*MATERIAL, "--force", 0, 0, 0), "--force is zero"),
+    ],
+)
+def test_bad_input_ends_with_two_and_one_message(palpate, asked, cube_session, options, message):
+    push = PUSH[4:] if "--force" in options else PUSH
+    code, out, err = palpate("poke", cube_session, *push, *options)
+    assert (code, out, asked) == (2, "", [])
+    assert message in err
+    assert "Traceback" not in err
+
+
+def test_an_estimate_without_a_value_is_refused(palpate, asked, cube_session, tmp_path):
+    folder = estimate(tmp_path / "result", shear=None)
+    code, _, err = palpate("poke", cube_session, *PUSH, "--result", folder)
+    assert code == 2
+    assert "no value of the shear modulus" in err
+
+
+def test_a_contact_beside_the_object_is_refused(palpate, cube_session):
+    options = ("--force", 0, 0, -1, "--at", 0.02, 0.02, 0.08, *MATERIAL)
+    code, out, err = palpate("poke", cube_session, *options)
+    assert (code, out) == (2, "")
+    assert "the contact point is 40 mm from the surface" in err
+    assert err.count("\n") == 1

@@ -1,0 +1,54 @@
+"""Tables on the terminal: names as they are, nothing left out on a narrow screen."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from palpate.app.terminal.tables import number_text, terminal_table
+
+
+def printed(table, width):
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(table)
+    return console.export_text()
+
+
+def test_the_terminal_shows_names_as_they_are():
+    table = terminal_table(
+        "Lengths [a]", ("source", "length", "text"), [("paper [b]", "0.33", "[c]")], caption="[d]"
+    )
+    text = printed(table, 100)
+    assert all(word in text for word in ("Lengths [a]", "paper [b]", "0.33", "[c]", "[d]"))
+
+
+def test_words_are_set_to_the_left_and_numbers_to_the_right():
+    rows = [("a", "1", "kPa", "unknown"), ("b", "1000", "-", "12.5"), ("c", "-3.5", "", "-inf")]
+    table = terminal_table("t", ("name", "number", "unit", "value"), rows)
+    assert [column.justify for column in table.columns] == ["left", "right", "left", "right"]
+
+
+def test_the_last_row_stands_apart_where_it_is_a_total():
+    rows = [("a", "1"), ("b", "2"), ("all", "3")]
+    assert [row.end_section for row in terminal_table("t", ("n", "k"), rows, total=True).rows] == [
+        False, True, False,
+    ]  # fmt: skip
+    assert not any(row.end_section for row in terminal_table("t", ("n", "k"), rows).rows)
+
+
+@pytest.mark.parametrize(("width", "whole"), [(90, True), (60, False)])
+def test_columns_are_as_narrow_as_their_numbers_and_nothing_is_left_out(width, whole):
+    columns = ("source", *(["largest error (kPa)"] * 7))
+    text = printed(
+        terminal_table("Wide", columns, [("tip misalignment", *(["-1234.50"] * 7))]), width
+    )
+    # Seven headings of 19 characters would take 140 columns.
+    assert (text.count("-1234.50") == 7) is whole
+    # Where there is no room, a cell goes on in the next line.
+    assert "…" not in text
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
+def test_what_is_not_known_is_a_dash(value):
+    assert number_text(value, ".2f") == "-"
+    assert number_text(1.005e3, ".3g") == "1e+03"

@@ -1,0 +1,207 @@
+"""Sessions of the facility: their truth, quick ones, and the chain once, small."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flow_samples import SHAPE, motion, sample
+from lab.planned_sessions import planned_session
+from paper.rigid_sessions import RIGID_SESSION, step_text
+
+from palpate.errors import InputError, RecordError
+from palpate.lab import Material, choose_variant, read_lab_config
+from palpate.paper.motion import flow_rows, vertex_rows
+from palpate.paper.sessions import (
+    METHODS,
+    measured_session,
+    quickened,
+    rigid_steps,
+    true_displacement,
+    true_material,
+)
+from palpate.records import read_session
+
+EXACT = 1e-12
+CONFIG = """\
+format = "palpate-lab/1"
+name = "small"
+[specimen]
+shape = "toy"
+radius = 0.035
+edge = 0.008
+[material]
+young_modulus = 1e5
+poisson_ratio = 0.3
+[look]
+size = 3.2e-3
+[stage]
+steps = 2
+translation = [2.5e-3, 0, 0]
+[head]
+distance = 0.81
+columns = 200
+rows = 150
+"""
+
+
+# Rigid motions
+
+
+def change_truth(session, old, new):
+    file = session.path.parent / "truth.toml"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+def test_encoders_are_read_from_the_first_instant(rigid_session):
+    first, second = rigid_steps(rigid_session)
+    assert first.encoder == pytest.approx(np.hypot(3e-3, 0.01), rel=EXACT)
+    assert second.encoder == pytest.approx(np.hypot(6e-3, 0.02), rel=EXACT)
+    np.testing.assert_allclose(second.motion[:3], np.c_[np.eye(3), [6e-3, 0, 0]], atol=1e-15)
+
+
+def test_truth_of_another_run_is_refused(rigid_session):
+    file = rigid_session.path.parent / "truth.toml"
+    file.write_text("".join(step_text(k, 0.0) for k in range(2)))
+    with pytest.raises(InputError, match="has 2 steps, the session 3"):
+        rigid_steps(rigid_session)
+
+
+@pytest.mark.parametrize("bad", ["3.0", "[[1.0, 0.0, 0.0]]", "[[1.0, 0.0], [0.0, 1.0], [0.0]]"])
+def test_a_rotation_that_is_none_is_refused(rigid_session, bad):
+    change_truth(rigid_session, "[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]", bad)
+    # That of the first instant says nothing and is not read.
+    rigid_steps(rigid_session)
+    change_truth(rigid_session, "[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]", bad)
+    with pytest.raises(RecordError, match=r"\[\[step\]\] R: .*must be three"):
+        rigid_steps(rigid_session)
+
+
+def test_a_session_without_truth_is_refused(rigid_session):
+    (rigid_session.path.parent / "truth.toml").unlink()
+    with pytest.raises(RecordError, match=r"truth\.toml"):
+        rigid_steps(rigid_session)
+
+
+# True displacement and material
+
+
+def turned(step):
+    """A turn by a right angle about z and a way along x, for each step."""
+    turn = np.linalg.matrix_power(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), step)
+    return turn, [1e-3 * step, 0.0, 0.0]
+
+
+@pytest.fixture
+def staged(tmp_path):
+    session = read_session(planned_session(tmp_path, RIGID_SESSION))
+    tables = []
+    for k in range(3):
+        turn, way = turned(k)
+        tables.append(f"[[step]]\nR = {turn.tolist()}\nt = {way}\nencoder = {way}\n")
+    (tmp_path / "truth.toml").write_text("".join(tables))
+    return session
+
+
+@pytest.fixture
+def probed(tmp_path):
+    """A truth map of every third pixel of the sample: what it holds, others do not."""
+    surface = sample().surface
+    pixel = np.flatnonzero(surface.triangle.ravel() >= 0)[::3]
+    point = surface.point.reshape(-1, 3)[pixel]
+    np.savez(
+        tmp_path / "truth_n01.npz", shape=np.array(SHAPE), pixel=pixel, X=point, U=motion(point)
+    )
+    return read_session(planned_session(tmp_path)), pixel
+
+
+def test_a_rigid_step_moves_every_point_by_its_pose(staged):
+    flow = sample().flow
+    x, y, z = flow.point.T
+    moved = true_displacement(staged, "s1", flow)
+    np.testing.assert_allclose(moved, np.stack([-y - x + 1e-3, x - y, 0 * z], 1), atol=1e-15)
+    # Two right angles, not the first step's one.
+    moved = true_displacement(staged, "s2", flow)
+    np.testing.assert_allclose(moved, np.stack([-2 * x + 2e-3, -2 * y, 0 * z], 1), atol=1e-15)
+
+
+def test_a_probing_moves_a_point_as_its_pixel_says(probed):
+    session, pixel = probed
+    flow = sample().flow
+    # A third of a pixel beside: the nearest pixel is still the same.
+    moved = true_displacement(session, "n01", replace(flow, pixel=flow.pixel + 0.3))
+    known = np.isin(flow.pixel @ [1, SHAPE[1]], pixel)
+    assert 0.2 < known.mean() < 0.8
+    np.testing.assert_allclose(moved[known], motion(flow.point[known]), atol=1e-15)
+    assert np.isnan(moved[~known]).all()
+
+
+def test_a_point_beside_the_picture_is_not_known(probed):
+    flow = sample().flow
+    for beside in ([-1.0, 0.0], [SHAPE[1], 0.0], [0.0, -1.0], [0.0, SHAPE[0]]):
+        pixel = np.tile(np.where(np.equal(beside, 0.0), 60.0, beside), (len(flow.pixel), 1))
+        moved = true_displacement(probed[0], "n01", replace(flow, pixel=pixel))
+        assert np.isnan(moved).all()
+
+
+def test_what_is_not_there_is_refused(staged, probed):
+    flow = sample().flow
+    with pytest.raises(InputError, match="no step 's0' after the first; there are s1, s2"):
+        true_displacement(staged, "s0", flow)
+    with pytest.raises(InputError, match="no probing 'n03'; there are n01, n02"):
+        true_displacement(probed[0], "n03", flow)
+    with pytest.raises(RecordError, match=r"truth_n02\.npz: cannot be read as a truth map"):
+        true_displacement(probed[0], "n02", flow)
+    (probed[0].path.parent / "truth_n02.npz").write_bytes(b"no map")
+    with pytest.raises(RecordError, match=r"truth_n02\.npz: cannot be read as a truth map"):
+        true_displacement(probed[0], "n02", flow)
+
+
+def test_the_truth_stands_beside_the_session(tmp_path):
+    session = read_session(planned_session(tmp_path))
+    (tmp_path / "truth.toml").write_text("young_modulus = 52000.0\npoisson_ratio = 0.21\n")
+    assert true_material(session) == Material(52e3, 0.21)
+
+
+# The chain
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    file = tmp_path_factory.mktemp("config") / "small.toml"
+    file.write_text(CONFIG)
+    return read_lab_config(file)
+
+
+def test_a_quick_configuration_is_the_same_on_a_coarser_chip(config):
+    quick = quickened(replace(config, head=replace(config.head, focal=500.0)))
+    assert (quick.head.columns, quick.head.rows, quick.head.focal) == (100, 75, 250.0)
+    assert quick.look.size == pytest.approx(2 * config.look.size)
+    assert quick.stage.steps == 2
+    many = quickened(replace(config, stage=replace(config.stage, steps=8)))
+    assert many.stage.steps == 3
+    assert many.head.focal is None
+    np.testing.assert_array_equal(many.stage.translation, config.stage.translation)
+
+
+def test_from_a_configuration_to_the_rows_of_both_methods(config, tmp_path: Path):
+    said: list[tuple[str, float]] = []
+    found = measured_session(
+        config, tmp_path, variant=choose_variant(), progress=lambda *one: said.append(one)
+    )
+    assert set(found.found) == set(METHODS)
+    shares = [share for _, share in said]
+    assert shares == sorted(shares)
+    assert 0.9 < shares[-1] <= 1.0
+    joint, paper = (flow_rows(found, method) for method in ("joint", "lang-pai"))
+    # 1.1 px/mm, cameras 0.1 m apart at 0.81 m: a tenth of a pixel, far more than the noise, is
+    # 0.1 mm along the picture. Whole pixels, rounded once a step, are 0.9 mm.
+    for step, (ours, theirs) in enumerate(zip(joint, paper, strict=True), start=1):
+        assert ours.length.mean == pytest.approx(2.5e-3 * step, abs=0.1e-3)
+        assert theirs.length.mean == pytest.approx(2.5e-3 * step, abs=0.9e-3 * step)
+        assert ours.count > 20
+        assert theirs.count > 1000
+    assert joint[0].angle.std < paper[0].angle.std
+    assert np.degrees(vertex_rows(found, "joint")[1].angle.mean) < 5.0

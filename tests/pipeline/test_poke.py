@@ -1,0 +1,105 @@
+"""A push on an object of known constants: against closed forms and against the elastic map."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cube_session import cube_session as cube_session
+
+from palpate.errors import InputError
+from palpate.pipeline import poke_session, tool_contact, von_mises_stress
+from palpate.records import Contact, read_session
+
+SHEAR, NU = 2e4, 0.3
+TOP = np.array([0.02, 0.02, 0.04])
+PRESS = np.array([0.0, 0.0, -1.0])
+CENTRE = np.array([[0.02, 0.02, 0.02]])
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    return read_session(cube_session.__wrapped__(tmp_path_factory.mktemp("poke")))
+
+
+def poked(session, force, **changes):
+    contact = tool_contact(session, TOP, None)
+    options = {"shear_modulus": SHEAR, "poisson_ratio": NU, "interior": CENTRE} | changes
+    return poke_session(session, np.array(force), contact, **options)
+
+
+@pytest.fixture(scope="module")
+def pressed(session):
+    return poked(session, PRESS)
+
+
+def test_the_object_gives_way_under_the_tool_and_the_support_answers(pressed):
+    assert pressed.displacement[2] < 0.0
+    # The cube and the load are symmetric about the axis of the press, its mesh is not quite.
+    assert np.abs(pressed.displacement[:2]).max() < 0.02 * -pressed.displacement[2]
+    np.testing.assert_array_equal(pressed.largest_point, TOP)
+    # Equilibrium as the traction of the support has it; the mesh has six edges a side.
+    np.testing.assert_allclose(pressed.reaction, -PRESS, atol=0.02)
+
+
+def test_the_cube_is_squeezed_in_the_middle(pressed):
+    """The plane half way down carries the whole force, so that its mean pressure is F / A."""
+    stress = pressed.interior.stress[0]
+    mean = 1.0 / 0.04**2
+    # In the middle it is more than the mean, under a Boussinesq cone not more than 3 F / 2 pi z^2.
+    assert mean < -stress[2, 2] < 3.0 / (2.0 * np.pi * 0.02**2)
+    np.testing.assert_allclose(stress, stress.T, atol=1e-9 * mean)
+
+
+def test_an_interior_point_moves_less_than_the_contact(pressed):
+    inside = pressed.interior.displacement[0, 2]
+    assert pressed.displacement[2] < inside < 0.0
+
+
+def test_displacement_goes_with_the_force_and_against_the_modulus(session, pressed):
+    other = poked(session, 2.0 * PRESS, shear_modulus=4.0 * SHEAR)
+    # Linear in F / G to rounding; stress in F alone.
+    np.testing.assert_allclose(other.displacement, 0.5 * pressed.displacement, rtol=1e-9)
+    np.testing.assert_allclose(other.largest, 0.5 * pressed.largest, rtol=1e-9)
+    np.testing.assert_allclose(
+        other.interior.stress, 2.0 * pressed.interior.stress, rtol=1e-6, atol=1e-6 / 0.04**2
+    )
+
+
+def test_without_interior_points_nothing_is_said_of_the_inside(session):
+    assert poked(session, PRESS, interior=None).interior is None
+
+
+@pytest.mark.parametrize(
+    ("point", "message"),
+    [((0.02, 0.02, 0.05), "outside the object"), ((0.02, 0.02, 0.03999), "of the surface")],
+)
+def test_points_that_are_not_inside_are_refused(session, point, message):
+    with pytest.raises(InputError, match=message):
+        poked(session, PRESS, interior=np.array([point]))
+
+
+def test_the_tool_is_that_of_the_first_probing(session):
+    first = session.probings[0].contact
+    contact = tool_contact(session, TOP, None)
+    assert (contact.radius, contact.profile) == (first.radius, first.profile)
+    assert tool_contact(session, TOP, 0.002).radius == 0.002
+
+
+def test_a_vertex_is_no_tool(session):
+    vertex = Contact(TOP, None, "vertex")
+    probing = replace(session.probings[0], contact=vertex)
+    blunt = replace(session, probings=(probing,))
+    with pytest.raises(InputError, match="give one with --radius"):
+        tool_contact(blunt, TOP, None)
+    assert tool_contact(blunt, TOP, 0.003).radius == 0.003
+
+
+def test_von_mises_stress_in_closed_form():
+    tension, shear, pressure = np.zeros((3, 3, 3))
+    tension[0, 0] = 5.0
+    shear[0, 1] = shear[1, 0] = 2.0
+    pressure[:] = -7.0 * np.eye(3)
+    stress = np.stack([tension, shear, pressure, tension + pressure])
+    np.testing.assert_allclose(
+        von_mises_stress(stress), [5.0, 2.0 * np.sqrt(3.0), 0.0, 5.0], atol=1e-12
+    )
