@@ -1,4 +1,4 @@
-"""Mesh files.
+"""Mesh files: the surface of an object, from the formats of other programs and into them.
 
 Purpose    : read the surface of an object from the usual formats, and write it.
 Takes      : PLY, OBJ, STL, OFF, MSH, VTU and VTP files.
