@@ -16,10 +16,9 @@ from palpate.bem import (
     solve,
 )
 from palpate.estimation import (
-    FullModel,
-    FullResponse,
     PointRows,
     ProbeRows,
+    full_responses,
     make_reduced_model,
     reduced_response,
 )
@@ -62,7 +61,7 @@ def setting():
 def responses(setting):
     system, right, _, rows, _, _ = setting
     return (
-        FullResponse(FullModel(system, right), rows),
+        full_responses(system, right, [rows])[0],
         reduced_response(make_reduced_model(system, right), rows),
     )
 
@@ -111,19 +110,10 @@ def test_without_gravity_the_last_column_is_zero(setting):
     system, right, _, rows, _, _ = setting
     bare = ProbeRows(rows.columns[:3], rows.surface, rows.particular, None)
     for response in (
-        FullResponse(FullModel(system, right), bare),
+        full_responses(system, right, [bare])[0],
         reduced_response(make_reduced_model(system, right), bare),
     ):
         value = response.value(0.3)
         assert value.shape == (15, 4)
         assert not value[:, 3].any()
         assert value[:, :3].any()
-
-
-def test_the_full_model_remembers_one_solution(setting):
-    system, right, *_ = setting
-    model = FullModel(system, right)
-    first = model.solution(0.3)
-    assert model.solution(0.3) is first
-    model.solution(0.31)
-    assert list(model.solved) == [0.31]

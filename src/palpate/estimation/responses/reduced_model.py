@@ -49,7 +49,7 @@ class ReducedModel:
         Parameters
         ----------
         poisson_ratio : float
-        columns : (c,) int        right-hand sides asked for, all unless told
+        columns : (c,) int        right-hand sides asked for, all by default
 
         Returns
         -------
