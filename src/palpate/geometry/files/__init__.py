@@ -1,9 +1,9 @@
-"""Mesh files: the surface of an object, from the formats of other programs and into them.
+"""Mesh files.
 
 Purpose    : read the surface of an object from the usual formats, and write it.
 Takes      : PLY, OBJ, STL, OFF, MSH, VTU and VTP files.
 Gives      : `TriangleMesh` in metres with coinciding vertices welded.
-Depends on : nothing but the ground floor.
+Depends on : geometry's triangle mesh; errors, optional_imports, shapes.
 Read first : `mesh_files.py`.
 """
 
