@@ -9,9 +9,7 @@ from scipy.spatial import cKDTree
 from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
-from palpate.geometry import refined_surface
 from palpate.pipeline import (
-    MotionSettings,
     SessionFlow,
     fit_session,
     measure_motion,
@@ -19,12 +17,10 @@ from palpate.pipeline import (
 )
 from palpate.records import Session, read_rig, read_session
 from palpate.vision import (
+    JointFlow,
     VertexDisplacement,
     is_valid,
-    joint_flow,
-    make_scene,
     read_pictures,
-    vertex_displacement,
 )
 
 RIGID = ("rigid_translation_x", "rigid_translation_y", "rigid_rotation_z")
@@ -45,7 +41,7 @@ def measure(options: Options) -> list[Figure]:
     """All figures from rendered pictures."""
     joint = [_rigid(name) for name in RIGID]
     session = read_session(SHARED / "halfball_images")
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    found = measure_motion(session, pose="given")
     ball, squares = _half_ball(session, found)
     return [
         *_translations(joint),
@@ -61,7 +57,7 @@ def _rigid(name: str) -> Rigid:
     folder = SHARED / name
     truth = tomllib.loads((folder / "truth.toml").read_text(encoding="utf-8"))["step"]
     session = read_session(folder)
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    found = measure_motion(session, pose="given")
     point = session.mesh.vertices
     errors, moves, squares = [], [], []
     for motion, step in zip(found.motions, truth[1:], strict=True):
@@ -193,13 +189,11 @@ def _cameras() -> Figure:
             read_pictures(part, step.images, folder=folder, what=step.name).grey
             for step in session.steps[:4]
         ]
-        scene = make_scene(part, grey[0], *refined_surface(session.mesh))
-        found = [
-            vertex_displacement(
-                flow, part.cameras[0], session.mesh.vertices, session.mesh.triangles
-            )
-            for flow in joint_flow(scene, grey[1:])
-        ]
+        method = JointFlow()
+        state, found = method.start(part, grey[0], session.mesh), []
+        for pictures in grey[1:]:
+            state, flow = method.follow(state, pictures)
+            found.append(method.vertices(flow, part, session.mesh))
         error[chosen] = np.stack(
             [motion.displacement - [0.0025 * k, 0, 0] for k, motion in enumerate(found, start=1)]
         )

@@ -15,7 +15,7 @@ from palpate.paper.motion import PAPER
 from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
 from palpate.paper.result import Cell, ResultTable
 from palpate.paper.sessions import Method, PaperSession
-from palpate.pipeline import MotionSettings, fit_session, measure_motion, with_measured_displacement
+from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
 from palpate.records import Constant, Estimate, ProbeEstimate, Session
 
 # A cylinder as one would cut it from foam [m], and the strain of the test.
@@ -78,7 +78,7 @@ def pictures_measured(session: Session) -> Session:
     """
     if all(probing.displacement is not None for probing in session.probings):
         return session
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    found = measure_motion(session, pose="given")
     return with_measured_displacement(session, found)
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from palpate.errors import InputError, RecordError
 from palpate.lab import LabConfig, Material, Variant, make_session
-from palpate.pipeline import MotionSettings, SessionFlow, measure_motion
+from palpate.pipeline import FLOW_METHODS, SessionFlow, measure_motion
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, TomlTable, read_session, read_toml
 from palpate.shapes import Points
@@ -114,7 +114,8 @@ def measured_session(
         begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
         found[method] = measure_motion(
             session,
-            settings=MotionSettings(method=method, pose="given"),
+            method=FLOW_METHODS[method](),
+            pose="given",
             progress=part_of(say, begin, end, prefix=f"{method}: "),
         )
     return PaperSession(session, found)

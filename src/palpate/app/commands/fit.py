@@ -82,8 +82,7 @@ def fit(
             given = _with_motion(given, progress)
             result = fit_session(
                 given,
-                method=method,
-                settings=FitSettings(poisson_range=poisson_range),
+                settings=FitSettings(method=method, poisson_range=poisson_range),
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
                 progress=progress,
