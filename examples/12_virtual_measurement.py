@@ -18,7 +18,8 @@ from palpate.lab import (
     read_sensor,
     sensor_std,
 )
-from palpate.lab.bodies import TIPS, surface_values
+from palpate.lab.bodies.finite_elements import surface_values
+from palpate.lab.bodies.tips import TIPS
 from palpate.pipeline import fit_session
 from palpate.records import Contact, DisplacementField, Probing, Session
 
