@@ -4,7 +4,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -29,8 +29,16 @@ from palpate.pipeline import (
     write_vertices,
 )
 from palpate.progress import Progress
-from palpate.records import Session, default_folder, disk_errors, read_session, result_folder
-from palpate.vision import SurfaceMap, surface_map
+from palpate.records import (
+    Rig,
+    Session,
+    default_folder,
+    disk_errors,
+    read_session,
+    result_folder,
+)
+from palpate.shapes import Flags
+from palpate.vision import surface_map
 
 if TYPE_CHECKING:
     MethodName = str
@@ -40,17 +48,6 @@ else:
 _NOT_OK = 3
 # Before this a rate says more about the start than about the work [s].
 _RATE_STARTS = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Context:
-    """What the files of all motions of a session share."""
-
-    folder: Path
-    session: Session
-    found: SessionFlow
-    metres_per_unit: float
-    pictures: bool
 
 
 def flow(
@@ -112,9 +109,13 @@ def flow(
             report = _with_rate(progress, _instants(given))
             found = measure_motion(given, method=chosen, pose=pose, progress=report)
             seconds = time.perf_counter() - start
-            context = _Context(folder, given, found, given.metres_per_unit, pictures)
             settings = {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)}
-            figures = _write(context, settings, seconds, progress)
+            heading = {"session": given.name, "settings": settings}
+            with disk_errors(folder):
+                figures = _write(
+                    folder, given, found, progress, heading=heading, measuring=seconds,
+                    pictures=pictures,
+                )  # fmt: skip
     print_notes(note for note in found.notes if note not in given.notes)
     console = Console()
     console.print(flow_table(figures, found.rig))
@@ -124,78 +125,63 @@ def flow(
 
 
 def _write(
-    context: _Context, settings: dict[str, Any], seconds: float, progress: Progress
+    folder: Path,
+    session: Session,
+    found: SessionFlow,
+    progress: Progress,
+    *,
+    heading: dict[str, Any],
+    measuring: float,
+    pictures: bool,
 ) -> list[MotionFigures]:
-    """All files of the result."""
-    start = time.perf_counter()
-    with disk_errors(context.folder):
-        report = _with_rate(progress, len(context.found.motions))
-        figures, files = _write_motions(context, report)
-        heading = {
-            "session": context.session.name,
-            "settings": settings,
-            "csv_metres_per_unit": context.metres_per_unit,
-            "seconds": {"measuring": seconds, "writing": time.perf_counter() - start},
-            "notes": list(dict.fromkeys([*context.session.notes, *context.found.notes])),
-        }
-        path = context.folder / "flow.json"
-        write_flow_document(path, figures, files, context.found.rig, heading)
+    """All files of the result; figures of every motion, in order."""
+    start, count = time.perf_counter(), len(found.motions)
+    report = _with_rate(progress, count)
+    stems = file_stems([motion.name for motion in found.motions])
+    camera, mesh = found.rig.cameras[found.rig.reference], session.mesh
+    surfaces = {
+        (rows, columns): surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
+        for rows, columns in {motion.first.shape for motion in found.motions}
+    }
+    figures, files = [], []
+    for k, (motion, stem) in enumerate(zip(found.motions, stems, strict=True)):
+        report(f"writing {motion.name}, {k + 1} of {count}", k / count)
+        surface = surfaces[motion.first.shape]
+        seen = seen_vertices(surface, mesh)
+        figures.append(motion_figures(motion, found.rig, seen))
+        files.append(_write_motion(folder / stem, session, found.rig, motion, seen))
+        if pictures and motion.flow is not None:
+            view = make_flow_view(motion.first, camera, surface, mesh)
+            files[-1]["picture"], files[-1]["quality"] = write_flow_pictures(
+                folder, stem, motion.name, motion.flow, motion.vertices, view
+            )
+    heading |= {
+        "csv_metres_per_unit": session.metres_per_unit,
+        "seconds": {"measuring": measuring, "writing": time.perf_counter() - start},
+        "notes": list(dict.fromkeys([*session.notes, *found.notes])),
+    }
+    write_flow_document(folder / "flow.json", figures, files, found.rig, heading)
     return figures
 
 
-def _write_motions(
-    context: _Context, report: Progress
-) -> tuple[list[MotionFigures], list[dict[str, str]]]:
-    """Files and figures of every motion, in order."""
-    motions = context.found.motions
-    stems = file_stems([motion.name for motion in motions])
-    maps: dict[tuple[int, int], SurfaceMap] = {}
-    figures, files = [], []
-    for number, (motion, stem) in enumerate(zip(motions, stems, strict=True)):
-        report(f"writing {motion.name}, {number + 1} of {len(motions)}", number / len(motions))
-        shape = (motion.first.shape[0], motion.first.shape[1])
-        if shape not in maps:
-            maps[shape] = _surface(context, shape)
-        one, names = _write_motion(context, motion, maps[shape], stem)
-        figures.append(one)
-        files.append(names)
-    return figures, files
-
-
-def _surface(context: _Context, shape: tuple[int, int]) -> SurfaceMap:
-    """What the reference camera sees of the mesh."""
-    rig, mesh = context.found.rig, context.session.mesh
-    return surface_map(rig.cameras[rig.reference], shape, mesh.vertices, mesh.triangles)
-
-
 def _write_motion(
-    context: _Context, motion: MeasuredMotion, surface: SurfaceMap, stem: str
-) -> tuple[MotionFigures, dict[str, str]]:
-    """Figures of one motion, and the names of its files by what they are."""
-    folder, mesh, rig = context.folder, context.session.mesh, context.found.rig
-    seen = seen_vertices(surface, mesh)
-    figures = motion_figures(motion, rig, seen)
+    stem: Path, session: Session, rig: Rig, motion: MeasuredMotion, seen: Flags
+) -> dict[str, str]:
+    """The files of one motion without its pictures: their names by what they are."""
     if motion.flow is None:
-        return figures, {}
-    camera, names = rig.cameras[rig.reference], [camera.name for camera in rig.cameras]
-    files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
-    write_flow_npz(folder / files["range_flow"], motion.flow, name=motion.name, cameras=names)
-    write_flow_vtp(folder / files["points"], motion.flow, camera)
+        return {}
+    files = {"range_flow": f"{stem.name}_flow.npz", "points": f"{stem.name}_flow.vtp"}
+    names = [camera.name for camera in rig.cameras]
+    flow_file, points_file = (stem.with_name(name) for name in files.values())
+    write_flow_npz(flow_file, motion.flow, name=motion.name, cameras=names)
+    write_flow_vtp(points_file, motion.flow, rig.cameras[rig.reference])
     if motion.vertices is not None:
-        files["vertices"] = f"{stem}.csv"
+        files["vertices"] = f"{stem.name}.csv"
         write_vertices(
-            folder / files["vertices"],
-            mesh,
-            motion.vertices,
-            seen=seen,
-            metres_per_unit=context.metres_per_unit,
-        )
-    if context.pictures:
-        view = make_flow_view(motion.first, camera, surface, mesh)
-        files["picture"], files["quality"] = write_flow_pictures(
-            folder, stem, motion.name, motion.flow, motion.vertices, view
-        )
-    return figures, files
+            stem.with_name(files["vertices"]), session.mesh, motion.vertices, seen=seen,
+            metres_per_unit=session.metres_per_unit,
+        )  # fmt: skip
+    return files
 
 
 def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
@@ -215,18 +201,17 @@ def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
 
 def _complaints(figures: Sequence[MotionFigures]) -> int:
     """Say what failed, on stderr; how many motions did."""
-    count = 0
+    failures = {f.name: f.failure for f in figures if f.failure is not None}
     for f in figures:
-        said = f.failure
-        if said is None and f.measured == 0:
-            said = (
+        if f.measured == 0:
+            failures.setdefault(
+                f.name,
                 f"not one vertex could be followed ({f.valid} of {f.points} points valid);"
-                " the table and the pictures say why"
+                " the table and the pictures say why",
             )
-        if said is not None:
-            print(f"palpate: {f.name}: {said}", file=sys.stderr)
-            count += 1
-    return count
+    for name, failure in failures.items():
+        print(f"palpate: {name}: {failure}", file=sys.stderr)
+    return len(failures)
 
 
 def _instants(session: Session) -> int:
