@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from palpate.errors import RecordError
 from palpate.records import Constant, Estimate, ProbeEstimate, Status, read_estimate, write_estimate
