@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from palpate.records import Camera, Rig
+from palpate.pipeline.measure_motion import MeasuredMotion
+from palpate.records import Rig
 from palpate.shapes import Flags
 from palpate.vision import (
     CAUSES,
-    RangeFlow,
-    VertexDisplacement,
     camera_sigma,
     cause_counts,
     is_valid,
@@ -44,7 +43,7 @@ class MotionFigures:
     displacement : float [m]        median length over the valid points; NaN: none
     reprojection : float [px]       median over the valid points; NaN: none
     through_last : int              valid points followed through the instant before
-    drift : float [m]               rms difference between that way and the direct one; NaN: unknown
+    drift : float [m]               rms difference of such motions from direct ones; NaN: unknown
     noise : tuple of c float [grey levels]      of each camera, in the rig's order
     """
 
@@ -52,59 +51,59 @@ class MotionFigures:
     probing: str | None
     last: bool
     failure: str | None
-    points: int
-    valid: int
-    rejected: Mapping[str, int]
-    vertices: int
-    measured: int
-    lateral: float
-    depth: float
-    vertex_lateral: float
-    vertex_depth: float
-    displacement: float
-    reprojection: float
-    through_last: int
-    drift: float
     noise: tuple[float, ...]
+    rejected: Mapping[str, int]
+    points: int = 0
+    valid: int = 0
+    vertices: int = 0
+    measured: int = 0
+    lateral: float = math.nan
+    depth: float = math.nan
+    vertex_lateral: float = math.nan
+    vertex_depth: float = math.nan
+    displacement: float = math.nan
+    reprojection: float = math.nan
+    through_last: int = 0
+    drift: float = math.nan
 
 
-def motion_figures(
-    name: str,
-    flow: RangeFlow,
-    vertices: VertexDisplacement | None,
-    *,
-    seen: Flags,
-    camera: Camera,
-) -> MotionFigures:
-    """Counts and medians of one motion, taken for a step that did not fail.
+def motion_figures(motion: MeasuredMotion, rig: Rig, seen: Flags) -> MotionFigures:
+    """Counts and medians of one motion.
 
     Parameters
     ----------
-    name : str
-    flow : RangeFlow
-    vertices : VertexDisplacement or None   None: not one vertex has a displacement
+    motion : MeasuredMotion
+    rig : Rig                       that it was measured with
     seen : (v,) bool                vertices that the reference camera sees
-    camera : Camera                 the reference camera
     """
+    flow, camera = motion.flow, rig.cameras[rig.reference]
+    if flow is None:
+        return MotionFigures(
+            name=motion.name,
+            probing=motion.probing,
+            last=motion.last,
+            failure=motion.failure or "nothing was measured",
+            noise=(math.nan,) * len(rig.cameras),
+            rejected={cause.name.lower(): 0 for cause in CAUSES},
+        )
     valid = is_valid(flow)
     lateral, depth = camera_sigma(flow.covariance[valid], camera)
+    known = np.zeros_like(seen)
     vertex_lateral = vertex_depth = np.zeros(0)
-    measured = 0
-    if vertices is not None:
-        known = measured_vertices(vertices)
-        measured = int(known.sum())
-        seen = seen | known
-        vertex_lateral, vertex_depth = camera_sigma(vertices.covariance[known], camera)
+    if motion.vertices is not None:
+        known = measured_vertices(motion.vertices)
+        vertex_lateral, vertex_depth = camera_sigma(motion.vertices.covariance[known], camera)
     return MotionFigures(
-        name=name,
-        probing=None,
-        last=True,
-        failure=None,
+        name=motion.name,
+        probing=motion.probing,
+        last=motion.last,
+        failure=motion.failure,
+        noise=tuple(float(level) for level in flow.noise),
+        rejected=cause_counts(flow),
         points=len(valid),
         valid=int(valid.sum()),
-        rejected=cause_counts(flow),
-        vertices=int(seen.sum()),
-        measured=measured,
+        vertices=int((seen | known).sum()),
+        measured=int(known.sum()),
         lateral=_median(lateral),
         depth=_median(depth),
         vertex_lateral=_median(vertex_lateral),
@@ -113,32 +112,6 @@ def motion_figures(
         reprojection=_median(flow.reprojection[valid]),
         through_last=int(flow.through_last[valid].sum()),
         drift=float(flow.drift),
-        noise=tuple(float(level) for level in flow.noise),
-    )
-
-
-def failed_figures(name: str, cameras: int) -> MotionFigures:
-    """Figures of a motion that could not be measured at all, with some number of cameras."""
-    blank = math.nan
-    return MotionFigures(
-        name=name,
-        probing=None,
-        last=True,
-        failure="nothing was measured",
-        points=0,
-        valid=0,
-        rejected={cause.name.lower(): 0 for cause in CAUSES},
-        vertices=0,
-        measured=0,
-        lateral=blank,
-        depth=blank,
-        vertex_lateral=blank,
-        vertex_depth=blank,
-        displacement=blank,
-        reprojection=blank,
-        through_last=0,
-        drift=blank,
-        noise=(blank,) * cameras,
     )
 
 

@@ -73,7 +73,7 @@ def poke_session(
                                         radius from its surface
     surface : SurfaceSettings           how the surface between the vertices is understood
     cache : Path                        folder that keeps the surface integrals; None: none
-    progress : callable                 told what is done (text) and how far it is (0 to 1)
+    progress : callable                 called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -118,6 +118,10 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
     session : Session                   with probings
     point : (3,) float [m]
     radius : float or None [m]          None: that of the probing
+
+    Returns
+    -------
+    Contact
 
     Raises
     ------

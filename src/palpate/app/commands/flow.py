@@ -4,9 +4,9 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -15,11 +15,10 @@ from rich.markup import escape
 from palpate.app.terminal import flow_table, print_notes, progress_bar
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
+    FLOW_METHODS,
     MeasuredMotion,
     MotionFigures,
-    MotionSettings,
     SessionFlow,
-    failed_figures,
     file_stems,
     measure_motion,
     motion_figures,
@@ -31,8 +30,13 @@ from palpate.pipeline import (
 )
 from palpate.progress import Progress
 from palpate.records import Session, default_folder, disk_errors, read_session, result_folder
-from palpate.vision import SurfaceMap, dense_maps, surface_map
+from palpate.vision import SurfaceMap, surface_map
 
+if TYPE_CHECKING:
+    MethodName = str
+else:
+    # The names that are registered; a type checker cannot read them.
+    MethodName = Literal[tuple(FLOW_METHODS)]
 _NOT_OK = 3
 # Before this a rate says more about the start than about the work [s].
 _RATE_STARTS = 1.0
@@ -55,7 +59,7 @@ def flow(
     *,
     out: Path | None = None,
     probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
-    method: Literal["joint", "lang-pai"] = "joint",
+    method: MethodName = "joint",
     pose: Literal["auto", "given", "register"] = "auto",
     subset: int | None = None,
     step: int | None = None,
@@ -96,7 +100,9 @@ def flow(
         0, or 3 where a step failed or nothing could be measured in it.
     """
     target = out or default_folder(session, "flow")
-    settings = _settings(MotionSettings(method=method, pose=pose), subset, step)
+    asked = {"subset": subset, "step": step}
+    options = {name: value for name, value in asked.items() if value is not None}
+    chosen = FLOW_METHODS[method](**options)
     # The target is tried first: no one should wait for a result that cannot be kept.
     with result_folder(target) as folder:
         given = read_session(session, probes=probe)
@@ -104,9 +110,10 @@ def flow(
         start = time.perf_counter()
         with progress_bar() as progress:
             report = _with_rate(progress, _instants(given))
-            found = measure_motion(given, settings=settings, progress=report)
+            found = measure_motion(given, method=chosen, pose=pose, progress=report)
             seconds = time.perf_counter() - start
             context = _Context(folder, given, found, given.metres_per_unit, pictures)
+            settings = {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)}
             figures = _write(context, settings, seconds, progress)
     print_notes(note for note in found.notes if note not in given.notes)
     console = Console()
@@ -116,17 +123,8 @@ def flow(
     return _NOT_OK if _complaints(figures) else 0
 
 
-def _settings(settings: MotionSettings, subset: int | None, step: int | None) -> MotionSettings:
-    """Settings with the window and the spacing that were asked for, for the chosen method."""
-    asked = {"subset": subset, "step": step}
-    changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
-    if settings.method == "joint":
-        return replace(settings, joint=replace(settings.joint, **changes))
-    return replace(settings, lang_pai=replace(settings.lang_pai, **changes))
-
-
 def _write(
-    context: _Context, settings: MotionSettings, seconds: float, progress: Progress
+    context: _Context, settings: dict[str, Any], seconds: float, progress: Progress
 ) -> list[MotionFigures]:
     """All files of the result."""
     start = time.perf_counter()
@@ -135,7 +133,7 @@ def _write(
         figures, files = _write_motions(context, report)
         heading = {
             "session": context.session.name,
-            "settings": asdict(settings),
+            "settings": settings,
             "csv_metres_per_unit": context.metres_per_unit,
             "seconds": {"measuring": seconds, "writing": time.perf_counter() - start},
             "notes": list(dict.fromkeys([*context.session.notes, *context.found.notes])),
@@ -175,16 +173,13 @@ def _write_motion(
 ) -> tuple[MotionFigures, dict[str, str]]:
     """Figures of one motion, and the names of its files by what they are."""
     folder, mesh, rig = context.folder, context.session.mesh, context.found.rig
-    if motion.flow is None:
-        failed = failed_figures(motion.name, len(rig.cameras))
-        return _placed(failed, motion, motion.failure or "nothing was measured"), {}
-    camera, names = rig.cameras[rig.reference], [camera.name for camera in rig.cameras]
     seen = seen_vertices(surface, mesh)
+    figures = motion_figures(motion, rig, seen)
+    if motion.flow is None:
+        return figures, {}
+    camera, names = rig.cameras[rig.reference], [camera.name for camera in rig.cameras]
     files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
-    write_flow_npz(
-        folder / files["range_flow"], motion.flow, name=motion.name, cameras=names,
-        dense=dense_maps(motion.flow),
-    )  # fmt: skip
+    write_flow_npz(folder / files["range_flow"], motion.flow, name=motion.name, cameras=names)
     write_flow_vtp(folder / files["points"], motion.flow, camera)
     if motion.vertices is not None:
         files["vertices"] = f"{stem}.csv"
@@ -200,13 +195,7 @@ def _write_motion(
         files["picture"], files["quality"] = write_flow_pictures(
             folder, stem, motion.name, motion.flow, motion.vertices, view
         )
-    figures = motion_figures(motion.name, motion.flow, motion.vertices, seen=seen, camera=camera)
-    return _placed(figures, motion, motion.failure), files
-
-
-def _placed(figures: MotionFigures, motion: MeasuredMotion, failure: str | None) -> MotionFigures:
-    """Figures with the motion's place in the session."""
-    return replace(figures, probing=motion.probing, last=motion.last, failure=failure)
+    return figures, files
 
 
 def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:

@@ -81,7 +81,7 @@ def import_displacements(
         TOML file with the place of the program's frame: length_unit, R and t (or T, 4 x 4), where
         x_object = R x_file + t. Default: both frames are the same.
     length_unit
-        Unit of the files, where they do not tell. Default: mm, but vtu must be told.
+        Unit of the files, where they do not say. Default: mm; vtu has no default.
     frame
         State to read from files that hold several, from 0; one for all, or one for each probing.
         Default: the last one.

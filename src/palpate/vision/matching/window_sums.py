@@ -22,7 +22,9 @@ EXPONENTS = np.array([[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]])
 def load_window_kernel(grey, along_column, along_row, column, row, half, shading, window):
     """Fill the planes around a pixel; the fourth, the weights, is given.
 
-    Returns the number of pixels inside, their mean, and the sum of squares about it.
+    `grey`, `along_column`, `along_row` (rows, columns) float32 [grey levels, per px]; the window
+    must lie within them. Returns the number of pixels inside, their mean [grey levels], and the sum
+    of squares about it.
     """
     side = 2 * half + 1
     inside = 0.0
@@ -165,7 +167,12 @@ def window_side_sums_kernel(window, half, sums, moments):
 
 @njit(cache=True, error_model="numpy")
 def window_hessian_kernel(window, half, bases, inside, square, sums, moments, hessian):
-    """Gauss-Newton matrix of one window, (2 bases, 2 bases), the light eliminated."""
+    """Gauss-Newton matrix of one window, (2 bases, 2 bases), the light eliminated.
+
+    Grey levels squared per square pixel of displacement; `sums` (8, 6) from
+    `window_side_sums_kernel`, `inside` and `square` from `load_window_kernel`; `moments` (5, 5) is
+    scratch. Its inverse times the variance of the noise is the covariance of the displacement.
+    """
     for a in range(2):
         for b in range(a + 1):
             _moments_kernel(window[1 + a], window[1 + b], half, moments)
@@ -274,7 +281,8 @@ def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums
 def window_blocks_kernel(window, sampled, half, bases, mean, light, blocks):
     """Share of each block of a window in the right-hand side, the light removed.
 
-    Blocks are the cells of a square division of the window; `blocks` is (cells, 2 bases).
+    Blocks are the cells of a square division of the window; `blocks` is (cells, 2 bases) and is
+    filled with grey levels squared per pixel. `light` is from `window_right_kernel`.
     """
     side = 2 * half + 1
     cells = int(np.sqrt(len(blocks)))

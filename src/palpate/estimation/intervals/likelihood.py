@@ -6,11 +6,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtri
 
-from palpate.estimation.intervals.profile_likelihood import FixedWeights
-from palpate.estimation.intervals.uncertainty import IntervalSet
+from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.search import best_compliance, deviance_of
 
+_SIZE = 51
+# Share of the intervals' width that is added on either side.
 _MARGIN = 0.75
+# Of the best modulus, where an interval has no end.
 _LARGEST_FACTOR = 30.0
 
 
@@ -37,18 +39,19 @@ class LikelihoodMap:
         return float(chdtri(2, 1 - share))
 
 
-def likelihood_map(
-    weights: FixedWeights, intervals: IntervalSet, *, calibration: float, size: int
-) -> LikelihoodMap:
+def likelihood_map(uncertainty: Uncertainty, intervals: IntervalSet) -> LikelihoodMap:
     """Tabulate the deviance about the reported intervals.
 
     Parameters
     ----------
-    weights : FixedWeights
+    uncertainty : Uncertainty
     intervals : IntervalSet         the map covers them with a margin
-    calibration : float             mean variance over the variance that the bare curvature claims
-    size : int                      grid points along each constant, >= 2
+
+    Returns
+    -------
+    LikelihoodMap                   51 x 51
     """
+    weights = uncertainty.weights
     low, high = intervals.poisson_ratio.ci95
     margin = _MARGIN * (high - low)
     low = max(weights.poisson_range[0], low - margin)
@@ -57,11 +60,13 @@ def likelihood_map(
     soft, stiff = intervals.shear_modulus.ci95
     soft, stiff = max(soft, best / _LARGEST_FACTOR), min(stiff, best * _LARGEST_FACTOR)
     room = _MARGIN * np.log(stiff / soft)
-    nu = np.linspace(low, high, size)
-    modulus = np.exp(np.linspace(np.log(soft) - room, np.log(stiff) + room, size))
-    probes = weights.at(nu)
-    compliance = np.repeat(1.0 / modulus[:, None], size, axis=1)
-    value, _, _ = deviance_of(probes, compliance)
+    nu = np.linspace(low, high, _SIZE)
+    modulus = np.exp(np.linspace(np.log(soft) - room, np.log(stiff) + room, _SIZE))
+    compliance = np.repeat(1.0 / modulus[:, None], _SIZE, axis=1)
+    value, _, _ = deviance_of(weights.at(nu), compliance)
     centre = weights.at(np.array([intervals.poisson_ratio.value]))
-    floor = min(float(best_compliance(centre)[1][0, 0]), float(value.min()))
-    return LikelihoodMap(nu, modulus, np.maximum(value.T - floor, 0.0) / calibration)
+    lowest = min(float(best_compliance(centre)[1][0]), float(value.min()))
+    calibration = np.sqrt(
+        uncertainty.calibration("poisson_ratio") * uncertainty.calibration("shear_modulus")
+    )
+    return LikelihoodMap(nu, modulus, np.maximum(value.T - lowest, 0.0) / calibration)

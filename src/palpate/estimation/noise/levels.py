@@ -5,7 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.observations import CLAIMED_GROUPS, GROUP_COUNT, ObservedRows
+from palpate.estimation.observations import (
+    CLAIMED_GROUPS,
+    GROUP_COUNT,
+    TIP_GROUP,
+    ObservedRows,
+)
 
 _MAD_TO_SIGMA = 1.482602218505602
 # Relative standard error of a sigma from the median absolute deviation of n Gaussian values.
@@ -15,13 +20,7 @@ _SIGNIFICANT = 2.5
 _OUTLIER_LIFT = 0.12
 # No field is measured better than this; it keeps exact data apart from the force's claim.
 _FLOOR_OVER_SIGNAL = 1e-5
-_TIP_GROUP = 3
 _TIP_PRIOR_ROWS = 3.0
-
-
-def claimed_only(probes: Sequence[ObservedRows]) -> bool:
-    """Whether every measured row came with a standard deviation of its own."""
-    return all(bool((probe.group >= CLAIMED_GROUPS.start).all()) for probe in probes)
 
 
 def noise_levels(
@@ -66,11 +65,11 @@ def noise_levels(
 
 def _settle_tip(level: np.ndarray, count: np.ndarray) -> None:
     """Lean an unclaimed tip's level on the field's where the tip has few rows."""
-    field = count[:_TIP_GROUP] > 0
-    if count[_TIP_GROUP] and field.any():
-        prior = np.mean(level[:_TIP_GROUP][field] ** 2) * _TIP_PRIOR_ROWS
-        total = prior + count[_TIP_GROUP] * level[_TIP_GROUP] ** 2
-        level[_TIP_GROUP] = np.sqrt(total / (count[_TIP_GROUP] + _TIP_PRIOR_ROWS))
+    field = count[:TIP_GROUP] > 0
+    if count[TIP_GROUP] and field.any():
+        prior = np.mean(level[:TIP_GROUP][field] ** 2) * _TIP_PRIOR_ROWS
+        total = prior + count[TIP_GROUP] * level[TIP_GROUP] ** 2
+        level[TIP_GROUP] = np.sqrt(total / (count[TIP_GROUP] + _TIP_PRIOR_ROWS))
 
 
 def _settle_claims(level: np.ndarray, count: np.ndarray, floor: np.ndarray) -> np.ndarray:

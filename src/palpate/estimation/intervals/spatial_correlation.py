@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.estimation.noise.scoring import LocalProbe
-from palpate.estimation.observations import ObservedRows
+from palpate.estimation.search import LocalProbe
 
 _BITS = 8
-_FINEST = 7
-_POINTS_A_BLOCK = 6
-_FEWEST_BLOCKS = 8
+_MAX_HALVINGS = 7
+_MIN_POINTS_PER_BLOCK = 6
+_MIN_BLOCKS = 8
+# Standard errors by which a factor must exceed 1.
 _SIGNIFICANT = 3.0
 
 
@@ -51,7 +51,6 @@ def morton_order(position: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
 
 
 def correlation_factor(
-    probes: Sequence[ObservedRows],
     local: Sequence[LocalProbe],
     projection: Sequence[Float[np.ndarray, "5 2"]],
     *,
@@ -61,7 +60,6 @@ def correlation_factor(
 
     Parameters
     ----------
-    probes : sequence of ObservedRows
     local : sequence of LocalProbe      at the joint minimum
     projection : (5, 2) for each        takes the forces out of the design
     score_variance : float              mean square of the robust score
@@ -71,9 +69,9 @@ def correlation_factor(
     CorrelationFactor                   the largest over block sizes, where any is significant
     """
     parts = [
-        _block_sums(probe, one, turn)
-        for probe, one, turn in zip(probes, local, projection, strict=True)
-        if np.isfinite(probe.position[:, 0]).sum() >= _FEWEST_BLOCKS * _POINTS_A_BLOCK
+        _block_sums(probe, turn)
+        for probe, turn in zip(local, projection, strict=True)
+        if np.isfinite(probe.rows.position[:, 0]).sum() >= _MIN_BLOCKS * _MIN_POINTS_PER_BLOCK
     ]
     if not parts:
         return CorrelationFactor(1.0, np.inf, 1.0)
@@ -83,7 +81,7 @@ def correlation_factor(
     while True:
         seen, expected, points = [], [], []
         for part in parts:
-            if len(part.score) >> level >= _FEWEST_BLOCKS:
+            if len(part.score) >> level >= _MIN_BLOCKS:
                 merged = part.merged(level)
                 seen.append(np.einsum("bi,ij,bj->b", merged.score, metric, merged.score))
                 expected.append(score_variance * merged.expected(metric))
@@ -130,27 +128,28 @@ class _BlockSums:
         return plain - constants - leak
 
 
-def _block_sums(probe: ObservedRows, one: LocalProbe, projection: np.ndarray) -> _BlockSums:
+def _block_sums(probe: LocalProbe, projection: np.ndarray) -> _BlockSums:
     """Scores and information of the finest blocks of one probing, the tip left out."""
-    order = morton_order(probe.position)
-    order = order[: int(np.isfinite(probe.position[:, 0]).sum())]
-    finest = min(_FINEST, int(np.log2(len(order) / _POINTS_A_BLOCK)))
-    clean = one.design @ projection
-    row_weight = np.repeat(one.weight, probe.components.astype(np.int64)) * one.residual
+    rows = probe.rows
+    order = morton_order(rows.position)
+    order = order[: int(np.isfinite(rows.position[:, 0]).sum())]
+    finest = min(_MAX_HALVINGS, int(np.log2(len(order) / _MIN_POINTS_PER_BLOCK)))
+    clean = probe.design @ projection
+    row_score = rows.per_row(probe.weight) * probe.residual
     columns = np.concatenate(
         [
-            clean * row_weight[:, None],
+            clean * row_score[:, None],
             clean[:, [0]] * clean,
             clean[:, [1]] * clean,
-            clean[:, [0]] * one.design[:, 2:],
-            clean[:, [1]] * one.design[:, 2:],
+            clean[:, [0]] * probe.design[:, 2:],
+            clean[:, [1]] * probe.design[:, 2:],
         ],
         axis=1,
     )
-    point_sums = np.add.reduceat(columns, probe.start, axis=0)[order]
+    point_sums = np.add.reduceat(columns, rows.start, axis=0)[order]
     first = np.arange(2**finest) * len(order) // 2**finest
     sums = np.add.reduceat(point_sums, first, axis=0)
-    force = one.design[:, 2:].T @ one.design[:, 2:] + np.eye(3)
+    force = probe.design[:, 2:].T @ probe.design[:, 2:] + np.eye(3)
     return _BlockSums(
         sums[:, :2],
         sums[:, 2:6].reshape(-1, 2, 2),
