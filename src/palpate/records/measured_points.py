@@ -257,7 +257,16 @@ def _span_notes(measured: MeasuredPoints, mesh: TriangleMesh) -> tuple[str, ...]
 
 
 def surface_limit(mesh: TriangleMesh) -> float:
-    """Distance from the surface beyond which a point cannot belong to it [m]."""
+    """Distance from the surface beyond which a point cannot belong to it [m].
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in metres
+
+    Returns
+    -------
+    float [m]                       the larger of 2 % of the diagonal and half a mean edge
+    """
     return max(0.02 * bounding_diagonal(mesh), 0.5 * mesh_quality(mesh).edge_mean)
 
 

@@ -51,7 +51,16 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
 
 
 def rig_to_toml(rig: Rig) -> str:
-    """Text of rig.toml for a rig, in metres, every digit kept."""
+    """Text of rig.toml for a rig, in metres, every digit kept.
+
+    Parameters
+    ----------
+    rig : Rig
+
+    Returns
+    -------
+    str                             TOML; lengths in metres, matrices by rows
+    """
     cameras = []
     for camera in rig.cameras:
         pose = camera.T_camera_object
@@ -72,6 +81,11 @@ def rig_to_toml(rig: Rig) -> str:
 
 def write_rig(path: Path | str, rig: Rig) -> None:
     """Write a rig as rig.toml; reading it again gives the same numbers.
+
+    Parameters
+    ----------
+    path : path
+    rig : Rig
 
     Raises
     ------

@@ -100,7 +100,16 @@ def _check_names(
 
 
 def displacement_line(file: str) -> str:
-    """The line of a [[probe]] table that names its displacement file."""
+    """The line of a [[probe]] table that names its displacement file.
+
+    Parameters
+    ----------
+    file : str                      relative to the session
+
+    Returns
+    -------
+    str                             TOML, without a line end
+    """
     return f"displacement = {tomlkit.item(file).as_string()}"
 
 
