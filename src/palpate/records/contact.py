@@ -59,14 +59,14 @@ def hertz_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.sqrt(np.clip(1 - s**2, 0, None))
 
 
-# A tool shape more: a file with its pressure, and its name here. Only the course of the pressure
-# counts; whoever uses it makes its sum the force.
+# To add a tool shape: a file with its pressure, and one line here. Only the shape of the curve
+# counts: it is scaled so that the total is the force.
 PRESSURES: Mapping[str, Pressure] = {
     "smooth": smooth_pressure,
     "uniform": uniform_pressure,
     "hertz": hertz_pressure,
 }
-# The linear hat function of the vertex nearest to the contact point: the one profile of no radius.
+# The hat function of the vertex nearest to the contact point, the only profile without a radius.
 VERTEX = "vertex"
 
 

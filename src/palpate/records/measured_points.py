@@ -143,8 +143,8 @@ def _metres(
 ) -> tuple[float, tuple[str, ...]]:
     """Length of a file's unit [m] and what was assumed about it.
 
-    What the file, the user and the program's habit say counts in this order; an unknown unit, a
-    contradiction or nobody's word is refused.
+    The file's own word comes first, then the user's, then the program's usual unit; an unknown
+    unit, a contradiction, or none at all is refused.
     """
     names = " ".join(LENGTH_UNITS)
     said = unit_name(found) if found else None

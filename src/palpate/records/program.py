@@ -41,7 +41,7 @@ class CalibrationFile:
 
     @classmethod
     def read(cls, path: Path, length_unit: str | None = None) -> "CalibrationFile":
-        """A file with its content, whatever program wrote it.
+        """A file with its content, whichever program wrote it.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class CalibrationFile:
         Raises
         ------
         InputError                  not a known unit
-        CalibrationError            nobody knows the unit
+        CalibrationError            the unit is not given anywhere
         """
         unit = stated or (usual if self.length_unit is None else self.length_unit)
         allowed = ", ".join(FILE_LENGTH_UNITS)
