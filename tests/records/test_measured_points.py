@@ -165,3 +165,23 @@ def test_record_refuses(change, message):
     # Wrong shapes reach the constructor from untyped callers.
     with pytest.raises((InputError, TypeError), match=message if "points" not in change else None):
         MeasuredPoints(**(good | change), source="a.csv", notes=())
+
+
+@pytest.mark.parametrize(("share", "doubted"), [(0.009, True), (0.011, False)])
+def test_a_hundredth_of_the_object_is_too_little(cube, share, doubted):
+    """The span of the points against the diagonal of the cube, on both sides of the limit."""
+    points, moved = _top()
+    span = np.linalg.norm(np.ptp(points, axis=0))
+    middle = np.array([0.5 * SIDE, 0.5 * SIDE, SIDE])
+    shrunk = middle + share * SIDE * np.sqrt(3.0) / span * (points - points.mean(axis=0))
+    notes = on_surface(_measured(shrunk, moved), cube).notes
+    assert ("implausibly little" in notes[-1]) is doubted
+
+
+@pytest.mark.parametrize(("share", "cure"), [(2.9, "--to-object"), (3.1, "--length-unit")])
+def test_three_times_the_object_is_another_unit(cube, share, cure):
+    points, moved = _top()
+    span = np.linalg.norm(np.ptp(points, axis=0))
+    wide = 1.0 + share * SIDE * np.sqrt(3.0) / span * points
+    with pytest.raises(RecordError, match=cure):
+        on_surface(_measured(wide, moved), cube)

@@ -28,23 +28,45 @@ def smooth_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def uniform_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """1 within the rim, 0 beyond, as under a flat tool on a soft layer; `s` as above."""
+    """1 within the rim, 0 beyond, as under a flat tool on a soft layer.
+
+    Parameters
+    ----------
+    s : array [-]                   distance from the contact point over the radius, >= 0
+
+    Returns
+    -------
+    array [-]                       1 at the centre, 0 from the rim on
+    """
     return (s < 1).astype(np.float64)
 
 
 def hertz_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """sqrt(1 - s^2), under a sphere without friction (Hertz 1881); `s` as above."""
+    """sqrt(1 - s^2), under a sphere without friction (Hertz 1881).
+
+    Parameters
+    ----------
+    s : array [-]                   distance from the contact point over the radius, >= 0
+
+    Returns
+    -------
+    array [-]                       1 at the centre, 0 from the rim on
+
+    Source
+    ------
+    Hertz, J. reine angew. Math. 92 (1881) 156-171
+    """
     return np.sqrt(np.clip(1 - s**2, 0, None))
 
 
-# A tool shape more: a file with its pressure, and its name here. Only the course of the pressure
-# counts; whoever uses it makes its sum the force.
+# To add a tool shape: a file with its pressure, and one line here. Only the shape of the curve
+# counts: it is scaled so that the total is the force.
 PRESSURES: Mapping[str, Pressure] = {
     "smooth": smooth_pressure,
     "uniform": uniform_pressure,
     "hertz": hertz_pressure,
 }
-# The linear hat function of the vertex nearest to the contact point: the one profile of no radius.
+# The hat function of the vertex nearest to the contact point, the only profile without a radius.
 VERTEX = "vertex"
 
 

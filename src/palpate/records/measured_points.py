@@ -143,8 +143,8 @@ def _metres(
 ) -> tuple[float, tuple[str, ...]]:
     """Length of a file's unit [m] and what was assumed about it.
 
-    What the file, the user and the program's habit say counts in this order; an unknown unit, a
-    contradiction or nobody's word is refused.
+    The file's own word comes first, then the user's, then the program's usual unit; an unknown
+    unit, a contradiction, or none at all is refused.
     """
     names = " ".join(LENGTH_UNITS)
     said = unit_name(found) if found else None
@@ -257,7 +257,16 @@ def _span_notes(measured: MeasuredPoints, mesh: TriangleMesh) -> tuple[str, ...]
 
 
 def surface_limit(mesh: TriangleMesh) -> float:
-    """Distance from the surface beyond which a point cannot belong to it [m]."""
+    """Distance from the surface beyond which a point cannot belong to it [m].
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in metres
+
+    Returns
+    -------
+    float [m]                       the larger of 2 % of the diagonal and half a mean edge
+    """
     return max(0.02 * bounding_diagonal(mesh), 0.5 * mesh_quality(mesh).edge_mean)
 
 

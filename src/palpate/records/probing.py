@@ -67,12 +67,30 @@ class DisplacementField:
 
 
 def measured_rows(displacement: Points) -> Flags:
-    """True for the points that were measured, (n,) bool: no component is NaN."""
+    """True for the points that were measured, (n,) bool: no component is NaN.
+
+    Parameters
+    ----------
+    displacement : (n, 3) float [m] NaN where not measured
+
+    Returns
+    -------
+    (n,) bool
+    """
     return ~np.isnan(displacement).any(axis=1)
 
 
 def observed_rows(field: DisplacementField) -> Flags:
-    """True for the points of a field that were measured, (n,) bool."""
+    """True for the points of a field that were measured, (n,) bool.
+
+    Parameters
+    ----------
+    field : DisplacementField
+
+    Returns
+    -------
+    (n,) bool
+    """
     return measured_rows(field.displacement)
 
 

@@ -41,7 +41,12 @@ class CalibrationFile:
 
     @classmethod
     def read(cls, path: Path, length_unit: str | None = None) -> "CalibrationFile":
-        """A file with its content, whatever program wrote it.
+        """A file with its content, whichever program wrote it.
+
+        Parameters
+        ----------
+        path : Path                     a file, or a folder with a file per camera
+        length_unit : str or None       m, cm, mm or in, as the caller says
 
         Raises
         ------
@@ -70,7 +75,7 @@ class CalibrationFile:
         Raises
         ------
         InputError                  not a known unit
-        CalibrationError            nobody knows the unit
+        CalibrationError            the unit is not given anywhere
         """
         unit = stated or (usual if self.length_unit is None else self.length_unit)
         allowed = ", ".join(FILE_LENGTH_UNITS)
@@ -119,7 +124,13 @@ class CalibrationFile:
         return array.reshape(shape)
 
     def entry(self, table: Mapping[str, Any], key: str, where: str) -> Any:
-        """Value of a key that must be there; `where` names the table in the message.
+        """Value of a key that must be there.
+
+        Parameters
+        ----------
+        table : mapping
+        key : str
+        where : str                 what the table is, for the message
 
         Raises
         ------
@@ -132,7 +143,12 @@ class CalibrationFile:
     def number(
         self, table: Mapping[str, Any], key: str, where: str, *, missing: float | None = None
     ) -> float:
-        """One finite number of a table; `missing` stands in where it is not there.
+        """One finite number of a table.
+
+        Parameters
+        ----------
+        table, key, where           as `entry`
+        missing : float or None     stands in where the key is not there; None: it must be
 
         Raises
         ------
@@ -144,6 +160,10 @@ class CalibrationFile:
 
     def size(self, given: ArrayLike | None) -> tuple[int, int] | None:
         """Columns and rows of the pictures [px], where the file says them.
+
+        Parameters
+        ----------
+        given : 2 numbers or None       columns, rows
 
         Raises
         ------
@@ -188,6 +208,11 @@ class CalibrationFile:
 
     def rig(self, cameras: Sequence[Camera], *, reference: int = 0) -> Rig:
         """The cameras of this file; the first one is the reference if nothing else is said.
+
+        Parameters
+        ----------
+        cameras : sequence of Camera
+        reference : int                 index of the reference camera
 
         Raises
         ------
@@ -270,7 +295,17 @@ def chosen_frame(path: Path, frame: int | None, count: int = 1) -> tuple[int, tu
 
 
 def camera_matrix(inner: Sequence[float] | np.ndarray, skew: float = 0.0) -> Matrix3:
-    """Intrinsic matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] of fx fy cx cy, all in pixels."""
+    """Intrinsic matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] of fx fy cx cy, all in pixels.
+
+    Parameters
+    ----------
+    inner : 4 floats [px]           fx, fy > 0, cx, cy
+    skew : float [px]
+
+    Returns
+    -------
+    (3, 3) float [px]
+    """
     fx, fy, cx, cy = inner
     return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
@@ -309,7 +344,16 @@ def make_pose(rotation: Matrix3, translation: Vector3) -> Float[np.ndarray, "4 4
 
 
 def nearest_rotation(matrix: Matrix3) -> Matrix3:
-    """The orthogonal matrix nearest to one that nearly is, by the singular value decomposition."""
+    """The orthogonal matrix nearest to one that nearly is, by the singular value decomposition.
+
+    Parameters
+    ----------
+    matrix : (3, 3) float           determinant > 0
+
+    Returns
+    -------
+    (3, 3) float
+    """
     left, _, right = np.linalg.svd(matrix)
     return left @ right
 

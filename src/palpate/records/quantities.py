@@ -30,7 +30,16 @@ def unit_name(word: str) -> str:
 
 
 def modulus_unit(modulus: float) -> tuple[float, str]:
-    """Unit in which a modulus has one to three digits before the point: (pascals a unit, name)."""
+    """Unit in which a modulus has one to three digits before the point: (pascals a unit, name).
+
+    Parameters
+    ----------
+    modulus : float [Pa]            NaN counts as zero
+
+    Returns
+    -------
+    (float [Pa], str)               1e9, 1e6, 1e3 or 1, and GPa, MPa, kPa or Pa
+    """
     size = abs(modulus) if math.isfinite(modulus) else 0.0
     for factor, name in ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa")):
         if size >= factor:
@@ -39,13 +48,32 @@ def modulus_unit(modulus: float) -> tuple[float, str]:
 
 
 def length_unit(length: float) -> tuple[float, str]:
-    """Unit in which a length has one to three digits before the point: (metres a unit, name)."""
+    """Unit in which a length has one to three digits before the point: (metres a unit, name).
+
+    Parameters
+    ----------
+    length : float [m]              NaN counts as zero
+
+    Returns
+    -------
+    (float [m], str)                1e-6 and µm below 0.1 mm, else 1e-3 and mm
+    """
     size = abs(length) if math.isfinite(length) else 0.0
     return (1e-6, "µm") if size < 0.1e-3 else (1e-3, "mm")
 
 
 def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Value and standard deviation to the same decimal, two digits of the deviation."""
+    """Value and standard deviation to the same decimal, two digits of the deviation.
+
+    Parameters
+    ----------
+    constant : Constant
+    factor : float                  value of the unit it is shown in, > 0
+
+    Returns
+    -------
+    str                             'unknown' where the value is not finite
+    """
     value, std = constant.value / factor, constant.std / factor
     if not math.isfinite(value):
         return "unknown"
@@ -56,13 +84,33 @@ def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
 
 
 def value_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Value alone, to two digits of its standard deviation."""
+    """Value alone, to two digits of its standard deviation.
+
+    Parameters
+    ----------
+    constant : Constant
+    factor : float                  value of the unit it is shown in, > 0
+
+    Returns
+    -------
+    str                             'unknown' where the value is not finite
+    """
     value, std = constant.value / factor, constant.std / factor
     return f"{value:.{_places(std, value)}f}" if math.isfinite(value) else "unknown"
 
 
 def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Both ends of the 95 % interval, to the decimal of the standard deviation."""
+    """Both ends of the 95 % interval, to the decimal of the standard deviation.
+
+    Parameters
+    ----------
+    constant : Constant
+    factor : float                  value of the unit it is shown in, > 0
+
+    Returns
+    -------
+    str                             e.g. '20.70 to 21.30'
+    """
     places = _places(constant.std / factor, constant.value / factor)
     low, high = (end / factor for end in constant.ci95)
     return f"{low:.{places}f} to {high:.{places}f}"

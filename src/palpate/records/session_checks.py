@@ -66,6 +66,12 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
     """Refuse a field whose measured points all sit on the support, which does not move.
 
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    held : (k,) int                 triangles of the support
+    field : DisplacementField       on that mesh
+
     Raises
     ------
     InputError
@@ -85,7 +91,17 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
 
 
 def plausibility_notes(mesh: TriangleMesh, probings: tuple[Probing, ...]) -> tuple[str, ...]:
-    """Sentences about sizes and signs that are possible but more likely a mistake."""
+    """Sentences about sizes and signs that are possible but more likely a mistake.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in metres
+    probings : tuple of Probing
+
+    Returns
+    -------
+    tuple of str                    full sentences
+    """
     size = bounding_diagonal(mesh)
     notes = []
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:

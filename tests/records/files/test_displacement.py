@@ -181,3 +181,22 @@ def test_files_that_cannot_be_read_or_written_are_named(tmp_path, csv_file):
     field, _ = read_displacement(csv_file(HEAD, ROW), CUBE)
     with pytest.raises(RecordError, match="cannot be written"):
         write_displacement(tmp_path / "none" / "a.csv", field)
+
+
+@pytest.mark.parametrize(("height", "noted"), [(0.0403, False), (0.0404, True)])
+def test_half_a_percent_of_the_object_off_the_surface_is_noted(csv_file, height, noted):
+    """0.005 of the cube's diagonal of 69.3 mm is 0.346 mm."""
+    _, notes = read_displacement(csv_file(HEAD, f"0.02,0.02,{height},0,0,0"), CUBE)
+    assert bool(notes) is noted
+
+
+@pytest.mark.parametrize(("shift", "refused"), [(1.3e-3, False), (1.5e-3, True)])
+def test_a_vertex_may_be_two_percent_of_the_object_away(csv_file, shift, refused):
+    """0.02 of 69.3 mm is 1.386 mm, along the face from the vertex in its middle."""
+    middle = int(np.linalg.norm(CUBE.vertices - [0.02, 0.02, 0.04], axis=1).argmin())
+    path = csv_file(HEAD + ",vertex", f"{0.02 + shift},0.02,0.04,0,0,0,{middle}")
+    if refused:
+        with pytest.raises(RecordError, match=f"vertex {middle} of the mesh is 0.0015 m from"):
+            read_displacement(path, CUBE)
+    else:
+        assert read_displacement(path, CUBE)[0].vertex.tolist() == [middle]

@@ -67,3 +67,16 @@ def test_pose_typed_with_few_digits_is_made_a_rotation(tmp_path):
 def test_pose_refusals(tmp_path, text, message):
     with pytest.raises(RecordError, match=message):
         _pose(tmp_path, text)
+
+
+@pytest.mark.parametrize(("error", "refused"), [(0.9e-3, False), (1.1e-3, True)])
+def test_a_rotation_may_be_off_by_a_thousandth(tmp_path, error, refused):
+    # R R^T is (1 + error / 2)^2 in one place: off by the error, to its square.
+    text = f'length_unit = "m"\nR = [[{1 + error / 2}, 0, 0], [0, 1, 0], [0, 0, 1]]\nt = [0, 0, 0]'
+    if refused:
+        with pytest.raises(RecordError, match="is no rotation"):
+            _pose(tmp_path, text)
+        return
+    pose, notes = _pose(tmp_path, text)
+    np.testing.assert_allclose(pose, np.eye(4), atol=1e-15)
+    assert "made orthogonal" in notes[0]

@@ -172,7 +172,7 @@ def test_unknown_files_are_refused(tmp_path, name, content, message):
 
 
 def test_unreadable_files_are_refused(tmp_path):
-    with pytest.raises(RecordError, match="is no camera calibration and holds none; known are"):
+    with pytest.raises(RecordError, match="is no camera calibration, and it holds none; known are"):
         read_rig(tmp_path)
     folder = tmp_path / "x"
     (folder / "a.yml").mkdir(parents=True)

@@ -79,6 +79,12 @@ def write_displacement(
 ) -> None:
     """Write a displacement field as CSV, every digit kept; NaN rows included.
 
+    Parameters
+    ----------
+    path : path
+    field : DisplacementField       in metres
+    metres_per_unit : float [m]     > 0; of every length in the file
+
     Raises
     ------
     RecordError                     the file cannot be written

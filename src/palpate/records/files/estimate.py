@@ -16,6 +16,11 @@ ESTIMATE_FORMAT = "palpate-estimate/1"
 def write_estimate(path: Path | str, estimate: Estimate) -> None:
     """Write an estimate as JSON; what is not known (NaN, infinity) becomes null.
 
+    Parameters
+    ----------
+    path : path
+    estimate : Estimate
+
     Raises
     ------
     RecordError                     the file cannot be written
@@ -39,6 +44,10 @@ def write_estimate(path: Path | str, estimate: Estimate) -> None:
 
 def read_estimate(path: Path | str) -> Estimate:
     """Read an estimate back; null becomes NaN, and infinity at the ends of an interval.
+
+    Parameters
+    ----------
+    path : path
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Rigs from files, and into the format `rig.toml`."""
 
-import json
 from pathlib import Path
 
 import numpy as np
+import tomlkit
 
 from palpate.errors import CalibrationError, RecordError
 from palpate.records.program import CalibrationFile, make_pose
@@ -51,24 +51,41 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
 
 
 def rig_to_toml(rig: Rig) -> str:
-    """Text of rig.toml for a rig, in metres, every digit kept."""
-    lines = ['length_unit = "m"', f"reference = {json.dumps(rig.cameras[rig.reference].name)}"]
+    """Text of rig.toml for a rig, in metres, every digit kept.
+
+    Parameters
+    ----------
+    rig : Rig
+
+    Returns
+    -------
+    str                             TOML; lengths in metres, matrices by rows
+    """
+    cameras = []
     for camera in rig.cameras:
         pose = camera.T_camera_object
-        lines += ["", "[[camera]]", f"name = {json.dumps(camera.name)}"]
-        if camera.size is not None:
-            lines.append(f"size = [{camera.size[0]}, {camera.size[1]}]")
-        lines += [
-            f"K = {camera.matrix.tolist()}",
-            f"distortion = {camera.distortion.tolist()}",
-            f"R = {pose[:3, :3].tolist()}",
-            f"t = {pose[:3, 3].tolist()}",
-        ]
-    return "\n".join(lines) + "\n"
+        size = {} if camera.size is None else {"size": list(camera.size)}
+        cameras.append(
+            {"name": camera.name}
+            | size
+            | {
+                "K": camera.matrix.tolist(),
+                "distortion": camera.distortion.tolist(),
+                "R": pose[:3, :3].tolist(),
+                "t": pose[:3, 3].tolist(),
+            }
+        )
+    reference = rig.cameras[rig.reference].name
+    return tomlkit.dumps({"length_unit": "m", "reference": reference, "camera": cameras})
 
 
 def write_rig(path: Path | str, rig: Rig) -> None:
     """Write a rig as rig.toml; reading it again gives the same numbers.
+
+    Parameters
+    ----------
+    path : path
+    rig : Rig
 
     Raises
     ------

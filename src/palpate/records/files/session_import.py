@@ -1,6 +1,5 @@
 """Displacements of other programs into a session: which file is whose, and who names it."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,8 +100,17 @@ def _check_names(
 
 
 def displacement_line(file: str) -> str:
-    """The line of a [[probe]] table that names its displacement file."""
-    return f"displacement = {json.dumps(file, ensure_ascii=False)}"
+    """The line of a [[probe]] table that names its displacement file.
+
+    Parameters
+    ----------
+    file : str                      relative to the session
+
+    Returns
+    -------
+    str                             TOML, without a line end
+    """
+    return f"displacement = {tomlkit.item(file).as_string()}"
 
 
 def named_displacements(path: Path) -> dict[str, str]:

@@ -4,7 +4,7 @@ Purpose    : every program's names, units, signs of failure and camera conventio
 Takes      : its result and calibration files. To add a program: one new file that ends in a
              `Program`, and one line for it in the list `PROGRAMS` of `registry.py`.
 Gives      : a `Rig`, or `MeasuredPoints` in metres.
-Depends on : `records`, `records.text`, `optional_imports`, `shapes`, `errors`.
+Depends on : `records.text`, `optional_imports`, `shapes`, `errors`.
 Read first : `registry.py`, then `opencorr.py`, the shortest.
 """
 

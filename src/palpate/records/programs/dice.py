@@ -174,6 +174,10 @@ def _holds_rig(file: CalibrationFile) -> bool:
 def read_dice_rig(file: CalibrationFile) -> Rig:
     """Rig of a DICe camera system file (XML); lengths are in mm where the caller says nothing.
 
+    Parameters
+    ----------
+    file : CalibrationFile          a parsed camera system file
+
     Returns
     -------
     Rig                             in the frame that the first camera's extrinsics refer to (its

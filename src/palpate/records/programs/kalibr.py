@@ -16,6 +16,10 @@ def _holds_rig(file: CalibrationFile) -> bool:
 def read_kalibr_rig(file: CalibrationFile) -> Rig:
     """Rig of a camera chain, in the frame of its first camera; lengths are in metres.
 
+    Parameters
+    ----------
+    file : CalibrationFile          with the tables cam0, cam1, ...
+
     Returns
     -------
     Rig                             cameras 'cam0', 'cam1', ...

@@ -92,6 +92,10 @@ def read_matchid_rig(file: CalibrationFile) -> Rig:
 
     The second camera is at x_1 = Rz(Psi) Ry(Phi) Rx(Theta) x_0 + T.
 
+    Parameters
+    ----------
+    file : CalibrationFile          a .caldat file, or YAML of the same keys
+
     Returns
     -------
     Rig                             cameras '0' and '1', sizes not known

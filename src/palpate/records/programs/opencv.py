@@ -40,6 +40,10 @@ def read_opencv_rig(file: CalibrationFile) -> Rig:
     In a folder each file has one camera with its matrix, lens and pose. The unit of length must be
     said, by the caller or in an entry `length_unit`.
 
+    Parameters
+    ----------
+    file : CalibrationFile          a file, or a folder with a file per camera
+
     Returns
     -------
     Rig                             cameras named by their number or side: '1', '2' or 'left',

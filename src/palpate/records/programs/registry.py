@@ -20,7 +20,7 @@ from palpate.records.programs.vic3d import VIC3D
 from palpate.records.programs.vtu import VTU
 from palpate.records.rig import Rig
 
-# A program more: its file beside these, and its name here.
+# To add a program: its file beside these, and one line here.
 PROGRAMS: tuple[Program, ...] = (
     DICE,
     VIC3D,
@@ -98,7 +98,7 @@ def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
 def _holdings(file: CalibrationFile) -> str:
     """What a file holds instead, as far as it has names."""
     if file.path.is_dir():
-        return " and holds none"
+        return ", and it holds none"
     if file.content is None or isinstance(file.content, str):
         return ""
     names = file.content if isinstance(file.content, dict) else (e.tag for e in file.content)

@@ -85,6 +85,10 @@ def read_vic3d_rig(file: CalibrationFile) -> Rig:
     x_camera = Rz Ry Rx x_world + t. The world frame has its z axis towards the cameras and its
     x axis along the baseline; DICe writes its model coordinates in it too.
 
+    Parameters
+    ----------
+    file : CalibrationFile          a parsed project; lengths in mm if nothing is said
+
     Returns
     -------
     Rig                             in the file's world frame; cameras are named by their `id`; the

@@ -131,6 +131,10 @@ class TextTable:
     def unit(self, wanted: Sequence[Column]) -> str | None:
         """The one unit of some columns, or None where none is named.
 
+        Parameters
+        ----------
+        wanted : sequence of Column     of this table, at least one
+
         Raises
         ------
         RecordError                 they differ
@@ -147,6 +151,14 @@ class TextTable:
         """Numbers of some columns; NaN where a cell is empty or says that it is no number.
 
         Infinity stays: whether it is a failure or a mistake is for the caller to judge.
+
+        Parameters
+        ----------
+        wanted : sequence of Column     of this table
+
+        Returns
+        -------
+        (n, k) float                    a row per row of the table, in its units
 
         Raises
         ------
@@ -196,7 +208,16 @@ class TextTable:
 
 
 def missing_depth(missing: Collection[str]) -> str | None:
-    """What to say where of X, Y, Z, U, V, W only those of depth are missing; None otherwise."""
+    """What to say where of X, Y, Z, U, V, W only those of depth are missing; None otherwise.
+
+    Parameters
+    ----------
+    missing : collection of str     names among X, Y, Z, U, V, W
+
+    Returns
+    -------
+    str or None
+    """
     if not {"Z", "W"} & set(missing) or {"X", "Y", "U", "V"} & set(missing):
         return None
     return "it is a 2-D result, and depth is needed: export a stereo result"
@@ -273,7 +294,17 @@ def _is_header(line: str) -> bool:
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
-    """Cells of one line; a blank as delimiter stands for any run of blanks."""
+    """Cells of one line; a blank as delimiter stands for any run of blanks.
+
+    Parameters
+    ----------
+    line : str
+    delimiter : str                 one character
+
+    Returns
+    -------
+    list of str                     quotes are taken off
+    """
     return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
 
 

@@ -31,6 +31,10 @@ def read_bytes(path: Path, count: int = -1) -> bytes:
 def read_text(path: Path) -> str:
     """Content of a text file in UTF-8, without its byte order mark.
 
+    Parameters
+    ----------
+    path : Path
+
     Raises
     ------
     RecordError                     not there, not readable, not UTF-8
@@ -43,6 +47,11 @@ def read_text(path: Path) -> str:
 
 def write_text(path: Path | str, text: str) -> None:
     """Write a text file in UTF-8.
+
+    Parameters
+    ----------
+    path : path
+    text : str
 
     Raises
     ------
