@@ -242,7 +242,8 @@ def next_part(point, nodes, ratios, waiting, top, part):
         top -= 1
         part[:] = waiting[top]
         ratio = _ratio(point, nodes, part)
-        if ratio >= ratios[-1] or part[9] <= _SMALLEST_PART:
+        # Not the other way round: of a point that is NaN nothing may be divided.
+        if not (ratio < ratios[-1] and part[9] > _SMALLEST_PART):
             break
         _divide(part, waiting[top : top + 4])
         top += 4
