@@ -142,7 +142,6 @@ def load_points(
         barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
         position, area, density = _load_at(surface, load, triangle, barycentric)
         loaded = density > 0
-        # The rim runs through cells that are loaded at some of their points only.
         touched = loaded.any(axis=1)
         divide = touched & ~loaded.all(axis=1) & np.array(level < cells.finest_rim)
         if tree is not None and level < cells.finest:
