@@ -10,9 +10,15 @@ Read first : `kelvin.py`, `assembly.py`.
 from palpate.bem.integrals.assembly import (
     Collocation as Collocation,
     FieldBlocks as FieldBlocks,
+    all_rules as all_rules,
     assemble as assemble,
     lanes_of as lanes_of,
     with_rigid_body_sum as with_rigid_body_sum,
+)
+from palpate.bem.integrals.element_integrals import (
+    next_part as next_part,
+    part_point as part_point,
+    whole_triangle as whole_triangle,
 )
 from palpate.bem.integrals.kelvin import (
     DISPLACEMENT as DISPLACEMENT,

@@ -101,9 +101,17 @@ class _Elements(NamedTuple):
     number: np.ndarray
 
 
-class _Rules(NamedTuple):
-    """Quadrature rules one after the other, each from `start` to the next; `ratios` says from which
-    distance over radius."""
+class Rules(NamedTuple):
+    """Quadrature rules one after the other.
+
+    Attributes
+    ----------
+    points : (q, 4) float     barycentric coordinates and weight
+    shapes : (6, q) float     shape functions there
+    start : (k + 1,) int      where each of the k rules starts
+    ratios : (k,) float       distance over radius from which each may be used
+    polar : (p, 3) float      `polar_rule`
+    """
 
     points: np.ndarray
     shapes: np.ndarray
@@ -150,7 +158,7 @@ def assemble(
     if triangles is None:
         triangles = np.arange(len(surface.held))
     points = _points_in_blocks(collocation)
-    rules = _all_rules(quadrature)
+    rules = all_rules(quadrature)
     element_nodes = surface.element_nodes[triangles]
     sources = element_points(element_nodes, rules.points[:, :3])
     sources[:, :, 3:] *= rules.points[:, 3:]
@@ -207,12 +215,22 @@ def with_rigid_body_sum(
     return blocks
 
 
-def _all_rules(quadrature: Quadrature) -> _Rules:
+def all_rules(quadrature: Quadrature) -> Rules:
+    """The rules of a quadrature as the kernels take them.
+
+    Parameters
+    ----------
+    quadrature : Quadrature
+
+    Returns
+    -------
+    Rules
+    """
     rules = [triangle_rule(degree) for degree in quadrature.degrees]
     points = np.concatenate([np.column_stack([rule.barycentric, rule.weight]) for rule in rules])
     shapes = np.ascontiguousarray(quadratic_shapes(points[:, :3]))
     start = np.cumsum([0] + [rule.weight.size for rule in rules])
-    return _Rules(points, shapes, start, quadrature.ratios(), polar_rule(quadrature))
+    return Rules(points, shapes, start, quadrature.ratios(), polar_rule(quadrature))
 
 
 def polar_rule(quadrature: Quadrature) -> Float[np.ndarray, "p 3"]:

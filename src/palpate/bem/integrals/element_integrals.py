@@ -196,27 +196,82 @@ def add_near(n_fields, point, nodes, rules, start, ratios, out):
     out : (6, n_fields) float               added to
     """
     shape, source = np.empty(SHAPES), np.empty(6)
-    # Barycentric coordinates of the three corners, then the share of the area.
-    waiting = np.zeros((_MOST_WAITING, 10))
-    waiting[0] = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 1.0])
-    part = np.empty(10)
+    waiting, part = whole_triangle(), np.empty(10)
     top = 1
     while top > 0:
+        top, rule, _ = next_part(point, nodes, ratios, waiting, top, part)
+        for q in range(start[rule], start[rule + 1]):
+            weight = part_point(nodes, rules[q], part, shape, source)
+            add_point_fields(n_fields, point, source, weight, shape, out)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def whole_triangle():
+    """Parts of a triangle that wait for `next_part`: so far the whole triangle, one part.
+
+    Returns
+    -------
+    (34, 10) float                          barycentric coordinates of the three corners, then the
+                                            share of the area
+    """
+    waiting = np.zeros((_MOST_WAITING, 10))
+    waiting[0, 0] = waiting[0, 4] = waiting[0, 8] = waiting[0, 9] = 1.0
+    return waiting
+
+
+@numba.njit(error_model="numpy", cache=True)
+def next_part(point, nodes, ratios, waiting, top, part):
+    """Take the last of the parts that wait, divided until it is far enough from a point.
+
+    Parameters
+    ----------
+    point : (3,) float [m]
+    nodes : (6, 3) float [m]                six-node triangle
+    ratios : (k,) float                     distance over radius from which each rule may be used
+    waiting : (34, 10) float                changed (`whole_triangle`)
+    top : int                               number of parts that wait, >= 1
+    part : (10,) float                      overwritten: the part
+
+    Returns
+    -------
+    int                                     number of parts that wait now
+    int                                     rule to be used on the part
+    float                                   distance of the point over the part's radius
+    """
+    while True:
         top -= 1
         part[:] = waiting[top]
         ratio = _ratio(point, nodes, part)
-        if ratio < ratios[-1] and part[9] > _SMALLEST_PART:
-            _divide(part, waiting[top : top + 4])
-            top += 4
-            continue
-        rule = 0
-        while rule < ratios.size - 1 and ratio < ratios[rule]:
-            rule += 1
-        for q in range(start[rule], start[rule + 1]):
-            b0 = rules[q, 0] * part[0] + rules[q, 1] * part[3] + rules[q, 2] * part[6]
-            b1 = rules[q, 0] * part[1] + rules[q, 1] * part[4] + rules[q, 2] * part[7]
-            surface_point(nodes, b0, b1, 1 - b0 - b1, shape, source)
-            add_point_fields(n_fields, point, source, rules[q, 3] * part[9], shape, out)
+        # Not the other way round: of a point that is NaN nothing may be divided.
+        if not (ratio < ratios[-1] and part[9] > _SMALLEST_PART):
+            break
+        _divide(part, waiting[top : top + 4])
+        top += 4
+    rule = 0
+    while rule < ratios.size - 1 and ratio < ratios[rule]:
+        rule += 1
+    return top, rule, ratio
+
+
+@numba.njit(error_model="numpy", cache=True)
+def part_point(nodes, rule, part, shape, source):
+    """One quadrature point of a part of a triangle.
+
+    Parameters
+    ----------
+    nodes : (6, 3) float [m]                six-node triangle
+    rule : (4,) float                       barycentric coordinates in the part, weight
+    part : (10,) float                      from `next_part`
+    shape, source : (6,) float              overwritten as by `surface_point`
+
+    Returns
+    -------
+    float                                   weight of the point in the triangle
+    """
+    b0 = rule[0] * part[0] + rule[1] * part[3] + rule[2] * part[6]
+    b1 = rule[0] * part[1] + rule[1] * part[4] + rule[2] * part[7]
+    surface_point(nodes, b0, b1, 1 - b0 - b1, shape, source)
+    return rule[3] * part[9]
 
 
 @numba.njit(error_model="numpy", cache=True)

@@ -12,17 +12,16 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 
 from palpate.bem.elastic_map import ElasticMap, ElasticState, load_shape
-from palpate.bem.integrals import Quadrature, triangle_rule
-from palpate.bem.interior.somigliana import displaced_surface_values, force_values, solid_angle
+from palpate.bem.integrals import Quadrature, all_rules
+from palpate.bem.interior.somigliana import VALUES, sum_forces, sum_surface
 from palpate.bem.loads import LoadCells, SurfaceLoad, load_points
 from palpate.errors import InputError
-from palpate.geometry import QuadraticNodes, element_points, quadratic_shapes, quartered
+from palpate.geometry import QuadraticNodes
+from palpate.threads import in_threads
 
 # Over the radius of a triangle: the integrals of closer points are not to be trusted.
 _MIN_CLEARANCE = 0.05
 _QUADRATURE = Quadrature(tolerance=1e-8)
-# Divisions in four of a triangle that is too close for its last rule.
-_MOST_LEVELS = 10
 _LOAD_CELLS = LoadCells(degree=7, coarsest=2, finest_rim=5, finest=9)
 
 
@@ -88,17 +87,16 @@ def interior_state(
     ------
     Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), eq. 5.4.5 and 5.6.6
     """
-    surface = elastic_map.system.surface
-    material = {
-        "shear_modulus": elastic_map.shear_modulus, "poisson_ratio": elastic_map.poisson_ratio
-    }  # fmt: skip
     (state,) = elastic_map.respond([load], force[None])
-    inside = interior_values(_solved_fields(elastic_map, state, load, force), points, **material)
-    pushed = load_points(surface, load, cells=_LOAD_CELLS, near=points)
+    modulus, nu = elastic_map.shear_modulus, elastic_map.poisson_ratio
+    fields = _solved_fields(elastic_map, state, load, force)
+    inside = interior_values(fields, points, shear_modulus=modulus, poisson_ratio=nu)
+    pushed = load_points(elastic_map.system.surface, load, cells=_LOAD_CELLS, near=points)
     forces = pushed.weight[:, None] * force
-    added = [force_values(point, pushed.position, forces, **material) for point in points]
-    displacement, stress = (np.array(part) for part in zip(*added, strict=True))
-    return InteriorState(inside.displacement + displacement, inside.stress + stress)
+    out = np.zeros((len(points), VALUES))
+    in_threads(sum_forces, len(points), np.array(points), pushed.position, forces, modulus, nu, out)
+    added = _as_state(out, nu)
+    return InteriorState(inside.displacement + added.displacement, inside.stress + added.stress)
 
 
 def interior_values(
@@ -116,7 +114,6 @@ def interior_values(
     points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius from the surface
     shear_modulus : float [Pa]
     poisson_ratio : float [-]         -1 < nu <= 0.5
-    quadrature : Quadrature
 
     Returns
     -------
@@ -126,17 +123,13 @@ def interior_values(
     ------
     InputError                        a point is outside the object, or too close to its surface
     """
-    displacement, stress = np.empty((len(points), 3)), np.empty((len(points), 3, 3))
-    angle, clearance = np.empty(len(points)), np.empty(len(points))
-    material = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
-    for k, point in enumerate(points):
-        source, u, t, clearance[k] = _surface_seen_from(fields, point)
-        area = np.linalg.norm(source[:, 3:], axis=1)
-        loaded = t.any(axis=1)
-        pushed = force_values(point, source[loaded, :3], t[loaded] * area[loaded, None], **material)
-        displaced = displaced_surface_values(point, source, u, **material)
-        displacement[k], stress[k] = (a + b for a, b in zip(pushed, displaced, strict=True))
-        angle[k] = solid_angle(point, source)
+    out, clearance = np.zeros((len(points), VALUES)), np.full(len(points), np.inf)
+    values = np.concatenate([fields.displacement, fields.traction], axis=2)
+    in_threads(
+        sum_surface, len(points), np.array(points), np.array(fields.element_nodes), values,
+        all_rules(_QUADRATURE), shear_modulus, poisson_ratio, out, clearance,
+    )  # fmt: skip
+    angle = out[:, 12] / (4 * np.pi)
     _refuse(
         clearance < _MIN_CLEARANCE, points,
         f"within {_MIN_CLEARANCE:.0%} of a triangle's radius of the surface",
@@ -146,42 +139,12 @@ def interior_values(
         ~(angle > 0.5), points, "outside the object",
         "check their frame and that they are in metres",
     )  # fmt: skip
-    return InteriorState(displacement, stress)
+    return _as_state(out, poisson_ratio)
 
 
-def _surface_seen_from(
-    fields: BoundaryFields, point: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "q 6"], Float[np.ndarray, "q 3"], Float[np.ndarray, "q 3"], float]:
-    """Quadrature points of the whole surface, closer where the point is near, as places and
-    weighted normals; displacement and traction there; the point's clearance, to about a tenth."""
-    rules = [triangle_rule(degree) for degree in _QUADRATURE.degrees]
-    ratios = _QUADRATURE.ratios()
-    values = np.concatenate([fields.displacement, fields.traction], axis=2)
-    triangle = np.arange(len(values))
-    corners = np.tile(np.eye(3), (len(values), 1, 1))
-    sources, found, clearance = [], [], np.inf
-    for level in range(_MOST_LEVELS + 1):
-        corner = element_points(fields.element_nodes[triangle], corners)[:, :, :3]
-        centre = corner.mean(axis=1)
-        radius = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
-        ratio = np.linalg.norm(point - centre, axis=1) / radius
-        near = (ratio < ratios[-1]) & (level < _MOST_LEVELS)
-        clearance = min(clearance, float(np.where(near, np.inf, ratio).min()) * 0.5**level)
-        # Rules count from the coarsest, whose ratio is the largest.
-        chosen = np.minimum((ratio[:, None] < ratios).sum(axis=1), len(rules) - 1)
-        for k, rule in enumerate(rules):
-            mine = np.flatnonzero(~near & (chosen == k))
-            barycentric = rule.barycentric @ corners[mine]
-            source = element_points(fields.element_nodes[triangle[mine]], barycentric)
-            source[:, :, 3:] *= rule.weight[:, None] * 0.25**level
-            shapes = np.moveaxis(quadratic_shapes(barycentric), 0, -1)
-            sources.append(source.reshape(-1, 6))
-            found.append((shapes @ values[triangle[mine]]).reshape(-1, 6))
-        triangle, corners = quartered(triangle[near], corners[near])
-        if not triangle.size:
-            break
-    at_sources = np.concatenate(found)
-    return np.concatenate(sources), at_sources[:, :3], at_sources[:, 3:], clearance
+def _as_state(out: Float[np.ndarray, "n 13"], poisson_ratio: float) -> InteriorState:
+    scaled = out / (8 * np.pi * (1 - poisson_ratio))
+    return InteriorState(scaled[:, :3].copy(), scaled[:, 3:12].reshape(-1, 3, 3).copy())
 
 
 def _refuse(

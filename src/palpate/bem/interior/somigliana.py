@@ -13,110 +13,123 @@ x, t and u traction and displacement there, a = 1 - 2 nu, multiplied by 8 pi (1 
 Source: Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), eq. 5.4.5, 5.6.4 to 5.6.6.
 """
 
+import numba
 import numpy as np
-from jaxtyping import Float
+
+from palpate.bem.integrals import next_part, part_point, whole_triangle
+
+# Displacement, stress by rows, solid angle.
+VALUES = 13
 
 
-def force_values(
-    point: Float[np.ndarray, "3"],
-    position: Float[np.ndarray, "q 3"],
-    force: Float[np.ndarray, "q 3"],
-    *,
-    shear_modulus: float,
-    poisson_ratio: float,
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Displacement and stress that point forces give in unbounded elastic space.
-
-    Parameters
-    ----------
-    point : (3,) float [m]                none of the positions
-    position : (q, 3) float [m]
-    force : (q, 3) float [N]              traction times area
-    shear_modulus : float [Pa]
-    poisson_ratio : float [-]             -1 < nu <= 0.5
-
-    Returns
-    -------
-    (3,) float [m], (3, 3) float [Pa]
-
-    Source
-    ------
-    Brebbia, Telles and Wrobel (1984), first terms of eq. 5.4.5 and 5.6.4
-    """
-    e, s = _direction(point, position)
-    along = (e * force).sum(axis=1)
-    displacement = s @ ((3 - 4 * poisson_ratio) * force) + (s * along) @ e
-    weight = s * s
-    shear = (weight[:, None] * force).T @ e
-    stress = (1 - 2 * poisson_ratio) * (shear + shear.T - weight @ along * np.eye(3))
-    stress += 3 * (e * (weight * along)[:, None]).T @ e
-    scale = 1 / (8 * np.pi * (1 - poisson_ratio))
-    return scale / (2 * shear_modulus) * displacement, scale * stress
+@numba.njit(error_model="numpy", inline="always")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def displaced_surface_values(
-    point: Float[np.ndarray, "3"],
-    source: Float[np.ndarray, "q 6"],
-    u: Float[np.ndarray, "q 3"],
-    *,
-    shear_modulus: float,
-    poisson_ratio: float,
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Displacement and stress that the displacement of a closed surface gives inside.
+@numba.njit(error_model="numpy", inline="always")
+def _direction(point, place):
+    """Unit vector from a point to a place, and one over their distance."""
+    x, y, z = place[0] - point[0], place[1] - point[1], place[2] - point[2]
+    s = 1.0 / np.sqrt(x * x + y * y + z * z)
+    return (x * s, y * s, z * s), s
+
+
+@numba.njit(error_model="numpy", cache=True)
+def add_force(point, place, force, shear_modulus, nu, out):
+    """Add what a point force in unbounded space gives at a point, times 8 pi (1 - nu).
 
     Parameters
     ----------
     point : (3,) float [m]
-    source : (q, 6) float                 places on the surface [m], outward normals times area
-                                          [m^2]
-    u : (q, 3) float [m]                  displacement there
-    shear_modulus : float [Pa]
-    poisson_ratio : float [-]             -1 < nu <= 0.5
-
-    Returns
-    -------
-    (3,) float [m], (3, 3) float [Pa]
-
-    Source
-    ------
-    Brebbia, Telles and Wrobel (1984), last terms of eq. 5.4.5 and 5.6.4
+    place : (3,) or longer float [m]        of the force, not at the point
+    force : (3,) float [N]                  traction times area
+    shear_modulus, nu : float
+    out : (13,) float                       added to: displacement (3), stress (9, by rows); the
+                                            last, the solid angle, stays
     """
-    nu, a = poisson_ratio, 1 - 2 * poisson_ratio
-    e, s = _direction(point, source[:, :3])
-    n = source[:, 3:]
-    flux, eu, un = (e * n).sum(axis=1), (e * u).sum(axis=1), (u * n).sum(axis=1)
-    s2, s3 = s**2, s**3
-    displacement = a * ((s2 * un) @ e - (s2 * eu) @ n - (s2 * flux) @ u) - 3 * (s2 * eu * flux) @ e
-    mixed = 3 * nu * ((s3 * flux)[:, None] * u + (s3 * eu)[:, None] * n).T @ e
-    mixed += a * (s3[:, None] * n).T @ u
-    outer = 3 * (e * (s3 * (a * un - 5 * eu * flux))[:, None]).T @ e
-    same = s3 @ (3 * a * eu * flux - (1 - 4 * nu) * un)
-    stress = 2 * shear_modulus * (mixed + mixed.T + outer + same * np.eye(3))
-    scale = -1 / (8 * np.pi * (1 - nu))
-    return scale * displacement, scale * stress
+    e, s = _direction(point, place)
+    a, along = 1 - 2 * nu, _dot(e, force)
+    for i in range(3):
+        out[i] += 0.5 * s / shear_modulus * ((3 - 4 * nu) * force[i] + e[i] * along)
+        out[3 + 4 * i] -= s * s * a * along
+        for j in range(3):
+            shear = a * (force[i] * e[j] + force[j] * e[i])
+            out[3 + 3 * i + j] += s * s * (shear + 3 * e[i] * e[j] * along)
 
 
-def solid_angle(point: Float[np.ndarray, "3"], source: Float[np.ndarray, "q 6"]) -> float:
-    """Solid angle of a closed surface over 4 pi: 1 from inside, 0 from outside.
+@numba.njit(error_model="numpy", cache=True)
+def subtract_displaced_surface(point, source, weight, u, shear_modulus, nu, out):
+    """Subtract what a displaced piece of surface gives at a point, times 8 pi (1 - nu), and add its
+    solid angle.
 
     Parameters
     ----------
     point : (3,) float [m]
-    source : (q, 6) float                 places on the surface [m], outward normals times area
-                                          [m^2]
-
-    Returns
-    -------
-    float [-]
+    source : (6,) float                     place [m], outward normal times area [m^2]
+    weight : float                          of that area
+    u : (3,) float [m]
+    shear_modulus, nu : float
+    out : (13,) float                       changed: displacement (3), stress (9, by rows), solid
+                                            angle
     """
-    e, s = _direction(point, source[:, :3])
-    return float(s**2 @ (e * source[:, 3:]).sum(axis=1)) / (4 * np.pi)
+    e, s = _direction(point, source)
+    n = (weight * source[3], weight * source[4], weight * source[5])
+    a, s2, c = 1 - 2 * nu, s * s, 2 * shear_modulus * s * s * s
+    flux, eu, un = _dot(e, n), _dot(e, u), _dot(u, n)
+    out[12] += s2 * flux
+    p, q, outer = 3 * nu * flux, 3 * nu * eu, 3 * a * un - 15 * eu * flux
+    for i in range(3):
+        out[i] -= s2 * (a * (e[i] * un - n[i] * eu - u[i] * flux) - 3 * eu * flux * e[i])
+        out[3 + 4 * i] -= c * (3 * a * eu * flux - (1 - 4 * nu) * un)
+        for j in range(3):
+            mixed = p * (u[i] * e[j] + u[j] * e[i]) + q * (n[i] * e[j] + n[j] * e[i])
+            mixed += a * (n[i] * u[j] + n[j] * u[i])
+            out[3 + 3 * i + j] -= c * (mixed + outer * e[i] * e[j])
 
 
-def _direction(
-    point: Float[np.ndarray, "3"], position: Float[np.ndarray, "q 3"]
-) -> tuple[Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
-    """Unit vectors from the point, and one over the distance."""
-    r = position - point
-    s = 1 / np.linalg.norm(r, axis=1)
-    return r * s[:, None], s
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def sum_surface(begin, end, points, nodes, values, rules, shear_modulus, nu, out, clearance):
+    """Integrate over the surface for the points from begin to end.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    nodes : (m, 6, 3) float [m]             six-node triangles
+    values : (m, 6, 6) float                displacement [m], then traction [Pa], at these nodes
+    rules : Rules
+    shear_modulus, nu : float
+    out : (n, 13) float                     added to (`add_force`, `subtract_displaced_surface`)
+    clearance : (n,) float                  lowered to the distance from the surface over the
+                                            radius of the nearest triangle, to about a tenth
+    """
+    shape, source, part = np.empty(6), np.empty(6), np.empty(10)
+    u, force = np.empty(3), np.empty(3)
+    for k in range(begin, end):
+        for e in range(nodes.shape[0]):
+            waiting = whole_triangle()
+            top = 1
+            while top > 0:
+                top, rule, ratio = next_part(points[k], nodes[e], rules.ratios, waiting, top, part)
+                clearance[k] = min(clearance[k], ratio * np.sqrt(part[9]))
+                for r in range(rules.start[rule], rules.start[rule + 1]):
+                    weight = part_point(nodes[e], rules.points[r], part, shape, source)
+                    area = weight * np.sqrt(_dot(source[3:], source[3:]))
+                    u[:], force[:] = 0.0, 0.0
+                    for a in range(6):
+                        for i in range(3):
+                            u[i] += shape[a] * values[e, a, i]
+                            force[i] += shape[a] * area * values[e, a, 3 + i]
+                    subtract_displaced_surface(
+                        points[k], source, weight, u, shear_modulus, nu, out[k]
+                    )
+                    if force[0] != 0 or force[1] != 0 or force[2] != 0:
+                        add_force(points[k], source, force, shear_modulus, nu, out[k])
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def sum_forces(begin, end, points, places, forces, shear_modulus, nu, out):
+    """Add all forces for the points from begin to end; see `add_force`."""
+    for k in range(begin, end):
+        for q in range(places.shape[0]):
+            add_force(points[k], places[q], forces[q], shear_modulus, nu, out[k])

@@ -110,9 +110,9 @@ def shape_columns(
         np.einsum("ijrspjc->pirsc", part).reshape(2, 3 * n_rows, -1)
         for part in traction_parts(fields[:, :n_rows])
     )
-    zero, one = scaled + constant, -2 * scaled
+    constant, slope = scaled + constant, -2 * scaled
     terms = np.zeros((3, 3 * n_rows + 3, 3 * len(shapes)))
-    terms[:, :-3] = -zero[0], -(zero[1] + one[0]), -one[1]
+    terms[:, :-3] = -constant[0], -(constant[1] + slope[0]), -slope[1]
     return RightHand(terms)
 
 

@@ -141,12 +141,13 @@ def load_points(
             break
         barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
         position, area, density = _load_at(surface, load, triangle, barycentric)
-        loaded = np.asarray(density > 0)
-        divide = loaded.any(axis=1) & ~loaded.all(axis=1) & (level < cells.finest_rim)
+        loaded = density > 0
+        touched = loaded.any(axis=1)
+        divide = touched & ~loaded.all(axis=1) & np.array(level < cells.finest_rim)
         if tree is not None and level < cells.finest:
             centre = position.mean(axis=1)
             size = np.linalg.norm(position - centre[:, None], axis=2).max(axis=1)
-            divide |= loaded.any(axis=1) & (tree.query(centre)[0] < cells.ratio * size)
+            divide |= touched & (tree.query(centre)[0] < cells.ratio * size)
         kept = loaded & ~divide[:, None]
         positions.append(position[kept])
         weights.append((density * area * rule.weight)[kept] * 0.25**level)

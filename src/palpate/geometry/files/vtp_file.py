@@ -4,6 +4,7 @@ import base64
 import xml.etree.ElementTree as ElementTree
 import zlib
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -84,7 +85,9 @@ def _array(
     """Numbers of one DataArray, in whichever of the four ways they are stored."""
     if node is None:
         raise ValueError("an array of points or polygons is missing")
-    order = "<" if root.get("byte_order", "LittleEndian") == "LittleEndian" else ">"
+    order: Literal["<", ">"] = "<"
+    if root.get("byte_order", "LittleEndian") != "LittleEndian":
+        order = ">"
     kind = np.dtype(node.attrib["type"].lower()).newbyteorder(order)
     if node.get("format", "ascii") == "ascii":
         return np.array((node.text or "").split(), dtype=kind)
