@@ -3,7 +3,7 @@
 Purpose    : measure the motion of a session's object from its pictures; estimate its constants.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, and the model between them.
-Depends on : `vision`, `probe`, `bem`, `estimation`, `records`.
+Depends on : `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
 Read first : `fit_session.py`, then `measure_motion.py`.
 """
 
