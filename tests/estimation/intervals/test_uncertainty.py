@@ -41,15 +41,15 @@ def _covered(found: list[IntervalSet], name: str, truth: float) -> float:
 
 @pytest.mark.parametrize(("count", "grid"), [(1, 8), (3, 5)])
 def test_intervals_cover_and_errors_reach_the_bound(count: int, grid: int) -> None:
-    found = _repeats(80, count=count, grid=grid, noise=5e-5, force_noise=0.01)
+    found = _repeats(50, count=count, grid=grid, noise=5e-5, force_noise=0.01)
     for name, truth in (("poisson_ratio", 0.3), ("shear_modulus", 2e4), ("young_modulus", 5.2e4)):
-        # 95 % of 80: three standard deviations of a share are 7.3 %.
-        assert _covered(found, name, truth) > 0.876, name
+        # 95 % of 50: three standard deviations of a share are 9.2 %.
+        assert _covered(found, name, truth) > 0.857, name
     error = np.array([one.poisson_ratio.value - 0.3 for one in found])
     claimed = np.array([one.poisson_ratio.std for one in found])
     pull = np.sqrt(np.mean((error / claimed) ** 2))
-    # One with 8 % statistical error; much less means needlessly wide intervals.
-    assert 0.78 < pull < 1.24
+    # One with 10 % statistical error; much less means needlessly wide intervals.
+    assert 0.72 < pull < 1.3
 
 
 def test_profile_is_fisher_for_plenty_of_data() -> None:
@@ -232,8 +232,11 @@ def test_a_bootstrap_of_one_probing_has_the_models_covariance() -> None:
 
 
 def _uncertainty(noise: float = 5e-5, **options: object) -> Uncertainty:
+    """Of probings that agree with their claims and with each other."""
     probes = half_space_probes(np.random.default_rng(4), count=3, grid=6, noise=noise, **options)
-    return uncertainty_at(probes)
+    found = uncertainty_at(probes)
+    assert found.noise.degrees == found.noise.correlation.degrees == np.inf
+    return replace(found, scatters=dict.fromkeys(found.scatters, Scatter(1.0, 2.0)))
 
 
 def test_fisher_is_the_quantile_times_the_error() -> None:
@@ -259,7 +262,7 @@ def test_fisher_is_the_quantile_times_the_error() -> None:
 
 def test_disagreement_raises_the_variance_of_its_constant_alone() -> None:
     calm = _uncertainty()
-    torn = replace(calm, scatters=calm.scatters | {"shear_modulus": Scatter(9.0, 4.0)})
+    torn = replace(calm, scatters=dict(calm.scatters) | {"shear_modulus": Scatter(9.0, 4.0)})
     # Variances and calibrations in proportion.
     for value in ("variance", "calibration"):
         ratio = getattr(torn, value)("shear_modulus") / getattr(calm, value)("shear_modulus")
@@ -272,7 +275,7 @@ def test_disagreement_raises_the_variance_of_its_constant_alone() -> None:
 
 
 def test_intervals_of_nu_end_at_its_range() -> None:
-    found = interval_set(_uncertainty(1e-3, poisson_ratio=0.45), "fisher").poisson_ratio
+    found = interval_set(_uncertainty(1e-4, poisson_ratio=0.48), "fisher").poisson_ratio
     assert found.ci95[1] == RANGE[1]
     assert found.ci95[0] > RANGE[0]
 
@@ -280,7 +283,7 @@ def test_intervals_of_nu_end_at_its_range() -> None:
 def test_for_small_errors_far_from_bounds_the_profile_is_fishers() -> None:
     small = _uncertainty(1e-6)
     error = np.sqrt(small.variance("poisson_ratio"))
-    assert error < 1e-4
+    assert error < 9e-4
     assert interval_set(small, "profile") == interval_set(small, "fisher")
     # Eight errors from a bound is far; less is near.
     nu = small.minimum.poisson_ratio

@@ -45,6 +45,19 @@ def test_a_force_that_is_off_is_found() -> None:
     assert np.linalg.norm(start.shifts[2]) > 2 * np.linalg.norm(start.shifts[0])
 
 
+def test_forces_are_the_best_at_the_start() -> None:
+    """With noise so large that the claim of the force counts as much as the displacements."""
+    rng = np.random.default_rng(9)
+    probes = half_space_probes(rng, count=2, grid=4, noise=1e-3, force_noise=0.2, shear_modulus=5e3)
+    start = _start(probes, "gaussian")
+    misfit = replace(misfit_of(probes), level=start.level)
+    best = misfit.at_best_forces(start.poisson_ratio, start.shear_modulus)
+    for found, one in zip(start.shifts, best, strict=True):
+        # Gaussian weights are all one, and the response is linear in nu: rounding.
+        np.testing.assert_allclose(found, one.shift, atol=1e-8)
+        assert np.abs(found).max() > 0.01
+
+
 def test_a_third_of_gross_errors() -> None:
     rng = np.random.default_rng(6)
     probes = []
@@ -58,6 +71,22 @@ def test_a_third_of_gross_errors() -> None:
     # Close enough for scoring: a few standard errors of 0.003.
     assert start.poisson_ratio == pytest.approx(0.3, abs=0.02)
     assert start.shear_modulus == pytest.approx(2e4, rel=0.02)
+
+
+def test_a_corner_that_moved_together_is_left_out() -> None:
+    """The convex loss holds it back before any noise level is known."""
+    rng = np.random.default_rng(1)
+    probes = []
+    for probe in half_space_probes(rng, count=3, grid=12, noise=3e-5):
+        corner = (probe.position[:, 0] > 0) & (probe.position[:, 1] > 0)
+        moved = probe.displacement + 1e-3 * corner[:, None]
+        probes.append(replace(probe, displacement=moved, std=None))
+    start = _start(probes)
+    # A quarter is off by thirty sigmas; left in, the constants are off by tens of per cent.
+    assert start.poisson_ratio == pytest.approx(0.3, abs=0.05)
+    assert start.shear_modulus == pytest.approx(2e4, rel=0.05)
+    # Lifted by the median over a quarter of outliers, not by their size.
+    assert start.level[:3].max() < 2.5 * 3e-5
 
 
 def test_parameters_are_counted() -> None:

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from palpate.estimation.search import nelder_mead as nelder_mead_module
 from palpate.estimation.search.misfit import Misfit
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum
-from palpate.estimation.search.scoring import scored_minimum
+from palpate.estimation.search.scoring import diagonal_root, scored_minimum
 
 
 def _misfit(noise: str = "student-t", **options: object) -> Misfit:
@@ -81,7 +81,14 @@ def test_too_few_steps_are_not_converged(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_simplex_is_linearised_where_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stopped early it says so, and its residuals are those of its own constants."""
     misfit = _misfit(force_noise=0.0)
-    assert nelder_mead_minimum(misfit, 0.25, 2.2e4, poisson_range=RANGE).converged
+    simplex, exact = (
+        nelder_mead_minimum(misfit, 0.25, 2.2e4, poisson_range=RANGE),
+        minimum_of(misfit),
+    )
+    assert simplex.converged
+    # It collapses to 1e-9 as far as rounding of the misfit allows.
+    assert simplex.poisson_ratio == pytest.approx(exact.poisson_ratio, abs=1e-6)
+    assert simplex.shear_modulus == pytest.approx(exact.shear_modulus, rel=1e-6)
     misfit = _misfit()
     monkeypatch.setattr(nelder_mead_module, "_MAX_EVALUATIONS", 9)
     found = nelder_mead_minimum(misfit, 0.1, 3e4, poisson_range=RANGE)
@@ -89,6 +96,13 @@ def test_a_simplex_is_linearised_where_it_ends(monkeypatch: pytest.MonkeyPatch) 
     here = misfit.at_best_forces(found.poisson_ratio, found.shear_modulus)
     for one, other in zip(found.probes, here, strict=True):
         np.testing.assert_array_equal(one.table, other.table)
+
+
+def test_a_diagonal_without_information_has_a_floor() -> None:
+    """Far below the rest, and above nothing where all is nothing."""
+    found = diagonal_root(np.diag([4.0, 1e-30]))
+    np.testing.assert_allclose(found, [2.0, np.sqrt(4e-15)], rtol=1e-12)
+    np.testing.assert_allclose(diagonal_root(np.zeros((2, 2))), 1e-100, rtol=1e-12)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.48, 0.4999])

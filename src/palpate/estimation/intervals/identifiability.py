@@ -59,6 +59,10 @@ def with_prior_ranges(
     intervals : IntervalSet
     identifiable : constant's name -> bool
     weights : FixedWeights          for the valley
+
+    Returns
+    -------
+    IntervalSet
     """
     ratio, shear, young = (
         intervals.poisson_ratio,
@@ -90,7 +94,16 @@ def _modulus_in_range(modulus: Constant) -> Constant:
 
 
 def identifiable_combination(weights: FixedWeights) -> str:
-    """The combination of G and nu that the valley of the misfit keeps constant, in words."""
+    """The combination of G and nu that the valley of the misfit keeps constant, in words.
+
+    Parameters
+    ----------
+    weights : FixedWeights          for the valley
+
+    Returns
+    -------
+    str                             formula, and by how much it changes over the range of nu
+    """
     nu, modulus = _valley_line(weights)
     shapes = {
         "E = 2 G (1 + nu)": modulus * (1 + nu),

@@ -64,7 +64,14 @@ class Scores:
     curvature: Float[np.ndarray, "k 2 2"]
 
     def covariance(self) -> Float[np.ndarray, "2 2"]:
-        """Model-based covariance of (nu, log G)."""
+        """Model-based covariance of (nu, log G), A^-1 B A^-1 with A the information and B the
+        noise; huge, not infinite, along a combination without information.
+
+        Source
+        ------
+        Huber, The behavior of maximum likelihood estimates under nonstandard conditions, 5th
+        Berkeley Symposium (1967).
+        """
         inverse, ridge = _inverse(self.information.sum(0))
         return inverse @ (self.noise.sum(0) + ridge) @ inverse
 
@@ -77,11 +84,11 @@ class Scores:
 
         Parameters
         ----------
-        direction : (2,) float
+        direction : (2,) float      see `directions`
 
         Returns
         -------
-        Scatter
+        Scatter                     of ratio 1 without degrees of freedom for a single probing
         """
         if len(self.score) < 2:
             return Scatter(1.0, 0.0)
@@ -128,13 +135,33 @@ class Scatter:
 
 
 def directions(poisson_ratio: float) -> dict[str, Float[np.ndarray, " 2"]]:
-    """Slopes of nu, log G and log E with respect to (nu, log G)."""
+    """Slopes of nu, log G and log E with respect to (nu, log G).
+
+    Parameters
+    ----------
+    poisson_ratio : float [-]       > -1
+
+    Returns
+    -------
+    constant's name -> (2,) float   in the order of `DIRECTIONS`
+    """
     young = np.array([1.0 / (1.0 + poisson_ratio), 1.0])
     return dict(zip(DIRECTIONS, (np.array([1.0, 0.0]), np.array([0.0, 1.0]), young), strict=True))
 
 
 def quantile_of(noise: ScoreNoise, scatter: Scatter) -> float:
-    """Half-width of a 95 % interval in standard deviations."""
+    """Half-width of a 95 % interval in standard deviations.
+
+    Parameters
+    ----------
+    noise : ScoreNoise
+    scatter : Scatter               of the constant concerned
+
+    Returns
+    -------
+    float [-]                       1.96 where all noise is claimed, else Student's for the fewest
+                                    degrees of freedom among noise, correlation and scatter
+    """
     degrees = min(noise.degrees, noise.correlation.degrees)
     if scatter.is_surprising:
         degrees = min(degrees, scatter.degrees + _PRIOR_DEGREES)

@@ -38,7 +38,20 @@ class CorrelationFactor:
 
 
 def morton_order(position: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
-    """Order of points along a curve that keeps neighbours together; NaN (the tip) comes last."""
+    """Order of points along a curve that keeps neighbours together.
+
+    Parameters
+    ----------
+    position : (p, 3) float         in any unit; NaN where a point has no place (the tip)
+
+    Returns
+    -------
+    (p,) int                        indices of the points; those without a place come last
+
+    Source
+    ------
+    Morton, A computer oriented geodetic data base, IBM (1966).
+    """
     low = np.nanmin(position, axis=0)
     span = max(float(np.max(np.nanmax(position, axis=0) - low)), np.finfo(float).tiny)
     cell = np.nan_to_num((position - low) / span * (2**_BITS - 1)).astype(np.int64)

@@ -27,6 +27,10 @@ def poisson_ratio_error(poisson_ratio: float, displacement_error: float) -> floa
     displacement_error : float [-]  standard deviation of the displacements' scale, >= 0, each
                                     direction for itself
 
+    Returns
+    -------
+    float [-]
+
     Source
     ------
     Johnson, Contact Mechanics, eq. 3.18.

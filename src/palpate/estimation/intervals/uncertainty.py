@@ -88,6 +88,10 @@ def uncertainty_of(misfit: Misfit, minimum: Minimum, weights: FixedWeights) -> U
     misfit : Misfit
     minimum : Minimum               of that misfit
     weights : FixedWeights          at that minimum
+
+    Returns
+    -------
+    Uncertainty                     with the scatter of these probings
     """
     scores, noise = scores_of(misfit, minimum.probes)
     turns = directions(minimum.poisson_ratio)

@@ -112,6 +112,10 @@ def probe_estimate(constants: IntervalSet, fit: ProbeFit) -> ProbeEstimate:
     ----------
     constants : IntervalSet         from this probing alone
     fit : ProbeFit
+
+    Returns
+    -------
+    ProbeEstimate                   residuals [m] without the points that count as rejected
     """
     seen = np.isfinite(fit.residual).any(axis=1)
     kept = seen & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)

@@ -3,7 +3,7 @@
 Purpose    : noise models by their loss and weights, and the noise levels of a session's residuals.
 Takes      : squared residuals in sigmas and their numbers of components; residuals of probings.
 Gives      : `NoiseModel` (a protocol), `StudentT`, `Gaussian`, moments of their scores, levels.
-Depends on : `observations` of this room.
+Depends on : nothing but the ground floor; the observations of its room.
 Read first : `noise_model.py`, then `levels.py`.
 """
 

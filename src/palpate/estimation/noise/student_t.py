@@ -31,11 +31,11 @@ class StudentT:
     degrees: float = 8.0
 
     def loss(self, squared: Values, components: Values) -> Values:
-        """(nu + p) log(1 + d2 / nu)."""
+        """(nu + p) log(1 + d2 / nu), shape of the arguments [-]."""
         return (self.degrees + components) * np.log1p(squared / self.degrees)
 
     def weight(self, squared: Values, components: Values) -> Values:
-        """(nu + p) / (nu + d2)."""
+        """(nu + p) / (nu + d2): (nu + p) / nu at length 0, falling to 0."""
         return (self.degrees + components) / (self.degrees + squared)
 
     def weight_slope(self, squared: Values, components: Values) -> Values:

@@ -3,7 +3,7 @@
 Purpose    : displacements of observed points at every Poisson's ratio, from one factorisation.
 Takes      : a `bem` system with its right-hand sides, and which displacements a probing sees.
 Gives      : `ProbeResponse` (a `ResponseModel`), `ReducedModel`, `ResponseTable`.
-Depends on : `bem`, `errors`; `observations` of this room.
+Depends on : `bem`; the observations of its room.
 Read first : `responses.py`, then `reduced_model.py`.
 """
 

@@ -39,7 +39,12 @@ class GlobalStart:
 
 
 def fitted_parameters(probes: Sequence[ObservedRows]) -> int:
-    """Numbers that the residuals were fitted with: two constants and the uncertain forces."""
+    """Numbers that the residuals were fitted with: two constants and the uncertain forces.
+
+    Parameters
+    ----------
+    probes : sequence of ObservedRows
+    """
     return 2 + sum(probe.force_components for probe in probes)
 
 

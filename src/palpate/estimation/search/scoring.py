@@ -161,7 +161,15 @@ def _bounded(
 
 
 def diagonal_root(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " n"]:
-    """Root of an information matrix's diagonal, with a floor far below any information that
-    counts."""
+    """Root of an information matrix's diagonal, to scale it to a diagonal of ones.
+
+    Parameters
+    ----------
+    matrix : (n, n) float           diagonal >= 0
+
+    Returns
+    -------
+    (n,) float                      > 0, with a floor far below any information that counts
+    """
     size = np.diag(matrix)
     return np.sqrt(np.maximum(size, max(1e-15 * float(size.max()), 1e-200)))

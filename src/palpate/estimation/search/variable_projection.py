@@ -128,6 +128,10 @@ def fixed_weights(
     level : (8,) float                      see `noise_levels`
     weights : one (p,) float for each       of the points
     force_weights : (k,) float              of the measured forces
+
+    Returns
+    -------
+    FixedWeights
     """
     count = len(table.poisson_ratio)
     products = np.stack(

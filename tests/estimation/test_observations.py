@@ -1,0 +1,93 @@
+"""What a probing may hold, and how its measured components become rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimation.half_space import HalfSpace, half_space_probes
+
+from palpate.errors import InputError
+from palpate.estimation import ProbeObservations
+from palpate.estimation.observations import observed_rows_of
+
+
+def _probe(**options: object) -> ProbeObservations:
+    return half_space_probes(np.random.default_rng(1), count=1, grid=4, noise=1e-5, **options)[0]
+
+
+def test_a_std_that_is_not_positive_is_refused_where_something_was_measured() -> None:
+    probe = _probe()
+    std = probe.std.copy()
+    std[2, 1] = 0.0
+    with pytest.raises(InputError, match=r"'n01': std is 0.0 at index \(2, 1\), and 1 entries"):
+        replace(probe, std=std)
+    field = probe.displacement.copy()
+    field[2] = np.nan
+    assert np.isnan(replace(probe, std=std, displacement=field).displacement[2]).all()
+
+
+def test_wrong_entries_are_refused() -> None:
+    probe = _probe(tip=True)
+    with pytest.raises(InputError, match=r"force_std is .* every component must be >= 0"):
+        replace(probe, force_std=np.array([0.0, -1e-3, 0.0]))
+    with pytest.raises(InputError, match=r"tip_displacement_std is -1\.0 at index"):
+        replace(probe, tip_displacement_std=np.array([1e-5, -1.0, 1e-5]))
+    with pytest.raises(InputError, match=r"'n01': position has .* not finite"):
+        replace(probe, position=np.full_like(probe.position, np.nan))
+
+
+def test_rows_follow_the_response() -> None:
+    probe = _probe(tip=True, force_noise=0.1)
+    field = probe.displacement.copy()
+    field[0, 1] = np.nan
+    field[3] = np.nan
+    rows = observed_rows_of(replace(probe, displacement=field, force_std=np.array([1.0, 0.0, 1.0])))
+    n = len(field)
+    kept = np.setdiff1d(np.arange(3 * n + 3), [1, 9, 10, 11])
+    np.testing.assert_array_equal(rows.value(0.2), probe.response.value(0.2)[kept])
+    np.testing.assert_array_equal(rows.slope(0.2), probe.response.slope(0.2)[kept])
+    measured = np.concatenate([field.ravel(), probe.tip_displacement])
+    np.testing.assert_array_equal(rows.measured, measured[kept])
+    # Three points a row at most: the first has two components left, the tip comes last.
+    assert rows.components[0] == 2.0
+    assert (rows.point[-1], rows.components[-1]) == (n, 3.0)
+    assert np.isnan(rows.position[-1]).all()
+    assert rows.group[:3].tolist() == [4, 6, 4]
+    assert rows.group[-3:].tolist() == [7, 7, 7]
+    assert rows.has_claims
+    assert rows.force_components == 2
+    values = np.arange(float(len(rows.start)))
+    assert rows.per_row(values)[:5].tolist() == [0.0, 0.0, 1.0, 1.0, 1.0]
+    lengths = rows.squared_length(np.full(len(rows.measured), 2.0))
+    np.testing.assert_array_equal(lengths, 4.0 * rows.components)
+    level = np.arange(1.0, 9.0)
+    np.testing.assert_allclose(rows.sigma(level)[:2], [5e-5, 7e-5], rtol=1e-12)
+
+
+def test_without_claims_levels_are_lengths() -> None:
+    rows = observed_rows_of(replace(_probe(tip=True), std=None, tip_displacement_std=None))
+    assert not rows.has_claims
+    assert set(rows.group.tolist()) == {0, 1, 2, 3}
+    np.testing.assert_array_equal(rows.unit, 1.0)
+
+
+def test_a_body_force_alone_pushes() -> None:
+    class Heavy(HalfSpace):
+        def value(self, poisson_ratio: float) -> np.ndarray:
+            table = super().value(poisson_ratio)
+            table[:, 3] = 1.0
+            return table
+
+    probe = _probe()
+    silent = replace(probe, force=np.zeros(3))
+    with pytest.raises(InputError, match="has zero force and no body force"):
+        observed_rows_of(silent)
+    heavy = replace(silent, response=Heavy(probe.response.offset))
+    assert len(observed_rows_of(heavy).measured) == 3 * len(probe.position)
+
+
+def test_a_response_that_does_not_fit_is_refused() -> None:
+    probe = _probe()
+    rows = observed_rows_of(replace(probe, response=HalfSpace(probe.response.offset[1:])))
+    with pytest.raises(InputError, match="must be finite with three rows a point"):
+        rows.value(0.3)
