@@ -10,7 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation import FitSettings, ProbeObservations, cramer_rao_bound, fit
+from palpate.estimation import (
+    FitSettings,
+    IntervalMethod,
+    ProbeObservations,
+    cramer_rao_bound,
+    fit,
+)
 
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
 
@@ -110,7 +116,7 @@ def measured_coverage(
     repeats, seed : int
     settings : FitSettings or None
     """
-    settings = settings or FitSettings(map_size=2)
+    settings = settings or FitSettings()
     young = 2 * shear_modulus * (1 + poisson_ratio)
     truth = dict(zip(NAMES, (poisson_ratio, shear_modulus, young), strict=True))
     errors: list[list[float]] = []
@@ -123,13 +129,14 @@ def measured_coverage(
             bound = cramer_rao_bound(
                 probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
             )
-        sets = fit(probes, settings=settings).intervals
-        errors.append([getattr(sets["profile"], name).value - truth[name] for name in NAMES])
-        for method, one in sets.items():
-            ends = [getattr(one, name).ci95 for name in NAMES]
+        for method in IntervalMethod:
+            found = fit(probes, settings=replace(settings, interval=method.value)).intervals
+            if method == settings.interval:
+                errors.append([getattr(found, name).value - truth[name] for name in NAMES])
+            ends = [getattr(found, name).ci95 for name in NAMES]
             hit = [e[0] <= truth[name] <= e[1] for e, name in zip(ends, NAMES, strict=True)]
-            inside.setdefault(method, []).append(hit)
-            widths.setdefault(method, []).append([e[1] - e[0] for e in ends])
+            inside.setdefault(method.value, []).append(hit)
+            widths.setdefault(method.value, []).append([e[1] - e[0] for e in ends])
     limit = np.array([bound[name] for name in NAMES])
     error = np.array(errors)
     return Coverage(

@@ -106,7 +106,7 @@ def _own(one: _Compared) -> list[Figure]:
         bias = [float(np.mean(_length(e + t) - _length(t))) for e, t in _instants(one)]
         angle = [float(_angle(e + t, t).std()) for e, t in _instants(one)[1:]]
         figures += [
-            Figure(FLOW, f"{title}: bias of the vertices' way, worst step",
+            Figure(FLOW, f"{title}: bias of the vertices' displacement, worst step",
                    1e3 * max(map(abs, bias)), "mm"),
             Figure(FLOW, f"{title}: sd of the angle from step 2 on, worst step", max(angle), "deg"),
         ]  # fmt: skip

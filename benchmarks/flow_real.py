@@ -12,9 +12,8 @@ from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
 from benchmarks.resection import resected
-from palpate.records import Camera, Rig, read_rig
-from palpate.records.programs.calibration_multidic import read_control_points
-from palpate.records.programs.dice import read_dice
+from palpate.records import Camera, Rig, read_measured, read_rig
+from palpate.records.programs.multidic import read_control_points
 from palpate.vision import (
     JointFlow,
     RangeFlow,
@@ -134,7 +133,7 @@ def beside_dice(
     (k, 3) [um]                 at DICe's points within 15 px of one of these
     """
     gold = TENSION / "dice_gold" / "DICe_solution.e"
-    measured = read_dice(gold, frame=frame)
+    measured = read_measured("dice", gold, frame=frame)
     near, which = cKDTree(pixel).query(_exodus_pixels(gold))
     both = (near < 15.0) & np.isfinite(measured.displacement).all(axis=1)
     ours, theirs = point[which[both]], measured.points[both]

@@ -18,7 +18,7 @@ def measure(options: Options) -> list[Figure]:
     """Frames per second of 640 x 480 x 3, some two thousand points, both cores, warm."""
     session, rig = read_session(FOLDER), read_rig(FOLDER / "rig.toml")
     patterns = ["images/rest_{camera}.png", *(f"images/{name}_{{camera}}.png" for name in NAMES)]
-    grey = [read_pictures(rig, one, folder=FOLDER, what=one).grey for one in patterns]
+    grey = [read_pictures(rig, pattern, folder=FOLDER, what=pattern).grey for pattern in patterns]
     method = JointFlow()
     state = method.start(rig, grey[0], session.mesh)
     seconds = []

@@ -9,19 +9,19 @@ import numpy as np
 
 from palpate.geometry import closest_points
 from palpate.lab import (
-    ForceSensor,
-    Tip,
-    force_std,
+    Sensor,
     half_ball,
     held_nodes,
     make_body,
     make_solid,
     press,
-    read_force,
+    read_sensor,
+    sensor_std,
 )
 from palpate.lab.bodies.finite_elements import surface_values
+from palpate.lab.bodies.tips import TIPS
 from palpate.pipeline import fit_session
-from palpate.records import Contact, ContactProfile, DisplacementField, Probing, Session
+from palpate.records import Contact, DisplacementField, Probing, Session
 
 YOUNG_MODULUS, POISSON_RATIO = 52e3, 0.21  # truth
 RADIUS, TIP_RADIUS, DEPTH = 0.04, 0.012, 0.0015  # m
@@ -38,10 +38,10 @@ def main() -> tuple[float, float]:
     shear = 0.5 * YOUNG_MODULUS / (1 + POISSON_RATIO)
     nodes = held_nodes(solid, held)
     body = make_body(solid, nodes, shear_modulus=shear, poisson_ratio=POISSON_RATIO)
-    down = Tip(TIP_RADIUS, pole, np.array([0.0, 0.0, -1.0]))
-    (pressed,) = press(body, down, np.array([DEPTH]))
+    ball = TIPS["sphere"](TIP_RADIUS, pole, np.array([0.0, 0.0, -1.0]))
+    (pressed,) = press(body, ball, np.array([DEPTH]))
 
-    rng, sensor = np.random.default_rng(5), ForceSensor(noise=0.002)
+    rng, sensor = np.random.default_rng(5), Sensor(noise=0.002)
     height = mesh.vertices[:, 2]
     away = np.linalg.norm(mesh.vertices - pole, axis=1)
     points = mesh.vertices[(height > 0.005) & (away > 2 * pressed.radius)]
@@ -49,9 +49,9 @@ def main() -> tuple[float, float]:
     moved += SIGMA * rng.standard_normal(moved.shape)
     std, place = np.full(points.shape, SIGMA), closest_points(mesh, points)
     field = DisplacementField(points, moved, std, None, place, "example")
-    contact = Contact(pole, pressed.radius, ContactProfile.HERTZ)
-    force = read_force(pressed.force, sensor, rng=rng)
-    sigma = np.full(3, force_std(pressed.force, sensor))
+    contact = Contact(pole, pressed.radius, "hertz")
+    force = read_sensor(pressed.force, sensor, rng=rng)
+    sigma = np.full(3, sensor_std(pressed.force, sensor))
     probing = Probing("pole", contact, force, sigma, None, None, field, None)
     session = Session("virtual", Path("virtual"), mesh, held, (probing,), None, None, None, ())
 

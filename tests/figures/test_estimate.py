@@ -41,8 +41,8 @@ def test_all_pictures_are_written(tmp_path, session, result):
         assert 200 <= height <= 1200
 
 
-def test_a_constant_that_is_not_told_can_be_drawn(tmp_path, session, result):
-    lost = constants(told=False)
+def test_a_constant_that_is_not_identifiable_can_be_drawn(tmp_path, session, result):
+    lost = constants(known=False)
     probe = replace(result.estimate.probes[0], **lost)
     estimate = replace(
         result.estimate,

@@ -6,8 +6,8 @@ import tomllib
 
 import pytest
 from cyclopts import CycloptsError
+from make_map import ROOT, SOURCE
 
-from docs.developer.make_map import ROOT, SOURCE
 from palpate.app.cli import make_app
 from palpate.lab import read_lab_config
 

@@ -3,8 +3,7 @@
 import re
 
 import pytest
-
-from docs.developer.make_map import (
+from make_map import (
     FIELDS,
     HERE,
     SOURCE,

@@ -4,8 +4,7 @@ import ast
 from pathlib import Path
 
 import pytest
-
-from docs.developer.make_map import ROOT, SOURCE, read_imports, read_rooms, room_of
+from make_map import ROOT, SOURCE, read_imports, read_rooms, room_of
 
 FILES = sorted(SOURCE.rglob("*.py"))
 ROOMS = read_rooms()

@@ -61,7 +61,7 @@ def test_a_mesh_of_ones_own(read, tmp_path):
     config = read(own + "[support]\nbox = { min = [-1, -1, -1], max = [1, 1, 1e-6] }\n")
     np.testing.assert_allclose(config.specimen.mesh.vertices, mesh.vertices, atol=1e-9)
     assert len(config.specimen.held) == 2 * 5 * 4
-    # Elements are as large as the mesh's triangles unless told: an equilateral one of that area.
+    # By default elements are as large as the mesh's triangles: an equilateral one of that area.
     assert config.specimen.element == pytest.approx(np.sqrt(0.5e-4 * 4 / np.sqrt(3)), rel=1e-6)
 
 

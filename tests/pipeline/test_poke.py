@@ -8,7 +8,7 @@ from cube_session import cube_session as cube_session
 
 from palpate.errors import InputError
 from palpate.pipeline import poke_session, tool_contact, von_mises_stress
-from palpate.records import Contact, ContactProfile, read_session
+from palpate.records import Contact, read_session
 
 SHEAR, NU = 2e4, 0.3
 TOP = np.array([0.02, 0.02, 0.04])
@@ -86,7 +86,7 @@ def test_the_tool_is_that_of_the_first_probing(session):
 
 
 def test_a_vertex_is_no_tool(session):
-    vertex = Contact(TOP, None, ContactProfile.VERTEX)
+    vertex = Contact(TOP, None, "vertex")
     probing = replace(session.probings[0], contact=vertex)
     blunt = replace(session, probings=(probing,))
     with pytest.raises(InputError, match="give one with --radius"):

@@ -3,8 +3,8 @@
 Purpose    : shear modulus, Poisson's ratio and Young's modulus with intervals, from probings.
 Takes      : `ProbeObservations` (measured displacements, force, a `ResponseModel`), `FitSettings`.
 Gives      : `FitResult`: the `Estimate`, its likelihood, predictions and residuals per probing.
-Depends on : `records`, `geometry`, `errors`, `shapes`; `reduced_model` also on `bem`.
-Read first : `observations.py`, `misfit.py`, then `fit.py`.
+Depends on : `records`, `bem` (only `responses`), `arrays`, `errors`, `progress`, `shapes`.
+Read first : `observations.py`, then `fit.py`.
 """
 
 from palpate.estimation.fit import FitResult as FitResult, fit as fit
@@ -13,18 +13,18 @@ from palpate.estimation.intervals import (
     LikelihoodMap as LikelihoodMap,
     ProbeFit as ProbeFit,
     cramer_rao_bound as cramer_rao_bound,
+    poisson_ratio_error as poisson_ratio_error,
 )
 from palpate.estimation.observations import (
     ProbeObservations as ProbeObservations,
     ResponseModel as ResponseModel,
 )
 from palpate.estimation.responses import (
-    FullModel as FullModel,
-    FullResponse as FullResponse,
     PointRows as PointRows,
+    ProbeResponse as ProbeResponse,
     ProbeRows as ProbeRows,
     ReducedModel as ReducedModel,
-    ReducedResponse as ReducedResponse,
+    full_responses as full_responses,
     make_reduced_model as make_reduced_model,
     reduced_response as reduced_response,
 )

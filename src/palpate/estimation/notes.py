@@ -1,12 +1,12 @@
-"""What the reader of an estimate must be told, in full sentences."""
+"""What the reader of an estimate must know, in full sentences."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from palpate.estimation.intervals import FixedWeights, Scatter, ScoreNoise, told_combination
-from palpate.estimation.noise import Misfit, ScoredMinimum
+from palpate.estimation.intervals import Uncertainty, identifiable_combination
 from palpate.estimation.observations import CLAIMED_GROUPS, GROUP_COUNT
+from palpate.estimation.search import Misfit
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
 _WORDS = {
@@ -14,40 +14,38 @@ _WORDS = {
     "shear_modulus": "the shear modulus",
     "young_modulus": "Young's modulus",
 }
-_DOUBTED_FORCE = 0.5
+# A force of smaller robust weight is mentioned.
+_MIN_FORCE_WEIGHT = 0.5
 
 
 def fit_notes(
-    misfit: Misfit,
-    minimum: ScoredMinimum,
-    noise: ScoreNoise,
-    scatters: Mapping[str, Scatter],
-    identifiable: Mapping[str, bool],
-    weights: FixedWeights,
+    misfit: Misfit, uncertainty: Uncertainty, identifiable: Mapping[str, bool]
 ) -> tuple[str, ...]:
-    """Sentences about noise, correlation, disagreement, doubted forces and what is not told.
+    """Sentences about noise, correlation, disagreement, doubted forces, what is not identifiable.
 
     Parameters
     ----------
     misfit : Misfit
-    minimum : ScoredMinimum
-    noise : ScoreNoise
-    scatters : constant's name -> Scatter
+    uncertainty : Uncertainty       of all probings
     identifiable : constant's name -> bool
-    weights : FixedWeights
+
+    Returns
+    -------
+    tuple of str                    empty where there is nothing to say
     """
-    notes = [*_noise_notes(misfit), *_interval_notes(noise, scatters)]
-    for probe, one in zip(misfit.probes, minimum.probes, strict=True):
-        if one.force_weight < _DOUBTED_FORCE:
-            off = float(np.linalg.norm(one.shift))
+    notes = [*_noise_notes(misfit), *_interval_notes(uncertainty)]
+    for probe in uncertainty.minimum.probes:
+        if probe.force_weight < _MIN_FORCE_WEIGHT:
+            off = float(np.linalg.norm(probe.shift))
             notes.append(
-                f"The force of probing {probe.name!r} disagrees with the others by {off:.1f} of"
-                " its standard deviations and was given little weight; check the sensor's scale."
+                f"The force of probing {probe.rows.name!r} disagrees with the others by {off:.1f}"
+                " of its standard deviations and was given little weight; check the sensor's scale."
             )
     if not identifiable["poisson_ratio"]:
         notes.append(
             "Poisson's ratio cannot be told; what the data do tell is"
-            f" {told_combination(weights)}. Moduli are given for all of its range."
+            f" {identifiable_combination(uncertainty.weights)}. Moduli are given for all of its"
+            " range."
         )
     return tuple(notes)
 
@@ -70,15 +68,15 @@ def _noise_notes(misfit: Misfit) -> list[str]:
     return notes
 
 
-def _interval_notes(noise: ScoreNoise, scatters: Mapping[str, Scatter]) -> list[str]:
+def _interval_notes(uncertainty: Uncertainty) -> list[str]:
     notes = []
-    if noise.correlation.variance > 1:
-        widened = np.sqrt(noise.correlation.variance)
+    if uncertainty.noise.correlation.variance > 1:
+        widened = np.sqrt(uncertainty.noise.correlation.variance)
         notes.append(
             "Residuals of neighbouring points are correlated; what the displacements contribute to"
             f" the intervals was widened by {widened:.1f}."
         )
-    for name, scatter in scatters.items():
+    for name, scatter in uncertainty.scatters.items():
         if scatter.is_surprising:
             notes.append(
                 f"The probings disagree about {_WORDS[name]} by {np.sqrt(scatter.ratio):.1f} times"

@@ -13,7 +13,7 @@ from palpate.shapes import Points, Vector3
 # Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
 GROUP_COUNT = 8
 CLAIMED_GROUPS = slice(4, 8)
-_TIP_GROUP = 3
+TIP_GROUP = 3
 
 
 @runtime_checkable
@@ -124,7 +124,6 @@ class ObservedRows:
     components : (p,) float                 measured components of each point, 1 to 3
     point : (p,) int                        index of the point in the probing; n = the tip
     position : (p, 3) float [m]             NaN for the tip
-    point_count : int                       points of the probing, measured or not, without the tip
     force, force_std : (3,) float [N]
     response : ResponseModel
     """
@@ -138,10 +137,31 @@ class ObservedRows:
     components: Float[np.ndarray, " p"]
     point: Int[np.ndarray, " p"]
     position: Float[np.ndarray, "p 3"]
-    point_count: int
     force: Vector3
     force_std: Vector3
     response: ResponseModel
+
+    @property
+    def force_components(self) -> int:
+        """How many components of the force are uncertain."""
+        return int(np.count_nonzero(self.force_std))
+
+    @property
+    def has_claims(self) -> bool:
+        """Whether every measured row came with a standard deviation of its own."""
+        return bool((self.group >= CLAIMED_GROUPS.start).all())
+
+    def sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
+        """1 sigma of every row [m] at the noise level of each group."""
+        return self.unit * level[self.group]
+
+    def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
+        """The value of its point for every row."""
+        return np.repeat(values, self.components.astype(np.int64))
+
+    def squared_length(self, residual: Float[np.ndarray, " r"]) -> Float[np.ndarray, " p"]:
+        """Squared length of every point's vector of residuals, in the residuals' unit squared."""
+        return np.add.reduceat(residual**2, self.start)
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
         """Response of the measured rows [m Pa / N], column 3 [m Pa]."""
@@ -202,7 +222,6 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         components=count.astype(np.float64),
         point=point.astype(np.int64),
         position=position,
-        point_count=len(probe.position),
         force=probe.force,
         force_std=probe.force_std,
         response=probe.response,
@@ -219,7 +238,7 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
     if probe.tip_displacement is not None:
         claimed = probe.tip_displacement_std is not None
         tip_unit = probe.tip_displacement_std if claimed else np.ones(3)
-        tip_group = _TIP_GROUP + (CLAIMED_GROUPS.start if claimed else 0)
+        tip_group = TIP_GROUP + (CLAIMED_GROUPS.start if claimed else 0)
         displacement = np.concatenate([displacement, probe.tip_displacement])
         unit = np.concatenate([unit, tip_unit])
         group = np.concatenate([group, np.full(3, tip_group)])

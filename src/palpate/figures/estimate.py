@@ -80,6 +80,10 @@ def likelihood_figure(result: FitResult) -> Figure:
     Parameters
     ----------
     result : FitResult
+
+    Returns
+    -------
+    Figure                          4.6 by 3.6 inches
     """
     estimate = result.estimate
     factor, unit = modulus_unit(estimate.shear_modulus.value)
@@ -139,6 +143,10 @@ def probings_figure(estimate: Estimate) -> Figure:
     Parameters
     ----------
     estimate : Estimate             with probings
+
+    Returns
+    -------
+    Figure                          7 inches wide, as high as its probings need
     """
     count = len(estimate.probes)
     height = 1.25 + 0.2 * max(count, 3)

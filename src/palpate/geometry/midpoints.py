@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array, vstack
 
+from palpate.geometry.quadratic_triangle import quadratic_shapes
 from palpate.geometry.sides import CREASE_ANGLE, Sides
 from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors
 
@@ -122,22 +123,11 @@ def interpolation_matrix(
     -------
     (n, n_nodes) sparse           rows sum to 1
     """
-    a, b, c = barycentric.T
-    corner = [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1)]
-    middle = [4 * a * b, 4 * b * c, 4 * c * a]
-    point = np.repeat(np.arange(triangle.size), 3)
-    at_corners = csr_array(
-        (np.stack(corner, axis=1).ravel(), (point, nodes.element[triangle, :3].ravel())),
-        shape=(triangle.size, nodes.n_nodes),
-    )
-    at_middles = csr_array(
-        (
-            np.stack(middle, axis=1).ravel(),
-            (point, nodes.element[triangle, 3:].ravel() - nodes.n_nodes),
-        ),
-        shape=(triangle.size, nodes.weights.shape[0]),
-    )
-    return csr_array(at_corners + at_middles @ nodes.weights)
+    point = np.repeat(np.arange(triangle.size), 6)
+    entries = (quadratic_shapes(barycentric).T.ravel(), (point, nodes.element[triangle].ravel()))
+    at_nodes = csr_array(entries, shape=(triangle.size, nodes.n_nodes + nodes.weights.shape[0]))
+    own = eye_array(nodes.n_nodes, format="csr")
+    return csr_array(at_nodes @ vstack([own, nodes.weights], format="csr"))
 
 
 def _half_edge_weights(mesh: TriangleMesh, sides: Sides) -> csr_array:

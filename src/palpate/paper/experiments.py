@@ -65,7 +65,7 @@ class Workplace:
     folder : Path                   for folders of sessions
     variant : Variant               of Mitsuba
     quick : bool                    small pictures and few steps
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
     """
 
     folder: Path

@@ -60,6 +60,10 @@ def quickened(config: LabConfig) -> LabConfig:
     Parameters
     ----------
     config : LabConfig
+
+    Returns
+    -------
+    LabConfig
     """
     head, look, stage = config.head, config.look, config.stage
     small = replace(
@@ -93,7 +97,7 @@ def measured_session(
     folder : Path                   an empty folder: the session stays there
     methods : sequence of Method
     variant : Variant               of Mitsuba
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -153,6 +157,10 @@ def true_material(session: Session) -> Material:
     Parameters
     ----------
     session : Session               with truth.toml beside its file
+
+    Returns
+    -------
+    Material
 
     Raises
     ------

@@ -1,6 +1,7 @@
 """From files to results: the one place where vision, probe, boundary elements and estimation meet.
 
-Purpose    : measure the motion of a session's object from its pictures; estimate its constants.
+Purpose    : measure the motion of a session's object from its pictures, estimate its constants,
+             poke it.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model between them, and the files that hold them.
 Depends on : `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.

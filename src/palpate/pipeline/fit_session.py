@@ -34,36 +34,34 @@ from palpate.estimation import (
     FitMethod,
     FitResult,
     FitSettings,
-    FullModel,
-    FullResponse,
     PointRows,
     ProbeObservations,
+    ProbeResponse,
     ProbeRows,
-    ResponseModel,
     fit,
+    full_responses,
     make_reduced_model,
     reduced_response,
 )
 from palpate.geometry import interpolation_matrix
 from palpate.probe import ContactPatch, find_contact_patch
-from palpate.progress import Progress, silent
+from palpate.progress import Progress, part_of, silent
 from palpate.records import DisplacementField, Probing, Session, require_probings
 
-FIT_STARTS = 0.8
+# Fraction of the work that is done when the estimation starts.
+_FIT_STARTS = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPoints:
-    """Integral equations at the contact points whose own displacement was measured.
+    """Integral equations for the displacement of the contact points themselves.
 
     Attributes
     ----------
-    place : (p,) int                      row of each patch among them, -1 where not measured
-    equations : PointEquations
+    equations : PointEquations            of every patch
     right : RightHand                     the same columns as those of the system
     """
 
-    place: Int[np.ndarray, " p"]
     equations: PointEquations
     right: RightHand
 
@@ -79,7 +77,7 @@ class ObjectModel:
     patch_of : (k,) int                   which of them each probing has
     right : RightHand                     three columns a contact, then two of gravity, if any
     body : BodyForce or None
-    tips : ContactPoints or None
+    tips : ContactPoints or None          None where no tip was measured
     """
 
     system: BoundarySystem
@@ -94,63 +92,51 @@ def fit_session(
     session: Session,
     *,
     probes: Sequence[str] | None = None,
-    method: str = "reduced",
     settings: FitSettings = FitSettings(),
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> FitResult:
     """Estimate the elastic constants of a session's object.
 
     Parameters
     ----------
     session : Session
-    probes : sequence of str          names of the probings to use; all unless told
-    method : str                      "reduced" (one factorisation, the default) or "nelder-mead"
-                                      (the paper's search)
-    settings : FitSettings
+    probes : sequence of str          names of the probings to use, None = all
+    settings : FitSettings            how the constants are searched and their intervals found
     surface : SurfaceSettings         how the surface between the vertices is understood
-    cache : Path                      folder that keeps the integrals for the next time; none unless
-                                      told
+    cache : Path or None              folder that keeps the integrals for the next time
     progress : callable               told what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
-    FitResult
+    FitResult                         its estimate with the seconds of every stage, and all settings
 
     Raises
     ------
-    InputError                        unknown probing or method, a probing without displacements, a
-                                      bad contact
+    InputError                        unknown probing, a probing without displacements, a bad
+                                      contact
     SingularSystemError               the support does not hold the object
     """
-    say = progress or silent
     start = time.perf_counter()
     probings = _chosen(session, probes)
     scale_error = max(_measured(probing).scale_error for probing in probings)
     settings = replace(
-        settings,
-        method=method,
-        displacement_error=float(np.hypot(settings.displacement_error, scale_error)),
+        settings, displacement_error=float(np.hypot(settings.displacement_error, scale_error))
     )
-    say("integrals over the surface", 0.0)
+    progress("integrals over the surface", 0.0)
     model = make_object_model(session, probings, surface=surface, cache=cache)
     assembled = time.perf_counter()
-    say("factorisation", 0.5)
+    progress("factorisation", 0.5)
     observations = session_observations(session, probings, model, settings=settings)
     factorised = time.perf_counter()
-    result = fit(
-        observations,
-        settings=settings,
-        progress=lambda stage, share: say(stage, FIT_STARTS + (1 - FIT_STARTS) * share),
-    )
-    done = time.perf_counter()
-    say("done", 1.0)
+    result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
+    progress("done", 1.0)
     seconds = {
         "assembly": assembled - start,
         "factorisation": factorised - assembled,
-        "fit": done - factorised,
-        "total": done - start,
+        **result.estimate.seconds,
+        "total": time.perf_counter() - start,
     }
     kept = {**result.estimate.settings, "surface": asdict(surface)}
     return replace(result, estimate=replace(result.estimate, seconds=seconds, settings=kept))
@@ -170,7 +156,7 @@ def make_object_model(
     session : Session
     probings : sequence of k Probing
     surface : SurfaceSettings
-    cache : Path                      folder that keeps the integrals; none unless told
+    cache : Path or None              folder that keeps the integrals for the next time
 
     Returns
     -------
@@ -190,19 +176,14 @@ def make_object_model(
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
     right, body = _right_hand(system, loads, shapes, weight)
-    measured = np.zeros(len(patches), dtype=bool)
-    measured[patch_of[[probing.tip_displacement is not None for probing in probings]]] = True
     tips = None
-    if measured.any():
-        at = [patch for patch, seen in zip(patches, measured, strict=True) if seen]
+    if any(probing.tip_displacement is not None for probing in probings):
         equations = point_equations(
             system,
-            np.array([patch.triangle for patch in at]),
-            np.array([patch.barycentric for patch in at]),
+            np.array([patch.triangle for patch in patches]),
+            np.array([patch.barycentric for patch in patches]),
         )
-        place = np.where(measured, np.cumsum(measured) - 1, -1)
-        tip_right, _ = _right_hand(equations.system, loads, shapes, weight)
-        tips = ContactPoints(place, equations, tip_right)
+        tips = ContactPoints(equations, _right_hand(equations.system, loads, shapes, weight)[0])
     return ObjectModel(system, patches, patch_of, right, body, tips)
 
 
@@ -243,8 +224,19 @@ def session_observations(
     Raises
     ------
     SingularSystemError                   the support does not hold the object
+    NotConvergedError                     the reduced model does not serve the range
     """
-    responses = _responses(model, session, probings, settings)
+    rows = [
+        _rows(model, probing, int(patch))
+        for probing, patch in zip(probings, model.patch_of, strict=True)
+    ]
+    if settings.method == FitMethod.NELDER_MEAD:
+        responses = full_responses(model.system, model.right, rows)
+    else:
+        reduced = make_reduced_model(
+            model.system, model.right, poisson_range=settings.poisson_range
+        )
+        responses = [reduced_response(reduced, row) for row in rows]
     return [
         _observations(probing, response)
         for probing, response in zip(probings, responses, strict=True)
@@ -304,21 +296,7 @@ def _distinct_patches(
     return tuple(patches.values()), np.array([order.index(key) for key in keys])
 
 
-def _responses(
-    model: ObjectModel, session: Session, probings: Sequence[Probing], settings: FitSettings
-) -> list[ResponseModel]:
-    rows = [
-        _rows(model, session, probing, int(patch))
-        for probing, patch in zip(probings, model.patch_of, strict=True)
-    ]
-    if settings.method == FitMethod.NELDER_MEAD:
-        full = FullModel(model.system, model.right)
-        return [FullResponse(full, row) for row in rows]
-    reduced = make_reduced_model(model.system, model.right, poisson_range=settings.poisson_range)
-    return [reduced_response(reduced, row) for row in rows]
-
-
-def _rows(model: ObjectModel, session: Session, probing: Probing, patch: int) -> ProbeRows:
+def _rows(model: ObjectModel, probing: Probing, patch: int) -> ProbeRows:
     columns = 3 * patch + np.arange(3)
     if model.body is not None:
         columns = np.concatenate([columns, 3 * len(model.patches) + np.arange(2)])
@@ -340,11 +318,7 @@ def _rows(model: ObjectModel, session: Session, probing: Probing, patch: int) ->
 def _tip_rows(
     model: ObjectModel, tips: ContactPoints, patch: int, columns: Int[np.ndarray, " c"]
 ) -> PointRows:
-    row = tips.place[patch]
-    right = [
-        tips.equations.by_point(part)[row][:, columns]
-        for part in (tips.right.constant, tips.right.slope, tips.right.curvature)
-    ]
+    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
     particular = np.zeros(3)
     if model.body is not None:
         contact = model.patches[patch]
@@ -354,11 +328,11 @@ def _tip_rows(
         )
         particular = (at_tip @ model.body.particular)[0]
     return PointRows(
-        tips.equations.matrix[:, row], tips.equations.own[:, row], np.stack(right), particular
+        tips.equations.matrix[:, patch], tips.equations.own[:, patch], np.stack(right), particular
     )
 
 
-def _observations(probing: Probing, response: ResponseModel) -> ProbeObservations:
+def _observations(probing: Probing, response: ProbeResponse) -> ProbeObservations:
     field = _measured(probing)
     return ProbeObservations(
         name=probing.name,
@@ -366,7 +340,7 @@ def _observations(probing: Probing, response: ResponseModel) -> ProbeObservation
         displacement=field.displacement,
         std=field.std,
         force=probing.force,
-        force_std=_or_zero(probing.force_std),
+        force_std=np.zeros(3) if probing.force_std is None else probing.force_std,
         tip_displacement=probing.tip_displacement,
         tip_displacement_std=probing.tip_displacement_std,
         response=response,
@@ -378,7 +352,3 @@ def _measured(probing: Probing) -> DisplacementField:
     if probing.displacement is None:
         raise InputError(f"probing '{probing.name}' has no measured displacement; it cannot be fit")
     return probing.displacement
-
-
-def _or_zero(std: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:
-    return np.zeros(3) if std is None else std

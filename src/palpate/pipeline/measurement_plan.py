@@ -1,5 +1,5 @@
-"""What a measurement will tell, before it is made: the smallest intervals that its cameras, its
-force sensor and its probings allow."""
+"""The precision to expect of a measurement before it is made: the smallest intervals that its
+cameras, its force sensor and its probings allow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,36 +8,36 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from palpate.errors import InputError
-from palpate.estimation import ProbeObservations, cramer_rao_bound
+from palpate.estimation import ProbeObservations, cramer_rao_bound, poisson_ratio_error
 from palpate.geometry import closest_points
 from palpate.pipeline.fit_session import make_object_model, session_observations
 from palpate.pipeline.measure_motion import SCALE_ERROR
-from palpate.progress import Progress
+from palpate.progress import Progress, silent
 from palpate.records import DisplacementField, Probing, Rig, Session, read_rig, require_probings
 from palpate.shapes import Points
 from palpate.vision import project_jacobian, surface_map, visible
 
 # What a camera's match of a good speckle leaves at a vertex [px]; BENCHMARK.md has 0.005 to 0.02.
 MATCHING_NOISE = 0.01
-# Vertices within so many contact radii are hidden by the tool.
-_HIDDEN = 2.0
-# A vertex may lie behind the drawn surface by this share of the object's size.
-_BEHIND = 2e-3
-# Where a session does not say how well its force is known.
+# Contact radii about the contact point within which the tool hides the surface.
+_HIDDEN_RADII = 2.0
+# How far a vertex may lie behind the drawn surface and still be seen, over the object's size.
+_DEPTH_TOLERANCE = 2e-3
+# Relative force error where a session does not say how well its force is known.
 _USUAL_FORCE_ERROR = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedProbing:
-    """What one probing will tell alone.
+    """The precision to expect of one probing alone.
 
     Attributes
     ----------
     name : str
-    seen : int                      vertices that two cameras or more see, the tool's place left out
+    seen : int                      vertices that two cameras see, without those under the tool
     displacement : float [m]        median of |u| there
     sigma : float [m]               median standard deviation of a component there
-    precision : name -> float       standard deviation of each constant; infinite where not told
+    precision : name -> float       standard deviation of each constant, may be infinite
     """
 
     name: str
@@ -49,7 +49,7 @@ class PlannedProbing:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementPlan:
-    """What a session will tell.
+    """The precision to expect of a session.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ def plan_measurement(
     young_modulus: float,
     poisson_ratio: float,
     matching_noise: float = MATCHING_NOISE,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> MeasurementPlan:
     """The precision to expect from a session whose pictures are still to be taken.
 
@@ -82,7 +82,7 @@ def plan_measurement(
     young_modulus : float [Pa]      a guess: precision is nearly in proportion to it
     poisson_ratio : float           a guess
     matching_noise : float [px]     standard deviation of one camera's match at a vertex
-    progress : callable or None     told what is done (text) and how far it is (0 to 1)
+    progress : callable             told what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -93,10 +93,9 @@ def plan_measurement(
     InputError                      a session without a rig or without probings; constants out of
                                     range; cameras without sizes; nothing that two cameras see
     """
-    say = progress or (lambda _text, _share: None)
     _check(session, young_modulus, poisson_ratio, matching_noise)
     rig = _sized_rig(session)
-    say("what the cameras see", 0.0)
+    progress("what the cameras see", 0.0)
     seen = _seen(session, rig)
     rows = np.flatnonzero(seen.sum(axis=0) >= 2)
     if len(rows) == 0:
@@ -105,10 +104,10 @@ def plan_measurement(
             " object"
         )
     sigma = _sigma(rig, session.mesh.vertices[rows], seen[:, rows], matching_noise)
-    probings = [_still(session, probing, rows, sigma) for probing in session.probings]
-    say("integrals over the surface", 0.2)
+    probings = [_with_seen_vertices(session, probing, rows, sigma) for probing in session.probings]
+    progress("integrals over the surface", 0.2)
     model = make_object_model(session, probings)
-    say("what the probings tell", 0.7)
+    progress("what the probings tell", 0.7)
     observed = session_observations(session, probings, model)
     shear = 0.5 * young_modulus / (1.0 + poisson_ratio)
     free = np.setdiff1d(
@@ -116,7 +115,7 @@ def plan_measurement(
         session.mesh.triangles[session.held_triangles].ravel(),
     )
     return MeasurementPlan(
-        tuple(_planned(one, poisson_ratio, shear) for one in observed),
+        tuple(_planned(probe, poisson_ratio, shear) for probe in observed),
         _precision(observed, poisson_ratio, shear),
         {camera.name: float(seen[c, free].mean()) for c, camera in enumerate(rig.cameras)},
     )
@@ -154,7 +153,7 @@ def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
     for camera in rig.cameras:
         columns, rows = camera.size or (0, 0)
         surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
-        shown.append(visible(surface, camera, mesh.vertices, tolerance=_BEHIND * size))
+        shown.append(visible(surface, camera, mesh.vertices, tolerance=_DEPTH_TOLERANCE * size))
     return np.stack(shown)
 
 
@@ -170,7 +169,7 @@ def _sigma(
     return np.sqrt(np.einsum("nii->ni", covariance))
 
 
-def _still(
+def _with_seen_vertices(
     session: Session,
     probing: Probing,
     rows: np.ndarray,
@@ -179,7 +178,7 @@ def _still(
     """The probing with a measurement of its vertices in place of its pictures."""
     contact = probing.contact
     away = np.linalg.norm(session.mesh.vertices[rows] - contact.point, axis=1)
-    open_view = away > _HIDDEN * (contact.radius or 0.0)
+    open_view = away > _HIDDEN_RADII * (contact.radius or 0.0)
     if not open_view.any():
         raise InputError(
             f"probing '{probing.name}': all that two cameras see lies under the tool; turn them"
@@ -220,7 +219,7 @@ def _precision(
     """Bound on each constant's standard deviation, with the error of scale of all pictures."""
     bound = cramer_rao_bound(observed, poisson_ratio=poisson, shear_modulus=shear)
     extra = {
-        "poisson_ratio": SCALE_ERROR * (1.0 - poisson) * (1.0 - 2.0 * poisson),
+        "poisson_ratio": poisson_ratio_error(poisson, SCALE_ERROR),
         "shear_modulus": SCALE_ERROR * shear,
         "young_modulus": SCALE_ERROR * 2.0 * shear * (1.0 + poisson),
     }

@@ -1,8 +1,32 @@
-"""Numbers as a person reads them: a unit of fitting size, no more digits than are known."""
+"""Units of length, and numbers as a person reads them: no more digits than are known."""
 
 import math
 
 from palpate.records.estimate import Constant
+
+# Metres in each unit that a file or a command may name.
+LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+# The units of Palpate's own files, and of calibrations, which are never so small.
+FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
+_SPELLINGS = {
+    "\u00b5m": "um",
+    "\u03bcm": "um",
+    "micron": "um",
+    "meter": "m",
+    "metre": "m",
+    "inch": "in",
+    "inches": "in",
+}
+
+
+def unit_name(word: str) -> str:
+    """The name in `LENGTH_UNITS` of a unit as programs spell it; an unknown one in small letters.
+
+    Parameters
+    ----------
+    word : str                      e.g. "MM", "micron", "inches"
+    """
+    return _SPELLINGS.get(word.lower(), word.lower())
 
 
 def modulus_unit(modulus: float) -> tuple[float, str]:

@@ -10,7 +10,8 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records.probing import Contact, DisplacementField, Probing, observed_rows
+from palpate.records.contact import Contact
+from palpate.records.probing import DisplacementField, Probing, observed_rows
 from palpate.shapes import Indices
 
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.

@@ -56,8 +56,8 @@ def calls(monkeypatch):
     """The estimation and the plots replaced; what they were asked for is collected."""
     asked = []
 
-    def fit_session(session, *, method, settings, surface, cache, progress):
-        asked.append((session, method, settings, surface))
+    def fit_session(session, *, settings, surface, cache, progress):
+        asked.append((session, settings, surface))
         if progress is not None:
             progress("fit", 1.0)
         return _result(session)
@@ -95,8 +95,8 @@ def test_options_reach_the_estimation(palpate, calls, cube_session, tmp_path):
     options = ("--out", tmp_path / "mine", "--method", "nelder-mead", "--probe", "n01")
     more = ("--poisson-range", "-0.5", "0.4", "--surface", "flat")
     assert palpate("fit", cube_session, *options, *more)[0] == 0
-    session, method, settings, surface = calls[0]
-    assert ([p.name for p in session.probings], method) == (["n01"], "nelder-mead")
+    session, settings, surface = calls[0]
+    assert ([p.name for p in session.probings], settings.method) == (["n01"], "nelder-mead")
     assert (settings.poisson_range, surface.smooth) == ((-0.5, 0.4), False)
     assert json.loads((tmp_path / "mine" / "estimate.json").read_text())["status"] == "ok"
 
@@ -122,7 +122,7 @@ def test_status_that_is_not_ok_ends_with_three_and_its_cure(
     code, out, err = palpate("fit", cube_session)
     assert code == 3
     assert "no" in out.split()
-    assert "poisson_ratio_not_identifiable: Poisson's ratio cannot be told" in err
+    assert "poisson_ratio_not_identifiable: Poisson's ratio is not identifiable" in err
     assert (tmp_path / "cube-result" / "estimate.json").exists()
 
 

@@ -73,7 +73,7 @@ def test_two_files_become_the_displacements_of_two_probings(palpate, bare, top, 
     lines = (bare / "session.toml").read_text().splitlines()
     assert [x for x in lines if x not in (line, line.replace("1", "3", 1))] == before.splitlines()
     assert f"probing 'n01': {line}" in out
-    assert "Note (2 of 2 files): It does not tell its unit of length; mm was taken" in out
+    assert "Note (2 of 2 files): It does not say its unit of length; mm was taken" in out
     row = next(x.split() for x in out.splitlines() if x.split()[:1] == ["n01"])
     assert row[2:6] == ["30", "29", "1", "0"]
 

@@ -5,15 +5,13 @@ from math import factorial
 import numpy as np
 import pytest
 
-from palpate.bem.integrals.quadrature import (
+from palpate.bem.integrals.quadrature import Quadrature, triangle_rule, unit_gauss
+from palpate.geometry.quadratic_triangle import (
     ELEMENT_NODES,
-    Quadrature,
     element_points,
     element_spheres,
     quadratic_shapes,
     quadratic_slopes,
-    triangle_rule,
-    unit_gauss,
 )
 
 

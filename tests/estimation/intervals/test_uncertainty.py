@@ -4,24 +4,38 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimation.fitted import RANGE, uncertainty_at
 from estimation.half_space import Cantilever, HalfSpace, half_space_probes, surface_grid
+from scipy.stats import norm, t
 
-from palpate.estimation import FitSettings, ProbeObservations, cramer_rao_bound, fit
+from palpate.estimation import (
+    FitSettings,
+    IntervalSet,
+    ProbeObservations,
+    cramer_rao_bound,
+    fit,
+)
+from palpate.estimation.intervals.sandwich import Scatter, Scores, directions
+from palpate.estimation.intervals.uncertainty import (
+    Uncertainty,
+    bootstrap_constants,
+    interval_set,
+)
 from palpate.records import Status
 
-QUICK = FitSettings(bootstrap_count=0, map_size=2)
+FISHER, BOOTSTRAP = FitSettings(interval="fisher"), FitSettings(interval="bootstrap")
 
 
-def _repeats(repeats: int, **options: object) -> list[dict]:
+def _repeats(repeats: int, **options: object) -> list[IntervalSet]:
     found = []
     for seed in range(repeats):
         rng = np.random.default_rng([7, seed])
-        found.append(fit(half_space_probes(rng, **options), settings=QUICK).intervals)
+        found.append(fit(half_space_probes(rng, **options)).intervals)
     return found
 
 
-def _covered(found: list[dict], name: str, truth: float) -> float:
-    ends = [getattr(one["profile"], name).ci95 for one in found]
+def _covered(found: list[IntervalSet], name: str, truth: float) -> float:
+    ends = [getattr(one, name).ci95 for one in found]
     return float(np.mean([low <= truth <= high for low, high in ends]))
 
 
@@ -31,8 +45,8 @@ def test_intervals_cover_and_errors_reach_the_bound(count: int, grid: int) -> No
     for name, truth in (("poisson_ratio", 0.3), ("shear_modulus", 2e4), ("young_modulus", 5.2e4)):
         # 95 % of 80: three standard deviations of a share are 7.3 %.
         assert _covered(found, name, truth) > 0.876, name
-    error = np.array([one["profile"].poisson_ratio.value - 0.3 for one in found])
-    claimed = np.array([one["fisher"].poisson_ratio.std for one in found])
+    error = np.array([one.poisson_ratio.value - 0.3 for one in found])
+    claimed = np.array([one.poisson_ratio.std for one in found])
     pull = np.sqrt(np.mean((error / claimed) ** 2))
     # One with 8 % statistical error; much less means needlessly wide intervals.
     assert 0.78 < pull < 1.24
@@ -40,9 +54,9 @@ def test_intervals_cover_and_errors_reach_the_bound(count: int, grid: int) -> No
 
 def test_profile_is_fisher_for_plenty_of_data() -> None:
     probes = half_space_probes(np.random.default_rng(2), count=8, grid=20, noise=5e-5)
-    sets = fit(probes).intervals
+    by_profile, by_fisher = fit(probes).intervals, fit(probes, settings=FISHER).intervals
     for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
-        fisher, profile = getattr(sets["fisher"], name), getattr(sets["profile"], name)
+        fisher, profile = getattr(by_fisher, name), getattr(by_profile, name)
         # The skewness that is left at a standard error of 0.002, and the profile's grid.
         np.testing.assert_allclose(profile.ci95, fisher.ci95, atol=0.03 * fisher.std, err_msg=name)
 
@@ -53,7 +67,7 @@ def test_bound_is_reached_by_claims() -> None:
         rng = np.random.default_rng(seed)
         probes = half_space_probes(rng, count=5, noise=5e-5, force_noise=0.01)
         bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
-        sets = fit(probes, settings=QUICK).intervals["fisher"]
+        sets = fit(probes, settings=FISHER).intervals
         ratios.append([getattr(sets, name).std / limit for name, limit in bound.items()])
     # Student's t with 8 degrees loses 2 %; one session in ten has probings that disagree by chance.
     assert np.all(np.median(ratios, axis=0) < 1.06)
@@ -73,8 +87,8 @@ def test_correlated_residuals_widen_the_interval() -> None:
     covered, widened = 0, []
     for seed in range(16):
         rng = np.random.default_rng([3, seed])
-        probes = [_correlated(p, rng) for p in half_space_probes(rng, count=1, grid=14)]
-        found = fit(probes, settings=QUICK).estimate
+        probes = [_correlated(p, rng) for p in half_space_probes(rng, count=1, grid=12)]
+        found = fit(probes).estimate
         bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
         widened.append(found.poisson_ratio.std / bound["poisson_ratio"])
         covered += found.poisson_ratio.ci95[0] <= 0.3 <= found.poisson_ratio.ci95[1]
@@ -175,14 +189,110 @@ def test_intervals_at_the_ends_of_the_range(truth: float) -> None:
     # 95 % of 40: three standard deviations of a share are 10 %.
     assert _covered(found, "poisson_ratio", truth) > 0.84
     assert _covered(found, "shear_modulus", 2e4) > 0.84
-    at_bound = [one["profile"].poisson_ratio for one in found]
+    at_bound = [one.poisson_ratio for one in found]
     assert 0.2 < np.mean([c.value == truth for c in at_bound]) < 0.8
     assert all(0.0 <= c.ci95[0] < c.ci95[1] <= 0.4999 for c in at_bound)
 
 
 def test_bootstrap_and_fisher_agree_roughly_for_many_probings() -> None:
     rng = np.random.default_rng(8)
-    sets = fit(half_space_probes(rng, count=25, grid=8, noise=5e-5, force_noise=0.01)).intervals
-    fisher, bootstrap = sets["fisher"].shear_modulus, sets["bootstrap"].shear_modulus
+    probes = half_space_probes(rng, count=25, grid=8, noise=5e-5, force_noise=0.01)
+    fisher = fit(probes, settings=FISHER).intervals.shear_modulus
+    result = fit(probes, settings=BOOTSTRAP)
+    bootstrap = result.intervals.shear_modulus
     # 25 probings: the bootstrap's width is known to 14 %.
     assert bootstrap.std == pytest.approx(fisher.std, rel=0.4)
+    # One probing alone is drawn from the model: 500 draws know a percentile to 5 %.
+    alone = result.estimate.probes[0].shear_modulus
+    reference = fit(probes, settings=FISHER).estimate.probes[0].shear_modulus
+    assert alone.std == pytest.approx(reference.std, rel=0.2)
+    assert bootstrap.ci95[0] < bootstrap.value < bootstrap.ci95[1]
+
+
+def test_a_bootstrap_of_two_probings() -> None:
+    """Either twice the one, twice the other, or both: the deviation of a probing from the mean of
+    two, over what two samples of the same scatter by, is the root of two."""
+    information = np.repeat(np.diag([4.0, 1.0])[None], 2, axis=0)
+    scores = Scores(np.array([[3.0, 1.0], [1.0, -1.0]]), information, information, information)
+    drawn = bootstrap_constants(scores, count=200, rng=np.random.default_rng(0))
+    step = np.sqrt(2) * np.array([1.0 / 4.0, 1.0])
+    shares = np.round(drawn / step, 6)
+    # The ridge is 1e-10.
+    np.testing.assert_allclose(shares, drawn / step, atol=1e-6)
+    assert {tuple(share) for share in shares + 0.0} == {(-1.0, -1.0), (0.0, 0.0), (1.0, 1.0)}
+    assert 0.35 < np.mean(shares[:, 0] == 0) < 0.65
+
+
+def test_a_bootstrap_of_one_probing_has_the_models_covariance() -> None:
+    information = np.array([[[5.0, 2.0], [2.0, 3.0]]])
+    scores = Scores(np.zeros((1, 2)), information, 2 * information, information)
+    drawn = bootstrap_constants(scores, count=20_000, rng=np.random.default_rng(1))
+    # 20 000 draws: 1 % of each variance.
+    np.testing.assert_allclose(np.cov(drawn.T), 2 * np.linalg.inv(information[0]), atol=0.03)
+
+
+def _uncertainty(noise: float = 5e-5, **options: object) -> Uncertainty:
+    probes = half_space_probes(np.random.default_rng(4), count=3, grid=6, noise=noise, **options)
+    return uncertainty_at(probes)
+
+
+def test_fisher_is_the_quantile_times_the_error() -> None:
+    """Symmetric in nu and in the logarithms of the moduli."""
+    uncertainty = _uncertainty()
+    found = interval_set(uncertainty, "fisher")
+    quantile = norm.ppf(0.975)
+    centre = uncertainty.minimum
+    for name, turn in directions(centre.poisson_ratio).items():
+        error = float(np.sqrt(turn @ uncertainty.scores.covariance() @ turn))
+        constant = getattr(found, name)
+        low, high = constant.ci95
+        if name == "poisson_ratio":
+            expected = constant.value + quantile * error * np.array([-1, 1])
+        else:
+            expected = constant.value * np.exp(quantile * error * np.array([-1, 1]))
+        # The same products in another order.
+        np.testing.assert_allclose((low, high), expected, rtol=1e-9)
+        assert constant.std == pytest.approx((high - low) / (2 * quantile), rel=1e-9)
+    young = 2 * centre.shear_modulus * (1 + centre.poisson_ratio)
+    assert found.young_modulus.value == pytest.approx(young, rel=1e-12)
+
+
+def test_disagreement_raises_the_variance_of_its_constant_alone() -> None:
+    calm = _uncertainty()
+    torn = replace(calm, scatters=calm.scatters | {"shear_modulus": Scatter(9.0, 4.0)})
+    # Variances and calibrations in proportion.
+    for value in ("variance", "calibration"):
+        ratio = getattr(torn, value)("shear_modulus") / getattr(calm, value)("shear_modulus")
+        assert ratio == pytest.approx(9.0, rel=1e-12)
+        assert getattr(torn, value)("poisson_ratio") == getattr(calm, value)("poisson_ratio")
+    wide, narrow = (interval_set(one, "fisher").shear_modulus for one in (torn, calm))
+    widened = np.log(wide.ci95[1] / wide.value) / np.log(narrow.ci95[1] / narrow.value)
+    # Three times the error, and Student's quantile for four probings and three of the claim.
+    assert widened == pytest.approx(3 * t.ppf(0.975, 7.0) / norm.ppf(0.975), rel=1e-9)
+
+
+def test_intervals_of_nu_end_at_its_range() -> None:
+    found = interval_set(_uncertainty(1e-3, poisson_ratio=0.45), "fisher").poisson_ratio
+    assert found.ci95[1] == RANGE[1]
+    assert found.ci95[0] > RANGE[0]
+
+
+def test_for_small_errors_far_from_bounds_the_profile_is_fishers() -> None:
+    small = _uncertainty(1e-6)
+    error = np.sqrt(small.variance("poisson_ratio"))
+    assert error < 1e-4
+    assert interval_set(small, "profile") == interval_set(small, "fisher")
+    # Eight errors from a bound is far; less is near.
+    nu = small.minimum.poisson_ratio
+    for room, same in ((8.1, True), (7.9, False)):
+        for ends in ((nu - room * error, 0.4999), (0.0, nu + room * error)):
+            near = replace(small, weights=replace(small.weights, poisson_range=ends))
+            alike = interval_set(near, "profile") == interval_set(near, "fisher")
+            assert alike is same
+    # Errors from a thousandth on are profiled.
+    variance = float(small.variance("poisson_ratio"))
+    for error, same in ((0.99e-3, True), (1.01e-3, False)):
+        scaled = replace(small.scores, noise=small.scores.noise * error**2 / variance)
+        wide = replace(small, scores=scaled)
+        alike = interval_set(wide, "profile") == interval_set(wide, "fisher")
+        assert alike is same

@@ -13,9 +13,9 @@ from palpate.bem import (
     solve,
     support_columns,
 )
-from palpate.bem.system import system as system_module
 from palpate.errors import NotConvergedError, SingularSystemError
 from palpate.estimation.responses.reduced_model import make_reduced_model
+from palpate.geometry import TriangleMesh
 
 RATIOS = (-0.2, 0.0, 0.15, 0.3, 0.45, 0.4999)
 
@@ -27,7 +27,7 @@ def problem():
     load = bump_load(mesh, np.array([0.0, 0.0, 1.0]), 0.5)
     weight = body_force_columns(system, np.array([0.0, 0.0, -3.0]))
     lifted = support_columns(system, np.ones_like(mesh.vertices) * [0.0, 0.0, 1.0])
-    quadratic = type(lifted)(lifted.constant, lifted.slope, 0.3 * weight.right.constant[:, :1])
+    quadratic = type(lifted)(np.stack([*lifted.terms[:2], 0.3 * weight.right.terms[0, :, :1]]))
     return system, joined([load_right_hand(system, [load]), weight.right, quadratic])
 
 
@@ -96,7 +96,19 @@ def test_at_the_centre_it_is_the_factorised_solution(problem, model):
     np.testing.assert_allclose(found, true_solution(problem, 0.3), rtol=1e-9, atol=1e-9)
 
 
-def test_an_object_that_is_not_held_is_refused(problem, monkeypatch):
-    monkeypatch.setattr(system_module, "SMALLEST_RCOND", 1.0)
+def test_an_object_that_is_not_held_is_refused():
+    """Two balls, only one of them held: the other floats."""
+    one = sphere(1)
+    count = len(one.vertices)
+    both = TriangleMesh(
+        np.concatenate([one.vertices, one.vertices + np.array([3.0, 0.0, 0.0])]),
+        np.concatenate([one.triangles, one.triangles + count]),
+    )
+    middle = both.vertices[both.triangles].mean(axis=1)
+    system = held_part(both, (middle[:, 0] < 1.5) & (middle[:, 2] < -0.3))
+    right = load_right_hand(system, [bump_load(both, np.array([0.0, 0.0, 1.0]), 0.9)])
     with pytest.raises(SingularSystemError, match="singular"):
-        make_reduced_model(*problem)
+        make_reduced_model(system, right)
+    held = held_part(one, one.vertices[one.triangles].mean(axis=1)[:, 2] < -0.3)
+    right = load_right_hand(held, [bump_load(one, np.array([0.0, 0.0, 1.0]), 0.9)])
+    assert len(make_reduced_model(held, right).directions) >= 10

@@ -16,10 +16,9 @@ from palpate.bem import (
     solve,
 )
 from palpate.estimation import (
-    FullModel,
-    FullResponse,
     PointRows,
     ProbeRows,
+    full_responses,
     make_reduced_model,
     reduced_response,
 )
@@ -50,10 +49,7 @@ def setting():
     tips = point_equations(system, at_top, (mesh.triangles[at_top] == top).astype(float))
     tip_load = load_right_hand(tips.system, loads[1:2])
     tip_right = joined([tip_load, body_force_columns(tips.system, GRAVITY).right])
-    by_point = [
-        tips.by_point(part)[0]
-        for part in (tip_right.constant, tip_right.slope, tip_right.curvature)
-    ]
+    by_point = [tips.by_point(part)[0] for part in tip_right.terms]
     tip = PointRows(tips.matrix[:, 0], tips.own[:, 0], np.stack(by_point), body.particular[top])
     rows = ProbeRows(
         columns, csr_array(hstack([surface, rest])), (at_points @ body.particular).ravel(), tip
@@ -65,7 +61,7 @@ def setting():
 def responses(setting):
     system, right, _, rows, _, _ = setting
     return (
-        FullResponse(FullModel(system, right), rows),
+        full_responses(system, right, [rows])[0],
         reduced_response(make_reduced_model(system, right), rows),
     )
 
@@ -114,19 +110,10 @@ def test_without_gravity_the_last_column_is_zero(setting):
     system, right, _, rows, _, _ = setting
     bare = ProbeRows(rows.columns[:3], rows.surface, rows.particular, None)
     for response in (
-        FullResponse(FullModel(system, right), bare),
+        full_responses(system, right, [bare])[0],
         reduced_response(make_reduced_model(system, right), bare),
     ):
         value = response.value(0.3)
         assert value.shape == (15, 4)
         assert not value[:, 3].any()
         assert value[:, :3].any()
-
-
-def test_the_full_model_remembers_one_solution(setting):
-    system, right, *_ = setting
-    model = FullModel(system, right)
-    first = model.solution(0.3)
-    assert model.solution(0.3) is first
-    model.solution(0.31)
-    assert list(model.solved) == [0.31]

@@ -1,4 +1,4 @@
-"""Rigs of the facility: they look at the object, and calibrations err as they are told."""
+"""Rigs of the facility: they look at the object, and calibrations err by what was asked for."""
 
 import cv2
 import numpy as np
@@ -64,14 +64,16 @@ def test_errors_of_a_calibration_have_the_spread_that_was_asked_for():
     rng = np.random.default_rng(0)
     focal, centre, turn, place = [], [], [], []
     for _ in range(400):
-        for told, true in zip(miscalibrated(rig, error, MESH, rng=rng).cameras, rig.cameras,
+        for calibrated, true in zip(miscalibrated(rig, error, MESH, rng=rng).cameras, rig.cameras,
                               strict=True):  # fmt: skip
-            off = told.T_camera_object @ np.linalg.inv(true.T_camera_object)
-            focal.append(told.matrix[0, 0] / true.matrix[0, 0] - 1.0)
-            centre.append(told.matrix[:2, 2] - true.matrix[:2, 2])
+            off = calibrated.T_camera_object @ np.linalg.inv(true.T_camera_object)
+            focal.append(calibrated.matrix[0, 0] / true.matrix[0, 0] - 1.0)
+            centre.append(calibrated.matrix[:2, 2] - true.matrix[:2, 2])
             turn.append(np.degrees(cv2.Rodrigues(off[:3, :3])[0].ravel()))
             place.append(off[:3, 3])
-            assert told.matrix[0, 0] / told.matrix[1, 1] == pytest.approx(1.0, rel=1e-14)
+            assert calibrated.matrix[0, 0] / calibrated.matrix[1, 1] == pytest.approx(
+                1.0, rel=1e-14
+            )
     # 1200 to 3600 draws: 2 % of chance, five of these.
     for found, asked in ((focal, 1e-3), (centre, 0.5), (turn, 0.02), (place, 2e-4)):
         assert np.std(found) == pytest.approx(asked, rel=0.1)
@@ -81,10 +83,10 @@ def test_errors_of_a_calibration_have_the_spread_that_was_asked_for():
 def test_an_object_that_was_moved_is_moved_for_all_cameras_alike():
     rig = make_head(Head(), MESH)
     error = Calibration(object_rotation=1.0, object_translation=1e-3)
-    told = miscalibrated(rig, error, MESH, rng=np.random.default_rng(3))
+    calibrated = miscalibrated(rig, error, MESH, rng=np.random.default_rng(3))
     moves = [
         np.linalg.inv(true.T_camera_object) @ wrong.T_camera_object
-        for wrong, true in zip(told.cameras, rig.cameras, strict=True)
+        for wrong, true in zip(calibrated.cameras, rig.cameras, strict=True)
     ]
     np.testing.assert_allclose(moves[1], moves[0], atol=1e-14)
     np.testing.assert_allclose(moves[2], moves[0], atol=1e-14)
@@ -93,10 +95,10 @@ def test_an_object_that_was_moved_is_moved_for_all_cameras_alike():
 
 def test_no_error_is_no_change():
     rig = make_head(Head(), MESH)
-    told = miscalibrated(rig, Calibration(), MESH, rng=np.random.default_rng(0))
-    for one, other in zip(told.cameras, rig.cameras, strict=True):
-        np.testing.assert_allclose(one.T_camera_object, other.T_camera_object, atol=1e-14)
-        np.testing.assert_array_equal(one.matrix, other.matrix)
+    calibrated = miscalibrated(rig, Calibration(), MESH, rng=np.random.default_rng(0))
+    for found, other in zip(calibrated.cameras, rig.cameras, strict=True):
+        np.testing.assert_allclose(found.T_camera_object, other.T_camera_object, atol=1e-14)
+        np.testing.assert_array_equal(found.matrix, other.matrix)
 
 
 def test_a_head_within_the_object_is_refused():

@@ -1,4 +1,4 @@
-"""The way from a pinhole picture to a camera's, without a renderer: closed forms, no noise."""
+"""From a pinhole picture to a camera's, without a renderer: closed forms, no noise."""
 
 from dataclasses import replace
 

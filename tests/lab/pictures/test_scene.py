@@ -202,14 +202,14 @@ def test_noise_of_16_samples_is_well_below_a_sensors():
     body = _ball()
     light = Light(0.3, Lamp(np.array([0.3, 0.2, 0.9]), np.zeros(3), 0.3, 5.0))
     camera = _above(focal=500.0, size=(64, 48))
-    one, two = (
+    first, second = (
         render([body], [camera], light, variant=SCALAR, samples=16, seed=seed)[0].astype(float)
         for seed in (1, 2)
     )
     inside = (slice(12, -12), slice(20, -20))
-    noise = (one - two)[inside].std() / np.sqrt(2.0)
+    noise = (first - second)[inside].std() / np.sqrt(2.0)
     # Half of 1.5 grey levels, the noise of a good camera.
-    assert 200.0 / one.max() * noise < 0.75
+    assert 200.0 / first.max() * noise < 0.75
 
 
 def test_same_seed_same_bytes_and_another_seed_others():

@@ -99,11 +99,11 @@ def test_counting_noise_is_the_root_of_the_electrons():
 def test_noise_of_neighbours_and_of_pictures_is_independent():
     sensor = replace(PLAIN, noise=2.0, full_well=5_000.0)
     rng = _rng()
-    one, two = (grey_picture(_even(1.0), sensor, gain=GAIN, rng=rng) - 100.0 for _ in range(2))
+    first, second = (grey_picture(_even(1.0), sensor, gain=GAIN, rng=rng) - 100.0 for _ in range(2))
     limit = 4.0 / np.sqrt(COUNT)
-    assert abs(np.corrcoef(one.ravel(), two.ravel())[0, 1]) < limit
-    assert abs(np.corrcoef(one[:, :-1].ravel(), one[:, 1:].ravel())[0, 1]) < limit
-    assert np.array_equal(grey_picture(_even(1.0), sensor, gain=GAIN, rng=_rng()) - 100.0, one)
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
+    assert abs(np.corrcoef(first[:, :-1].ravel(), first[:, 1:].ravel())[0, 1]) < limit
+    assert np.array_equal(grey_picture(_even(1.0), sensor, gain=GAIN, rng=_rng()) - 100.0, first)
 
 
 def test_response_spreads_a_point_by_its_width_and_keeps_its_light():

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from vision.textures import Speckle, noisy
 
-from palpate.vision.images.normalisation import WINDOW, cropped, make_normalised_image, moments
+from palpate.vision.images.normalisation import (
+    WINDOW,
+    _noise,
+    cropped,
+    make_normalised_image,
+    moments,
+)
 
 SHAPE = (150, 170)
 
@@ -77,3 +83,29 @@ def test_cropped_is_the_same_part():
     for name in ("grey", "levels", "mean", "variance", "textured"):
         np.testing.assert_array_equal(getattr(part, name), getattr(picture, name)[10:70, 20:90])
     assert part.width == picture.width
+
+
+def test_noise_is_that_of_a_blank_picture():
+    rng = np.random.default_rng(2)
+    grey = rng.normal(120.0, 5.0, (400, 400)).astype(np.float32)
+    # A quartile of 160 000 / 4 values, each with its neighbours: 2 %.
+    assert _noise(grey) == pytest.approx(5.0, rel=0.03)
+    # Rounding to whole levels is the least.
+    assert _noise(np.full((50, 50), 7.0, dtype=np.float32)) == pytest.approx(1.0 / np.sqrt(12.0))
+
+
+def test_levels_have_mean_128_and_contrast_40_but_for_the_noise():
+    """By the window's own sums; a picture from 0 to 255 is taken as it is."""
+    grey = noisy(Speckle(SHAPE, 1).image(), 6.0, 3)
+    grey[0, :2] = [0.0, 255.0]
+    picture = make_normalised_image(grey)
+    np.testing.assert_allclose(picture.grey, grey, atol=1e-4)
+    noise = _noise(grey)
+    for row, column in ((40, 50), (75, 120), (100, 30)):
+        half = WINDOW // 2
+        window = grey[row - half : row + half + 1, column - half : column + half + 1].astype(float)
+        contrast = np.sqrt(window.var() + (4.0 * noise) ** 2)
+        level = 128.0 + 40.0 * (grey[row, column] - window.mean()) / contrast
+        # Rounded to whole levels.
+        assert picture.levels[row, column] == pytest.approx(level, abs=0.51)
+        assert picture.textured[row, column] == (window.var() > (2.0 * noise) ** 2)

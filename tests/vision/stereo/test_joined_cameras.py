@@ -4,7 +4,7 @@ import numpy as np
 from vision.scenes import example, projected
 
 from palpate.vision.cameras.triangulation import triangulate
-from palpate.vision.stereo.stereo import joined_cameras
+from palpate.vision.stereo.stereo import _excess, joined_cameras
 
 
 def _seen(count: int = 4, points: int = 60, noise: float = 0.01):
@@ -61,3 +61,22 @@ def test_what_all_points_share_is_the_rig_and_only_limited():
     for limit, count in ((2.0, 60), (0.5, 0)):
         _, used = joined_cameras(rig, pixels, covariance, reprojection=limit)
         assert used[0].sum() == count
+
+
+def test_excess_is_over_the_noise_of_the_match_and_over_what_all_points_miss_by():
+    """All points of the second camera miss by the same 0.5 px, the first by 1.2 px more."""
+    covariance = np.broadcast_to(0.02 * np.eye(2), (2, 9, 2, 2))
+    error = np.zeros((2, 9, 2))
+    error[1] = [0.3, 0.4]
+    error[1, 0] += [1.2, 0.0]
+    used = np.ones((2, 9), dtype=bool)
+    used[1, 8] = False
+    excess = _excess(error, used, covariance, 2.0)
+    # Five standard deviations, root of the trace 0.2 px.
+    expected = np.array([[0.0] * 9, [1.2 / (5.0 * 0.2), *([0.5 / 2.0] * 7), -np.inf]])
+    np.testing.assert_allclose(excess, expected, atol=1e-12)
+    # By turns 0.3 px to either side, the scatter of all points adds to the noise.
+    error[1, :8] = np.array([[0.3, 0.0], [-0.3, 0.0]] * 4)
+    excess = _excess(error, used, covariance, 10.0)
+    allowed = 5.0 * np.hypot(1.4826 * 0.3, 0.2)
+    np.testing.assert_allclose(excess[1, :8], 0.3 / allowed, rtol=1e-12)

@@ -9,7 +9,7 @@ from vision.scenes import LENS, STILL, example, example_views, noisy_views, proj
 from palpate.errors import InputError
 from palpate.vision.images.features import find_features, prepare_pictures
 from palpate.vision.images.normalisation import make_normalised_image
-from palpate.vision.stereo.pair_disparity import stereo_start
+from palpate.vision.stereo.pair_disparity import _planes, _row_offset, stereo_start
 
 
 def _pair(count: int, lens: tuple[float, ...], roll: float = 0.0):
@@ -70,3 +70,46 @@ def test_too_few_features_are_refused():
     blind = replace(pictures, features=(none, none))
     with pytest.raises(InputError, match="'c0' and 'c1' have 0 features in common"):
         stereo_start(blind, 1, PIXEL, half=10)
+
+
+def test_row_offset_is_the_polynomial_that_most_features_follow():
+    rng = np.random.default_rng(5)
+    column, row = rng.uniform(0.0, 400.0, (2, 300))
+    x, y = column / 200.0 - 1.0, row / 200.0 - 1.0
+    gap = 3.0 + 2.0 * x - y + 0.5 * x * x + 0.3 * x * y - 0.4 * y * y
+    wrong = np.arange(300) < 60
+    other = np.stack([column, row - gap - np.where(wrong, 25.0, 0.0)], axis=1)
+    offset, agree = _row_offset(np.stack([column + 50.0, row], axis=1), other)
+    np.testing.assert_array_equal(agree, ~wrong)
+    # The coefficients are drawn to zero by a thousandth of the terms' mean squares, which are 0.1
+    # and more.
+    np.testing.assert_allclose(offset.at(column, row), gap, atol=0.05)
+    # Constant beyond the features, and for shapes that broadcast.
+    corner = offset.at(column.max(keepdims=True), row.max(keepdims=True))
+    assert offset.at(np.array([[900.0]]), np.array([900.0])) == pytest.approx(corner[0])
+    # Too few features for a polynomial: their median.
+    few, _ = _row_offset(np.stack([column + 50.0, row], axis=1)[60:75], other[60:75])
+    np.testing.assert_allclose(few.at(column, row), np.median(gap[60:75]), rtol=1e-12)
+    assert _row_offset(other[:5], other[:5])[0].at(column, row).max() == 0.0
+
+
+def test_planes_through_disparities():
+    """Two slanted surfaces, one nearer by 30 px; a hole in each; and the picture's end."""
+    row, column = np.mgrid[:100, :120].astype(float)
+    far, near = 5.0 + 0.2 * column - 0.1 * row, 50.0 - 0.15 * column + 0.05 * row
+    disparity = np.where(column < 60.0, far, near)
+    disparity[40:43, 25:28] = disparity[40:43, 90:93] = np.nan
+    disparity[70:, :40] = np.nan
+    at = np.array(
+        [[26.3, 41.2], [91.0, 41.0], [57.0, 20.0], [63.0, 20.0], [20.0, 85.0], [-9.0, 3.0]]
+    )
+    plane, good = _planes(disparity, at, 10)
+    np.testing.assert_array_equal(good, [True, True, True, True, False, False])
+    x, y = at.T
+    expected = np.where(
+        (x < 60.0)[:, None],
+        np.stack([5.0 + 0.2 * x - 0.1 * y, np.full(6, 0.2), np.full(6, -0.1)], axis=1),
+        np.stack([50.0 - 0.15 * x + 0.05 * y, np.full(6, -0.15), np.full(6, 0.05)], axis=1),
+    )
+    # The normal matrix has 1e-6 on its diagonal, of at least 24 samples.
+    np.testing.assert_allclose(plane[:4], expected[:4], atol=1e-5)

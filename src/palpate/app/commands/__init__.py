@@ -3,7 +3,7 @@
 Purpose    : read what a command needs, call the pipeline, print and write what it gives.
 Takes      : arguments of the command line, already of the right types.
 Gives      : an exit code.
-Depends on : `terminal`; `paper`, `figures`, `pipeline`, `lab`, `estimation`, `vision`, `bem`,
+Depends on : `app.terminal`, `paper`, `figures`, `pipeline`, `lab`, `estimation`, `vision`, `bem`,
              `probe`, `records`, `geometry`.
 Read first : `fit.py`.
 

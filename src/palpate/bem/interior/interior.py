@@ -8,28 +8,40 @@ refused.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from palpate.bem.elastic_map import ElasticMap, ElasticState, load_shape
-from palpate.bem.integrals import (
-    BoundarySurface,
-    Quadrature,
-    quadratic_shapes,
-    quadratic_slopes,
-    triangle_rule,
-)
-from palpate.bem.interior.somigliana import BoundaryFields, integrate_forces, integrate_surface
-from palpate.bem.loads import SurfaceLoad
+from palpate.bem.integrals import Quadrature, triangle_rule
+from palpate.bem.interior.somigliana import displaced_surface_values, force_values, solid_angle
+from palpate.bem.loads import LoadCells, SurfaceLoad, load_points
 from palpate.errors import InputError
-from palpate.geometry import QuadraticNodes
+from palpate.geometry import QuadraticNodes, element_points, quadratic_shapes, quartered
 
-SMALLEST_CLEARANCE = 0.05
-INTERIOR_QUADRATURE = Quadrature(tolerance=1e-8)
-LOAD_DEGREE = 7
-LOAD_RATIO = 4.0
-LOAD_LEVELS = (2, 5, 9)
+# Over the radius of a triangle: the integrals of closer points are not to be trusted.
+_MIN_CLEARANCE = 0.05
+_QUADRATURE = Quadrature(tolerance=1e-8)
+# Divisions in four of a triangle that is too close for its last rule.
+_MOST_LEVELS = 10
+_LOAD_CELLS = LoadCells(degree=7, coarsest=2, finest_rim=5, finest=9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundaryFields:
+    """Displacement and traction of a closed surface, quadratic on each triangle.
+
+    The traction may jump between triangles.
+
+    Attributes
+    ----------
+    element_nodes : (m, 6, 3) float [m]   corners, then midpoints of edges 01, 12, 20
+    displacement : (m, 6, 3) float [m]    at these nodes
+    traction : (m, 6, 3) float [Pa]       at these nodes
+    """
+
+    element_nodes: Float[np.ndarray, "m 6 3"]
+    displacement: Float[np.ndarray, "m 6 3"]
+    traction: Float[np.ndarray, "m 6 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,8 +64,6 @@ def interior_state(
     load: SurfaceLoad,
     force: Float[np.ndarray, "3"],
     points: Float[np.ndarray, "n 3"],
-    *,
-    quadrature: Quadrature = INTERIOR_QUADRATURE,
 ) -> InteriorState:
     """Displacement and stress inside an object under one load.
 
@@ -65,7 +75,6 @@ def interior_state(
     load : SurfaceLoad
     force : (3,) float [N]            total force of the load on the object
     points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius from the surface
-    quadrature : Quadrature
 
     Returns
     -------
@@ -80,17 +89,15 @@ def interior_state(
     Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), eq. 5.4.5 and 5.6.6
     """
     surface = elastic_map.system.surface
+    material = {
+        "shear_modulus": elastic_map.shear_modulus, "poisson_ratio": elastic_map.poisson_ratio
+    }  # fmt: skip
     (state,) = elastic_map.respond([load], force[None])
-    fields = _solved_fields(elastic_map, state, load, force)
-    inside = interior_values(
-        fields, points, shear_modulus=elastic_map.shear_modulus,
-        poisson_ratio=elastic_map.poisson_ratio, quadrature=quadrature,
-    )  # fmt: skip
-    position, share = _load_points_near(surface, load, points)
-    displacement, stress = integrate_forces(
-        position, share[:, None] * force, points,
-        shear_modulus=elastic_map.shear_modulus, poisson_ratio=elastic_map.poisson_ratio,
-    )  # fmt: skip
+    inside = interior_values(_solved_fields(elastic_map, state, load, force), points, **material)
+    pushed = load_points(surface, load, cells=_LOAD_CELLS, near=points)
+    forces = pushed.weight[:, None] * force
+    added = [force_values(point, pushed.position, forces, **material) for point in points]
+    displacement, stress = (np.array(part) for part in zip(*added, strict=True))
     return InteriorState(inside.displacement + displacement, inside.stress + stress)
 
 
@@ -100,7 +107,6 @@ def interior_values(
     *,
     shear_modulus: float,
     poisson_ratio: float,
-    quadrature: Quadrature = INTERIOR_QUADRATURE,
 ) -> InteriorState:
     """Displacement and stress inside a closed surface of known displacement and traction.
 
@@ -120,20 +126,62 @@ def interior_values(
     ------
     InputError                        a point is outside the object, or too close to its surface
     """
-    values = integrate_surface(
-        fields, points, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio,
-        quadrature=quadrature,
-    )  # fmt: skip
-    close = values.clearance < SMALLEST_CLEARANCE
+    displacement, stress = np.empty((len(points), 3)), np.empty((len(points), 3, 3))
+    angle, clearance = np.empty(len(points)), np.empty(len(points))
+    material = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
+    for k, point in enumerate(points):
+        source, u, t, clearance[k] = _surface_seen_from(fields, point)
+        area = np.linalg.norm(source[:, 3:], axis=1)
+        loaded = t.any(axis=1)
+        pushed = force_values(point, source[loaded, :3], t[loaded] * area[loaded, None], **material)
+        displaced = displaced_surface_values(point, source, u, **material)
+        displacement[k], stress[k] = (a + b for a, b in zip(pushed, displaced, strict=True))
+        angle[k] = solid_angle(point, source)
     _refuse(
-        close, points, f"within {SMALLEST_CLEARANCE:.0%} of a triangle's radius of the surface",
+        clearance < _MIN_CLEARANCE, points,
+        f"within {_MIN_CLEARANCE:.0%} of a triangle's radius of the surface",
         "move them inward, refine the mesh there, or use the displacement of the surface itself",
     )  # fmt: skip
     _refuse(
-        ~(values.solid_angle > 0.5), points, "outside the object",
+        ~(angle > 0.5), points, "outside the object",
         "check their frame and that they are in metres",
     )  # fmt: skip
-    return InteriorState(values.displacement, values.stress)
+    return InteriorState(displacement, stress)
+
+
+def _surface_seen_from(
+    fields: BoundaryFields, point: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "q 6"], Float[np.ndarray, "q 3"], Float[np.ndarray, "q 3"], float]:
+    """Quadrature points of the whole surface, closer where the point is near, as places and
+    weighted normals; displacement and traction there; the point's clearance, to about a tenth."""
+    rules = [triangle_rule(degree) for degree in _QUADRATURE.degrees]
+    ratios = _QUADRATURE.ratios()
+    values = np.concatenate([fields.displacement, fields.traction], axis=2)
+    triangle = np.arange(len(values))
+    corners = np.tile(np.eye(3), (len(values), 1, 1))
+    sources, found, clearance = [], [], np.inf
+    for level in range(_MOST_LEVELS + 1):
+        corner = element_points(fields.element_nodes[triangle], corners)[:, :, :3]
+        centre = corner.mean(axis=1)
+        radius = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
+        ratio = np.linalg.norm(point - centre, axis=1) / radius
+        near = (ratio < ratios[-1]) & (level < _MOST_LEVELS)
+        clearance = min(clearance, float(np.where(near, np.inf, ratio).min()) * 0.5**level)
+        # Rules count from the coarsest, whose ratio is the largest.
+        chosen = np.minimum((ratio[:, None] < ratios).sum(axis=1), len(rules) - 1)
+        for k, rule in enumerate(rules):
+            mine = np.flatnonzero(~near & (chosen == k))
+            barycentric = rule.barycentric @ corners[mine]
+            source = element_points(fields.element_nodes[triangle[mine]], barycentric)
+            source[:, :, 3:] *= rule.weight[:, None] * 0.25**level
+            shapes = np.moveaxis(quadratic_shapes(barycentric), 0, -1)
+            sources.append(source.reshape(-1, 6))
+            found.append((shapes @ values[triangle[mine]]).reshape(-1, 6))
+        triangle, corners = quartered(triangle[near], corners[near])
+        if not triangle.size:
+            break
+    at_sources = np.concatenate(found)
+    return np.concatenate(sources), at_sources[:, :3], at_sources[:, 3:], clearance
 
 
 def _refuse(
@@ -172,57 +220,3 @@ def _with_midpoints(
     nodes: QuadraticNodes, values: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "p 3"]:
     return np.concatenate([values, csr_array(nodes.weights) @ values])
-
-
-def _load_points_near(
-    surface: BoundarySurface, load: SurfaceLoad, points: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
-    """Places and shares of a load, in cells as small as the nearest point asks for."""
-    rule = triangle_rule(LOAD_DEGREE)
-    coarsest, rim_finest, finest = LOAD_LEVELS
-    tree = cKDTree(points)
-    triangle = np.asarray(load.triangles, dtype=np.int64)
-    corners = np.tile(np.eye(3), (triangle.size, 1, 1))
-    positions, weights = [], []
-    for level in range(finest + 1):
-        barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
-        position, area = _places(surface, triangle, barycentric)
-        density = load.density(
-            np.repeat(triangle, rule.weight.size),
-            barycentric.reshape(-1, 3),
-            position.reshape(-1, 3),
-        ).reshape(area.shape)
-        centre = position.mean(axis=1)
-        size = np.linalg.norm(position - centre[:, None], axis=2).max(axis=1)
-        rim = (density == 0).any(axis=1) & (level < rim_finest)
-        far = tree.query(centre)[0] >= LOAD_RATIO * size
-        done = ((level >= coarsest) & ~rim & far) | (level == finest)
-        weight = density[done] * area[done] * rule.weight * 0.25**level
-        kept = weight > 0
-        positions.append(position[done][kept])
-        weights.append(weight[kept])
-        divide = ~done & ((density > 0).any(axis=1) | (level < coarsest))
-        triangle, corners = _quarters(triangle[divide], corners[divide])
-    weight = np.concatenate(weights)
-    return np.concatenate(positions), weight / weight.sum()
-
-
-def _places(
-    surface: BoundarySurface,
-    triangle: Int[np.ndarray, " c"],
-    barycentric: Float[np.ndarray, "c q 3"],
-) -> tuple[Float[np.ndarray, "c q 3"], Float[np.ndarray, "c q"]]:
-    flat = barycentric.reshape(-1, 3)
-    parts = np.stack([quadratic_shapes(flat), *quadratic_slopes(flat)])
-    parts = parts.reshape(3, 6, *barycentric.shape[:2])
-    place, along_b, along_c = np.einsum("dacq,cai->dcqi", parts, surface.element_nodes[triangle])
-    return place, np.linalg.norm(np.cross(along_b, along_c), axis=2)
-
-
-def _quarters(
-    triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
-) -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, "d 3 3"]]:
-    a, b, c = corners.transpose(1, 0, 2)
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.tile(triangle, 4), np.concatenate([np.stack(part, axis=1) for part in parts])

@@ -1,33 +1,37 @@
-"""intervals."""
+"""What the probings say about the constants beyond their best values.
 
-from palpate.estimation.intervals.cramer_rao import cramer_rao_bound as cramer_rao_bound
+Purpose    : intervals, what is identifiable, the likelihood's map, how probings are predicted.
+Takes      : a `Misfit` and its `Minimum`.
+Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, the Cramer-Rao bound.
+Depends on : `search`, `noise`, `settings`, `observations` of this room; `records`, `errors`.
+Read first : `sandwich.py`, then `uncertainty.py`.
+"""
+
 from palpate.estimation.intervals.identifiability import (
+    identifiable_combination as identifiable_combination,
     identifiable_constants as identifiable_constants,
-    told_combination as told_combination,
     with_prior_ranges as with_prior_ranges,
 )
-from palpate.estimation.intervals.likelihood_map import (
+from palpate.estimation.intervals.likelihood import (
     LikelihoodMap as LikelihoodMap,
     likelihood_map as likelihood_map,
 )
-from palpate.estimation.intervals.model_error import (
-    with_displacement_error as with_displacement_error,
-    with_model_error as with_model_error,
-)
-from palpate.estimation.intervals.profile_likelihood import FixedWeights as FixedWeights
 from palpate.estimation.intervals.sandwich import (
-    Scatter as Scatter,
-    ScoreNoise as ScoreNoise,
-    Scores as Scores,
+    cramer_rao_bound as cramer_rao_bound,
     scores_of as scores_of,
+)
+from palpate.estimation.intervals.systematic_error import (
+    poisson_ratio_error as poisson_ratio_error,
+    with_systematic_errors as with_systematic_errors,
 )
 from palpate.estimation.intervals.uncertainty import (
     IntervalSet as IntervalSet,
-    interval_sets as interval_sets,
-    scatters_of as scatters_of,
+    Uncertainty as Uncertainty,
+    interval_set as interval_set,
+    uncertainty_of as uncertainty_of,
 )
 from palpate.estimation.intervals.validation import (
     ProbeFit as ProbeFit,
-    left_out_constants as left_out_constants,
+    probe_estimate as probe_estimate,
     probe_fits as probe_fits,
 )

@@ -1,28 +1,27 @@
-"""Which constants the data tell, and what to say where they do not."""
+"""Which constants the data identify, and what to say where they do not."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from palpate.estimation.intervals.profile_likelihood import FixedWeights
 from palpate.estimation.intervals.uncertainty import IntervalSet
-from palpate.estimation.search import best_compliance
+from palpate.estimation.search import FixedWeights, best_compliance
 from palpate.records import Constant
 
-# nu is told where its interval leaves out at least a fifth of its prior range.
-_SHARE_OF_RANGE = 0.8
-# A modulus is told without nu where all nu change it by less than this factor.
-_VALLEY_FACTOR = 1.25
+# nu is identifiable where its interval leaves out at least a fifth of its prior range.
+_MAX_SHARE_OF_RANGE = 0.8
+# A modulus is identifiable without nu where all nu change it by less than this factor.
+_MAX_VALLEY_FACTOR = 1.25
 _VALLEY_POINTS = 33
 
 
 def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dict[str, bool]:
-    """Whether the data tell each constant.
+    """Whether the data identify each constant.
 
-    Poisson's ratio is not told where its interval covers four fifths of its range or more. Then a
-    modulus is told only where it hardly changes along the valley of the misfit. A modulus whose
-    interval has no upper end (no signal above the noise) is never told.
+    Poisson's ratio is not identifiable where its interval covers four fifths of its range or more.
+    Then a modulus is identifiable only where it hardly changes along the valley of the misfit. A
+    modulus whose interval has no upper end (no signal above the noise) never is.
 
     Parameters
     ----------
@@ -35,22 +34,23 @@ def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dic
     """
     low, high = intervals.poisson_ratio.ci95
     span = weights.poisson_range[1] - weights.poisson_range[0]
-    told = {"poisson_ratio": high - low < _SHARE_OF_RANGE * span}
+    identifiable = {"poisson_ratio": high - low < _MAX_SHARE_OF_RANGE * span}
     for name in ("shear_modulus", "young_modulus"):
         bounded = bool(np.isfinite(getattr(intervals, name).ci95[1]))
-        along = told["poisson_ratio"] or _valley(intervals, weights)[name] < _VALLEY_FACTOR
-        told[name] = bounded and along
-    if not (told["shear_modulus"] or np.isfinite(intervals.shear_modulus.ci95[1])):
-        told["poisson_ratio"] = False
-    return told
+        change = _valley(intervals, weights)[name]
+        along = identifiable["poisson_ratio"] or change < _MAX_VALLEY_FACTOR
+        identifiable[name] = bounded and along
+    if not (identifiable["shear_modulus"] or np.isfinite(intervals.shear_modulus.ci95[1])):
+        identifiable["poisson_ratio"] = False
+    return identifiable
 
 
 def with_prior_ranges(
     intervals: IntervalSet, identifiable: Mapping[str, bool], weights: FixedWeights
 ) -> IntervalSet:
-    """Intervals as wide as the prior range for what the data cannot tell.
+    """Intervals as wide as the prior range for what the data cannot identify.
 
-    Where the data cannot tell nu, its best value is an accident of the noise: the middle of its
+    Where nu is not identifiable, its best value is an accident of the noise: the middle of its
     range is given, and the moduli that the valley of the misfit has there. A modulus that is
     bounded only through the range of nu keeps its interval; without any signal it is (0, infinity).
 
@@ -71,7 +71,7 @@ def with_prior_ranges(
         ratio = Constant(middle, uniform, weights.poisson_range)
         if np.isfinite(shear.ci95[1]):
             compliance, _ = best_compliance(weights.at(np.array([middle])))
-            modulus = 1.0 / float(compliance[0, 0])
+            modulus = 1.0 / float(compliance[0])
             shear = _moved(shear, modulus)
             young = _moved(young, 2 * modulus * (1 + middle))
     return replace(intervals, poisson_ratio=ratio, shear_modulus=shear, young_modulus=young)
@@ -89,7 +89,7 @@ def _modulus_in_range(modulus: Constant) -> Constant:
     return Constant(modulus.value, np.inf, (0.0, np.inf))
 
 
-def told_combination(weights: FixedWeights) -> str:
+def identifiable_combination(weights: FixedWeights) -> str:
     """The combination of G and nu that the valley of the misfit keeps constant, in words."""
     nu, modulus = _valley_line(weights)
     shapes = {
@@ -116,4 +116,4 @@ def _valley_line(
     """Best shear modulus for every Poisson's ratio."""
     low, high = ends or weights.poisson_range
     nu = np.linspace(low, high, _VALLEY_POINTS)
-    return nu, 1.0 / best_compliance(weights.at(nu))[0][0]
+    return nu, 1.0 / best_compliance(weights.at(nu))[0]

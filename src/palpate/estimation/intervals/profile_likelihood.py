@@ -12,43 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.responses import NodeProducts
-from palpate.estimation.search import ProjectedProbes, best_compliance, deviance_of, projected
+from palpate.estimation.search import (
+    FixedWeights,
+    ProjectedProbes,
+    best_compliance,
+    deviance_of,
+    sharpened_minimum,
+)
 
-_NEAR, _FAR = 65, 161
+_NEAR_POINTS, _FAR_POINTS = 65, 161
 _EDGE_STEPS = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FixedWeights:
-    """A misfit with its robust weights held fixed, for any set of probings.
-
-    Parameters
-    ----------
-    products : NodeProducts             of these probings
-    force : (k, 3) float [N]
-    force_root : (k, 3) float [N]       1 sigma over the root of the force's robust weight
-    poisson_range : (float, float) [-]
-    """
-
-    products: NodeProducts
-    force: Float[np.ndarray, "k 3"]
-    force_root: Float[np.ndarray, "k 3"]
-    poisson_range: tuple[float, float]
-
-    def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> ProjectedProbes:
-        """Probings with their forces eliminated."""
-        return projected(self.products.at(poisson_ratio), self.force, self.force_root)
-
-    def only(self, index: int) -> "FixedWeights":
-        """One probing as a set of its own."""
-        chosen = slice(index, index + 1)
-        return FixedWeights(
-            self.products.only(index),
-            self.force[chosen],
-            self.force_root[chosen],
-            self.poisson_range,
-        )
+# Logarithm of 1 / G: the first step from the valley, the longest correction, the farthest edge.
+_FIRST_REACH, _LONGEST_STEP, _FARTHEST_EDGE = 3.0, 0.5, 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,12 +60,12 @@ def profile_curve(
     """
     low, high = weights.poisson_range
     near = (max(low, centre - half_width), min(high, centre + half_width))
-    curve = _curve(weights, np.linspace(near[0], near[1], _NEAR))
+    curve = _curve(weights, np.linspace(near[0], near[1], _NEAR_POINTS))
     open_end = (near[0] > low and curve.height[0] < enough) or (
         near[1] < high and curve.height[-1] < enough
     )
     # A second valley elsewhere would be missed by the near part alone.
-    return _curve(weights, np.linspace(low, high, _FAR)) if open_end else curve
+    return _curve(weights, np.linspace(low, high, _FAR_POINTS)) if open_end else curve
 
 
 def profile_intervals(
@@ -108,15 +83,15 @@ def profile_intervals(
     constant's name -> (low, high)      moduli in Pa; infinite where no signal is allowed
     """
     nu = curve.poisson_ratio
-    intervals = {"poisson_ratio": _crossings(nu, curve.height, allowed["poisson_ratio"])}
+    intervals = {"poisson_ratio": crossings(nu, curve.height, allowed["poisson_ratio"])}
     factor = {"shear_modulus": np.ones_like(nu), "young_modulus": 2 * (1 + nu)}
     for name, scale in factor.items():
         stiff, soft = _edges(curve, allowed[name])
         inside = np.isfinite(stiff)
         place = nu[inside]
-        low = _extreme(place, np.log(scale[inside] / soft[inside]), -1.0)
-        high = _extreme(place, np.log(scale[inside] / stiff[inside]), 1.0)
-        ceiling = np.inf if curve.no_signal <= allowed[name] else float(np.exp(high))
+        _, low = sharpened_minimum(place, np.log(scale[inside] / soft[inside]))
+        _, high = sharpened_minimum(place, -np.log(scale[inside] / stiff[inside]))
+        ceiling = np.inf if curve.no_signal <= allowed[name] else float(np.exp(-high))
         intervals[name] = (float(np.exp(low)), ceiling)
     return intervals
 
@@ -125,24 +100,27 @@ def _curve(weights: FixedWeights, grid: np.ndarray) -> ProfileCurve:
     """Valley on a grid of Poisson's ratios, its height above the minimum between grid points."""
     probes = weights.at(grid)
     compliance, height = best_compliance(probes)
-    lowest = _lowest(height[0])
-    no_signal = float(weights.products.measured_measured.sum()) - lowest
-    above = np.maximum(height[0] - lowest, 0.0)
-    return ProfileCurve(probes, grid, compliance[0], above, no_signal)
+    _, lowest = sharpened_minimum(grid, height)
+    no_signal = float(weights.measured_measured.sum()) - lowest
+    return ProfileCurve(probes, grid, compliance, np.maximum(height - lowest, 0.0), no_signal)
 
 
-def _lowest(height: np.ndarray) -> float:
-    """Minimum of a sampled curve, sharpened by a parabola."""
-    best = int(np.argmin(height))
-    if best in (0, len(height) - 1):
-        return float(height[best])
-    left, middle, right = height[best - 1 : best + 2]
-    bend = left - 2 * middle + right
-    return float(middle - (left - right) ** 2 / (8 * bend)) if bend > 0 else float(middle)
+def crossings(
+    place: Float[np.ndarray, " g"], height: Float[np.ndarray, " g"], allowed: float
+) -> tuple[float, float]:
+    """First and last place where a curve crosses a height, linear in the root of the height.
 
+    Parameters
+    ----------
+    place : (g,) float          rising
+    height : (g,) float         >= 0
+    allowed : float             >= 0
 
-def _crossings(place: np.ndarray, height: np.ndarray, allowed: float) -> tuple[float, float]:
-    """First and last place where the curve crosses a height, linear in the root of the height."""
+    Returns
+    -------
+    (float, float)              ends of the table where the curve does not rise so high; the lowest
+                                place twice where it is nowhere below
+    """
     root, level = np.sqrt(height), np.sqrt(allowed)
     inside = np.flatnonzero(root <= level)
     if not len(inside):
@@ -160,31 +138,21 @@ def _crossings(place: np.ndarray, height: np.ndarray, allowed: float) -> tuple[f
 
 
 def _edges(curve: ProfileCurve, allowed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest 1 / G below a height at every Poisson's ratio, NaN where none is."""
-    spare = allowed - curve.height
+    """Smallest and largest 1 / G below a height at every Poisson's ratio, NaN where none is; at the
+    lowest point of the valley there always is one."""
+    spare = np.maximum(allowed - curve.height, 0.0)
     inside = spare > 0
-    best = curve.compliance[None]
-    floor, _, bend = deviance_of(curve.probes, best)
-    reach = np.sqrt(2 * np.maximum(spare, 0.0) / np.maximum(bend[0], np.finfo(float).tiny))
+    inside[np.argmin(curve.height)] = True
+    floor, _, bend = deviance_of(curve.probes, curve.compliance)
+    reach = np.sqrt(2 * spare / np.maximum(bend, np.finfo(float).tiny))
     edges = []
     for sign in (-1.0, 1.0):
-        step = sign * np.minimum(reach, 3.0)
+        step = sign * np.minimum(reach, _FIRST_REACH)
         for _ in range(_EDGE_STEPS):
-            value, first, _ = deviance_of(curve.probes, best * np.exp(step)[None])
-            short = spare - (value[0] - floor[0])
-            slope = np.where(np.abs(first[0]) > 0, first[0], np.inf)
-            step = step + np.clip(short / slope, -0.5, 0.5)
-            step = sign * np.clip(sign * step, 0.0, 20.0)
-        edges.append(np.where(inside, best[0] * np.exp(step), np.nan))
+            value, first, _ = deviance_of(curve.probes, curve.compliance * np.exp(step))
+            short = spare - (value - floor)
+            slope = np.where(np.abs(first) > 0, first, np.inf)
+            step = step + np.clip(short / slope, -_LONGEST_STEP, _LONGEST_STEP)
+            step = sign * np.clip(sign * step, 0.0, _FARTHEST_EDGE)
+        edges.append(np.where(inside, curve.compliance * np.exp(step), np.nan))
     return edges[0], edges[1]
-
-
-def _extreme(place: np.ndarray, height: np.ndarray, sign: float) -> float:
-    """Largest (sign 1) or smallest (-1) value of a sampled curve, sharpened by a parabola."""
-    if not len(place):
-        return np.nan
-    best = sign * height
-    top = int(np.argmax(best))
-    if top in (0, len(best) - 1):
-        return float(height[top])
-    return -sign * _lowest(-best)

@@ -4,7 +4,7 @@ Model-based first: Fisher information of the robust loss, with the noise as the 
 (never below the claim) and the spatial correlation of residuals. Then the probings are asked: if
 their scores scatter more than that explains (a force sensor that is off, a model error that is
 common to all points of a probing), the variance of the constant concerned is raised to the scatter,
-with Student's quantile for the probings that told it. Scatter that chance explains changes nothing.
+with Student's quantile for their number. Scatter that chance explains changes nothing.
 """
 
 from collections.abc import Sequence
@@ -14,22 +14,19 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtri, ndtri, stdtrit
 
-from palpate.estimation.noise import (
-    CorrelationFactor,
-    LocalProbe,
-    Misfit,
-    claimed_only,
-    correlation_factor,
-    force_components,
-    gaussian_moments,
-    score_moments,
-)
+from palpate.errors import InputError
+from palpate.estimation.intervals.spatial_correlation import CorrelationFactor, correlation_factor
+from palpate.estimation.noise import Gaussian, gaussian_moments, score_moments
+from palpate.estimation.observations import GROUP_COUNT, ProbeObservations, observed_rows_of
+from palpate.estimation.search import LocalProbe, Misfit, diagonal_root
 
 DIRECTIONS = ("poisson_ratio", "shear_modulus", "young_modulus")
 _RIDGE = 1e-11
-_SURPRISE = 0.90
+# Share of the sessions whose probings scatter less by chance.
+_SURPRISING_SHARE = 0.90
+# Degrees of freedom that a claimed uncertainty is worth beside the scatter of the probings.
 _PRIOR_DEGREES = 3.0
-_TAIL = 0.975
+_UPPER_TAIL = 0.975
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +62,6 @@ class Scores:
     information: Float[np.ndarray, "k 2 2"]
     noise: Float[np.ndarray, "k 2 2"]
     curvature: Float[np.ndarray, "k 2 2"]
-
-    def only(self, index: int) -> "Scores":
-        """One probing as a set of its own."""
-        chosen = slice(index, index + 1)
-        return Scores(
-            self.score[chosen],
-            self.information[chosen],
-            self.noise[chosen],
-            self.curvature[chosen],
-        )
 
     def covariance(self) -> Float[np.ndarray, "2 2"]:
         """Model-based covariance of (nu, log G)."""
@@ -121,7 +108,7 @@ class Scatter:
     Parameters
     ----------
     ratio : float               of variances
-    degrees : float             degrees of freedom, about the number of probings less one
+    degrees : float             degrees of freedom, about the number of probings
     """
 
     ratio: float
@@ -132,7 +119,7 @@ class Scatter:
         """Whether chance gives so large a ratio in less than one of ten sessions."""
         if self.degrees <= 0:
             return False
-        return self.ratio > float(chdtri(self.degrees, 1 - _SURPRISE)) / self.degrees
+        return self.ratio > float(chdtri(self.degrees, 1 - _SURPRISING_SHARE)) / self.degrees
 
     @property
     def factor(self) -> float:
@@ -151,7 +138,7 @@ def quantile_of(noise: ScoreNoise, scatter: Scatter) -> float:
     degrees = min(noise.degrees, noise.correlation.degrees)
     if scatter.is_surprising:
         degrees = min(degrees, scatter.degrees + _PRIOR_DEGREES)
-    return float(ndtri(_TAIL) if np.isinf(degrees) else stdtrit(degrees, _TAIL))
+    return float(ndtri(_UPPER_TAIL) if np.isinf(degrees) else stdtrit(degrees, _UPPER_TAIL))
 
 
 def scores_of(
@@ -169,95 +156,128 @@ def scores_of(
     -------
     (Scores, ScoreNoise)
     """
+    # Moments of a force's score by its uncertain components, for forces as uncertain as claimed.
+    moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
+    forces = [moments[probe.rows.force_components] for probe in local]
     if noise is None:
         noise = _noise_of(misfit, local)
         turns = [
-            _projection(one, noise.slope, _force_moments(misfit, k)[1])
-            for k, one in enumerate(local)
+            _projection(probe, noise.slope, slope)
+            for probe, (_, slope) in zip(local, forces, strict=True)
         ]
         noise = replace(
-            noise,
-            correlation=correlation_factor(misfit.probes, local, turns, score_variance=noise.power),
+            noise, correlation=correlation_factor(local, turns, score_variance=noise.power)
         )
-    parts = [_one(misfit, k, one, noise) for k, one in enumerate(local)]
-    score, information, spread, curvature = (
-        np.stack(column) for column in zip(*parts, strict=True)
-    )
-    return Scores(score, information, spread, curvature), noise
+    parts = [_scores(probe, noise, *force) for probe, force in zip(local, forces, strict=True)]
+    return Scores(*(np.stack(column) for column in zip(*parts, strict=True))), noise
 
 
-def _one(
-    misfit: Misfit, index: int, one: LocalProbe, noise: ScoreNoise
+def cramer_rao_bound(
+    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
+) -> dict[str, float]:
+    """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
+
+    For Gaussian noise of the claimed size. Uncertain forces are nuisance parameters, known to their
+    claimed uncertainty.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  all with standard deviations
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]              > 0
+
+    Returns
+    -------
+    constant's name -> float                nu [-], G and E [Pa]; infinite where not identifiable
+
+    Raises
+    ------
+    InputError                              a probing has no standard deviations
+    """
+    for probe in probes:
+        if probe.std is None:
+            raise InputError(
+                f"probing {probe.name!r} has no std; the bound needs the noise of every point"
+            )
+    rows = tuple(observed_rows_of(probe) for probe in probes)
+    misfit = Misfit(rows, np.ones(GROUP_COUNT), Gaussian())
+    shifts = [np.zeros(3)] * len(rows)
+    information = np.zeros((2, 2))
+    for local in misfit.linearised(misfit.scaled(poisson_ratio), 0.0, shear_modulus, shifts):
+        turn = _projection(local, 1.0, 1.0)
+        information += local.design[:, :2].T @ local.design @ turn
+    covariance = np.linalg.pinv(information, hermitian=True)
+    young = 2 * shear_modulus * (1 + poisson_ratio)
+    bound = {}
+    for (name, turn), value in zip(
+        directions(poisson_ratio).items(), (1.0, shear_modulus, young), strict=True
+    ):
+        identifiable = np.allclose(information @ covariance @ turn, turn, atol=1e-6)
+        spread = float(np.sqrt(turn @ covariance @ turn)) if identifiable else np.inf
+        bound[name] = value * spread
+    return bound
+
+
+def _scores(
+    probe: LocalProbe, noise: ScoreNoise, force_power: float, force_slope: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Score, information, covariance of the score and curvature of one probing."""
-    force_power, force_slope = _force_moments(misfit, index)
-    probe = misfit.probes[index]
-    gram = one.design.T @ one.design
-    row_weight = np.repeat(one.weight, probe.components.astype(np.int64))
-    score = one.design[:, :2].T @ (row_weight * one.residual)
-    turn = _projection(one, noise.slope, force_slope)
-    information = turn.T @ (noise.slope * gram) @ turn
-    information += force_slope * turn[2:].T @ turn[2:]
-    points = noise.power * noise.correlation.variance * (turn.T @ gram @ turn)
-    spread = points + force_power * turn[2:].T @ turn[2:]
-    weighted = (one.design * row_weight[:, None]).T @ one.design
-    weighted[2:, 2:] += one.force_weight * np.eye(3)
-    solved = np.linalg.solve(weighted[2:, 2:], weighted[2:, :2])
-    curvature = weighted[:2, :2] - weighted[:2, 2:] @ solved
-    return score, information, spread, curvature
+    gram = probe.design.T @ probe.design
+    turn = _projection(probe, noise.slope, force_slope)
+    force = turn[2:].T @ turn[2:]
+    projected = turn.T @ gram @ turn
+    information = noise.slope * projected + force_slope * force
+    spread = noise.power * noise.correlation.variance * projected + force_power * force
+    weighted = probe.weighted_products()
+    weighted[2:5, 2:5] += probe.force_weight * np.eye(3)
+    solved = np.linalg.solve(weighted[2:5, 2:5], weighted[2:5, :2])
+    curvature = weighted[:2, :2] - weighted[:2, 2:5] @ solved
+    return weighted[:2, 5], information, spread, curvature
 
 
-def _projection(one: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
+def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
     """(5, 2) matrix that takes the force shifts out of the design of the constants."""
-    gram = slope * (one.design.T @ one.design)
+    gram = slope * (probe.design.T @ probe.design)
     force = gram[2:, 2:] + force_slope * np.eye(3)
     return np.vstack([np.eye(2), -np.linalg.solve(force, gram[2:, :2])])
 
 
-def _force_moments(misfit: Misfit, index: int) -> tuple[float, float]:
-    """Moments of the force's score for forces as uncertain as they claim to be."""
-    count = max(force_components(misfit.probes[index]), 1)
-    return gaussian_moments(components=count, degrees=misfit.force_degrees)
-
-
 def _noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
     """Moments of the robust score, as the residuals show them and never below a claim."""
-    squared = np.concatenate([one.squared for one in local])
-    components = np.concatenate([probe.components for probe in misfit.probes])
-    power, slope = score_moments(squared, components, degrees=misfit.degrees)
-    rows, lost = float(components.sum()), 2 + _absorbed(misfit, local)
+    squared = np.concatenate([probe.squared for probe in local])
+    components = np.concatenate([probe.rows.components for probe in local])
+    power, slope = score_moments(misfit.noise, squared, components)
+    rows, lost = float(components.sum()), 2 + _absorbed(local)
     spare = rows - lost
     power *= rows / max(spare, 1.0)
-    if not claimed_only(misfit.probes):
-        # No spare rows: the noise cannot be told, and the quantile below becomes very large.
-        degrees = max(spare, 0.5)
-        return ScoreNoise(power, slope, degrees, CorrelationFactor(1.0, np.inf, 1.0))
+    # No spare rows: the noise cannot be estimated, and the quantile becomes very large.
+    degrees = max(spare, 0.5)
+    independent = CorrelationFactor(1.0, np.inf, 1.0)
+    if not all(probe.rows.has_claims for probe in local):
+        return ScoreNoise(power, slope, degrees, independent)
     count = round(float(components.mean()))
-    claimed_power, claimed_slope = gaussian_moments(components=count, degrees=misfit.degrees)
+    claimed_power, claimed_slope = gaussian_moments(misfit.noise, count)
     excess = power > claimed_power * (1 + 2 * np.sqrt(2 / max(spare, 1.0)))
     raised = excess or bool((misfit.level > 1).any())
     return ScoreNoise(
         max(power, claimed_power) if raised else claimed_power,
         min(slope, claimed_slope),
-        max(spare, 0.5) if raised else np.inf,
-        CorrelationFactor(1.0, np.inf, 1.0),
+        degrees if raised else np.inf,
+        independent,
     )
 
 
-def _absorbed(misfit: Misfit, local: Sequence[LocalProbe]) -> float:
+def _absorbed(local: Sequence[LocalProbe]) -> float:
     """Degrees of freedom of the displacements that the free forces take up."""
     total = 0.0
-    for one in local:
-        gram = one.design[:, 2:].T @ one.design[:, 2:]
-        total += float(np.trace(np.linalg.solve(gram + one.force_weight * np.eye(3), gram)))
+    for probe in local:
+        gram = probe.design[:, 2:].T @ probe.design[:, 2:]
+        total += float(np.trace(np.linalg.solve(gram + probe.force_weight * np.eye(3), gram)))
     return total
 
 
 def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inverse with a ridge far below any information that counts, and the ridge."""
-    size = np.diag(matrix)
-    size = np.maximum(size, max(1e-15 * float(size.max()), 1e-200))
-    ridge = _RIDGE * np.diag(size)
-    scale = np.sqrt(size)
+    scale = diagonal_root(matrix)
     unit = matrix / np.outer(scale, scale) + _RIDGE * np.eye(2)
-    return np.linalg.inv(unit) / np.outer(scale, scale), ridge
+    return np.linalg.inv(unit) / np.outer(scale, scale), _RIDGE * np.diag(scale**2)

@@ -1,21 +1,18 @@
-"""Intervals of the constants by three methods; the one that covers is reported.
+"""Intervals of the constants by three methods; the one that covers is the default.
 
-Coverage in seeded repeats (benchmarks/coverage.py) decides: the calibrated profile likelihood is
-reported. The Fisher interval agrees with it away from the bounds of Poisson's ratio and is wrong at
-them; the percentile bootstrap over few probings is too narrow.
+Coverage in seeded repeats (benchmarks/coverage.py) decides: the calibrated profile likelihood. The
+Fisher interval agrees with it away from the bounds of Poisson's ratio and is wrong at them; the
+percentile bootstrap over few probings is too narrow.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtri
 
-from palpate.estimation.intervals.bootstrap import bootstrap_constants
-from palpate.estimation.intervals.profile_likelihood import (
-    FixedWeights,
-    profile_curve,
-    profile_intervals,
-)
+from palpate.estimation.intervals.profile_likelihood import profile_curve, profile_intervals
 from palpate.estimation.intervals.sandwich import (
     DIRECTIONS,
     Scatter,
@@ -23,150 +20,197 @@ from palpate.estimation.intervals.sandwich import (
     Scores,
     directions,
     quantile_of,
+    scores_of,
 )
+from palpate.estimation.search import FixedWeights, Minimum, Misfit
+from palpate.estimation.settings import IntervalMethod
 from palpate.records import Constant
 
 # Below this standard error of nu, and this far from the bounds, profile and Fisher are one.
 _SMALL_ERROR = 1e-3
 _FAR_FROM_BOUND = 8.0
-_NORMAL = 1.959963984540054
+_RESAMPLES = 500
+# Exponents beyond this overflow.
+_MAX_EXPONENT = 600.0
+
+Ends = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class IntervalSet:
-    """The three constants with their intervals by one method.
+    """The three constants with their intervals.
 
     Parameters
     ----------
-    method : str                    "fisher", "profile" or "bootstrap"
-    poisson_ratio, shear_modulus, young_modulus : Constant
-    reaches_bounds : bool           the interval of nu ends at both ends of its range
+    poisson_ratio, shear_modulus, young_modulus : Constant      [-], [Pa], [Pa]
     """
 
-    method: str
     poisson_ratio: Constant
     shear_modulus: Constant
     young_modulus: Constant
-    reaches_bounds: bool
 
 
-def constants_at(poisson_ratio: float, shear_modulus: float) -> dict[str, float]:
-    """Values of the three constants by name; moduli in Pa."""
-    young = 2 * shear_modulus * (1 + poisson_ratio)
-    values = (poisson_ratio, shear_modulus, young)
-    return dict(zip(DIRECTIONS, values, strict=True))
-
-
-def scatters_of(scores: Scores, poisson_ratio: float) -> dict[str, Scatter]:
-    """Disagreement of the probings about each constant."""
-    return {name: scores.scatter(turn) for name, turn in directions(poisson_ratio).items()}
-
-
-def interval_sets(
-    poisson_ratio: float,
-    shear_modulus: float,
-    scores: Scores,
-    noise: ScoreNoise,
-    weights: FixedWeights,
-    *,
-    scatters: Mapping[str, Scatter],
-    bootstrap_count: int,
-    rng: np.random.Generator,
-) -> dict[str, IntervalSet]:
-    """Intervals by Fisher information, profile likelihood and bootstrap.
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """What a set of probings says about the constants near its minimum.
 
     Parameters
     ----------
-    poisson_ratio : float [-]
-    shear_modulus : float [Pa]
+    minimum : Minimum
     scores : Scores                 at the minimum
     noise : ScoreNoise
+    scatters : constant's name -> Scatter    disagreement of all probings of the session
     weights : FixedWeights          of the same probings
-    scatters : constant's name -> Scatter    from the joint fit
-    bootstrap_count : int           0 leaves the bootstrap out
+    """
+
+    minimum: Minimum
+    scores: Scores
+    noise: ScoreNoise
+    scatters: Mapping[str, Scatter]
+    weights: FixedWeights
+
+    def variance(self, name: str) -> float:
+        """Variance of nu, log G or log E, raised where the probings disagree."""
+        turn = directions(self.minimum.poisson_ratio)[name]
+        return float(turn @ self.scores.covariance() @ turn) * self.scatters[name].factor
+
+    def calibration(self, name: str) -> float:
+        """That variance over the one that the bare curvature of the misfit claims."""
+        turn = directions(self.minimum.poisson_ratio)[name]
+        return self.variance(name) / self.scores.curvature_variance(turn)
+
+
+def uncertainty_of(misfit: Misfit, minimum: Minimum, weights: FixedWeights) -> Uncertainty:
+    """What all probings of a session say together.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    minimum : Minimum               of that misfit
+    weights : FixedWeights          at that minimum
+    """
+    scores, noise = scores_of(misfit, minimum.probes)
+    turns = directions(minimum.poisson_ratio)
+    scatters = {name: scores.scatter(turn) for name, turn in turns.items()}
+    return Uncertainty(minimum, scores, noise, scatters, weights)
+
+
+def interval_set(uncertainty: Uncertainty, method: str) -> IntervalSet:
+    """The constants with their 95 % intervals.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty
+    method : IntervalMethod, or its name
+
+    Returns
+    -------
+    IntervalSet                     std is the half-width over the quantile; every interval holds
+                                    its estimate
+    """
+    minimum = uncertainty.minimum
+    young = 2 * minimum.shear_modulus * (1 + minimum.poisson_ratio)
+    values = (minimum.poisson_ratio, minimum.shear_modulus, young)
+    centre = dict(zip(DIRECTIONS, values, strict=True))
+    if method == IntervalMethod.BOOTSTRAP:
+        quantile = dict.fromkeys(DIRECTIONS, float(ndtri(0.975)))
+        ends = _percentiles(uncertainty, centre)
+    else:
+        quantile = {
+            name: quantile_of(uncertainty.noise, scatter)
+            for name, scatter in uncertainty.scatters.items()
+        }
+        ends = _fisher(uncertainty, centre, quantile)
+        if method == IntervalMethod.PROFILE and not _is_narrow(uncertainty):
+            ends = _profile(uncertainty, quantile)
+    constants = {}
+    for name in DIRECTIONS:
+        low, high = min(ends[name][0], centre[name]), max(ends[name][1], centre[name])
+        constants[name] = Constant(centre[name], (high - low) / (2 * quantile[name]), (low, high))
+    return IntervalSet(**constants)
+
+
+def _is_narrow(uncertainty: Uncertainty) -> bool:
+    """Whether the misfit is a parabola over the interval, and the bounds are far."""
+    low, high = uncertainty.weights.poisson_range
+    nu = uncertainty.minimum.poisson_ratio
+    room = min(nu - low, high - nu)
+    error = np.sqrt(uncertainty.variance("poisson_ratio"))
+    return bool(error < min(_SMALL_ERROR, room / _FAR_FROM_BOUND))
+
+
+def _fisher(
+    uncertainty: Uncertainty, centre: Mapping[str, float], quantile: Mapping[str, float]
+) -> dict[str, Ends]:
+    """Symmetric intervals of nu, cut at its range, and of the logarithms of the moduli."""
+    ends = {}
+    for name, value in centre.items():
+        half_width = quantile[name] * float(np.sqrt(uncertainty.variance(name)))
+        ends[name] = _about(uncertainty, name, value, (-half_width, half_width))
+    return ends
+
+
+def _profile(uncertainty: Uncertainty, quantile: Mapping[str, float]) -> dict[str, Ends]:
+    """Where the calibrated profile of the misfit stays below the square of the quantile."""
+    allowed = {name: quantile[name] ** 2 * uncertainty.calibration(name) for name in DIRECTIONS}
+    error = float(np.sqrt(uncertainty.variance("poisson_ratio")))
+    curve = profile_curve(
+        uncertainty.weights,
+        centre=uncertainty.minimum.poisson_ratio,
+        half_width=2 * quantile["poisson_ratio"] * error,
+        enough=max(allowed.values()),
+    )
+    return profile_intervals(curve, allowed)
+
+
+def _percentiles(uncertainty: Uncertainty, centre: Mapping[str, float]) -> dict[str, Ends]:
+    """Central 95 % of the resampled constants; the same seed always, so that a fit repeats."""
+    drawn = bootstrap_constants(uncertainty.scores, count=_RESAMPLES, rng=np.random.default_rng(0))
+    ends = {}
+    for name, turn in directions(uncertainty.minimum.poisson_ratio).items():
+        low, high = np.percentile(drawn @ turn, [2.5, 97.5]).tolist()
+        ends[name] = _about(uncertainty, name, centre[name], (low, high))
+    return ends
+
+
+def _about(uncertainty: Uncertainty, name: str, value: float, deviation: Ends) -> Ends:
+    """Interval of a constant from the deviations of nu or of the logarithm of a modulus."""
+    if name == "poisson_ratio":
+        low, high = np.clip(value + np.array(deviation), *uncertainty.weights.poisson_range)
+    else:
+        low, high = value * np.exp(np.clip(deviation, -_MAX_EXPONENT, _MAX_EXPONENT))
+    return float(low), float(high)
+
+
+def bootstrap_constants(
+    scores: Scores, *, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "b 2"]:
+    """Deviations of (nu, log G) from the estimate, one for each resampled set of probings.
+
+    Refits are one scoring step each from the scores of the probings, so a thousand of them cost a
+    few milliseconds. For small spreads that is the refit itself; towards a bound or along a flat
+    valley it is not, and the profile is to be preferred.
+
+    Parameters
+    ----------
+    scores : Scores
+    count : int                     number of resamples, b
     rng : numpy Generator
 
     Returns
     -------
-    method -> IntervalSet
+    (b, 2) float                    drawn from the model where there is one probing only
     """
-    centre = constants_at(poisson_ratio, shear_modulus)
-    covariance = scores.covariance()
-    turns = directions(poisson_ratio)
-    error, quantile, allowed = {}, {}, {}
-    for name, turn in turns.items():
-        error[name] = float(np.sqrt(turn @ covariance @ turn * scatters[name].factor))
-        quantile[name] = quantile_of(noise, scatters[name])
-        bare = scores.curvature_variance(turn)
-        allowed[name] = quantile[name] ** 2 * error[name] ** 2 / bare
-    fisher = {
-        name: _spread(name, centre[name], quantile[name] * error[name]) for name in DIRECTIONS
-    }
-    low, high = weights.poisson_range
-    fisher["poisson_ratio"] = tuple(np.clip(fisher["poisson_ratio"], low, high).tolist())
-    found = {"fisher": _interval_set("fisher", centre, fisher, quantile, weights)}
-    room = min(poisson_ratio - low, high - poisson_ratio)
-    if error["poisson_ratio"] < min(_SMALL_ERROR, room / _FAR_FROM_BOUND):
-        profile = fisher
-    else:
-        curve = profile_curve(
-            weights,
-            centre=poisson_ratio,
-            half_width=2 * quantile["poisson_ratio"] * error["poisson_ratio"],
-            enough=max(allowed.values()),
-        )
-        profile = profile_intervals(curve, allowed)
-    found["profile"] = _interval_set("profile", centre, profile, quantile, weights)
-    if bootstrap_count:
-        drawn = bootstrap_constants(scores, count=bootstrap_count, rng=rng)
-        resampled = _percentiles(centre, drawn, turns, weights.poisson_range)
-        normal = dict.fromkeys(DIRECTIONS, _NORMAL)
-        found["bootstrap"] = _interval_set("bootstrap", centre, resampled, normal, weights)
-    return found
-
-
-def _spread(name: str, value: float, half_width: float) -> tuple[float, float]:
-    """Symmetric interval of nu, or of the logarithm of a modulus."""
-    if name == "poisson_ratio":
-        return value - half_width, value + half_width
-    factor = float(np.exp(min(half_width, 600.0)))
-    return value / factor, value * factor
-
-
-def _percentiles(
-    centre: Mapping[str, float],
-    drawn: np.ndarray,
-    turns: Mapping[str, np.ndarray],
-    poisson_range: tuple[float, float],
-) -> dict[str, tuple[float, float]]:
-    """Central 95 % of the resampled constants."""
-    intervals = {}
-    for name, turn in turns.items():
-        low, high = np.percentile(drawn @ turn, [2.5, 97.5]).tolist()
-        if name == "poisson_ratio":
-            pair = np.clip([centre[name] + low, centre[name] + high], *poisson_range)
-            intervals[name] = (float(pair[0]), float(pair[1]))
-        else:
-            intervals[name] = tuple(
-                (centre[name] * np.exp(np.clip([low, high], -600, 600))).tolist()
-            )
-    return intervals
-
-
-def _interval_set(
-    method: str,
-    centre: Mapping[str, float],
-    intervals: Mapping[str, tuple[float, float]],
-    quantile: Mapping[str, float],
-    weights: FixedWeights,
-) -> IntervalSet:
-    """Constants with intervals that hold the estimate; std is the half-width over the quantile."""
-    constants = {}
-    for name in DIRECTIONS:
-        low, high = intervals[name]
-        low, high = min(low, centre[name]), max(high, centre[name])
-        std = (high - low) / (2 * quantile[name])
-        constants[name] = Constant(centre[name], std, (low, high))
-    low, high = constants["poisson_ratio"].ci95
-    reaches = low <= weights.poisson_range[0] and high >= weights.poisson_range[1]
-    return IntervalSet(method, **constants, reaches_bounds=reaches)
+    k = len(scores.score)
+    if k < 2:
+        value, vector = np.linalg.eigh(scores.covariance())
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+        return rng.normal(size=(count, 2)) @ root.T
+    times = rng.multinomial(k, np.full(k, 1.0 / k), size=count).astype(np.float64)
+    centred = scores.score - scores.score.mean(0)
+    total = np.einsum("bk,kij->bij", times, scores.information)
+    size = np.sqrt(np.maximum(np.einsum("bii->bi", total), np.finfo(float).tiny))
+    unit = total / (size[:, :, None] * size[:, None, :]) + 1e-10 * np.eye(2)
+    step = np.linalg.solve(unit, ((times @ centred) / size)[..., None])[..., 0] / size
+    # k resampled probings scatter by (k - 1) / k of what they stand for.
+    return step * np.sqrt(k / (k - 1))

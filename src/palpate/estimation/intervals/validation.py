@@ -1,4 +1,4 @@
-"""Does the model explain each probing, and does it foretell one that it has not seen?"""
+"""How well the model explains each probing, and predicts one that it has not seen."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,16 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.intervals.profile_likelihood import FixedWeights
-from palpate.estimation.intervals.sandwich import Scores
-from palpate.estimation.noise import Misfit, ScoredMinimum, cut_factor
+from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
+from palpate.estimation.noise import NoiseModel, relative_weight
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.search import best_compliance, parabola_minimum
+from palpate.estimation.search import best_constants
+from palpate.records import ProbeEstimate
 from palpate.shapes import Points
 
-_GRID = 49
 # One scoring step is the refit itself to second order; beyond this the table is searched.
 _SMALL_MOVE = 0.01
+# A point of smaller robust weight counts as rejected: 4.9 sigma for three components.
+_MIN_WEIGHT = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,21 +40,18 @@ class ProbeFit:
     left_out_predicted: Points | None
 
 
-def left_out_constants(
-    minimum: ScoredMinimum, scores: Scores, weights: FixedWeights
-) -> Float[np.ndarray, "k 2"]:
+def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
     """Constants (nu, G) from all probings but one, for every probing left out in turn.
 
     Parameters
     ----------
-    minimum : ScoredMinimum         of all probings, at least two
-    scores : Scores
-    weights : FixedWeights
+    uncertainty : Uncertainty       of all probings, at least two
 
     Returns
     -------
     (k, 2) float                    nu [-], G [Pa]
     """
+    minimum, scores, weights = uncertainty.minimum, uncertainty.scores, uncertainty.weights
     low, high = weights.poisson_range
     left = scores.curvature.sum(0) - scores.curvature
     size = np.sqrt(np.maximum(np.einsum("kii->ki", left), np.finfo(float).tiny))
@@ -61,39 +59,36 @@ def left_out_constants(
     pull = (scores.score.sum(0) - scores.score) / size
     step = np.linalg.solve(unit, pull[..., None])[..., 0] / size
     nu = minimum.poisson_ratio + step[:, 0]
-    small = np.abs(step).max() < _SMALL_MOVE and nu.min() > low and nu.max() < high
-    if small:
+    if np.abs(step).max() < _SMALL_MOVE and nu.min() > low and nu.max() < high:
         return np.column_stack([nu, minimum.shear_modulus * np.exp(step[:, 1])])
-    others = 1.0 - np.eye(len(step))
-    grid = np.linspace(low, high, _GRID)
-    _, height = best_compliance(weights.at(grid), others)
-    nu = np.array([parabola_minimum(grid, line) for line in height])
-    compliance, _ = best_compliance(weights.at(nu), others)
-    return np.column_stack([nu, 1.0 / np.diag(compliance)])
+    every = np.arange(len(step))
+    return np.array([best_constants(weights.only(np.delete(every, k))) for k in every])
 
 
 def probe_fits(
-    probes: Sequence[ProbeObservations],
-    misfit: Misfit,
-    minimum: ScoredMinimum,
-    left_out: Float[np.ndarray, "k 2"] | None,
+    probes: Sequence[ProbeObservations], noise: NoiseModel, uncertainty: Uncertainty
 ) -> tuple[ProbeFit, ...]:
     """Predictions, residuals and weights of every probing.
 
     Parameters
     ----------
     probes : sequence of ProbeObservations
-    misfit : Misfit                 of these probings, in this order
-    minimum : ScoredMinimum
-    left_out : (k, 2) float or None see `left_out_constants`
+    noise : NoiseModel              of the fit
+    uncertainty : Uncertainty       of these probings, in this order
+
+    Returns
+    -------
+    tuple of ProbeFit               `left_out_predicted` is None where there is one probing only
     """
+    minimum = uncertainty.minimum
+    left_out = left_out_constants(uncertainty) if len(probes) > 1 else None
     fits = []
-    for k, (probe, rows, one) in enumerate(zip(probes, misfit.probes, minimum.probes, strict=True)):
+    for k, (probe, local) in enumerate(zip(probes, minimum.probes, strict=True)):
         n = len(probe.position)
-        force = probe.force + probe.force_std * one.shift
+        force = probe.force + probe.force_std * local.shift
         predicted = _predicted(probe, force, minimum.poisson_ratio, minimum.shear_modulus)
         factor = np.zeros(n + 1)
-        factor[rows.point] = cut_factor(one.squared, degrees=misfit.degrees)
+        factor[local.rows.point] = relative_weight(noise, local.squared, local.rows.components)
         weight = np.where(np.isfinite(probe.displacement), factor[:n, None], 0.0)
         left = None
         if left_out is not None:
@@ -108,3 +103,36 @@ def _predicted(
     """Displacement of every point of the probing, measured or not."""
     response = probe.response.value(poisson_ratio)[: 3 * len(probe.position)]
     return ((response[:, :3] @ force + response[:, 3]) / shear_modulus).reshape(-1, 3)
+
+
+def probe_estimate(constants: IntervalSet, fit: ProbeFit) -> ProbeEstimate:
+    """What one probing says alone, and how well all together explain it.
+
+    Parameters
+    ----------
+    constants : IntervalSet         from this probing alone
+    fit : ProbeFit
+    """
+    seen = np.isfinite(fit.residual).any(axis=1)
+    kept = seen & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)
+    error = None
+    if fit.left_out_predicted is not None:
+        error = _rms(fit.residual[kept] + fit.predicted[kept] - fit.left_out_predicted[kept])
+    return ProbeEstimate(
+        name=fit.name,
+        shear_modulus=constants.shear_modulus,
+        poisson_ratio=constants.poisson_ratio,
+        young_modulus=constants.young_modulus,
+        observed=int(seen.sum()),
+        missing=int((~seen).sum()),
+        rejected=int((seen & ~kept).sum()),
+        rms_residual=_rms(fit.residual[kept]),
+        prediction_error=error,
+    )
+
+
+def _rms(values: Float[np.ndarray, "n 3"]) -> float:
+    """Root mean square length of the vectors that are known [m]; 0 where there is none."""
+    known = np.isfinite(values)
+    points = int(known.any(axis=1).sum())
+    return float(np.sqrt((values[known] ** 2).sum() / points)) if points else 0.0

@@ -1,27 +1,18 @@
-"""noise."""
+"""How measured displacements and forces scatter about the truth.
 
-from palpate.estimation.noise.misfit import (
-    Misfit as Misfit,
-    force_components as force_components,
-    scaled_rows as scaled_rows,
-    with_levels as with_levels,
-)
-from palpate.estimation.noise.noise import (
-    claimed_only as claimed_only,
-    noise_levels as noise_levels,
-)
-from palpate.estimation.noise.scoring import (
-    LocalProbe as LocalProbe,
-    ScoredMinimum as ScoredMinimum,
-    scored_minimum as scored_minimum,
-)
-from palpate.estimation.noise.spatial_correlation import (
-    CorrelationFactor as CorrelationFactor,
-    correlation_factor as correlation_factor,
-)
-from palpate.estimation.noise.student_t import (
-    cut_factor as cut_factor,
+Purpose    : noise models by their loss and weights, and the noise levels of a session's residuals.
+Takes      : squared residuals in sigmas and their numbers of components; residuals of probings.
+Gives      : `NoiseModel` (a protocol), `StudentT`, `Gaussian`, moments of their scores, levels.
+Depends on : `observations` of this room.
+Read first : `noise_model.py`, then `levels.py`.
+"""
+
+from palpate.estimation.noise.gaussian import Gaussian as Gaussian
+from palpate.estimation.noise.levels import noise_levels as noise_levels
+from palpate.estimation.noise.noise_model import (
+    NoiseModel as NoiseModel,
     gaussian_moments as gaussian_moments,
+    relative_weight as relative_weight,
     score_moments as score_moments,
-    weight_of as weight_of,
 )
+from palpate.estimation.noise.registry import NOISE_MODELS as NOISE_MODELS

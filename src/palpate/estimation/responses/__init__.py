@@ -1,21 +1,25 @@
-"""responses."""
+"""What the boundary element model says that each probing should have seen.
+
+Purpose    : displacements of observed points at every Poisson's ratio, from one factorisation.
+Takes      : a `bem` system with its right-hand sides, and which displacements a probing sees.
+Gives      : `ProbeResponse` (a `ResponseModel`), `ReducedModel`, `ResponseTable`.
+Depends on : `bem`, `errors`; `observations` of this room.
+Read first : `responses.py`, then `reduced_model.py`.
+"""
 
 from palpate.estimation.responses.reduced_model import (
     ReducedModel as ReducedModel,
     make_reduced_model as make_reduced_model,
 )
 from palpate.estimation.responses.responses import (
-    FullModel as FullModel,
-    FullResponse as FullResponse,
     PointRows as PointRows,
+    ProbeResponse as ProbeResponse,
     ProbeRows as ProbeRows,
-    ReducedResponse as ReducedResponse,
+    full_responses as full_responses,
     reduced_response as reduced_response,
 )
 from palpate.estimation.responses.table import (
-    GramTable as GramTable,
-    NodeProducts as NodeProducts,
     ResponseTable as ResponseTable,
-    node_products as node_products,
+    interpolation_weights as interpolation_weights,
     response_table as response_table,
 )

@@ -2,12 +2,13 @@
 ratio.
 
 The rows of a probing are those of `observations.ResponseModel`: its observed points, then its
-contact point. Two models give them: `ReducedResponse` from one factorisation for all Poisson's
-ratios, `FullResponse` from a new factorisation at each, the plain way and the reference.
+contact point. Two makers give them: `reduced_response` from one factorisation for all Poisson's
+ratios, `full_responses` from a new factorisation at each, the plain way and the reference.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,8 +17,7 @@ from scipy.sparse import csr_array
 from palpate.bem import BoundarySystem, RightHand, dilation_factor, factorise, solve
 from palpate.estimation.responses.reduced_model import ReducedModel
 
-SLOPE_STEP = 1e-4
-Value = Callable[[float], Float[np.ndarray, "n_rows 4"]]
+_SLOPE_STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,102 +58,82 @@ class ProbeRows:
     particular: Float[np.ndarray, " r"]
     tip: PointRows | None
 
+    def seen(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
+        """Observed displacements, then the six equations (constant, slope) of the contact point,
+        zero where its displacement was not measured."""
+        tip = np.zeros((6, solution.shape[1]))
+        if self.tip is not None:
+            tip = self.tip.matrix.reshape(6, -1) @ solution
+        return np.concatenate([self.surface @ solution, tip])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReducedResponse:
-    """Response of one probing on the reduced model.
+class ProbeResponse:
+    """Response of one probing (`ResponseModel`).
 
     Attributes
     ----------
-    model : ReducedModel
     rows : ProbeRows
-    surface : (c, 3 n, j) float       observed displacements along the model's directions
-    tip : (c, 6, j) float             the contact point's equations along them, constant then slope
+    seen : callable                   Poisson's ratio -> `ProbeRows.seen` of the solution there
     """
 
-    model: ReducedModel
     rows: ProbeRows
-    surface: Float[np.ndarray, "c rows terms"]
-    tip: Float[np.ndarray, "c six terms"]
+    seen: Callable[[float], Float[np.ndarray, "rows c"]]
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
         """Displacement times shear modulus per unit force, and under the body force
         (`ResponseModel`)."""
-        weights, _ = self.model.coefficients(poisson_ratio, self.rows.columns)
-        observed = (self.surface @ weights.T[:, :, None])[:, :, 0].T
-        equations = (self.tip @ weights.T[:, :, None])[:, :, 0].T
-        return _response(self.rows, observed, equations, poisson_ratio)
+        seen = self.seen(poisson_ratio)
+        observed, equations = seen[:-6], seen[-6:]
+        particular, tip = self.rows.particular, self.rows.tip
+        if tip is not None:
+            own = tip.own[0] + poisson_ratio * tip.own[1]
+            right = tip.right[0] + poisson_ratio * (tip.right[1] + poisson_ratio * tip.right[2])
+            left = equations[:3] + poisson_ratio * equations[3:]
+            observed = np.concatenate([observed, np.linalg.solve(own, left - right)])
+            particular = np.concatenate([particular, tip.particular])
+        response = np.zeros((observed.shape[0], 4))
+        response[:, :3] = observed[:, :3]
+        if observed.shape[1] > 3:
+            factor = dilation_factor(poisson_ratio)
+            response[:, 3] = observed[:, 3] + factor * (observed[:, 4] + particular)
+        return response
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
         """Derivative of `value` with respect to Poisson's ratio, by a central difference (error
         1e-8)."""
-        return _slope(self.value, poisson_ratio)
+        higher, lower = (self.value(poisson_ratio + step) for step in (_SLOPE_STEP, -_SLOPE_STEP))
+        return (higher - lower) / (2 * _SLOPE_STEP)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FullModel:
-    """The system with its right-hand sides, solved anew at each Poisson's ratio.
+def full_responses(
+    system: BoundarySystem, right: RightHand, rows: Sequence[ProbeRows]
+) -> list[ProbeResponse]:
+    """Responses of all probings, the system factorised anew at each Poisson's ratio.
 
-    Attributes
+    Parameters
     ----------
     system : BoundarySystem
-    right : RightHand
-    solved : dict                     the latest solution by its Poisson's ratio: all probings ask
-                                      for the same one
+    right : RightHand                 of all probings
+    rows : sequence of ProbeRows
+
+    Returns
+    -------
+    list of ProbeResponse             the latest solution is kept: all probings ask for the same one
     """
 
-    system: BoundarySystem
-    right: RightHand
-    solved: dict[float, Float[np.ndarray, "k c"]] = field(default_factory=dict)
+    @lru_cache(maxsize=1)
+    def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
+        return solve(factorise(system, poisson_ratio), right.at(poisson_ratio))
 
-    def solution(self, poisson_ratio: float) -> Float[np.ndarray, "k c"]:
-        """Unknowns for every right-hand side.
+    def seen_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "rows c"]]:
+        return lambda poisson_ratio: probe.seen(solution(poisson_ratio)[:, probe.columns])
 
-        Parameters
-        ----------
-        poisson_ratio : float
-
-        Returns
-        -------
-        (k, c) float
-        """
-        if poisson_ratio not in self.solved:
-            self.solved.clear()
-            factorised = factorise(self.system, poisson_ratio)
-            self.solved[poisson_ratio] = solve(factorised, self.right.at(poisson_ratio))
-        return self.solved[poisson_ratio]
+    return [ProbeResponse(probe, seen_by(probe)) for probe in rows]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FullResponse:
-    """Response of one probing on the full model.
-
-    Attributes
-    ----------
-    model : FullModel
-    rows : ProbeRows
-    """
-
-    model: FullModel
-    rows: ProbeRows
-
-    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
-        """Displacement times shear modulus per unit force, and under the body force
-        (`ResponseModel`)."""
-        x = self.model.solution(poisson_ratio)[:, self.rows.columns]
-        equations = np.zeros((6, x.shape[1]))
-        if self.rows.tip is not None:
-            equations = (self.rows.tip.matrix @ x).reshape(6, -1)
-        return _response(self.rows, self.rows.surface @ x, equations, poisson_ratio)
-
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
-        """Derivative of `value` with respect to Poisson's ratio, by a central difference (error
-        1e-8)."""
-        return _slope(self.value, poisson_ratio)
-
-
-def reduced_response(model: ReducedModel, rows: ProbeRows) -> ReducedResponse:
-    """Project one probing's rows on the directions of the reduced model.
+def reduced_response(model: ReducedModel, rows: ProbeRows) -> ProbeResponse:
+    """Response of one probing, its rows projected on the directions of the reduced model.
 
     Parameters
     ----------
@@ -162,38 +142,13 @@ def reduced_response(model: ReducedModel, rows: ProbeRows) -> ReducedResponse:
 
     Returns
     -------
-    ReducedResponse
+    ProbeResponse
     """
-    directions = model.directions[:-1, :, rows.columns]
-    surface = np.stack([rows.surface @ term for term in directions], axis=2)
-    tip = np.zeros((6, rows.columns.size, directions.shape[0]))
-    if rows.tip is not None:
-        matrix = rows.tip.matrix.reshape(6, -1)
-        tip = np.stack([matrix @ term for term in directions], axis=2)
-    return ReducedResponse(
-        model, rows, surface.transpose(1, 0, 2).copy(), tip.transpose(1, 0, 2).copy()
-    )
+    terms = [rows.seen(term) for term in model.directions[:-1, :, rows.columns]]
+    projected = np.stack(terms, axis=2).transpose(1, 0, 2).copy()
 
+    def seen(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:
+        weights, _ = model.coefficients(poisson_ratio, rows.columns)
+        return (projected @ weights.T[:, :, None])[:, :, 0].T
 
-def _response(
-    rows: ProbeRows,
-    observed: Float[np.ndarray, "r c"],
-    equations: Float[np.ndarray, "6 c"],
-    nu: float,
-) -> Float[np.ndarray, "n_rows 4"]:
-    particular = rows.particular
-    if rows.tip is not None:
-        own = rows.tip.own[0] + nu * rows.tip.own[1]
-        right = rows.tip.right[0] + nu * (rows.tip.right[1] + nu * rows.tip.right[2])
-        at_tip = np.linalg.solve(own, equations[:3] + nu * equations[3:] - right)
-        observed = np.concatenate([observed, at_tip])
-        particular = np.concatenate([particular, rows.tip.particular])
-    out = np.zeros((observed.shape[0], 4))
-    out[:, :3] = observed[:, :3]
-    if observed.shape[1] > 3:
-        out[:, 3] = observed[:, 3] + dilation_factor(nu) * (observed[:, 4] + particular)
-    return out
-
-
-def _slope(value: Value, nu: float) -> Float[np.ndarray, "n_rows 4"]:
-    return (value(nu + SLOPE_STEP) - value(nu - SLOPE_STEP)) / (2 * SLOPE_STEP)
+    return ProbeResponse(rows, seen)

@@ -1,16 +1,29 @@
-"""search."""
+"""The search for the minimum of the misfit over Poisson's ratio and shear modulus.
+
+Purpose    : a robust start over the whole range, then the exact minimum; a simplex to check it.
+Takes      : `ObservedRows`, a `ResponseTable`, a `NoiseModel`.
+Gives      : `Misfit`, `Minimum` with the probings linearised there, `FixedWeights`.
+Depends on : `noise`, `responses` and `observations` of this room; `errors`.
+Read first : `misfit.py`, `variable_projection.py`, then `global_search.py`.
+"""
 
 from palpate.estimation.search.global_search import (
     fitted_parameters as fitted_parameters,
     global_start as global_start,
-    poisson_grid as poisson_grid,
-    weighted_products as weighted_products,
 )
+from palpate.estimation.search.misfit import LocalProbe as LocalProbe, Misfit as Misfit
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum as nelder_mead_minimum
+from palpate.estimation.search.scoring import (
+    Minimum as Minimum,
+    diagonal_root as diagonal_root,
+    scored_minimum as scored_minimum,
+)
 from palpate.estimation.search.variable_projection import (
+    FixedWeights as FixedWeights,
     ProjectedProbes as ProjectedProbes,
     best_compliance as best_compliance,
+    best_constants as best_constants,
     deviance_of as deviance_of,
-    parabola_minimum as parabola_minimum,
-    projected as projected,
+    fixed_weights as fixed_weights,
+    sharpened_minimum as sharpened_minimum,
 )

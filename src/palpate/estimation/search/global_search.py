@@ -2,7 +2,7 @@
 
 Redescending weights have local minima, so nothing is trusted before the outliers are known: first
 every probing is fitted with a free force and a convex loss at the middle of the range, where even a
-wrong Poisson's ratio explains most of the field; only then Student's t and the global search.
+wrong Poisson's ratio explains most of the field; only then the noise model and the global search.
 """
 
 from collections.abc import Sequence
@@ -11,18 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.noise import force_components, noise_levels, weight_of
+from palpate.estimation.noise import NoiseModel, noise_levels
 from palpate.estimation.observations import ObservedRows
-from palpate.estimation.responses import NodeProducts, ResponseTable, node_products
-from palpate.estimation.search.variable_projection import (
-    best_compliance,
-    parabola_minimum,
-    projected,
-)
+from palpate.estimation.responses import ResponseTable
+from palpate.estimation.search.variable_projection import best_constants, fixed_weights
 
 _CONVEX_ROUNDS = 6
 _ROUNDS = 3
-_GRID = 49
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,90 +29,60 @@ class GlobalStart:
     poisson_ratio : float [-]
     shear_modulus : float [Pa]
     level : (8,) float                  noise level of each group
-    shift : tuple of (3,) float         true minus measured force of each probing, in sigmas
+    shifts : tuple of (3,) float        true minus measured force of each probing, in sigmas
     """
 
     poisson_ratio: float
     shear_modulus: float
     level: Float[np.ndarray, " 8"]
-    shift: tuple[Float[np.ndarray, " 3"], ...]
-
-
-def poisson_grid(poisson_range: tuple[float, float], *, count: int = _GRID) -> np.ndarray:
-    """Evenly spaced Poisson's ratios over a range, both ends included."""
-    return np.linspace(poisson_range[0], poisson_range[1], count)
+    shifts: tuple[Float[np.ndarray, " 3"], ...]
 
 
 def fitted_parameters(probes: Sequence[ObservedRows]) -> int:
     """Numbers that the residuals were fitted with: two constants and the uncertain forces."""
-    return 2 + sum(force_components(probe) for probe in probes)
+    return 2 + sum(probe.force_components for probe in probes)
 
 
 def global_start(
-    probes: Sequence[ObservedRows],
-    table: ResponseTable,
-    *,
-    poisson_range: tuple[float, float],
-    degrees: float,
-    force_degrees: float,
+    probes: Sequence[ObservedRows], table: ResponseTable, noise: NoiseModel
 ) -> GlobalStart:
     """Robust global minimum on the tabulated responses, to the accuracy of the table.
 
     Parameters
     ----------
     probes : sequence of ObservedRows
-    table : ResponseTable
-    poisson_range : (float, float) [-]
-    degrees, force_degrees : float      of Student's t for displacements and forces
+    table : ResponseTable               of these probings
+    noise : NoiseModel
 
     Returns
     -------
     GlobalStart
     """
-    residuals = _convex_residuals(probes, table, poisson_range)
-    shift = [np.zeros(3) for _ in probes]
-    grid = poisson_grid(poisson_range)
-    nu, beta = grid[len(grid) // 2], 1.0
+    residuals = _convex_residuals(probes, table)
+    shifts = [np.zeros(3) for _ in probes]
     for _ in range(_ROUNDS):
         level = noise_levels(probes, residuals, parameters=fitted_parameters(probes))
-        weights = []
-        for probe, residual in zip(probes, residuals, strict=True):
-            variance = (probe.unit * level[probe.group]) ** 2
-            squared = np.add.reduceat(residual**2 / variance, probe.start)
-            weight = weight_of(squared, probe.components, degrees=degrees)
-            weights.append(np.repeat(weight, probe.components.astype(np.int64)) / variance)
-        root = np.stack(
-            [
-                probe.force_std * np.sqrt((force_degrees + one @ one) / (force_degrees + 3))
-                for probe, one in zip(probes, shift, strict=True)
-            ]
+        weights = [
+            noise.weight(probe.squared_length(residual / probe.sigma(level)), probe.components)
+            for probe, residual in zip(probes, residuals, strict=True)
+        ]
+        force_weights = noise.weight(
+            np.array([shift @ shift for shift in shifts]),
+            np.array([float(probe.force_components) for probe in probes]),
         )
-        products = node_products(table, [probe.measured for probe in probes], weights)
-        nu, beta = _tabulated_minimum(products, probes, root, grid)
-        residuals, shift = _residuals_at(probes, table, weights, root, nu, beta)
-    return GlobalStart(nu, 1.0 / beta, level, tuple(shift))
+        fixed = fixed_weights(probes, table, level, weights, force_weights)
+        nu, modulus = best_constants(fixed)
+        for k, (probe, response) in enumerate(zip(probes, table.at(nu), strict=True)):
+            row_weight = probe.per_row(weights[k]) / probe.sigma(level) ** 2
+            residuals[k], shifts[k] = _at_best_force(
+                probe, response / modulus, row_weight, float(force_weights[k])
+            )
+    return GlobalStart(nu, modulus, level, tuple(shifts))
 
 
-def weighted_products(
-    probes: Sequence[ObservedRows],
-    table: ResponseTable,
-    level: Float[np.ndarray, " 8"],
-    point_weight: Sequence[Float[np.ndarray, " _"]],
-) -> NodeProducts:
-    """Products of the tabulated responses for given noise levels and weights of the points."""
-    weights = [
-        np.repeat(weight, probe.components.astype(np.int64))
-        / (probe.unit * level[probe.group]) ** 2
-        for probe, weight in zip(probes, point_weight, strict=True)
-    ]
-    return node_products(table, [probe.measured for probe in probes], weights)
-
-
-def _convex_residuals(
-    probes: Sequence[ObservedRows], table: ResponseTable, poisson_range: tuple[float, float]
-) -> list[np.ndarray]:
+def _convex_residuals(probes: Sequence[ObservedRows], table: ResponseTable) -> list[np.ndarray]:
     """Residuals of each probing fitted with a free force under a convex loss."""
-    middle = table.at(0.5 * (poisson_range[0] + poisson_range[1]))
+    middle = table.at(float(np.mean(table.poisson_range)))
     weights = [1.0 / probe.unit**2 for probe in probes]
     residuals = [probe.measured for probe in probes]
     for _ in range(_CONVEX_ROUNDS):
@@ -131,41 +96,22 @@ def _convex_residuals(
             residuals[k] = probe.measured - fitted @ columns
         level = noise_levels(probes, residuals, parameters=3 * len(probes))
         for k, probe in enumerate(probes):
-            variance = (probe.unit * level[probe.group]) ** 2
-            squared = np.add.reduceat(residuals[k] ** 2 / variance, probe.start)
+            sigma = probe.sigma(level)
+            squared = probe.squared_length(residuals[k] / sigma)
             convex = 1.0 / np.sqrt(1.0 + squared / probe.components)
-            weights[k] = np.repeat(convex, probe.components.astype(np.int64)) / variance
+            weights[k] = probe.per_row(convex) / sigma**2
     return residuals
 
 
-def _tabulated_minimum(
-    products: NodeProducts, probes: Sequence[ObservedRows], root: np.ndarray, grid: np.ndarray
-) -> tuple[float, float]:
-    """Poisson's ratio and 1 / G at the global minimum for fixed weights."""
-    force = np.stack([probe.force for probe in probes])
-    _, height = best_compliance(projected(products.at(grid), force, root))
-    nu = parabola_minimum(grid, height[0])
-    beta, _ = best_compliance(projected(products.at(np.array([nu])), force, root))
-    return nu, float(beta[0, 0])
-
-
-def _residuals_at(
-    probes: Sequence[ObservedRows],
-    table: ResponseTable,
-    weights: Sequence[np.ndarray],
-    root: np.ndarray,
-    nu: float,
-    beta: float,
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Residuals and best true forces of every probing at given constants."""
-    residuals, shifts = [], []
-    for k, (probe, response) in enumerate(zip(probes, table.at(nu), strict=True)):
-        plain = probe.measured - beta * (probe.force @ response[:3] + response[3])
-        push = beta * response[:3] * root[k][:, None]
-        inner = (push * weights[k]) @ push.T + np.eye(3)
-        move = np.linalg.solve(inner, push @ (weights[k] * plain))
-        residuals.append(plain - move @ push)
-        known = probe.force_std > 0
-        shift = np.where(known, move * root[k] / np.where(known, probe.force_std, 1.0), 0.0)
-        shifts.append(shift)
-    return residuals, shifts
+def _at_best_force(
+    probe: ObservedRows,
+    response: Float[np.ndarray, "4 r"],
+    row_weight: Float[np.ndarray, " r"],
+    force_weight: float,
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " 3"]]:
+    """Residuals of a probing at its best true force, and that force's shift in sigmas."""
+    plain = probe.measured - (probe.force @ response[:3] + response[3])
+    push = response[:3] * probe.force_std[:, None]
+    inner = (push * row_weight) @ push.T + force_weight * np.eye(3)
+    shift = np.linalg.solve(inner, push @ (row_weight * plain))
+    return plain - shift @ push, shift

@@ -7,36 +7,16 @@ Source
 Paper, section 3.2, which uses Matlab's fmins.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import minimize
 
-from palpate.estimation.noise import Misfit
+from palpate.estimation.search.misfit import Misfit
+from palpate.estimation.search.scoring import Minimum
 
 _TOLERANCE = 1e-9
-_EVALUATIONS = 600
+_MAX_EVALUATIONS = 600
 _FIRST_STEP = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class SimplexMinimum:
-    """Where the simplex collapsed.
-
-    Parameters
-    ----------
-    poisson_ratio : float [-]
-    shear_modulus : float [Pa]
-    loss : float                    misfit there
-    evaluations : int               of the misfit
-    converged : bool
-    """
-
-    poisson_ratio: float
-    shear_modulus: float
-    loss: float
-    evaluations: int
-    converged: bool
+_MAX_LOG_FACTOR = 25.0
 
 
 def nelder_mead_minimum(
@@ -45,38 +25,40 @@ def nelder_mead_minimum(
     shear_modulus: float,
     *,
     poisson_range: tuple[float, float],
-) -> SimplexMinimum:
+) -> Minimum:
     """Minimum of the misfit by a simplex over (nu, log G).
 
     Parameters
     ----------
     misfit : Misfit
     poisson_ratio : float [-]       start
-    shear_modulus : float [Pa]      start
+    shear_modulus : float [Pa]      start, > 0
     poisson_range : (float, float)  Poisson's ratio stays inside
 
     Returns
     -------
-    SimplexMinimum                  nu and log G to about 1e-8
+    Minimum                         nu and log G to about 1e-8, probings linearised there;
+                                    `converged` is false where the evaluations ran out
+
+    Raises
+    ------
+    NotConvergedError               the force of a probing did not settle
     """
-    reference = shear_modulus
     low, high = poisson_range
     start = np.array([np.clip(poisson_ratio, low, high), 0.0])
     inward = _FIRST_STEP if start[0] + _FIRST_STEP <= high else -_FIRST_STEP
-    simplex = np.stack(
-        [start, start + np.array([inward, 0.0]), start + np.array([0.0, _FIRST_STEP])]
-    )
+    simplex = start + np.array([[0.0, 0.0], [inward, 0.0], [0.0, _FIRST_STEP]])
     found = minimize(
-        lambda x: misfit(float(x[0]), reference * float(np.exp(x[1]))),
+        lambda x: misfit(float(x[0]), shear_modulus * float(np.exp(x[1]))),
         start,
         method="Nelder-Mead",
-        bounds=[poisson_range, (-25.0, 25.0)],
+        bounds=[poisson_range, (-_MAX_LOG_FACTOR, _MAX_LOG_FACTOR)],
         options={
             "initial_simplex": simplex,
             "xatol": _TOLERANCE,
             "fatol": np.inf,
-            "maxfev": _EVALUATIONS,
+            "maxfev": _MAX_EVALUATIONS,
         },
     )
-    nu, modulus = float(found.x[0]), reference * float(np.exp(found.x[1]))
-    return SimplexMinimum(nu, modulus, float(found.fun), int(found.nfev), bool(found.success))
+    nu, modulus = float(found.x[0]), shear_modulus * float(np.exp(found.x[1]))
+    return Minimum(nu, modulus, misfit.at_best_forces(nu, modulus), bool(found.success))

@@ -7,91 +7,182 @@ out in closed form in the eigenbasis of their 3 x 3 information. What is left of
 
 with q the displacement times G under the measured force. With exact forces the sum is empty and the
 best beta is yq / qq; otherwise a few Newton steps from there, for all Poisson's ratios at once.
+
+Source
+------
+Golub and Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose
+variables separate, SIAM J. Numer. Anal. 10 (1973).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from palpate.estimation.responses import GramTable
+from palpate.estimation.observations import ObservedRows
+from palpate.estimation.responses import ResponseTable, interpolation_weights
 
-_NEWTON_STEPS = 8
-_SMALLEST = 1e-9
+_MAX_NEWTON_STEPS = 8
+_NEWTON_TOLERANCE = 1e-10
+_LONGEST_STEP = 0.7
+_SMALLEST_COMPLIANCE = 1e-9
+_GRID = 49
+# Multiplications below which OpenBLAS keeps to one thread.
+_UNTHREADED = 2**18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectedProbes:
     """What is left of every probing at every Poisson's ratio, forces eliminated.
 
-    Shapes are broadcastable to (l, k, g): sets of probings, probings, Poisson's ratios.
+    Parameters
+    ----------
+    yy : (k, 1) float                   see the file's head
+    yq, qq : (k, g) float
+    c, d, information : (k, g, 3) float  parts of the sum; information is lambda
+    """
+
+    yy: Float[np.ndarray, "k 1"]
+    yq: Float[np.ndarray, "k g"]
+    qq: Float[np.ndarray, "k g"]
+    c: Float[np.ndarray, "k g 3"]
+    d: Float[np.ndarray, "k g 3"]
+    information: Float[np.ndarray, "k g 3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedWeights:
+    """A misfit with its robust weights held fixed, for any set of probings.
+
+    A probing enters only through the products of its responses R at all pairs of nodes. With all
+    pairs the products elsewhere are exactly those of interpolated responses; interpolating the
+    products themselves would leave an error that no noise hides where the signal is strong.
 
     Parameters
     ----------
-    yy, yq, qq : float                  see the file's head
-    c, d, information : (..., 3) float  parts of the sum; information is lambda
+    poisson_range : (float, float) [-]
+    poisson_ratio : (m,) float [-]                      nodes, rising
+    response_response : (k, m, 4, m, 4) float [Pa2/N2]  R' W R
+    response_measured : (k, m, 4) float [Pa/N]          R' W y
+    measured_measured : (k,) float [-]                  y' W y
+    force : (k, 3) float [N]
+    force_root : (k, 3) float [N]                       1 sigma over the root of its robust weight
     """
 
-    yy: Float[np.ndarray, "..."]
-    yq: Float[np.ndarray, "..."]
-    qq: Float[np.ndarray, "..."]
-    c: Float[np.ndarray, "... 3"]
-    d: Float[np.ndarray, "... 3"]
-    information: Float[np.ndarray, "... 3"]
+    poisson_range: tuple[float, float]
+    poisson_ratio: Float[np.ndarray, " m"]
+    response_response: Float[np.ndarray, "k m 4 m 4"]
+    response_measured: Float[np.ndarray, "k m 4"]
+    measured_measured: Float[np.ndarray, " k"]
+    force: Float[np.ndarray, "k 3"]
+    force_root: Float[np.ndarray, "k 3"]
 
-    def apart(self) -> "ProjectedProbes":
-        """Every probing as a set of its own: from (1, k, g) to (k, 1, g)."""
-        fields = (self.yy, self.yq, self.qq, self.c, self.d, self.information)
-        return ProjectedProbes(*(field.swapaxes(0, 1) for field in fields))
+    def only(self, chosen: int | Int[np.ndarray, " j"]) -> "FixedWeights":
+        """Some of the probings as a set of their own."""
+        index = np.atleast_1d(chosen)
+        return replace(
+            self,
+            response_response=self.response_response[index],
+            response_measured=self.response_measured[index],
+            measured_measured=self.measured_measured[index],
+            force=self.force[index],
+            force_root=self.force_root[index],
+        )
+
+    def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> ProjectedProbes:
+        """Probings at Poisson's ratios inside the range, their true forces eliminated."""
+        weight = interpolation_weights(self.poisson_ratio, poisson_ratio)
+        half = np.einsum("kaibj,gb->kgiaj", self.response_response, weight, optimize=True)
+        square = (weight[:, None, None, :] @ half)[..., 0, :]
+        mixed = np.einsum("gm,kmi->kgi", weight, self.response_measured)
+        load = np.concatenate([self.force, np.ones((len(self.force), 1))], axis=1)
+        carried = np.einsum("kgij,kj->kgi", square, load)
+        root = self.force_root[:, None, :]
+        inner = square[..., :3, :3] * root[..., :, None] * root[..., None, :]
+        value, vector = np.linalg.eigh(inner)
+        turn = vector.swapaxes(-1, -2)
+        return ProjectedProbes(
+            yy=self.measured_measured[:, None],
+            yq=np.einsum("kgi,ki->kg", mixed, load),
+            qq=np.einsum("kgi,ki->kg", carried, load),
+            c=(turn @ (mixed[..., :3] * root)[..., None])[..., 0],
+            d=(turn @ (carried[..., :3] * root)[..., None])[..., 0],
+            information=np.maximum(value, 0.0),
+        )
 
 
-def projected(
-    gram: GramTable, force: Float[np.ndarray, "k 3"], force_root: Float[np.ndarray, "k 3"]
-) -> ProjectedProbes:
-    """Eliminate the true forces of all probings at the Poisson's ratios of a Gram table.
+def fixed_weights(
+    probes: Sequence[ObservedRows],
+    table: ResponseTable,
+    level: Float[np.ndarray, " 8"],
+    weights: Sequence[Float[np.ndarray, " _"]],
+    force_weights: Float[np.ndarray, " k"],
+) -> FixedWeights:
+    """The misfit for given noise levels and robust weights.
 
     Parameters
     ----------
-    gram : GramTable
-    force : (k, 3) float [N]            measured
-    force_root : (k, 3) float [N]       1 sigma, already divided by the root of its robust weight
-
-    Returns
-    -------
-    ProjectedProbes                     with the shape (1, k, g)
+    probes : sequence of k ObservedRows
+    table : ResponseTable                   of these probings
+    level : (8,) float                      see `noise_levels`
+    weights : one (p,) float for each       of the points
+    force_weights : (k,) float              of the measured forces
     """
-    load = np.concatenate([force, np.ones((len(force), 1))], axis=1)
-    carried = np.einsum("kgij,kj->kgi", gram.response_response, load)
-    root = force_root[:, None, :]
-    inner = gram.response_response[..., :3, :3] * root[..., :, None] * root[..., None, :]
-    value, vector = np.linalg.eigh(inner)
-    turn = vector.swapaxes(-1, -2)
-    mixed = (turn @ (gram.response_measured[..., :3] * root)[..., None])[..., 0]
-    pushed = (turn @ (carried[..., :3] * root)[..., None])[..., 0]
-    return ProjectedProbes(
-        yy=gram.measured_measured[None, :, None],
-        yq=np.einsum("kgi,ki->kg", gram.response_measured, load)[None],
-        qq=np.einsum("kgi,ki->kg", carried, load)[None],
-        c=mixed[None],
-        d=pushed[None],
-        information=np.maximum(value, 0.0)[None],
+    count = len(table.poisson_ratio)
+    products = np.stack(
+        [
+            _weighted_square(
+                np.vstack([response.reshape(4 * count, -1), probe.measured]),
+                probe.per_row(weight) / probe.sigma(level) ** 2,
+            )
+            for probe, response, weight in zip(probes, table.response, weights, strict=True)
+        ]
+    )
+    shape = (len(products), count, 4)
+    return FixedWeights(
+        table.poisson_range,
+        table.poisson_ratio,
+        products[:, :-1, :-1].reshape(*shape, count, 4),
+        products[:, :-1, -1].reshape(shape),
+        products[:, -1, -1],
+        np.stack([probe.force for probe in probes]),
+        np.stack([probe.force_std for probe in probes]) / np.sqrt(force_weights)[:, None],
     )
 
 
+def _weighted_square(
+    stacked: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
+) -> Float[np.ndarray, "s s"]:
+    """Matrix product of rows with themselves, in pieces too small for BLAS to start threads.
+
+    Threads that wait for each other cost ten times the product where other work is running.
+    """
+    size, rows = stacked.shape
+    piece = max(1, _UNTHREADED // size**2)
+    weighted = stacked * weight
+    total = np.zeros((size, size))
+    for first in range(0, rows, piece):
+        chosen = slice(first, first + piece)
+        total += weighted[:, chosen] @ stacked[:, chosen].T
+    return total
+
+
 def deviance_of(
-    probes: ProjectedProbes,
-    compliance: Float[np.ndarray, "l g"],
-    multiplicity: Float[np.ndarray, "l k"] | None = None,
-) -> tuple[Float[np.ndarray, "l g"], Float[np.ndarray, "l g"], Float[np.ndarray, "l g"]]:
-    """Misfit at given beta = 1 / G with its first and second derivative in log beta.
+    probes: ProjectedProbes, compliance: Float[np.ndarray, "*l g"]
+) -> tuple[Float[np.ndarray, "*l g"], Float[np.ndarray, "*l g"], Float[np.ndarray, "*l g"]]:
+    """Misfit of all probings at given beta = 1 / G, with its derivatives in log beta.
 
     Parameters
     ----------
     probes : ProjectedProbes
-    compliance : (l, g) float [1/Pa]    beta, for each set and each Poisson's ratio
-    multiplicity : (l, k) float or None how often each probing counts in each set, None = once
+    compliance : (..., g) float [1/Pa]  > 0, for each Poisson's ratio
+
+    Returns
+    -------
+    three (..., g) float                misfit, first and second derivative
     """
-    beta = compliance[:, None, :]
+    beta = compliance[..., None, :]
     b3 = beta[..., None]
     top = b3 * (probes.c - b3 * probes.d)
     top1 = probes.c - 2 * b3 * probes.d
@@ -104,51 +195,71 @@ def deviance_of(
     curved = (top1 - ratio * below1) ** 2 / below - ratio * drag
     second = 2 * probes.qq - 2 * curved.sum(-1)
     first, second = beta * first, beta * (first + beta * second)
-    summed = [_total(part, multiplicity) for part in (value, first, second)]
-    return summed[0], summed[1], summed[2]
+    return value.sum(-2), first.sum(-2), second.sum(-2)
 
 
 def best_compliance(
-    probes: ProjectedProbes, multiplicity: Float[np.ndarray, "l k"] | None = None
-) -> tuple[Float[np.ndarray, "l g"], Float[np.ndarray, "l g"]]:
-    """Best beta = 1 / G for every set of probings and every Poisson's ratio, and its misfit.
+    probes: ProjectedProbes,
+) -> tuple[Float[np.ndarray, " g"], Float[np.ndarray, " g"]]:
+    """Best beta = 1 / G for every Poisson's ratio, and the misfit of all probings there.
+
+    Parameters
+    ----------
+    probes : ProjectedProbes
 
     Returns
     -------
-    ((l, g) float [1/Pa], (l, g) float)
+    ((g,) float [1/Pa], (g,) float)     beta > 0
     """
-    mixed, square = _total(probes.yq, multiplicity), _total(probes.qq, multiplicity)
-    power = np.maximum(_total(probes.yy, multiplicity), np.finfo(float).tiny)
-    scale = np.sqrt(power / square)
-    beta = np.maximum(mixed / square, _SMALLEST * scale)
-    for _ in range(_NEWTON_STEPS):
-        _, first, second = deviance_of(probes, beta, multiplicity)
+    mixed, square = probes.yq.sum(0), probes.qq.sum(0)
+    scale = np.sqrt(np.maximum(probes.yy.sum(0), np.finfo(float).tiny) / square)
+    smallest = _SMALLEST_COMPLIANCE * scale
+    beta = np.maximum(mixed / square, smallest)
+    for _ in range(_MAX_NEWTON_STEPS):
+        _, first, second = deviance_of(probes, beta)
         step = -first / np.where(second > 0, second, np.abs(first) + np.finfo(float).tiny)
-        beta = np.maximum(beta * np.exp(np.clip(step, -0.7, 0.7)), _SMALLEST * scale)
-        if np.abs(step).max() < 1e-10:
+        beta = np.maximum(beta * np.exp(np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)), smallest)
+        if np.abs(step).max() < _NEWTON_TOLERANCE:
             break
-    return beta, deviance_of(probes, beta, multiplicity)[0]
+    return beta, deviance_of(probes, beta)[0]
 
 
-def _total(
-    part: Float[np.ndarray, "..."], multiplicity: Float[np.ndarray, "l k"] | None
-) -> Float[np.ndarray, "l g"]:
-    """Sum over the probings of each set."""
-    return part.sum(1) if multiplicity is None else (part * multiplicity[:, :, None]).sum(1)
+def best_constants(weights: FixedWeights) -> tuple[float, float]:
+    """Poisson's ratio and shear modulus at the global minimum for fixed weights.
+
+    Parameters
+    ----------
+    weights : FixedWeights
+
+    Returns
+    -------
+    (float [-], float [Pa])
+    """
+    grid = np.linspace(*weights.poisson_range, _GRID)
+    nu, _ = sharpened_minimum(grid, best_compliance(weights.at(grid))[1])
+    compliance, _ = best_compliance(weights.at(np.array([nu])))
+    return nu, float(1 / compliance[0])
 
 
-def parabola_minimum(place: Float[np.ndarray, " g"], height: Float[np.ndarray, " g"]) -> float:
-    """Place of the global minimum of a tabulated curve, sharpened by a parabola, inside the range.
+def sharpened_minimum(
+    place: Float[np.ndarray, " g"], height: Float[np.ndarray, " g"]
+) -> tuple[float, float]:
+    """Place and height of the lowest point of a tabulated curve, sharpened by a parabola.
 
     Parameters
     ----------
     place : (g,) float          evenly spaced, rising
     height : (g,) float
+
+    Returns
+    -------
+    (float, float)              an end of the table where the lowest value is there
     """
     best = int(np.argmin(height))
     if best in (0, len(place) - 1):
-        return float(place[best])
+        return float(place[best]), float(height[best])
     left, middle, right = height[best - 1 : best + 2]
     bend = left - 2 * middle + right
     shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
-    return float(place[best] + shift * (place[1] - place[0]))
+    spacing = place[1] - place[0]
+    return float(place[best] + shift * spacing), float(middle - 0.25 * shift * (left - right))

@@ -13,7 +13,7 @@ from palpate.lab.config import Arm, Material, Probe
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Vector3
 
-# A point this far off the surface, in radii of the tip, was not meant to be on it.
+# Of the tip's radius: a point farther from the surface was not meant to be on it.
 _MAX_DISTANCE = 0.25
 # Elements under the tip: so many across the touched circle.
 _ELEMENTS_ACROSS = 6.0

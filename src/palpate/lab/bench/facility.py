@@ -1,7 +1,7 @@
 """The virtual facility: from a configuration to a session folder with its truth.
 
-The session is an ordinary one and holds nothing but what a bench would give. Beside it `truth.toml`
-and the truth maps tell what really was.
+The session is an ordinary one and holds only what a bench would give. `truth.toml` and the truth
+maps beside it hold what was really there.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ _MIN_SEEN = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
-    """A session that can be measured as far as one can say without finite elements or light."""
+    """A session that can be measured, as far as can be checked without finite elements or light."""
 
     config: LabConfig
     folder: Path
@@ -104,7 +104,7 @@ def make_session(
     config : LabConfig
     folder : Path                   an empty folder
     variant : Variant               of Mitsuba
-    progress : callable or None     told what is done (text) and how far it is (0 to 1)
+    progress : callable or None     gets what is done (text) and how much of all (0 to 1)
 
     Raises
     ------

@@ -12,7 +12,7 @@ from palpate.geometry import closest_points
 from palpate.lab.bench.arm import Pressed
 from palpate.lab.bench.readings import read_sensor, sensor_std
 from palpate.lab.config import LabConfig, Probe
-from palpate.records import SESSION_FORMAT, ContactProfile
+from palpate.records import SESSION_FORMAT
 
 Table = Mapping[str, Any]
 
@@ -68,8 +68,8 @@ def probe_tables(
         "name": probe.name,
         "contact": {
             "point": probe.point,
-            "radius": tip.radius if tip.profile is ContactProfile.UNIFORM else last.radius,
-            "profile": tip.profile.value,
+            "radius": tip.radius if tip.profile == "uniform" else last.radius,
+            "profile": tip.profile,
         },
         "force": read_sensor(last.force, config.force_sensor, rng=rng),
         "force_std": sensor_std(last.force, config.force_sensor) or None,

@@ -32,7 +32,7 @@ _ROUNDS = 8
 _PIECE = 0.25
 # The spacing grows by this much per metre from a fine place, so that neighbours differ little.
 _GROWTH = 0.3
-# Inner points keep off the surface by this share of the spacing: the height of an even tetrahedron
+# Inner points stay this share of the spacing off the surface: the height of an even tetrahedron
 # is 0.8 of its edge, and a flatter first layer is better than a sliver.
 _OFF_SURFACE = 0.6
 # Cells of a body centred lattice whose nearest points (0.87 cells) and second nearest (1 cell)
@@ -121,7 +121,7 @@ def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[
         corner = (corner[split][:, None] + cell * _EIGHTHS).reshape(-1, 3)
     points = np.concatenate(levels)
     distance, _ = cKDTree(shell).query(points)
-    # Before the costly question of inside: what is left is too far from the surface to shade it.
+    # Cheap test first: whether a point is inside is costly to find out.
     points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
     points = points[inside(mesh, points)]
     gap = closest_points(mesh, points).distance
@@ -208,7 +208,7 @@ def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.n
 
 
 def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, PointScalars]:
-    """Many points of a surface and the share of one wanted point that each stands for."""
+    """Many points of a surface, and the share of a wanted point that each stands for."""
     corner, small = mesh.vertices[mesh.triangles], []
     while len(corner):
         longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
@@ -243,7 +243,7 @@ def _lattice(low: np.ndarray, high: np.ndarray, cell: float) -> Points:
 
 
 def _thinned(points: Points, spacing: Spacing) -> Float[np.ndarray, "k 3"]:
-    """Points in the given order, less those too near to one that was kept before them."""
+    """Points in the given order, less those too near to a point that was kept before them."""
     if not len(points):
         return points
     tree = cKDTree(points)

@@ -163,18 +163,21 @@ def stiffness_matrix(basis: Any, moduli: Float[np.ndarray, "3 3 3 3 *quadrature"
     ----------
     basis : skfem.Basis             of `quadratic_basis`
     moduli : (3, 3, 3, 3) or (3, 3, 3, 3, m, q) float [Pa]   derivative of the stress component aA
-                                    by the displacement gradient bB; the same everywhere, or of
-                                    every quadrature point
+                                    by the displacement gradient bB, which is that of bB by aA; the
+                                    same everywhere, or of every quadrature point
 
     Returns
     -------
     (3 n, 3 n) sparse [N/m]         three unknowns a node, node by node
     """
     total = csr_array((3 * basis.N, 3 * basis.N))
-    for a, b in np.ndindex(3, 3):
+    for a, b in zip(*np.triu_indices(3), strict=True):
+        block = _form(moduli[a, :, b]).assemble(basis)
         place = np.zeros((3, 3))
         place[a, b] = 1.0
-        total += kron(_form(moduli[a, :, b]).assemble(basis), place)
+        total += kron(block, place)
+        if a != b:
+            total += kron(block.T, place.T)
     return csr_array(total)
 
 

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
-from palpate.records import ContactProfile
 from palpate.shapes import Points, PointScalars, Vector3
 
 TipName = Literal["sphere", "punch"]
@@ -37,7 +36,7 @@ class Tip(ABC):
     radius: float
     point: Vector3
     direction: Vector3
-    profile: ClassVar[ContactProfile]
+    profile: ClassVar[str]
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.radius) and self.radius > 0.0):
@@ -88,7 +87,7 @@ class Sphere(Tip):
     """A ball on a shaft of at most 4 mm radius."""
 
     __slots__ = ()
-    profile = ContactProfile.HERTZ
+    profile = "hertz"
 
     @property
     def max_depth(self) -> float:
@@ -131,7 +130,7 @@ class Punch(Tip):
     """A flat round face, perpendicular to its motion, as wide as its shaft."""
 
     __slots__ = ()
-    profile = ContactProfile.UNIFORM
+    profile = "uniform"
 
     def lead(self, beside: PointScalars) -> PointScalars:
         """Level up to its rim."""

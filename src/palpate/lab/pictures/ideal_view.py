@@ -1,8 +1,10 @@
 """The pinhole picture that a renderer makes, and from it the picture of a camera with its lens.
 
-A renderer knows square pixels and no lens. Where a camera has just that, its picture is rendered
-as it is, cut to what shows the bodies. Any other camera gets a finer pinhole picture, and each of
-its pixels is the mean over its own area of that one, the lens undone exactly.
+A renderer knows square pixels and no lens. The picture of such a camera is rendered as it is, cut
+to what shows the bodies. For any other camera a finer pinhole picture is rendered; each of the
+camera's pixels is the mean of it over the pixel's own area. The lens is undone by
+`vision.pixel_grid`, which the facility shares with what it tests: its tests hold rendered places
+against OpenCV's projection.
 """
 
 from dataclasses import dataclass, replace

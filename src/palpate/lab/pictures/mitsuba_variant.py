@@ -17,7 +17,7 @@ from types import ModuleType
 
 from palpate.optional_imports import late_import
 
-# Environment variable by which Mitsuba's compiler is told its LLVM library.
+# Environment variable that names the LLVM library for Mitsuba's compiler.
 LLVM_SETTING = "DRJIT_LIBLLVM_PATH"
 # Where systems keep LLVM: Debian, Fedora and Arch, own builds, Homebrew, Windows.
 LLVM_FOLDERS = (

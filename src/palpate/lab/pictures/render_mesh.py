@@ -18,11 +18,11 @@ from palpate.records import Camera, camera_centre, picture_size
 from palpate.shapes import Triangles, Vertices
 from palpate.vision import project
 
-# A triangle whose normal points this far past the edge of visibility (cosine) is refined too: the
-# body's deformation may turn it into view.
-_PAST_EDGE = -0.2
-# So is one this share of the picture outside it.
-_OUTSIDE = 0.05
+# Cosine between a triangle's normal and the direction to the camera: one that faces away a little
+# is refined too, since the body's deformation may turn it into view.
+_MIN_COSINE = -0.2
+# So is a triangle outside the picture by no more than this share of it.
+_MAX_OUTSIDE = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,11 +129,11 @@ def _seen_lengths(
         facing /= size * np.linalg.norm(toward, axis=1)
         pixel = project(camera, pieces.vertices)
         seen = np.zeros(len(length), dtype=bool)
-        in_view = (facing > _PAST_EDGE) & _in_picture(camera, pixel, pieces.triangles)
+        in_view = (facing > _MIN_COSINE) & _in_picture(camera, pixel, pieces.triangles)
         seen[edges.of[in_view].ravel()] = True
         away = pixel[edges.ends[:, 1]] - pixel[edges.ends[:, 0]]
         length = np.fmax(length, np.where(seen, np.hypot(*away.T), 0.0))  # NaN: beyond the lens
-    # Both sides of a crease as the one that is seen longer.
+    # Both sides of a crease as the side that is seen longer.
     both = np.zeros(edges.weld.max() + 1)
     np.maximum.at(both, edges.weld, length)
     return both[edges.weld]
@@ -146,8 +146,8 @@ def _in_picture(
     inside = np.ones(len(triangles), dtype=bool)
     for axis, size in enumerate(picture_size(camera)):
         a, b, c = (pixel[column, axis] for column in triangles.T)
-        inside &= np.maximum(np.maximum(a, b), c) > -_OUTSIDE * size
-        inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _OUTSIDE) * size
+        inside &= np.maximum(np.maximum(a, b), c) > -_MAX_OUTSIDE * size
+        inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _MAX_OUTSIDE) * size
     return inside
 
 

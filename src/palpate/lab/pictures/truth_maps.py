@@ -1,4 +1,4 @@
-"""What the pictures show, pixel by pixel: the truth that an estimate from them is held against."""
+"""What the pictures really show, pixel by pixel: the truth to compare an estimate with."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

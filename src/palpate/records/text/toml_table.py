@@ -2,16 +2,20 @@
 
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from palpate.errors import RecordError
+from palpate.errors import InputError, RecordError
+from palpate.records.text.text_file import read_text
 from palpate.shapes import Vector3
+
+T = TypeVar("T")
 
 
 def nearest_word(word: str, allowed: Sequence[str]) -> str:
@@ -53,6 +57,26 @@ class TomlTable:
             self.fail("", f"the key '{key}' is missing")
         return self.values[key]
 
+    def optional(self, key: str, read: Callable[[str], T]) -> T | None:
+        """What a method of this table reads at a key, or None where the key is missing."""
+        return read(key) if key in self.values else None
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Name this table in the complaints of the records that are made within the block.
+
+        Raises
+        ------
+        RecordError                 in place of an `InputError`
+        """
+        try:
+            yield
+        except RecordError:
+            raise
+        except InputError as error:
+            place = f"{self.file}: {self.name}" if self.name else f"{self.file}"
+            raise RecordError(f"{place}: {error}") from error
+
     def text(self, key: str) -> str:
         """A non-empty string."""
         value = self.get(key)
@@ -91,20 +115,20 @@ class TomlTable:
             self.fail(key, f"is {value!r}; must be a finite number, or three of them in brackets")
         return self.vector(key)
 
-    def table(self, key: str, name: str) -> "TomlTable":
-        """A table inside this one, known to the reader under `name`."""
+    def table(self, key: str, name: str | None = None) -> "TomlTable":
+        """A table inside this one, known to the reader as `[key]` or under `name`."""
         value = self.get(key)
         if not isinstance(value, dict):
             self.fail(key, f"is {value!r}; must be a table")
-        return TomlTable(self.file, name, value)
+        return TomlTable(self.file, name or f"[{key}]", value)
 
-    def tables(self, key: str, name: str) -> "tuple[TomlTable, ...]":
-        """An array of tables; one table alone counts as an array of one."""
+    def tables(self, key: str, name: str | None = None) -> "tuple[TomlTable, ...]":
+        """An array of tables, known as `[[key]]` or `name`; one alone counts as an array of one."""
         value = self.get(key)
         items = value if isinstance(value, list) else [value]
         if not all(isinstance(item, dict) for item in items):
             self.fail(key, f"is {value!r}; must be a table or a list of tables")
-        return tuple(TomlTable(self.file, name, item) for item in items)
+        return tuple(TomlTable(self.file, name or f"[[{key}]]", item) for item in items)
 
     def existing_file(self, key: str) -> Path:
         """Path of a file that is there, relative to the file this table stands in."""
@@ -123,13 +147,7 @@ def read_toml(path: Path) -> TomlTable:
     RecordError                     not there, not readable, not TOML (with line and column)
     """
     try:
-        content = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordError(f"{path}: is not a text file in UTF-8; save it as such") from error
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
-    try:
-        return TomlTable(path, "", tomllib.loads(content))
+        return TomlTable(path, "", tomllib.loads(read_text(path)))
     except tomllib.TOMLDecodeError as error:
         raise RecordError(f"{path}: is not valid TOML: {error}") from error
 

@@ -1,0 +1,80 @@
+"""Noise levels: estimated where none was claimed, raised where residuals exceed the claim."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.estimation.observations import (
+    CLAIMED_GROUPS,
+    GROUP_COUNT,
+    TIP_GROUP,
+    ObservedRows,
+)
+
+_MAD_TO_SIGMA = 1.482602218505602
+# Relative standard error of a sigma from the median absolute deviation of n Gaussian values.
+_MAD_ERROR = 1.166
+_SIGNIFICANT = 2.5
+# Gross outliers on a tenth of the points lift the median by about this much.
+_OUTLIER_LIFT = 0.12
+# No field is measured better than this; it keeps exact data apart from the force's claim.
+_FLOOR_OVER_SIGNAL = 1e-5
+_TIP_PRIOR_ROWS = 3.0
+
+
+def noise_levels(
+    probes: Sequence[ObservedRows],
+    residuals: Sequence[Float[np.ndarray, " _"]],
+    *,
+    parameters: int,
+) -> Float[np.ndarray, " 8"]:
+    """Noise level of each group, from all probings together, insensitive to outliers.
+
+    Where no standard deviation was claimed: the median absolute residual of the component [m]. With
+    a claim: 1, or by how much the residuals exceed the claim where they do so significantly;
+    never less than 1.
+
+    Parameters
+    ----------
+    probes : sequence of ObservedRows
+    residuals : one (r,) float [m] for each     measured minus predicted
+    parameters : int                            fitted numbers, for the lost degrees of freedom
+
+    Returns
+    -------
+    (8,) float                                  to be multiplied by `ObservedRows.unit`
+    """
+    group = np.concatenate([probe.group for probe in probes])
+    unit = np.concatenate([probe.unit for probe in probes])
+    measured = np.concatenate([probe.measured for probe in probes]) / unit
+    scaled = np.abs(np.concatenate(residuals)) / unit
+    lost = min(parameters, len(group) // 2)
+    lift = np.sqrt(len(group) / (len(group) - lost)) if lost else 1.0
+    level, count, floor = np.ones(GROUP_COUNT), np.zeros(GROUP_COUNT), np.zeros(GROUP_COUNT)
+    for index in range(GROUP_COUNT):
+        chosen = group == index
+        count[index] = chosen.sum()
+        if count[index]:
+            floor[index] = _FLOOR_OVER_SIGNAL * np.abs(measured[chosen]).max()
+            median = _MAD_TO_SIGMA * lift * float(np.median(scaled[chosen]))
+            level[index] = max(median, floor[index], np.finfo(float).tiny ** 0.5)
+    _settle_tip(level, count)
+    return _settle_claims(level, count, floor)
+
+
+def _settle_tip(level: np.ndarray, count: np.ndarray) -> None:
+    """Lean an unclaimed tip's level on the field's where the tip has few rows."""
+    field = count[:TIP_GROUP] > 0
+    if count[TIP_GROUP] and field.any():
+        prior = np.mean(level[:TIP_GROUP][field] ** 2) * _TIP_PRIOR_ROWS
+        total = prior + count[TIP_GROUP] * level[TIP_GROUP] ** 2
+        level[TIP_GROUP] = np.sqrt(total / (count[TIP_GROUP] + _TIP_PRIOR_ROWS))
+
+
+def _settle_claims(level: np.ndarray, count: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Claims hold unless residuals exceed them by more than chance allows."""
+    limit = 1 + _OUTLIER_LIFT + _SIGNIFICANT * _MAD_ERROR / np.sqrt(np.maximum(count, 1.0))
+    claimed = np.zeros(GROUP_COUNT, dtype=bool)
+    claimed[CLAIMED_GROUPS] = True
+    return np.where(claimed & (level < limit), np.maximum(floor, 1.0), level)

@@ -1,0 +1,282 @@
+"""Information, scores and their noise against dense linear algebra and the law of large numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimation.fitted import dense_information, minimum_of, misfit_of
+from estimation.half_space import half_space_probes
+from scipy.stats import chi2, norm, t
+
+from palpate.errors import InputError
+from palpate.estimation import ProbeObservations, cramer_rao_bound
+from palpate.estimation.intervals.sandwich import (
+    Scatter,
+    ScoreNoise,
+    Scores,
+    directions,
+    quantile_of,
+    scores_of,
+)
+from palpate.estimation.intervals.spatial_correlation import CorrelationFactor
+from palpate.estimation.noise.noise_model import gaussian_moments
+from palpate.estimation.noise.student_t import StudentT
+
+INDEPENDENT = CorrelationFactor(1.0, np.inf, 1.0)
+NOISE = 1e-4
+
+
+def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:
+    options = {"count": 3, "grid": 5, "noise": NOISE} | options
+    return half_space_probes(np.random.default_rng(seed), **options)
+
+
+def _random_matrices(rng: np.random.Generator, count: int) -> np.ndarray:
+    root = rng.normal(size=(count, 2, 4))
+    return root @ root.swapaxes(1, 2)
+
+
+def test_directions_are_derivatives() -> None:
+    step = 1e-6
+
+    def constants(nu: float, log_shear: float) -> np.ndarray:
+        young = 2 * np.exp(log_shear) * (1 + nu)
+        return np.array([nu, log_shear, np.log(young)])
+
+    for k, move in enumerate(([step, 0.0], [0.0, step])):
+        high, low = constants(0.3 + move[0], move[1]), constants(0.3 - move[0], -move[1])
+        slope = (high - low) / (2 * step)
+        for found, expected in zip(directions(0.3).values(), slope, strict=True):
+            # Central differences: rounding over the step.
+            assert found[k] == pytest.approx(expected, abs=1e-9)
+    assert list(directions(0.3)) == ["poisson_ratio", "shear_modulus", "young_modulus"]
+
+
+def test_covariance_is_the_sandwich() -> None:
+    rng = np.random.default_rng(3)
+    bread, meat, bare = (_random_matrices(rng, 4) for _ in range(3))
+    scores = Scores(np.zeros((4, 2)), bread, meat, bare)
+    inverse = np.linalg.inv(bread.sum(0))
+    # The ridge is 1e-11 of the diagonal.
+    np.testing.assert_allclose(scores.covariance(), inverse @ meat.sum(0) @ inverse, rtol=1e-8)
+    turn = np.array([0.3, -1.2])
+    expected = turn @ np.linalg.inv(bare.sum(0)) @ turn
+    assert scores.curvature_variance(turn) == pytest.approx(expected, rel=1e-8)
+
+
+def test_nothing_known_has_no_finite_variance() -> None:
+    """One combination without information: a huge variance, not an error."""
+    flat = np.array([[[1.0, 1.0], [1.0, 1.0]]])
+    covariance = Scores(np.zeros((1, 2)), flat, flat, flat).covariance()
+    assert covariance[0, 0] > 1e8
+    total = np.ones(2) @ covariance @ np.ones(2)
+    # The combination that is known is known to 1: the ridge is 1e-11, its inverse rounds at 1e-5.
+    assert total == pytest.approx(1.0, rel=1e-3)
+
+
+def test_scatter_of_equal_probings() -> None:
+    """Mean square of the deviations from the mean over what the claim explains."""
+    deviation = np.array([-1.0, 0.5, 2.0, -1.5])
+    information = np.repeat(np.diag([4.0, 1.0])[None], 4, axis=0)
+    scores = Scores(
+        np.column_stack([7.0 + 4.0 * deviation, np.zeros(4)]), information, information, information
+    )
+    found = scores.scatter(np.array([1.0, 0.0]))
+    # Each probing's own nu deviates by `deviation`, claimed variance 1 / 4.
+    assert found.ratio == pytest.approx((deviation**2).sum() / 3 * 4.0, rel=1e-8)
+    assert found.degrees == pytest.approx(4.0, rel=1e-8)
+    assert scores.scatter(np.array([0.0, 1.0])).ratio == pytest.approx(0.0, abs=1e-12)
+
+
+def test_scatter_has_mean_one_where_claims_are_right() -> None:
+    """Probings of very different information, scores drawn with the claimed covariance."""
+    rng = np.random.default_rng(8)
+    information, noise = _random_matrices(rng, 5), _random_matrices(rng, 5)
+    root = np.linalg.cholesky(noise)
+    turn, ratios = np.array([1.0, 0.4]), []
+    for _ in range(3000):
+        drawn = (root @ rng.normal(size=(5, 2, 1)))[..., 0]
+        ratios.append(Scores(drawn, information, noise, noise).scatter(turn).ratio)
+    # Chi-square with about three degrees over three, 3000 draws: 1.5 % of Monte Carlo error.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+
+
+def test_no_scatter_of_one_probing_or_without_noise() -> None:
+    one = np.ones((1, 2, 2))
+    assert Scores(np.ones((1, 2)), one, one, one).scatter(np.ones(2)) == Scatter(1.0, 0.0)
+    two = np.repeat(np.eye(2)[None], 2, axis=0)
+    silent = Scores(np.ones((2, 2)), two, 0 * two, two)
+    assert silent.scatter(np.array([1.0, 0.0])) == Scatter(1.0, 0.0)
+
+
+@pytest.mark.parametrize("degrees", [1.0, 3.7, 20.0])
+def test_a_scatter_surprises_once_in_ten(degrees: float) -> None:
+    limit = float(chi2.ppf(0.9, degrees)) / degrees
+    above, below = Scatter(1.001 * limit, degrees), Scatter(0.999 * limit, degrees)
+    assert above.is_surprising
+    assert above.factor == 1.001 * limit
+    assert not below.is_surprising
+    assert below.factor == 1.0
+    assert not Scatter(100.0, 0.0).is_surprising
+
+
+def test_quantiles() -> None:
+    calm, torn = Scatter(1.0, 5.0), Scatter(9.0, 5.0)
+    claimed = ScoreNoise(1.0, 1.0, np.inf, INDEPENDENT)
+    # Quantiles of two libraries agree to rounding of their iterations.
+    assert quantile_of(claimed, calm) == pytest.approx(norm.ppf(0.975), rel=1e-10)
+    assert quantile_of(claimed, torn) == pytest.approx(t.ppf(0.975, 8.0), rel=1e-10)
+    estimated = replace(claimed, degrees=4.0)
+    assert quantile_of(estimated, calm) == pytest.approx(t.ppf(0.975, 4.0), rel=1e-10)
+    assert quantile_of(estimated, torn) == pytest.approx(t.ppf(0.975, 4.0), rel=1e-10)
+    correlated = replace(claimed, correlation=CorrelationFactor(2.0, 6.0, 4.0))
+    assert quantile_of(correlated, calm) == pytest.approx(t.ppf(0.975, 6.0), rel=1e-10)
+
+
+def test_score_is_the_slope_of_the_misfit() -> None:
+    misfit = misfit_of(_probes(force_noise=0.05), "student-t")
+    nu, modulus, step = 0.25, 2.3e4, 1e-6
+    local = misfit.at_best_forces(nu, modulus)
+    found, _ = scores_of(misfit, local)
+    for k, probe in enumerate(misfit.probes):
+        single = replace(misfit, probes=(probe,))
+        slope = [
+            (single(nu + step, modulus) - single(nu - step, modulus)) / (2 * step),
+            (single(nu, modulus * np.exp(step)) - single(nu, modulus * np.exp(-step))) / (2 * step),
+        ]
+        # Half of minus the slope; differences of a misfit of order 100 over 1e-6.
+        np.testing.assert_allclose(found.score[k], -0.5 * np.array(slope), rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("force_noise", [0.0, 0.05])
+def test_least_squares_has_the_information_of_its_covariance(force_noise: float) -> None:
+    """Gaussian claims: information, noise and curvature are all X' C^-1 X, with the force's error
+    as correlated noise in C."""
+    misfit = misfit_of(_probes(force_noise=force_noise))
+    local = minimum_of(misfit).probes
+    found, noise = scores_of(misfit, local, noise=ScoreNoise(1.0, 1.0, np.inf, INDEPENDENT))
+    assert noise.degrees == np.inf
+    for k, one in enumerate(local):
+        expected = dense_information(one)
+        # Dense inverses of condition 1e5.
+        np.testing.assert_allclose(found.information[k], expected, rtol=1e-7)
+        np.testing.assert_allclose(found.noise[k], expected, rtol=1e-7)
+        np.testing.assert_allclose(found.curvature[k], expected, rtol=1e-7)
+
+
+def test_moments_of_the_score_enter_where_they_belong() -> None:
+    """Mean slope a of the points' score and f of the force's: X' (1/a + P P' / f)^-1 X."""
+    misfit = misfit_of(_probes(force_noise=0.05), "student-t")
+    local = minimum_of(misfit).probes
+    power, slope = gaussian_moments(StudentT(8.0), 3)
+    found, _ = scores_of(misfit, local, noise=ScoreNoise(0.7, 0.8, np.inf, INDEPENDENT))
+    for k, one in enumerate(local):
+        expected = dense_information(one, row_variance=1 / 0.8, force_variance=1 / slope)
+        np.testing.assert_allclose(found.information[k], expected, rtol=1e-7)
+        weights = one.rows.per_row(one.weight)
+        expected = dense_information(
+            one, row_variance=1 / weights, force_variance=1 / one.force_weight
+        )
+        np.testing.assert_allclose(found.curvature[k], expected, rtol=1e-7)
+    # Where score power and slope are equal multiples for points and force, so are the matrices.
+    share = power / slope
+    equal = ScoreNoise(0.4 * share, 0.8, np.inf, CorrelationFactor(2.0, np.inf, 5.0))
+    found, _ = scores_of(misfit, local, noise=equal)
+    np.testing.assert_allclose(found.noise, share * found.information, rtol=1e-7)
+
+
+def _stretched(probes: list[ProbeObservations], factor: float) -> list[ProbeObservations]:
+    """The same probings, residuals of the least-squares fit multiplied."""
+    misfit = misfit_of(probes)
+    local = minimum_of(misfit).probes
+    return [
+        replace(p, displacement=p.displacement + (factor - 1) * NOISE * one.residual.reshape(-1, 3))
+        for p, one in zip(probes, local, strict=True)
+    ]
+
+
+def _noise_of(probes: list[ProbeObservations]) -> tuple[ScoreNoise, float, int]:
+    """Noise of the scores, sum of squared residuals in claimed sigmas, rows."""
+    misfit = misfit_of(probes)
+    local = minimum_of(misfit).probes
+    found = scores_of(misfit, local)[1]
+    squares = float(sum((one.residual**2).sum() for one in local))
+    return found, squares, sum(len(one.residual) for one in local)
+
+
+def test_noise_without_claims_is_that_of_regression() -> None:
+    """s^2 = RSS / (n - 2) with n - 2 degrees of freedom."""
+    probes = _probes()
+    found, squares, rows = _noise_of([replace(probe, std=None) for probe in probes])
+    assert found.degrees == rows - 2
+    # Both are sums over the same residuals.
+    assert found.power == pytest.approx(squares / (rows - 2), rel=1e-9)
+    assert found.slope == pytest.approx(1.0, rel=1e-12)
+
+
+def test_free_forces_take_three_degrees_each() -> None:
+    probes = [replace(p, std=None, force_std=np.full(3, 1e6)) for p in _probes()]
+    misfit = misfit_of(probes)
+    one = misfit.at_best_forces(0.3, 2e4)
+    found = scores_of(misfit, one)[1]
+    rows = sum(len(probe.measured) for probe in misfit.probes)
+    # A force known to 1e6 N is free but for 1e-6 of a degree.
+    assert found.degrees == pytest.approx(rows - 2 - 9, abs=1e-4)
+
+
+def test_no_rows_to_spare() -> None:
+    probe = _probes(count=1)[0]
+    field = np.full_like(probe.displacement, np.nan)
+    field[0, :2] = probe.displacement[0, :2]
+    found = _noise_of([replace(probe, displacement=field, std=None)])[0]
+    assert found.degrees == 0.5
+
+
+def test_claims_hold_until_residuals_exceed_them() -> None:
+    probes = _probes()
+    _, squares, rows = _noise_of(probes)
+    spare = rows - 2
+    # Mean square residual at which chance is left out: 1 and two standard errors of a variance.
+    limit = 1 + 2 * np.sqrt(2 / spare)
+    for share, raised in ((0.99, False), (1.01, True)):
+        factor = np.sqrt(share * limit / (squares / spare))
+        found = _noise_of(_stretched(probes, factor))[0]
+        assert found.degrees == (spare if raised else np.inf)
+        expected = share * limit if raised else 1.0
+        # Stretched residuals leave the minimum where it was, to 1e-7 of a standard error.
+        assert found.power == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("force_noise", [0.0, 0.05])
+def test_cramer_rao_is_the_inverse_information(force_noise: float) -> None:
+    probes = _probes(force_noise=force_noise)
+    misfit = misfit_of(probes)
+    shifts = [np.zeros(3)] * 3
+    local = misfit.linearised(misfit.scaled(0.3), 0.0, 2e4, shifts)
+    covariance = np.linalg.inv(sum(dense_information(one) for one in local))
+    bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
+    young = 5.2e4 * np.array([1 / 1.3, 1.0])
+    # Dense inverses of condition 1e5.
+    assert bound["poisson_ratio"] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-6)
+    assert bound["shear_modulus"] == pytest.approx(2e4 * np.sqrt(covariance[1, 1]), rel=1e-6)
+    assert bound["young_modulus"] == pytest.approx(np.sqrt(young @ covariance @ young), rel=1e-6)
+
+
+def test_cramer_rao_says_what_it_cannot() -> None:
+    probes = _probes()
+    with pytest.raises(InputError, match="'n01' has no std"):
+        cramer_rao_bound([replace(probes[0], std=None)], poisson_ratio=0.3, shear_modulus=2e4)
+    field = np.full_like(probes[0].displacement, np.nan)
+    field[3, 2] = 1e-5
+    alone = replace(probes[0], displacement=field)
+    bound = cramer_rao_bound([alone], poisson_ratio=0.3, shear_modulus=2e4)
+    assert all(np.isinf(value) for value in bound.values())
+
+
+def test_another_probing_never_makes_the_bound_wider() -> None:
+    probes = _probes(count=5, force_noise=0.05)
+    bounds = [
+        cramer_rao_bound(probes[: k + 1], poisson_ratio=0.3, shear_modulus=2e4) for k in range(5)
+    ]
+    for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
+        assert np.all(np.diff([bound[name] for bound in bounds]) < 0)

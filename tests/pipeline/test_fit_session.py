@@ -1,0 +1,245 @@
+"""From a session to its constants: what was put in comes out, with gravity, tips, either method."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from surfaces import sphere
+
+from palpate.bem import SurfaceSettings
+from palpate.errors import InputError
+from palpate.estimation import FitResult, FitSettings
+from palpate.geometry import TriangleMesh, closest_points
+from palpate.pipeline import fit_session, make_object_model, session_observations
+from palpate.records import (
+    Contact,
+    DisplacementField,
+    Probing,
+    Session,
+    Status,
+)
+
+SHEAR, NU, NOISE = 2e4, 0.3, 2e-5
+RADIUS = 0.03
+CONSTANTS = ("shear_modulus", "poisson_ratio", "young_modulus")
+
+
+def _probing(mesh: TriangleMesh, name: str, place: list[float], force: list[float]) -> Probing:
+    """Pressed at a place of the unit sphere; every third vertex is seen."""
+    seen = np.flatnonzero(mesh.vertices[:, 2] > -0.2 * RADIUS)
+    points = mesh.vertices[seen]
+    nothing = np.zeros_like(points)
+    contact = closest_points(mesh, RADIUS * np.array([place])).position[0]
+    return Probing(
+        name=name,
+        contact=Contact(contact, 0.008, "smooth"),
+        force=np.array(force),
+        force_std=np.full(3, 0.005),
+        tip_displacement=np.zeros(3) if name == "b" else None,
+        tip_displacement_std=np.full(3, NOISE) if name == "b" else None,
+        displacement=DisplacementField(
+            points, nothing, np.full_like(nothing, NOISE), seen, closest_points(mesh, points), ""
+        ),
+        images=None,
+    )
+
+
+def _measured(session: Session, shear: float = SHEAR, noise: float = 0.0) -> Session:
+    """The session with what its own model moves by, and noise."""
+    rng = np.random.default_rng(3)
+    model = make_object_model(session, session.probings)
+    probings = []
+    for probing, seen in zip(
+        session.probings, session_observations(session, session.probings, model), strict=True
+    ):
+        moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / shear).reshape(-1, 3)
+        moved = moved + noise * rng.normal(size=moved.shape)
+        count = len(seen.position)
+        probings.append(
+            replace(
+                probing,
+                displacement=replace(probing.displacement, displacement=moved[:count]),
+                tip_displacement=None if probing.tip_displacement is None else moved[count],
+            )
+        )
+    return replace(session, probings=tuple(probings))
+
+
+@pytest.fixture(scope="module")
+def still() -> Session:
+    """A ball held at its foot, pressed at three places, with weight; nothing has moved yet."""
+    unit = sphere(2)
+    mesh = TriangleMesh(RADIUS * unit.vertices, unit.triangles)
+    held = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.4 * RADIUS)
+    probings = (
+        _probing(mesh, "a", [0, 0, 1], [0.02, 0.0, -0.5]),
+        _probing(mesh, "b", [0.7, 0, 0.7], [-0.3, 0.0, -0.35]),
+        _probing(mesh, "c", [0, -0.8, 0.6], [0.0, 0.35, -0.25]),
+    )
+    return Session(
+        "ball", Path("ball"), mesh, held, probings, 1000.0, np.array([0.0, 0.0, -9.81]), None, ()
+    )
+
+
+@pytest.fixture(scope="module")
+def session(still: Session) -> Session:
+    return _measured(still)
+
+
+@pytest.fixture(scope="module")
+def result(session: Session) -> FitResult:
+    return fit_session(session)
+
+
+def test_what_was_put_in_comes_out(result: FitResult) -> None:
+    estimate = result.estimate
+    # The reduced model stands in on both sides; rounding and the noise floor are left.
+    assert estimate.poisson_ratio.value == pytest.approx(NU, abs=1e-7)
+    assert estimate.shear_modulus.value == pytest.approx(SHEAR, rel=1e-7)
+    assert estimate.young_modulus.value == pytest.approx(2 * SHEAR * (1 + NU), rel=1e-7)
+    assert estimate.status is Status.OK
+    assert [one.name for one in estimate.probes] == ["a", "b", "c"]
+    for one in estimate.probes:
+        assert one.poisson_ratio.value == pytest.approx(NU, abs=1e-6)
+
+
+def test_gravity_and_the_tip_belong_to_the_model(session: Session, result: FitResult) -> None:
+    """Left out, each of them moves the constants: they were used."""
+    without = replace(session, gravity=None, density=None)
+    free = replace(session.probings[1], tip_displacement=None, tip_displacement_std=None)
+    far = replace(session, probings=(session.probings[0], free, session.probings[2]))
+    G = result.estimate.shear_modulus.value
+    assert abs(fit_session(without).estimate.shear_modulus.value / G - 1) > 1e-4
+    # Exact data stay exact without the tip; only the intervals know of it.
+    less = fit_session(far).estimate
+    assert less.shear_modulus.value == pytest.approx(G, rel=1e-7)
+    assert less.probes[1].shear_modulus.std > result.estimate.probes[1].shear_modulus.std
+
+
+def test_both_methods_end_at_the_same_minimum(still: Session) -> None:
+    noisy = replace(_measured(still, noise=NOISE), gravity=None, density=None)
+    noisy = replace(noisy, probings=noisy.probings[:2])
+    fast = fit_session(noisy).estimate
+    slow = fit_session(noisy, settings=FitSettings(method="nelder-mead")).estimate
+    assert (fast.method, fast.settings["method"]) == ("reduced", "reduced")
+    assert (slow.method, slow.settings["method"]) == ("nelder-mead", "nelder-mead")
+    # The reduced model is 1e-6 of the response away from the full one.
+    for name in CONSTANTS:
+        one, other = getattr(fast, name), getattr(slow, name)
+        assert other.value == pytest.approx(one.value, rel=1e-5)
+        assert other.std == pytest.approx(one.std, rel=1e-3)
+        assert other.value != one.value
+    for one, other in zip(fast.probes, slow.probes, strict=True):
+        assert other.rms_residual == pytest.approx(one.rms_residual, rel=1e-4)
+
+
+def test_settings_are_kept_with_the_result(session: Session, result: FitResult) -> None:
+    assert result.estimate.settings["poisson_range"] == (0.0, 0.4999)
+    assert result.estimate.settings["surface"]["smooth"] is True
+    narrow = fit_session(
+        session,
+        settings=FitSettings(poisson_range=(0.0, 0.25)),
+        surface=SurfaceSettings(smooth=False),
+    ).estimate
+    assert narrow.settings["surface"]["smooth"] is False
+    assert narrow.poisson_ratio.ci95[1] == pytest.approx(0.25)
+
+
+def test_seconds_are_those_of_the_stages(result: FitResult) -> None:
+    seconds = result.estimate.seconds
+    assert list(seconds) == ["assembly", "factorisation", "fit", "total"]
+    assert all(value > 0 for value in seconds.values())
+    parts = sum(value for name, value in seconds.items() if name != "total")
+    # What lies between the stages: a few assignments and calls of the progress.
+    assert seconds["total"] == pytest.approx(parts, abs=0.02)
+
+
+def test_progress_rises_to_one(session: Session) -> None:
+    told: list[tuple[str, float]] = []
+    fit_session(session, progress=lambda text, share: told.append((text, share)))
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert (shares[0], told[-1]) == (0.0, ("done", 1.0))
+    assert dict(told)["tabulation"] == pytest.approx(0.8)
+    assert dict(told)["validation"] == pytest.approx(0.99)
+
+
+def test_an_error_of_scale_is_added_to_that_of_the_settings(still: Session) -> None:
+    session = _measured(still)
+    field = replace(session.probings[0].displacement, scale_error=0.03)
+    first = replace(session.probings[0], displacement=field)
+    scaled = replace(session, probings=(first, *session.probings[1:]))
+    found = fit_session(scaled, settings=FitSettings(displacement_error=0.04)).estimate
+    # 3 and 4 make 5; the other errors of exact data are a tenth of a per cent.
+    assert found.settings["displacement_error"] == pytest.approx(0.05, rel=1e-12)
+    assert found.shear_modulus.std / found.shear_modulus.value == pytest.approx(0.05, rel=0.01)
+
+
+def test_probings_can_be_chosen(session: Session) -> None:
+    found = fit_session(session, probes=["c", "a", "c"]).estimate
+    assert [one.name for one in found.probes] == ["c", "a"]
+    with pytest.raises(InputError, match=r"no probing named 'x', 'y' in ball; it has a, b, c"):
+        fit_session(session, probes=["a", "x", "y"])
+
+
+def test_a_probing_without_displacement_is_refused(session: Session) -> None:
+    blind = replace(session.probings[1], displacement=None)
+    partly = replace(session, probings=(session.probings[0], blind))
+    with pytest.raises(InputError, match="probing 'b' in ball has no measured displacement"):
+        fit_session(partly)
+    model = make_object_model(session, session.probings)
+    with pytest.raises(InputError, match="probing 'b' has no measured displacement"):
+        session_observations(session, [blind], model)
+
+
+def test_one_contact_is_one_patch(still: Session) -> None:
+    first, second, third = still.probings
+    again = replace(third, contact=first.contact)
+    model = make_object_model(still, (first, second, again))
+    assert model.patch_of.tolist() == [0, 1, 0]
+    assert len(model.patches) == 2
+    # Three columns a contact, two of gravity.
+    assert model.right.constant.shape[1] == 3 * 2 + 2
+
+
+def test_integrals_are_kept(session: Session, result: FitResult, tmp_path: Path) -> None:
+    first = fit_session(session, cache=tmp_path).estimate
+    assert list(tmp_path.iterdir())
+    again = fit_session(session, cache=tmp_path).estimate
+    assert again.shear_modulus == first.shear_modulus == result.estimate.shear_modulus
+
+
+def test_a_turned_session_has_the_same_constants(still: Session) -> None:
+    """Everything turned and moved: mesh, gravity, contacts, forces, what is seen."""
+    turn = Rotation.from_euler("xyz", [40, 70, -20], degrees=True).as_matrix()
+    noisy = _measured(still, noise=NOISE)
+    mesh = TriangleMesh(noisy.mesh.vertices @ turn.T + [1.0, 2.0, 3.0], noisy.mesh.triangles)
+    probings = []
+    for probing in noisy.probings:
+        points = probing.displacement.points @ turn.T + [1.0, 2.0, 3.0]
+        tip = probing.tip_displacement
+        field = replace(
+            probing.displacement,
+            points=points,
+            displacement=probing.displacement.displacement @ turn.T,
+            surface=closest_points(mesh, points),
+        )
+        probings.append(
+            replace(
+                probing,
+                contact=replace(
+                    probing.contact, point=turn @ probing.contact.point + [1.0, 2.0, 3.0]
+                ),
+                force=turn @ probing.force,
+                displacement=field,
+                tip_displacement=None if tip is None else turn @ tip,
+            )
+        )
+    turned = replace(noisy, mesh=mesh, probings=tuple(probings), gravity=turn @ still.gravity)
+    one, other = fit_session(noisy).estimate, fit_session(turned).estimate
+    # Noise levels are taken by component, but claims hold in both frames; integrals near the
+    # contact follow other rules for other points: 1e-5.
+    for name in CONSTANTS:
+        assert getattr(other, name).value == pytest.approx(getattr(one, name).value, rel=1e-4)
