@@ -1,6 +1,5 @@
 """What can be said about measured motions in numbers, and flow.json."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.pipeline.measure_motion import MeasuredMotion
-from palpate.records import Rig
+from palpate.records import Rig, json_text
 from palpate.shapes import Flags
 from palpate.vision import (
     CAUSES,
@@ -143,12 +142,12 @@ def write_flow_document(
         **heading,
         "motions": [_motion(f, rig, names) for f, names in zip(figures, files, strict=True)],
     }
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json_text(content), encoding="utf-8")
 
 
 def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, Any]:
     """One entry of `motions`."""
-    noise = {camera.name: _known(level) for camera, level in zip(rig.cameras, f.noise, strict=True)}
+    names = [camera.name for camera in rig.cameras]
     return {
         "name": f.name,
         "probing": f.probing,
@@ -156,19 +155,16 @@ def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, A
         "failure": f.failure,
         "points": f.points,
         "valid": f.valid,
-        "rejected": dict(f.rejected),
+        "rejected": f.rejected,
         "vertices": {"seen": f.vertices, "measured": f.measured},
-        "median_displacement": _known(f.displacement),
-        "median_sigma": {"lateral": _known(f.lateral), "depth": _known(f.depth)},
-        "median_vertex_sigma": {
-            "lateral": _known(f.vertex_lateral),
-            "depth": _known(f.vertex_depth),
-        },
-        "median_reprojection": _known(f.reprojection),
+        "median_displacement": f.displacement,
+        "median_sigma": {"lateral": f.lateral, "depth": f.depth},
+        "median_vertex_sigma": {"lateral": f.vertex_lateral, "depth": f.vertex_depth},
+        "median_reprojection": f.reprojection,
         "through_last": f.through_last,
-        "drift": _known(f.drift),
-        "noise": noise,
-        "files": dict(files),
+        "drift": f.drift,
+        "noise": dict(zip(names, f.noise, strict=True)),
+        "files": files,
     }
 
 
@@ -176,7 +172,3 @@ def _median(values: Float[np.ndarray, " k"]) -> float:
     """Median of what is known; NaN of nothing."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else math.nan
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
