@@ -300,21 +300,22 @@ def _displacement_field(session: Session, motion: MeasuredMotion) -> Displacemen
 
 def _order_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
     """A remark where an earlier image of a probing shows more motion than the last one."""
+    full = {
+        motion.probing: _typical_motion(motion.flow)
+        for motion in motions
+        if motion.last and motion.probing is not None and motion.flow is not None
+    }
     notes = []
-    for last in motions:
-        if not last.last or last.probing is None or last.flow is None:
+    for motion in motions:
+        if motion.last or motion.flow is None or motion.probing not in full:
             continue
-        full = _typical_motion(last.flow)
-        for earlier in motions:
-            if earlier.probing != last.probing or earlier.last or earlier.flow is None:
-                continue
-            if _typical_motion(earlier.flow) > _MAX_EARLIER_MOTION * full:
-                notes.append(
-                    f"probing '{last.name}': image '{earlier.name}' shows more motion"
-                    f" ({1e3 * _typical_motion(earlier.flow):.3g} mm) than the last one"
-                    f" ({1e3 * full:.3g} mm), which must be the one at full force; is their order"
-                    " right?"
-                )
+        size, last = _typical_motion(motion.flow), full[motion.probing]
+        if size > _MAX_EARLIER_MOTION * last:
+            notes.append(
+                f"probing '{motion.probing}': image '{motion.name}' shows more motion"
+                f" ({1e3 * size:.3g} mm) than the last one ({1e3 * last:.3g} mm), which must be"
+                " the one at full force; is their order right?"
+            )
     return tuple(notes)
 
 

@@ -147,7 +147,7 @@ def write_flow_document(
 
 def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, Any]:
     """One entry of `motions`."""
-    noise = {camera.name: level for camera, level in zip(rig.cameras, f.noise, strict=True)}
+    names = [camera.name for camera in rig.cameras]
     return {
         "name": f.name,
         "probing": f.probing,
@@ -155,19 +155,16 @@ def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, A
         "failure": f.failure,
         "points": f.points,
         "valid": f.valid,
-        "rejected": dict(f.rejected),
+        "rejected": f.rejected,
         "vertices": {"seen": f.vertices, "measured": f.measured},
         "median_displacement": f.displacement,
         "median_sigma": {"lateral": f.lateral, "depth": f.depth},
-        "median_vertex_sigma": {
-            "lateral": f.vertex_lateral,
-            "depth": f.vertex_depth,
-        },
+        "median_vertex_sigma": {"lateral": f.vertex_lateral, "depth": f.vertex_depth},
         "median_reprojection": f.reprojection,
         "through_last": f.through_last,
         "drift": f.drift,
-        "noise": noise,
-        "files": dict(files),
+        "noise": dict(zip(names, f.noise, strict=True)),
+        "files": files,
     }
 
 

@@ -250,7 +250,8 @@ def test_what_leaves_its_start_is_lost():
     points = POINTS[np.linalg.norm(POINTS - CENTRE, axis=1) < 40.0]
     near = _match(first, second, np.zeros_like(points), points=points, shape="shift", subset=41)
     good = near.converged
-    assert good.mean() > 0.5
+    # The others overshoot on their way.
+    assert good.sum() > 20
     np.testing.assert_allclose(near.displacement[good], [[7.5, 0.0]] * good.sum(), atol=0.02)
     farther = np.tile([-1.0, 0.0], (len(points), 1))
     lost = _match(first, second, farther, points=points, shape="shift", subset=41)

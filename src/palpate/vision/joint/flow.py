@@ -95,9 +95,19 @@ class JointFlow:
     def start(
         self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
     ) -> JointState:
-        """The first instant; see `FlowMethod.start`.
+        """The first instant, as `FlowMethod.start` says.
 
         The points lie on the smooth surface that the estimate takes the mesh for, not its facets.
+
+        Parameters
+        ----------
+        rig : Rig
+        pictures : sequence of c (rows, columns) float [grey levels]    in the rig's order
+        surface : TriangleMesh
+
+        Returns
+        -------
+        JointState
         """
         return self.start_on(rig, pictures, *refined_surface(surface))
 
@@ -129,7 +139,18 @@ class JointFlow:
     def follow(
         self, state: JointState, pictures: Sequence[Float[np.ndarray, "_ _"]]
     ) -> tuple[JointState, RangeFlow]:
-        """Match the first instant with the next one; see `FlowMethod.follow`."""
+        """Match the first instant with the next one, as `FlowMethod.follow` says.
+
+        Parameters
+        ----------
+        state : JointState              of the instant before
+        pictures : sequence of c (rows, columns) float [grey levels]
+
+        Returns
+        -------
+        state : JointState
+        flow : RangeFlow                from the first instant
+        """
         scene, now = state.scene, tuple(pictures)
         start = _flow_start(state, now)
         flow, matched = self._flow(_unsmoothed_where_turned(scene, start), now, start)
@@ -141,7 +162,18 @@ class JointFlow:
         return JointState(scene, now, motion, flow), flow
 
     def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
-        """Displacement of the mesh's vertices; see `FlowMethod.vertices`."""
+        """Displacement of the mesh's vertices by robust local quadratics.
+
+        Parameters
+        ----------
+        flow : RangeFlow
+        rig : Rig
+        surface : TriangleMesh          of v vertices
+
+        Returns
+        -------
+        VertexDisplacement              NaN where `vertex_displacement` has too little around
+        """
         camera = rig.cameras[rig.reference]
         return vertex_displacement(flow, camera, surface.vertices, surface.triangles)
 

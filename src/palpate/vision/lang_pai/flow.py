@@ -133,10 +133,25 @@ class LangPaiFlow:
     def start(
         self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
     ) -> LangPaiState:
-        """Stereo of the first instant; see `FlowMethod.start`.
+        """Stereo of the first instant, as `FlowMethod.start` says.
 
-        The rig has two cameras, or more with two that make an L with the reference. The points are
-        the pixels of the rectified reference that see the mesh.
+        The points are the pixels of the rectified reference that see the mesh.
+
+        Parameters
+        ----------
+        rig : Rig                       two cameras, or more with two that make an L with the
+                                        reference
+        pictures : sequence of c (rows, columns) float [grey levels]    of one size
+        surface : TriangleMesh
+
+        Returns
+        -------
+        LangPaiState
+
+        Raises
+        ------
+        InputError                      pictures that are not of the rig's cameras, or of two sizes
+        CalibrationError                cameras that cannot be rectified, a mesh not before them
         """
         _check_pictures(rig, pictures)
         shape = pictures[0].shape
@@ -162,9 +177,23 @@ class LangPaiFlow:
     def follow(
         self, state: LangPaiState, pictures: Sequence[Float[np.ndarray, "_ _"]]
     ) -> tuple[LangPaiState, RangeFlow]:
-        """Stereo of the next instant, and the vote on each pixel; see `FlowMethod.follow`.
+        """Stereo of the next instant and the vote on each pixel, as `FlowMethod.follow` says.
 
         Pixels that were rejected once are not taken up again.
+
+        Parameters
+        ----------
+        state : LangPaiState            of the instant before
+        pictures : sequence of c (rows, columns) float [grey levels]
+
+        Returns
+        -------
+        state : LangPaiState
+        flow : RangeFlow                from the first instant
+
+        Raises
+        ------
+        InputError                      pictures not of the rig's cameras, or of another size
         """
         _check_pictures(state.rig, pictures, state.head.shape)
         after = make_instant(state.head, pictures, state.limits)
@@ -179,7 +208,18 @@ class LangPaiFlow:
         return state, self._flow(state)
 
     def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
-        """Displacement of the mesh's vertices; see `FlowMethod.vertices`."""
+        """Displacement of the mesh's vertices by `lang_pai_vertices`.
+
+        Parameters
+        ----------
+        flow : RangeFlow
+        rig : Rig                       not needed
+        surface : TriangleMesh          of v vertices
+
+        Returns
+        -------
+        VertexDisplacement              NaN where fewer than four motions agree
+        """
         return lang_pai_vertices(flow, surface.vertices, surface.triangles)
 
     def _flow(self, state: LangPaiState) -> RangeFlow:

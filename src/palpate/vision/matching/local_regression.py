@@ -104,49 +104,40 @@ def local_field(
     -------
     LocalField                      NaN where there are too few displacements around
     """
-    terms = _TERMS[order]
-    nearest = np.full((len(place), most), -1)
-    radius = np.full(len(place), reach)
-    if len(scatter.point) > 0:
-        many = min(most, len(scatter.point))
-        farthest = reach if fewest is None else 2.0 * reach
-        away, found = cKDTree(scatter.point).query(place, k=many, distance_upper_bound=farthest)
-        away, found = away.reshape(len(place), many), found.reshape(len(place), many)
-        if fewest is not None:
-            last = np.minimum(away[:, min(fewest, many) - 1], farthest)
-            # A little farther, so that the last one has some weight.
-            radius = np.maximum(reach, 1.1 * last)
-        inside = (found < len(scatter.point)) & (away < radius[:, None])
-        nearest[:, :many] = np.where(inside, found, -1)
+    nearest, radius = _neighbours(scatter.point, place, reach, most, fewest)
     noise = scatter.covariance - scatter.bias
-    trace = np.trace(noise, axis1=1, axis2=2)
     count = len(place)
     value, gradient, curvature, spread, misfit = (
         np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3), ())
     )
     in_threads(
-        _fit_range,
-        count,
-        np.ascontiguousarray(place, dtype=np.float64),
-        np.ascontiguousarray(tangent, dtype=np.float64),
-        nearest,
-        scatter.point,
-        scatter.pixel,
-        scatter.displacement,
-        noise,
-        scatter.bias,
-        trace,
-        float(scatter.subset),
-        radius,
-        terms,
-        value,
-        gradient,
-        curvature,
-        spread,
-        misfit,
+        _fit_range, count, np.ascontiguousarray(place, dtype=np.float64),
+        np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
+        scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
+        float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, spread, misfit,
         fewest=_MIN_PLACES_PER_THREAD,
-    )
+    )  # fmt: skip
     return LocalField(value, gradient, curvature, spread, (nearest >= 0).sum(axis=1), misfit)
+
+
+def _neighbours(
+    point: Points, place: Float[np.ndarray, "t 3"], reach: float, most: int, fewest: int | None
+) -> tuple[Int[np.ndarray, "t most"], Float[np.ndarray, " t"]]:
+    """Nearest points within reach of each place, -1 where there are fewer, and that reach [m]."""
+    nearest = np.full((len(place), most), -1)
+    radius = np.full(len(place), reach)
+    if len(point) > 0:
+        many = min(most, len(point))
+        farthest = reach if fewest is None else 2.0 * reach
+        away, found = cKDTree(point).query(place, k=many, distance_upper_bound=farthest)
+        away, found = away.reshape(len(place), many), found.reshape(len(place), many)
+        if fewest is not None:
+            last = np.minimum(away[:, min(fewest, many) - 1], farthest)
+            # A little farther, so that the last one has some weight.
+            radius = np.maximum(reach, 1.1 * last)
+        inside = (found < len(point)) & (away < radius[:, None])
+        nearest[:, :many] = np.where(inside, found, -1)
+    return nearest, radius
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -111,24 +111,13 @@ def refine_planar(
         np.zeros(count, dtype=bool),
     )
     in_threads(
-        _refine_range,
-        count,
-        reference.grey,
-        reference.along_column,
-        reference.along_row,
-        moved.coefficients,
-        np.ascontiguousarray(np.rint(points), dtype=np.int64),
+        _refine_range, count, reference.grey, reference.along_column, reference.along_row,
+        moved.coefficients, np.ascontiguousarray(np.rint(points), dtype=np.int64),
         np.ascontiguousarray(start, dtype=np.float64),
-        np.ascontiguousarray(start_gradient, dtype=np.float64),
-        subset // 2,
-        BASES[shape],
-        found.displacement,
-        found.gradient,
-        found.covariance,
-        found.score,
-        found.converged,
+        np.ascontiguousarray(start_gradient, dtype=np.float64), subset // 2, BASES[shape],
+        found.displacement, found.gradient, found.covariance, found.score, found.converged,
         fewest=_MIN_WINDOWS_PER_THREAD,
-    )
+    )  # fmt: skip
     return found
 
 
