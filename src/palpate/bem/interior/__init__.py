@@ -3,7 +3,7 @@
 Purpose    : show where an object is strained, from the solution on its surface.
 Takes      : an `ElasticMap`, a load with its force, points inside.
 Gives      : `InteriorState`.
-Depends on : bem's integrals, loads and elastic map; geometry; errors.
+Depends on : `bem.integrals`, `bem.loads`, `geometry`.
 Read first : `interior.py`, `somigliana.py`.
 """
 

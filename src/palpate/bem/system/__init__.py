@@ -4,7 +4,7 @@ Purpose    : write the boundary integral equation for the unknowns of an object 
 Takes      : a `BoundarySurface`.
 Gives      : `BoundarySystem`, its factorisation, its derivative with respect to Poisson's ratio,
              equations at single points; all of it kept on disk if asked.
-Depends on : bem's integrals; geometry; errors, threads.
+Depends on : `bem.integrals`, `geometry`.
 Read first : `system.py`, `boundary.py`.
 """
 

@@ -3,7 +3,7 @@
 Purpose    : bring measured points onto a mesh, and say which motions its shape does not determine.
 Takes      : points with their covariances, a mesh, a guess of the pose.
 Gives      : `Registration` with the covariance of the pose.
-Depends on : geometry's triangle mesh, closest points and sides; arrays, errors, shapes.
+Depends on : nothing but the ground floor.
 Read first : `registration.py`, `surface_fit.py`.
 """
 
