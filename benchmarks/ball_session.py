@@ -100,7 +100,7 @@ def _silent_session(subdivisions: int, count: int) -> Session:
 
 def _displacements(session: Session) -> list[np.ndarray]:
     """Exact displacement of every vertex in every probing, (v, 3) [m]."""
-    model = make_object_model(session, session.probings)
+    model = make_object_model(session)
     elastic = make_elastic_map(
         model.system, shear_modulus=SHEAR_MODULUS, poisson_ratio=POISSON_RATIO
     )

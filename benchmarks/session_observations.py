@@ -9,8 +9,8 @@ from palpate.records import Session
 
 def session_observations(session: Session) -> list[ProbeObservations]:
     """Measured displacements of every probing with the model's response."""
-    model = pipeline.make_object_model(session, session.probings)
-    return pipeline.session_observations(session, session.probings, model)
+    model = pipeline.make_object_model(session)
+    return pipeline.session_observations(session, model)
 
 
 def exact(

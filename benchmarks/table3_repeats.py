@@ -22,11 +22,10 @@ from palpate.paper import (
     REGISTRATION,
     constant_errors,
     intervals_hold,
-    pictures_measured,
     quickened,
     with_misjudged_rig,
 )
-from palpate.pipeline import fit_session
+from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.records import Estimate, ProbeEstimate, Session, read_session
 
 REPEATS = 20
@@ -91,7 +90,7 @@ def evaluated(sessions: Sequence[Session], material: Material) -> list[Figure]:
 def _estimate(session: Session) -> Estimate:
     """Constants by the default method, the pose as given."""
     start = time.perf_counter()
-    estimate = fit_session(pictures_measured(session)).estimate
+    estimate = fit_session(with_pictures_measured(session, pose="given")).estimate
     young, nu = estimate.young_modulus, estimate.poisson_ratio
     _log(
         f"{session.path.parent.name}: nu {nu.value:.4f} {np.round(nu.ci95, 4).tolist()},"

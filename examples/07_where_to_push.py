@@ -21,8 +21,8 @@ SIGMA = 5e-5  # of each component of a displacement [m]
 def main() -> dict[str, float]:
     """Bound on the standard deviation of nu for each probing of the half ball, and for all."""
     session = read_session(HERE / "half_ball")
-    model = make_object_model(session, session.probings)
-    probes = session_observations(session, session.probings, model)
+    model = make_object_model(session)
+    probes = session_observations(session, model)
     # What the bound asks is where one looks and how well, not what was seen there.
     probes = [
         replace(

@@ -22,8 +22,8 @@ def main() -> float:
     """Fit repeats that differ by their noise; gives the share of intervals that hold nu."""
     session = read_session(HERE / "half_ball")
     # Integrals and factorisation, once: they depend on neither the noise nor the material.
-    model = make_object_model(session, session.probings)
-    probes = session_observations(session, session.probings, model)
+    model = make_object_model(session)
+    probes = session_observations(session, model)
     rng = np.random.default_rng(1)
     hits, values = 0, []
     for _ in range(REPEATS):

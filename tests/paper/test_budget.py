@@ -15,7 +15,8 @@ from palpate.lab import Calibration, Material, Sensor, Variant, read_lab_config
 from palpate.lab.config_files import built_in
 from palpate.paper import budget
 from palpate.paper.budget import SourceErrors, budget_picture, budget_table, sizes_table
-from palpate.paper.constants import constant_errors, pictures_measured
+from palpate.paper.constants import constant_errors
+from palpate.pipeline import with_pictures_measured
 from palpate.records import Constant, DisplacementField, ProbeEstimate, read_rig, read_session
 
 NAMES = [
@@ -59,13 +60,12 @@ def with_displacements(session):
 
 def test_what_was_measured_is_not_measured_again(session):
     known = with_displacements(session)
-    assert pictures_measured(known) is known
     # Other forces over the same pictures: nothing is left to measure.
     forces = budget._with_forces(known, Sensor(noise=0.01), np.random.default_rng(1))
-    assert pictures_measured(forces) is forces
+    assert with_pictures_measured(forces, pose="given") is forces
     # There are no pictures in this folder.
     with pytest.raises(InputError, match="rest_c0"):
-        pictures_measured(session)
+        with_pictures_measured(session, pose="given")
 
 
 def test_where_it_begins_no_error_is_left(config):
@@ -180,7 +180,7 @@ def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
 
     monkeypatch.setattr(budget, "make_sessions", make)
     monkeypatch.setattr(budget, "_errors", errors)
-    monkeypatch.setattr(budget, "pictures_measured", lambda session: session)
+    monkeypatch.setattr(budget, "with_pictures_measured", lambda session, pose: session)
     said = []
     sources = budget.error_budget(
         config, tmp_path, variant=Variant("none", "", None), draws=3,

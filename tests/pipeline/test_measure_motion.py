@@ -149,11 +149,6 @@ def test_a_session_without_images_says_so(half_ball: Session) -> None:
         measure_motion(replace(half_ball, probings=(bare,)))
 
 
-def test_unknown_probings_are_named(half_ball: Session) -> None:
-    with pytest.raises(InputError, match="'n99'"):
-        measure_motion(half_ball, probes=["n99"])
-
-
 def test_a_session_without_a_rig_says_so(half_ball: Session) -> None:
     with pytest.raises(InputError, match="rig"):
         measure_motion(replace(half_ball, rig=None))

@@ -21,7 +21,7 @@ from palpate.figures.style import (
     save_figure,
     styled,
 )
-from palpate.records import Constant, Estimate, Session, modulus_unit
+from palpate.records import Constant, Estimate, Session, file_stem, modulus_unit
 
 # Per cent: deviance, chi squared with two degrees of freedom.
 REGIONS = {50: 1.3863, 95: 5.9915}
@@ -61,16 +61,11 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     for number, fit in enumerate(result.probes, start=1):
         figure = displacement_figure(session.mesh, by_name[fit.name], fit)
         if figure is not None:
-            below = folder / "displacement"
-            below.mkdir(exist_ok=True)
-            written.append(save_figure(figure, below / f"{_file_name(fit.name, number)}.png"))
+            stem = file_stem(fit.name, otherwise=f"probing-{number}")
+            file = folder / "displacement" / f"{stem}.png"
+            file.parent.mkdir(exist_ok=True)
+            written.append(save_figure(figure, file))
     return written
-
-
-def _file_name(name: str, number: int) -> str:
-    """A probing's name as a file name; its number stands in where that is impossible."""
-    plain = name.replace("_", "").replace("-", "").replace(".", "")
-    return name if plain.isalnum() and name[0] != "." else f"probing-{number}"
 
 
 @styled

@@ -18,7 +18,6 @@ from palpate.paper.constants import (
     constant_errors as constant_errors,
     estimated_constants as estimated_constants,
     intervals_hold as intervals_hold,
-    pictures_measured as pictures_measured,
 )
 from palpate.paper.experiments import (
     EXPERIMENTS as EXPERIMENTS,

@@ -40,9 +40,9 @@ from palpate.lab import (
     read_sensor,
     sensor_std,
 )
-from palpate.paper.constants import constant_errors, pictures_measured
+from palpate.paper.constants import constant_errors
 from palpate.paper.result import Cell, ResultTable
-from palpate.pipeline import fit_session
+from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, read_rig, read_session, write_rig
 
@@ -118,7 +118,7 @@ def error_budget(
         progress=part_of(say, 0.0, _MAKING),
     )
     # Its motion serves every source that changes no picture and no camera.
-    first = pictures_measured(read_session(folders[0]))
+    first = with_pictures_measured(read_session(folders[0]), pose="given")
     sessions = [[first], *([read_session(each)] for each in folders[1:])]
     for number, (name, _, change) in enumerate(readings):
         drawn = [
@@ -244,7 +244,8 @@ def _errors(
     sessions: Sequence[Session], truth: Material
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "d 3"]]:
     """Errors of single probings and of all; what was measured already is not measured anew."""
-    joint = [fit_session(pictures_measured(session)).estimate for session in sessions]
+    measured = (with_pictures_measured(session, pose="given") for session in sessions)
+    joint = [fit_session(session).estimate for session in measured]
     single = [probe for estimate in joint for probe in estimate.probes]
     return constant_errors(single, truth), constant_errors(joint, truth)
 

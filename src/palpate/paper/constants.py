@@ -15,7 +15,7 @@ from palpate.paper.motion import PAPER
 from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
 from palpate.paper.result import Cell, ResultTable
 from palpate.paper.sessions import Method, PaperSession
-from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
+from palpate.pipeline import fit_session, with_measured_displacement
 from palpate.records import Constant, Estimate, ProbeEstimate, Session
 
 # A cylinder as one would cut it from foam [m], and the strain of the test.
@@ -59,27 +59,6 @@ def estimated_constants(measured: PaperSession, method: Method) -> EstimatedCons
     """
     session = with_measured_displacement(measured.session, measured.found[method])
     return EstimatedConstants(session, fit_session(session))
-
-
-def pictures_measured(session: Session) -> Session:
-    """A facility's session with its motion by the default method, the pose as the session gives it.
-
-    Parameters
-    ----------
-    session : Session
-
-    Returns
-    -------
-    Session                         the same where every probing's motion is known
-
-    Raises
-    ------
-    InputError                      a motion that could not be measured
-    """
-    if all(probing.displacement is not None for probing in session.probings):
-        return session
-    found = measure_motion(session, pose="given")
-    return with_measured_displacement(session, found)
 
 
 def compressed_modulus(material: Material) -> float:

@@ -16,19 +16,13 @@ from palpate.pipeline.fit_session import (
     session_observations as session_observations,
     surface_load as surface_load,
 )
-from palpate.pipeline.flow_files import (
-    file_stems as file_stems,
-    seen_vertices as seen_vertices,
-    write_flow_npz as write_flow_npz,
-    write_flow_vtp as write_flow_vtp,
-    write_vertices as write_vertices,
-)
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,
     SessionFlow as SessionFlow,
     measure_motion as measure_motion,
     with_measured_displacement as with_measured_displacement,
+    with_pictures_measured as with_pictures_measured,
 )
 from palpate.pipeline.measurement_plan import (
     MATCHING_NOISE as MATCHING_NOISE,
@@ -47,7 +41,14 @@ from palpate.pipeline.poke import (
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
 )
-from palpate.pipeline.residual_files import write_residuals as write_residuals
+from palpate.pipeline.result_files import (
+    file_stems as file_stems,
+    seen_vertices as seen_vertices,
+    write_flow_npz as write_flow_npz,
+    write_flow_vtp as write_flow_vtp,
+    write_residuals as write_residuals,
+    write_vertices as write_vertices,
+)
 from palpate.pipeline.survey import (
     NEAR_RADII as NEAR_RADII,
     ProbingSurvey as ProbingSurvey,

@@ -91,7 +91,6 @@ class ObjectModel:
 def fit_session(
     session: Session,
     *,
-    probes: Sequence[str] | None = None,
     settings: FitSettings = FitSettings(),
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
@@ -101,8 +100,7 @@ def fit_session(
 
     Parameters
     ----------
-    session : Session
-    probes : sequence of str          names of the probings to use, None = all
+    session : Session                 every probing with a displacement
     settings : FitSettings            how the constants are searched and their intervals found
     surface : SurfaceSettings         how the surface between the vertices is understood
     cache : Path or None              folder that keeps the integrals for the next time
@@ -114,21 +112,20 @@ def fit_session(
 
     Raises
     ------
-    InputError                        unknown probing, a probing without displacements, a bad
-                                      contact
+    InputError                        a probing without displacements, a bad contact
     SingularSystemError               the support does not hold the object
     """
     start = time.perf_counter()
-    probings = _chosen(session, probes)
-    scale_error = max(_measured(probing).scale_error for probing in probings)
+    require_probings(session)
+    scale_error = max(_measured(probing).scale_error for probing in session.probings)
     settings = replace(
         settings, displacement_error=float(np.hypot(settings.displacement_error, scale_error))
     )
     progress("integrals over the surface", 0.0)
-    model = make_object_model(session, probings, surface=surface, cache=cache)
+    model = make_object_model(session, surface=surface, cache=cache)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
-    observations = session_observations(session, probings, model, settings=settings)
+    observations = session_observations(session, model, settings=settings)
     factorised = time.perf_counter()
     result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
     progress("done", 1.0)
@@ -144,7 +141,6 @@ def fit_session(
 
 def make_object_model(
     session: Session,
-    probings: Sequence[Probing],
     *,
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
@@ -154,7 +150,6 @@ def make_object_model(
     Parameters
     ----------
     session : Session
-    probings : sequence of k Probing
     surface : SurfaceSettings
     cache : Path or None              folder that keeps the integrals for the next time
 
@@ -167,7 +162,7 @@ def make_object_model(
     InputError                        the model does not fit into memory, a bad contact
     """
     check_memory(len(session.mesh.vertices))
-    patches, patch_of = _distinct_patches(session, probings)
+    patches, patch_of = _distinct_patches(session)
     boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
     system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
     loads = [surface_load(patch) for patch in patches]
@@ -177,7 +172,7 @@ def make_object_model(
         weight = session.density * session.gravity
     right, body = _right_hand(system, loads, shapes, weight)
     tips = None
-    if any(probing.tip_displacement is not None for probing in probings):
+    if any(probing.tip_displacement is not None for probing in session.probings):
         equations = point_equations(
             system,
             np.array([patch.triangle for patch in patches]),
@@ -202,19 +197,14 @@ def _right_hand(
 
 
 def session_observations(
-    session: Session,
-    probings: Sequence[Probing],
-    model: ObjectModel,
-    *,
-    settings: FitSettings = FitSettings(),
+    session: Session, model: ObjectModel, *, settings: FitSettings = FitSettings()
 ) -> list[ProbeObservations]:
     """What each probing saw, with what the model says it should have seen.
 
     Parameters
     ----------
-    session : Session
-    probings : sequence of k Probing      each with displacements
-    model : ObjectModel                   of these probings
+    session : Session                     k probings, each with displacements
+    model : ObjectModel                   of this session
     settings : FitSettings                method and range of Poisson's ratio
 
     Returns
@@ -223,12 +213,13 @@ def session_observations(
 
     Raises
     ------
+    InputError                            a probing without displacements
     SingularSystemError                   the support does not hold the object
     NotConvergedError                     the reduced model does not serve the range
     """
     rows = [
         _rows(model, probing, int(patch))
-        for probing, patch in zip(probings, model.patch_of, strict=True)
+        for probing, patch in zip(session.probings, model.patch_of, strict=True)
     ]
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
@@ -239,7 +230,7 @@ def session_observations(
         responses = [reduced_response(reduced, row) for row in rows]
     return [
         _observations(probing, response)
-        for probing, response in zip(probings, responses, strict=True)
+        for probing, response in zip(session.probings, responses, strict=True)
     ]
 
 
@@ -260,31 +251,11 @@ def surface_load(patch: ContactPatch) -> SurfaceLoad:
     return SurfaceLoad(patch.triangles, patch.density, disc)
 
 
-def _chosen(session: Session, names: Sequence[str] | None) -> list[Probing]:
-    require_probings(session)
-    known = {probing.name: probing for probing in session.probings}
-    wanted = list(known) if names is None else list(dict.fromkeys(names))
-    missing = [name for name in wanted if name not in known]
-    if missing:
-        raise InputError(
-            f"there is no probing named {', '.join(map(repr, missing))} in {session.path}; "
-            f"it has {', '.join(known)}"
-        )
-    blind = [name for name in wanted if known[name].displacement is None]
-    if blind:
-        raise InputError(
-            f"probing {', '.join(map(repr, blind))} in {session.path} has no measured "
-            "displacement and no images; give one of them, or leave it out with --probe"
-        )
-    return [known[name] for name in wanted]
-
-
-def _distinct_patches(
-    session: Session, probings: Sequence[Probing]
-) -> tuple[tuple[ContactPatch, ...], Int[np.ndarray, " k"]]:
+def _distinct_patches(session: Session) -> tuple[tuple[ContactPatch, ...], Int[np.ndarray, " k"]]:
+    """Every contact once, and which of them each probing has."""
     patches: dict[tuple[object, ...], ContactPatch] = {}
     keys = []
-    for probing in probings:
+    for probing in session.probings:
         contact = probing.contact
         key = (*contact.point.tolist(), contact.radius, contact.profile)
         keys.append(key)
@@ -348,7 +319,10 @@ def _observations(probing: Probing, response: ProbeResponse) -> ProbeObservation
 
 
 def _measured(probing: Probing) -> DisplacementField:
-    """The displacements of a probing that `_chosen` has let through."""
+    """The displacements of a probing, which must be there."""
     if probing.displacement is None:
-        raise InputError(f"probing '{probing.name}' has no measured displacement; it cannot be fit")
+        raise InputError(
+            f"probing '{probing.name}' has no measured displacement and no images; give one of"
+            " them, or leave it out with --probe"
+        )
     return probing.displacement

@@ -114,17 +114,15 @@ class _First:
 def measure_motion(
     session: Session,
     *,
-    probes: Sequence[str] | None = None,
     method: FlowMethod = JointFlow(),
     pose: PoseChoice = "auto",
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> SessionFlow:
     """Measure how the object's surface moves in the pictures of a session.
 
     Parameters
     ----------
-    session : Session               with steps, or with probings that have images
-    probes : sequence of str        probings to measure; by default all that have images
+    session : Session               with steps, or with probings of which some have images
     method : FlowMethod             how, with its settings; see `FLOW_METHODS`
     pose : "auto", "given" or "register"    whether the rig's pose of the object is believed: "auto"
                                     registers only where the pictures contradict it
@@ -136,14 +134,13 @@ def measure_motion(
 
     Raises
     ------
-    InputError                      no images, unknown probing
+    InputError                      no images, no rig
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
-    say = progress or silent
-    sequences = _sequences(session, probes)
+    sequences = _sequences(session)
     if session.rig is None:
         raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
-    say("cameras", 0.0)
+    progress("cameras", 0.0)
     rig = read_rig(session.rig)
     total = sum(len(sequence.later) for sequence in sequences)
     motions: list[MeasuredMotion] = []
@@ -151,7 +148,7 @@ def measure_motion(
     firsts: dict[str, _First] = {}
     for sequence in sequences:
         if sequence.first not in firsts:
-            say(f"{sequence.what}: first pictures and pose", len(motions) / total)
+            progress(f"{sequence.what}: first pictures and pose", len(motions) / total)
             first = _first_instant(session, rig, sequence, method, pose)
             rig = rig if firsts else first.rig
             firsts[sequence.first] = first
@@ -160,9 +157,36 @@ def measure_motion(
         for motion, remarks in _motions(session, sequence, first, method):
             motions.append(motion)
             notes += remarks
-            say(f"{motion.name}, {len(motions)} of {total} instants", len(motions) / total)
+            progress(f"{motion.name}, {len(motions)} of {total} instants", len(motions) / total)
     notes += _texture_notes(motions) + _order_notes(motions)
     return SessionFlow(rig, tuple(motions), tuple(dict.fromkeys(notes)))
+
+
+def with_pictures_measured(
+    session: Session, *, pose: PoseChoice = "auto", progress: Progress = silent
+) -> Session:
+    """The session with displacements from the pictures where there is no file of them.
+
+    Parameters
+    ----------
+    session : Session
+    pose, progress                  as in `measure_motion`
+
+    Returns
+    -------
+    Session                         the given one where nothing is to be measured; else with the
+                                    notes of the measurement behind its own
+
+    Raises
+    ------
+    InputError                      a probing whose pictures could not be used or show no motion
+    RecordError, CalibrationError   the first pictures or the rig cannot be used
+    """
+    unread = tuple(p for p in session.probings if p.displacement is None and p.images)
+    if not unread:
+        return session
+    flow = measure_motion(replace(session, probings=unread), pose=pose, progress=progress)
+    return with_measured_displacement(session, flow)
 
 
 def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
@@ -182,33 +206,25 @@ def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
     InputError                      a probing whose pictures could not be used or show no motion
     """
     found = {motion.probing: motion for motion in flow.motions if motion.last}
-    probings = []
-    for probing in session.probings:
-        if probing.displacement is None and probing.name in found:
-            measured = _displacement_field(session, found[probing.name])
-            probing = replace(probing, displacement=measured)
-        probings.append(probing)
-    return replace(session, probings=tuple(probings), notes=session.notes + flow.notes)
+    probings = tuple(
+        replace(probing, displacement=_displacement_field(session, found[probing.name]))
+        if probing.displacement is None and probing.name in found
+        else probing
+        for probing in session.probings
+    )
+    return replace(session, probings=probings, notes=session.notes + flow.notes)
 
 
-def _sequences(session: Session, probes: Sequence[str] | None) -> list[_Sequence]:
+def _sequences(session: Session) -> list[_Sequence]:
     """What there is to measure."""
     if session.steps:
         first, *later = (
             _Instant(step.name, f"step '{step.name}'", step.images, True) for step in session.steps
         )
         return [_Sequence(first.what, None, first.pattern, tuple(later))]
-    known = {probing.name: probing for probing in session.probings}
-    missing = [name for name in probes or () if name not in known]
-    if missing:
-        raise InputError(
-            f"there is no probing named {', '.join(map(repr, missing))} in {session.path};"
-            f" it has {', '.join(known)}"
-        )
-    chosen = [known[name] for name in dict.fromkeys(probes)] if probes else list(known.values())
     sequences = [
         _probing_sequence(probing.name, probing.images)
-        for probing in chosen
+        for probing in session.probings
         if probing.images is not None
     ]
     if not sequences:

@@ -9,11 +9,19 @@ from jaxtyping import Bool, Float
 
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, cramer_rao_bound, poisson_ratio_error
-from palpate.geometry import closest_points
+from palpate.geometry import bounding_diagonal, closest_points
 from palpate.pipeline.fit_session import make_object_model, session_observations
 from palpate.pipeline.measure_motion import SCALE_ERROR
 from palpate.progress import Progress, silent
-from palpate.records import DisplacementField, Probing, Rig, Session, read_rig, require_probings
+from palpate.records import (
+    DisplacementField,
+    Probing,
+    Rig,
+    Session,
+    picture_size,
+    read_rig,
+    require_probings,
+)
 from palpate.shapes import Points
 from palpate.vision import project_jacobian, surface_map, visible
 
@@ -94,7 +102,7 @@ def plan_measurement(
                                     range; cameras without sizes; nothing that two cameras see
     """
     _check(session, young_modulus, poisson_ratio, matching_noise)
-    rig = _sized_rig(session)
+    rig = read_rig(session.rig or session.path)
     progress("what the cameras see", 0.0)
     seen = _seen(session, rig)
     rows = np.flatnonzero(seen.sum(axis=0) >= 2)
@@ -104,11 +112,12 @@ def plan_measurement(
             " object"
         )
     sigma = _sigma(rig, session.mesh.vertices[rows], seen[:, rows], matching_noise)
-    probings = [_with_seen_vertices(session, probing, rows, sigma) for probing in session.probings]
+    probings = (_with_seen_vertices(session, probing, rows, sigma) for probing in session.probings)
+    session = replace(session, probings=tuple(probings))
     progress("integrals over the surface", 0.2)
-    model = make_object_model(session, probings)
+    model = make_object_model(session)
     progress("what the probings tell", 0.7)
-    observed = session_observations(session, probings, model)
+    observed = session_observations(session, model)
     shear = 0.5 * young_modulus / (1.0 + poisson_ratio)
     free = np.setdiff1d(
         np.arange(len(session.mesh.vertices)),
@@ -136,24 +145,14 @@ def _check(session: Session, young: float, poisson: float, noise: float) -> None
         raise InputError(f"matching_noise is {noise:g} px; must be positive")
 
 
-def _sized_rig(session: Session) -> Rig:
-    rig = read_rig(session.rig or session.path)
-    if without := [camera.name for camera in rig.cameras if camera.size is None]:
-        raise InputError(
-            f"{session.rig}: camera '{without[0]}' has no size; give it as size = [columns, rows]"
-        )
-    return rig
-
-
 def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
     """Which vertices each camera sees."""
     mesh = session.mesh
-    size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    tolerance = _DEPTH_TOLERANCE * bounding_diagonal(mesh)
     shown = []
     for camera in rig.cameras:
-        columns, rows = camera.size or (0, 0)
-        surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
-        shown.append(visible(surface, camera, mesh.vertices, tolerance=_DEPTH_TOLERANCE * size))
+        surface = surface_map(camera, picture_size(camera)[::-1], mesh.vertices, mesh.triangles)
+        shown.append(visible(surface, camera, mesh.vertices, tolerance=tolerance))
     return np.stack(shown)
 
 

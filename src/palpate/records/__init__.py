@@ -22,6 +22,7 @@ from palpate.records.files import (
     default_folder as default_folder,
     disk_errors as disk_errors,
     displacement_line as displacement_line,
+    file_stem as file_stem,
     import_plan as import_plan,
     named_displacements as named_displacements,
     placed_files as placed_files,

@@ -13,11 +13,9 @@ from palpate.estimation import FitResult, FitSettings
 from palpate.figures import write_plots
 from palpate.pipeline import (
     fit_session,
-    measure_motion,
-    with_measured_displacement,
+    with_pictures_measured,
     write_residuals,
 )
-from palpate.progress import Progress
 from palpate.records import (
     Session,
     Status,
@@ -79,22 +77,23 @@ def fit(
         require_probings(given)
         print_notes(given.notes)
         with progress_bar() as progress:
-            given = _with_motion(given, progress)
+            measured = with_pictures_measured(given, progress=progress)
+            print_notes(measured.notes[len(given.notes) :])
             result = fit_session(
-                given,
+                measured,
                 settings=FitSettings(method=method, poisson_range=poisson_range),
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
                 progress=progress,
             )
             progress("tables and plots", 1.0)
-            _write(folder, given, result)
+            _write(folder, measured, result)
     estimate = result.estimate
     if len(estimate.probes) > 0:
         console.print(probes_table(estimate))
     console.print(constants_table(estimate))
     for note in estimate.notes:
-        if note not in given.notes:
+        if note not in measured.notes:
             console.print(f"Note: {note}", markup=False, highlight=False)
     console.print(
         f"Result in {target} ({estimate.seconds.get('total', float('nan')):.1f} s)",
@@ -105,16 +104,6 @@ def fit(
         print(f"palpate: {estimate.status.value}: {estimate.status.advice}", file=sys.stderr)
         return _NOT_OK
     return 0
-
-
-def _with_motion(session: Session, progress: Progress) -> Session:
-    """The session with displacements measured from the pictures where there is no file of them."""
-    unread = [p.name for p in session.probings if p.displacement is None and p.images]
-    if not unread:
-        return session
-    flow = measure_motion(session, probes=unread, progress=progress)
-    print_notes(flow.notes)
-    return with_measured_displacement(session, flow)
 
 
 def _write(folder: Path, session: Session, result: FitResult) -> None:

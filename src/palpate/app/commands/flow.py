@@ -203,7 +203,7 @@ def _complaints(figures: Sequence[MotionFigures]) -> int:
     """Say what failed, on stderr; how many motions did."""
     failures = {f.name: f.failure for f in figures if f.failure is not None}
     for f in figures:
-        if f.measured == 0:
+        if f.vertices["measured"] == 0:
             failures.setdefault(
                 f.name,
                 f"not one vertex could be followed ({f.valid} of {f.points} points valid);"

@@ -29,6 +29,8 @@ _LABELS = {
 _SHORT = {"reprojection": "reproj.", "neighbours": "neighb."}
 # Headings are broken between words, so that columns are as narrow as what is in them, or this.
 _HEADING_WIDTH = 7
+# Words up to this length stay whole in a narrow terminal; longer ones are names of files.
+_MAX_UNBROKEN = 16
 # A cell that begins like this makes its column one of words, which are set to the left.
 _WORD = re.compile(r"(?!unknown|nan|inf)[A-Za-z\[]")
 
@@ -66,10 +68,12 @@ def terminal_table(
         cells = [row[k] for row in rows]
         width = max(_HEADING_WIDTH, *map(len, cells)) if cells else _HEADING_WIDTH
         words = k == 0 or any(_WORD.match(cell) for cell in cells)
+        longest = max((len(word) for cell in cells for word in cell.split()), default=0)
         table.add_column(
             escape(textwrap.fill(heading, width, break_long_words=False)),
             justify="left" if words else "right",
             overflow="fold",
+            min_width=min(longest, _MAX_UNBROKEN),
         )
     for k, row in enumerate(rows):
         if total and k == len(rows) - 1:
@@ -157,14 +161,14 @@ def flow_table(figures: Sequence[MotionFigures], rig: Rig) -> Table:
     -------
     Table                           sigma in um or mm, reprojection error in px
     """
-    depths = [f.depth for f in figures if math.isfinite(f.depth)]
+    depths = [f.median_sigma["depth"] for f in figures if f.valid]
     factor, unit = length_unit(statistics.median(depths) if depths else math.nan)
     rows = [
         (
             f.name, str(f.points), f"{100.0 * f.valid / f.points:.1f}", _causes(f),
-            " ".join(number_text(level, ".1f") for level in f.noise),
-            f"{number_text(f.lateral / factor, '.2g')}, {number_text(f.depth / factor, '.2g')}",
-            number_text(f.reprojection, ".2g"), f"{f.measured}/{f.vertices}",
+            " ".join(number_text(level, ".1f") for level in f.noise.values()),
+            ", ".join(number_text(sigma / factor, ".2g") for sigma in f.median_sigma.values()),
+            number_text(f.median_reprojection, ".2g"), "{measured}/{seen}".format(**f.vertices),
         )
         if f.points else (f.name, "-", "-", "failed", "-", "-", "-", "-")
         for f in figures

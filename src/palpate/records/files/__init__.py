@@ -10,6 +10,7 @@ Read first : `session.py`, then `atomic.py`.
 from palpate.records.files.atomic import (
     default_folder as default_folder,
     disk_errors as disk_errors,
+    file_stem as file_stem,
     placed_files as placed_files,
     result_folder as result_folder,
 )

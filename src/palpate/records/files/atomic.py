@@ -31,6 +31,22 @@ def default_folder(session: Path, what: str) -> Path:
     return Path(f"{name}-{what}")
 
 
+def file_stem(name: str, *, otherwise: str) -> str:
+    """A name as the stem of a file's name.
+
+    Parameters
+    ----------
+    name : str
+    otherwise : str                 stands in where a system may refuse or hide a file so named
+
+    Returns
+    -------
+    str
+    """
+    plain = name.replace("_", "").replace("-", "").replace(".", "")
+    return name if plain.isalnum() and name[0] != "." else otherwise
+
+
 @contextmanager
 def placed_files(targets: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
     """Files to write to; they take their final names when the block ends well, else vanish.

@@ -1,4 +1,4 @@
-"""Measured motions as files: CSV of the vertices, NPZ and VTP of the range flow."""
+"""Results as files: CSV of residuals and of vertices, NPZ and VTP of a range flow."""
 
 import base64
 import zlib
@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh
 from palpate.pipeline.measure_motion import vertex_field
-from palpate.records import Camera, write_displacement
+from palpate.records import Camera, Session, file_stem, write_displacement
 from palpate.shapes import Flags
 from palpate.vision import (
     Outcome,
@@ -28,6 +29,7 @@ from palpate.vision import (
 RANGE_FLOW_FORMAT = "palpate-range-flow/1"
 # What is put behind a stem; another motion's name must not end up there.
 _ENDINGS = ("", "_flow", "_quality")
+_RESIDUALS = "x,y,z,ux,uy,uz,predicted_ux,predicted_uy,predicted_uz,weight_x,weight_y,weight_z"
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
@@ -39,15 +41,41 @@ def file_stems(names: Sequence[str]) -> list[str]:
     stems: list[str] = []
     taken: set[str] = set()
     for number, name in enumerate(names, start=1):
-        plain = name.replace("_", "").replace("-", "").replace(".", "")
-        usable = plain.isalnum() and name[0] != "." and name.lower() != "contents"
-        stem = name if usable else f"motion-{number}"
+        other = f"motion-{number}"
+        stem = other if name.lower() == "contents" else file_stem(name, otherwise=other)
         # Some file systems do not tell upper from lower case.
         while taken & {(stem + ending).lower() for ending in _ENDINGS}:
-            stem = f"motion-{number}" if stem == name else f"{stem}-"
+            stem = other if stem == name else f"{stem}-"
         taken |= {(stem + ending).lower() for ending in _ENDINGS}
         stems.append(stem)
     return stems
+
+
+def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
+    """Write residuals/NAME.csv for every probing, in metres; NaN where nothing was measured.
+
+    Weights are the shares of the components that the robust estimate kept, 0 to 1.
+
+    Parameters
+    ----------
+    folder : Path                   of the result; gets `residuals`
+    session : Session               that was fitted
+    result : FitResult
+
+    Raises
+    ------
+    OSError                         a file cannot be written
+    """
+    below = folder / "residuals"
+    below.mkdir()
+    fields_of = {probing.name: probing.displacement for probing in session.probings}
+    for number, fit in enumerate(result.probes, start=1):
+        field = fields_of[fit.name]
+        if field is None:
+            continue
+        rows = np.concatenate([field.points, field.displacement, fit.predicted, fit.weight], axis=1)
+        file = below / f"{file_stem(fit.name, otherwise=f'probing-{number}')}.csv"
+        np.savetxt(file, rows, fmt="%.9g", delimiter=",", header=_RESIDUALS, comments="")
 
 
 def seen_vertices(surface: SurfaceMap, mesh: TriangleMesh) -> Flags:

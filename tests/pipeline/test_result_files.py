@@ -15,14 +15,14 @@ from rich.console import Console
 from palpate.app.terminal.tables import flow_table
 from palpate.errors import RecordError
 from palpate.pipeline import MeasuredMotion
-from palpate.pipeline.flow_files import (
+from palpate.pipeline.motion_figures import motion_figures, write_flow_document
+from palpate.pipeline.result_files import (
     file_stems,
     seen_vertices,
     write_flow_npz,
     write_flow_vtp,
     write_vertices,
 )
-from palpate.pipeline.motion_figures import motion_figures, write_flow_document
 from palpate.records import observed_rows, read_displacement
 from palpate.records.quantities import length_unit
 from palpate.vision import Outcome, SurfaceMap, dense_maps, is_valid
@@ -239,13 +239,14 @@ def test_figures_count_and_take_medians(cube, seen):
     assert {cause: n for cause, n in f.rejected.items() if n} == {"score": 3, "lost": 1}
     assert next(iter(f.rejected)) == "hidden"
     assert len(f.rejected) == len(Outcome) - 1
-    assert (f.vertices, f.measured) == (49, 25)
-    assert f.lateral == pytest.approx(math.sqrt((9 + 16) / 2) * 1e-6)
-    assert (f.depth, f.vertex_depth) == (pytest.approx(2e-5), pytest.approx(1e-5))
+    assert f.vertices == {"seen": 49, "measured": 25}
+    assert f.median_sigma["lateral"] == pytest.approx(math.sqrt((9 + 16) / 2) * 1e-6)
+    assert f.median_sigma["depth"] == pytest.approx(2e-5)
+    assert f.median_vertex_sigma["depth"] == pytest.approx(1e-5)
     valid = is_valid(cube.flow)
-    assert f.displacement == pytest.approx(np.median(motion(cube.flow.point[valid])[:, 0]))
-    assert f.reprojection == pytest.approx(np.median(cube.flow.reprojection[valid]))
-    assert f.noise == (1.5, 1.75)
+    assert f.median_displacement == pytest.approx(np.median(motion(cube.flow.point[valid])[:, 0]))
+    assert f.median_reprojection == pytest.approx(np.median(cube.flow.reprojection[valid]))
+    assert f.noise == {"c0": 1.5, "c1": 1.75}
     # The one point that went through the instant before was rejected.
     assert (f.through_last, f.drift) == (0, 3e-6)
 
@@ -254,8 +255,9 @@ def test_figures_of_nothing_are_unknown(seen):
     count = len(sample().flow.point)
     blind = sample(reject={Outcome.TEXTURE: np.arange(count)})
     f = figures_of("n01", blind, None, seen)
-    assert (f.valid, f.measured, f.rejected["texture"]) == (0, 0, count)
-    assert all(math.isnan(x) for x in (f.lateral, f.depth, f.reprojection, f.vertex_lateral))
+    assert (f.valid, f.vertices["measured"], f.rejected["texture"]) == (0, 0, count)
+    medians = (*f.median_sigma.values(), *f.median_vertex_sigma.values(), f.median_reprojection)
+    assert all(math.isnan(x) for x in medians)
 
 
 @pytest.mark.parametrize(
@@ -286,7 +288,8 @@ def test_a_narrow_terminal_shows_every_cause_and_cuts_no_number(cube, seen):
     every = sample(reject={cause: [int(cause)] for cause in list(Outcome)[1:]})
     f = figures_of("n05_12", every, every.vertices, seen)
     counts = dict.fromkeys(f.rejected, 12345)
-    f = replace(f, points=98765, rejected=counts, noise=(1.5, 1.5, 12.5), vertices=1049)
+    noise, vertices = {"a": 1.5, "b": 1.5, "c": 12.5}, {"seen": 1049, "measured": 25}
+    f = replace(f, points=98765, rejected=counts, noise=noise, vertices=vertices)
     text = shown(flow_table([f], cube.rig), width=80)
     assert max(len(line) for line in text.splitlines()) <= 80
     assert "…" not in text
