@@ -104,7 +104,7 @@ def _misjudged(session: Session) -> Session:
     """The same pictures with a calibration and a pose of the object that are a little wrong."""
     folder = session.path.parent
     rng = np.random.default_rng([int(folder.name), 1])
-    return with_misjudged_rig(session, _ERROR, rng, folder / "rig_misjudged.toml")
+    return with_misjudged_rig(session, rng, folder / "rig_misjudged.toml", error=_ERROR)
 
 
 def _repeats(estimates: Sequence[Estimate | ProbeEstimate], material: Material) -> Repeats:

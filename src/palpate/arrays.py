@@ -3,10 +3,25 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Float, Int, Shaped
 from numpy.typing import ArrayLike
 
 from palpate.errors import InputError
+
+
+def known_median(values: Float[np.ndarray, " k"]) -> float:
+    """Median of what is finite; NaN of nothing.
+
+    Parameters
+    ----------
+    values : (k,) float
+
+    Returns
+    -------
+    float                           in the unit of the values
+    """
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan
 
 
 def fixed_array(

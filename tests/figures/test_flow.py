@@ -20,6 +20,7 @@ from palpate.figures.flow_view import (
     seen_corners,
 )
 from palpate.geometry import TriangleMesh
+from palpate.pipeline import MeasuredMotion
 from palpate.vision import Outcome, SurfaceMap
 
 REJECT = {Outcome.SCORE: [100, 101, 102], Outcome.TEXTURE: [7]}
@@ -184,9 +185,9 @@ def test_without_vertices_the_mesh_is_grey(view, axes):
     ("along", "expected"), [((1.0, 0.0, 0.0), (1.0, 0.0)), ((0.0, 1.0, 0.0), (0.0, -1.0))]
 )
 def test_arrows_are_the_optical_flow_times_the_factor_that_is_told(along, expected):
-    one = sample(along=along)
-    view = make_flow_view(one.picture, one.camera, one.surface, one.mesh)
-    figure = flow_figure("n01", one.flow, one.vertices, view)
+    sampled = sample(along=along)
+    view = make_flow_view(sampled.picture, sampled.camera, sampled.surface, sampled.mesh)
+    figure = flow_figure("n01", sampled.flow, sampled.vertices, view)
     place, vector = arrows(figure.axes[0])
     at = 0.5 * SIDE + (place[:, :1] - 79.5) * 0.4e-3
     # 2.5 pixels a millimetre; y of the object is up in the picture, rows count down.
@@ -201,9 +202,9 @@ def test_arrows_are_the_optical_flow_times_the_factor_that_is_told(along, expect
 
 
 def test_arrows_in_space_are_seen_in_perspective():
-    one = sample(along=(0.3, 0.0, 0.95))
-    view = make_flow_view(one.picture, one.camera, one.surface, one.mesh)
-    figure = flow_figure("n01", one.flow, None, view)
+    sampled = sample(along=(0.3, 0.0, 0.95))
+    view = make_flow_view(sampled.picture, sampled.camera, sampled.surface, sampled.mesh)
+    figure = flow_figure("n01", sampled.flow, None, view)
     place, vector = arrows(figure.axes[1])
     said = next(text for text in texts(figure) if "arrows" in text)
     times = float(said.split(", ")[1].split(" times")[0])
@@ -218,9 +219,9 @@ def test_arrows_in_space_are_seen_in_perspective():
 
 
 def test_arrows_of_the_optical_flow_have_their_own_factor():
-    one = sample(along=(0.3, 0.0, 0.95))
-    view = make_flow_view(one.picture, one.camera, one.surface, one.mesh)
-    figure = flow_figure("n01", one.flow, None, view)
+    sampled = sample(along=(0.3, 0.0, 0.95))
+    view = make_flow_view(sampled.picture, sampled.camera, sampled.surface, sampled.mesh)
+    figure = flow_figure("n01", sampled.flow, None, view)
     place, vector = arrows(figure.axes[0])
     said = next(text for text in texts(figure) if "arrows" in text)
     times = float(said.split("arrows: ")[1].split(" times")[0])
@@ -240,12 +241,12 @@ def test_an_arrow_is_as_long_as_an_eighth_of_the_panel(cube, view):
 
 
 def test_few_long_motions_do_not_cross_the_panel(view):
-    one = sample()
-    moved = one.flow.displacement.copy()
+    sampled = sample()
+    moved = sampled.flow.displacement.copy()
     # One in forty, spread over the face, moves thirty times as far.
     moved[::40] *= 30.0
     _, vector = arrows(
-        flow_figure("n01", replace(one.flow, displacement=moved), None, view).axes[0]
+        flow_figure("n01", replace(sampled.flow, displacement=moved), None, view).axes[0]
     )
     longest = np.linalg.norm(vector, axis=1).max() / (view.high - view.low).max()
     # All but one in two hundred are shorter than 0.2.
@@ -295,10 +296,19 @@ def test_the_colour_bar_ends_where_all_but_one_in_hundred_are(cube, view):
     assert figure.axes[-1].get_xlim() == pytest.approx((0.0, 1e3 * top))
 
 
+def measured(name, flow, vertices=None):
+    return MeasuredMotion(name, "n01", True, np.zeros((1, 1)), flow, vertices, None)
+
+
+def test_nothing_is_drawn_where_nothing_was_measured(view, tmp_path):
+    assert write_flow_pictures(tmp_path, "a", measured("a", None), view) == {}
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_both_pictures_are_written(cube, view, tmp_path):
-    names = write_flow_pictures(tmp_path, "n01", "n01", cube.flow, cube.vertices, view)
-    assert names == ("n01.png", "n01_quality.png")
-    for name in names:
+    names = write_flow_pictures(tmp_path, "n01", measured("n01", cube.flow, cube.vertices), view)
+    assert names == {"picture": "n01.png", "quality": "n01_quality.png"}
+    for name in names.values():
         width, height = png_size(tmp_path / name)
         # Wide enough to read, small enough for a page.
         assert 1000 <= width <= 1600
@@ -311,22 +321,22 @@ def test_nothing_valid_is_said_and_can_be_drawn(view, tmp_path):
     said = texts(flow_figure("n01", blind.flow, None, view))
     assert said.count("nothing was measured") == 2
     assert not any("arrows" in text for text in said)
-    assert write_flow_pictures(tmp_path, "a", "a", blind.flow, None, view)
+    assert write_flow_pictures(tmp_path, "a", measured("a", blind.flow), view)
 
 
 def test_an_object_that_did_not_move_can_be_drawn(view, tmp_path):
     still = sample()
     flow = replace(still.flow, displacement=np.zeros_like(still.flow.displacement))
-    assert write_flow_pictures(tmp_path, "a", "a", flow, None, view)
+    assert write_flow_pictures(tmp_path, "a", measured("a", flow), view)
 
 
 def test_a_name_with_dollars_is_not_mathematics(cube, view, tmp_path):
-    assert write_flow_pictures(tmp_path, "a", "cost $x^ and_$", cube.flow, None, view)
+    assert write_flow_pictures(tmp_path, "a", measured("cost $x^ and_$", cube.flow), view)
 
 
 def test_a_folder_that_is_not_there_is_an_error(cube, view, tmp_path):
     with pytest.raises(OSError, match="none"):
-        write_flow_pictures(tmp_path / "none", "a", "a", cube.flow, None, view)
+        write_flow_pictures(tmp_path / "none", "a", measured("a", cube.flow), view)
 
 
 def test_the_camera_of_the_samples_is_the_one_that_is_drawn(cube):

@@ -88,7 +88,7 @@ def test_where_it_begins_no_error_is_left(config):
 
 def bench(config, name):
     """The bench that has this source's error alone."""
-    return next(each for known, _, each in budget._benches(config) if known == name)
+    return next(source.bench for source in budget._sources(config) if source.name == name)
 
 
 @pytest.mark.parametrize(
@@ -107,9 +107,9 @@ def test_a_source_changes_one_thing_only(config, name, parts):
 
 
 def test_the_last_source_is_the_bench_itself(config):
-    *_, (name, _, last) = budget._benches(config)
-    assert name == "table 3"
-    assert last is config
+    last = budget._sources(config)[-1]
+    assert last.name == "table 3"
+    assert last.bench is config
 
 
 def test_the_coarse_mesh_is_of_the_same_body(config):
@@ -141,7 +141,9 @@ def test_the_misjudged_rig_is_another_file_and_the_true_one_stays(session, tmp_p
     before = session.rig.read_bytes()
     file = tmp_path / "misjudged.toml"
     known = with_displacements(session)
-    told = budget.with_misjudged_rig(known, Calibration(centre=2.0), np.random.default_rng(1), file)
+    told = budget.with_misjudged_rig(
+        known, np.random.default_rng(1), file, error=Calibration(centre=2.0)
+    )
     assert told.rig == file
     # What the first rig saw of the motion is not what this one would have seen.
     assert all(probing.displacement is None for probing in told.probings)

@@ -64,7 +64,7 @@ def test_a_motion_is_drawn_by_its_name(monkeypatch):
 
 def test_motions_that_are_not_there_are_refused(monkeypatch):
     found = measured(monkeypatch)
-    with pytest.raises(InputError, match="no motion 's7' to draw; there are s1, s2"):
+    with pytest.raises(InputError, match="no motion 's7'; there are s1, s2"):
         flow_picture(found, "joint", "s7", "")
     with pytest.raises(InputError, match="'s2' cannot be drawn: torn picture"):
         flow_picture(found, "joint", "s2", "")

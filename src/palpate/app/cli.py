@@ -53,7 +53,12 @@ _LAB_WORDS = (*_LAB_COMMANDS, "--help", "-h", "--version")
 
 
 def make_app() -> App:
-    """The command line; a subcommand's module is imported when it is called, not before."""
+    """The command line; a subcommand's module is imported when it is called, not before.
+
+    Returns
+    -------
+    App                             that knows all subcommands by name
+    """
     app = App(
         name="palpate",
         help="Elastic constants of a soft object, with intervals, from probings with a known"

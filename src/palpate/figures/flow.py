@@ -32,6 +32,7 @@ from palpate.figures.style import (
     three_panels,
     title_panel,
 )
+from palpate.pipeline import MeasuredMotion
 from palpate.records import length_unit
 from palpate.shapes import Points, PointScalars
 from palpate.vision import (
@@ -64,32 +65,31 @@ _NO_LIMIT = 1e30  # end of a scale that has nothing on it
 
 
 def write_flow_pictures(
-    folder: Path,
-    stem: str,
-    name: str,
-    flow: RangeFlow,
-    vertices: VertexDisplacement | None,
-    view: FlowView,
-) -> tuple[str, str]:
+    folder: Path, stem: str, motion: MeasuredMotion, view: FlowView
+) -> dict[str, str]:
     """Write STEM.png and STEM_quality.png.
 
     Parameters
     ----------
     folder : Path                   exists
     stem : str                      file name without ending
-    name, flow, vertices, view      see `flow_figure`
+    motion : MeasuredMotion         with a flow, else nothing is drawn
+    view : FlowView
 
     Returns
     -------
-    tuple of two str                the names of the files
+    dict of str to str              names of the files: "picture" and "quality"
 
     Raises
     ------
     OSError                         a file cannot be written
     """
-    names = (f"{stem}.png", f"{stem}_quality.png")
-    save_figure(flow_figure(name, flow, vertices, view), folder / names[0])
-    save_figure(quality_figure(name, flow, view), folder / names[1])
+    if motion.flow is None:
+        return {}
+    names = {"picture": f"{stem}.png", "quality": f"{stem}_quality.png"}
+    measured = flow_figure(motion.name, motion.flow, motion.vertices, view)
+    save_figure(measured, folder / names["picture"])
+    save_figure(quality_figure(motion.name, motion.flow, view), folder / names["quality"])
     return names
 
 

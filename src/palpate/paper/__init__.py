@@ -16,7 +16,6 @@ from palpate.paper.budget import (
 from palpate.paper.constants import (
     CONSTANTS as CONSTANTS,
     constant_errors as constant_errors,
-    estimated_constants as estimated_constants,
     intervals_hold as intervals_hold,
 )
 from palpate.paper.experiments import (
@@ -25,16 +24,9 @@ from palpate.paper.experiments import (
     run_experiments as run_experiments,
 )
 from palpate.paper.result import (
-    PaperResult as PaperResult,
-    ResultTable as ResultTable,
     check_page as check_page,
     shown_rows as shown_rows,
     write_page as write_page,
     write_result as write_result,
 )
-from palpate.paper.sessions import (
-    PaperSession as PaperSession,
-    measured_session as measured_session,
-    quickened as quickened,
-    true_material as true_material,
-)
+from palpate.paper.sessions import quickened as quickened

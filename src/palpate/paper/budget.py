@@ -7,6 +7,7 @@ only the readings or the calibration are drawn several times over the same pictu
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,13 +80,23 @@ class SourceErrors:
     joint: Float[np.ndarray, "d 3"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """A source of error: in a bench of its own, or in what is read of the exact one."""
+
+    name: str
+    size: str
+    bench: LabConfig | None = None
+    change: Change | None = None
+
+
 def error_budget(
     config: LabConfig,
     folder: Path,
     *,
     variant: Variant,
     draws: int = 5,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> tuple[SourceErrors, ...]:
     """Errors of the constants, by source.
 
@@ -96,7 +107,7 @@ def error_budget(
     folder : Path                   empty: the sessions stay there
     variant : Variant               of Mitsuba
     draws : int                     of the sources that change no picture, >= 1
-    progress : callable or None     called with what is done (text) and how far it is (0 to 1)
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -107,34 +118,34 @@ def error_budget(
     ------
     InputError, RecordError         as `make_sessions`
     """
-    say = progress or silent
-    benches, readings = _benches(config), _readings(config)
-    folders = [folder / _plain(name) for name, _, _ in benches]
-    for each in folders:
+    sources = _sources(config)
+    folders = {source.name: folder / _plain(source.name) for source in sources if source.bench}
+    for each in folders.values():
         each.mkdir()
     make_sessions(
-        [(bench, each) for (_, _, bench), each in zip(benches, folders, strict=True)],
+        [(source.bench, folders[source.name]) for source in sources if source.bench],
         variant=variant,
-        progress=part_of(say, 0.0, _MAKING),
+        progress=part_of(progress, 0.0, _MAKING),
     )
     # Its motion serves every source that changes no picture and no camera.
-    first = with_pictures_measured(read_session(folders[0]), pose="given")
-    sessions = [[first], *([read_session(each)] for each in folders[1:])]
-    for number, (name, _, change) in enumerate(readings):
-        drawn = [
-            change(
-                first,
-                np.random.default_rng([config.seed, number, draw]),
-                folder / f"{_plain(name)}_{draw}.toml",
-            )
-            for draw in range(draws)
-        ]
-        sessions.insert(-1, drawn)
-    sources = [source[:2] for source in (*benches[:-1], *readings, benches[-1])]
+    exact = with_pictures_measured(read_session(folders[sources[0].name]), pose="given")
+    readings = [source for source in sources if source.change]
     found: list[SourceErrors] = []
-    for (name, size), drawn in zip(sources, sessions, strict=True):
-        say(name, _MAKING + (1.0 - _MAKING) * len(found) / len(sources))
-        found.append(SourceErrors(name, size, *_errors(drawn, config.material)))
+    for source in sources:
+        progress(source.name, _MAKING + (1.0 - _MAKING) * len(found) / len(sources))
+        if source.change is None:
+            sessions = [exact if not found else read_session(folders[source.name])]
+        else:
+            seeds = ([config.seed, readings.index(source), draw] for draw in range(draws))
+            sessions = [
+                source.change(
+                    exact,
+                    np.random.default_rng(seed),
+                    folder / f"{_plain(source.name)}_{seed[-1]}.toml",
+                )
+                for seed in seeds
+            ]
+        found.append(SourceErrors(source.name, source.size, *_errors(sessions, config.material)))
     return tuple(found)
 
 
@@ -150,8 +161,8 @@ def _exact(config: LabConfig) -> LabConfig:
     )
 
 
-def _benches(config: LabConfig) -> list[tuple[str, str, LabConfig]]:
-    """Sources that change the pictures: name, size, and the bench that has this error alone."""
+def _sources(config: LabConfig) -> list[_Source]:
+    """The bench without errors, with each error alone, and with all that it has."""
     exact = _exact(config)
 
     def changed(part: str, **values: Any) -> LabConfig:
@@ -163,40 +174,26 @@ def _benches(config: LabConfig) -> list[tuple[str, str, LabConfig]]:
     coarse = half_ball(radius=radius, edge=_COARSER * edge)
     edges = f"edges of {1e3 * _COARSER * edge:.2g} mm, not {1e3 * edge:.2g} mm"
     place = f"{1e3 * _PLACEMENT:g} mm along each direction"
-    return [
-        ("none", "flow and mesh alone", exact),
-        ("image noise", f"{noise:g} of 255 grey levels", changed("pictures", noise=noise)),
-        ("tip misalignment", f"{turn:g}° about each axis", changed("arm", misalignment=turn)),
-        ("tip placement", place, changed("arm", placement=_PLACEMENT)),
-        ("mesh size", edges, changed("specimen", mesh=coarse)),
-        ("nonlinearity", "neo-Hookean body", changed("material", law="neo-hookean")),
-        ("table 3", "force and image noise, misalignment", config),
-    ]
-
-
-def _readings(config: LabConfig) -> list[tuple[str, str, Change]]:
-    """Sources that change readings or calibration, and no picture: name, size, and the change."""
     sensor, calibration, pose = config.force_sensor, CALIBRATION, REGISTRATION
+    forces = f"{1e3 * sensor.noise:g} mN and {100 * sensor.relative_noise:g} %"
     cameras = (
         f"focal length {100 * calibration.focal:g} %, centre {calibration.centre:g} px, camera"
         f" {calibration.rotation:g}° and {1e3 * calibration.translation:g} mm"
     )
+    frame = f"{pose.object_rotation:g}° and {1e3 * pose.object_translation:g} mm on each axis"
     return [
-        (
-            "force noise",
-            f"{1e3 * sensor.noise:g} mN and {100 * sensor.relative_noise:g} %",
-            lambda session, rng, _: _with_forces(session, sensor, rng),
+        _Source("none", "flow and mesh alone", exact),
+        _Source("image noise", f"{noise:g} of 255 grey levels", changed("pictures", noise=noise)),
+        _Source(
+            "tip misalignment", f"{turn:g}° about each axis", changed("arm", misalignment=turn)
         ),
-        (
-            "calibration",
-            cameras,
-            lambda session, rng, file: with_misjudged_rig(session, calibration, rng, file),
-        ),
-        (
-            "registration",
-            f"{pose.object_rotation:g}° and {1e3 * pose.object_translation:g} mm on each axis",
-            lambda session, rng, file: with_misjudged_rig(session, pose, rng, file),
-        ),
+        _Source("tip placement", place, changed("arm", placement=_PLACEMENT)),
+        _Source("mesh size", edges, changed("specimen", mesh=coarse)),
+        _Source("nonlinearity", "neo-Hookean body", changed("material", law="neo-hookean")),
+        _Source("force noise", forces, change=lambda s, rng, _: _with_forces(s, sensor, rng)),
+        _Source("calibration", cameras, change=partial(with_misjudged_rig, error=calibration)),
+        _Source("registration", frame, change=partial(with_misjudged_rig, error=pose)),
+        _Source("table 3", "force and image noise, misalignment", config),
     ]
 
 
@@ -214,16 +211,16 @@ def _with_forces(session: Session, sensor: Sensor, rng: np.random.Generator) -> 
 
 
 def with_misjudged_rig(
-    session: Session, error: Calibration, rng: np.random.Generator, file: Path
+    session: Session, rng: np.random.Generator, file: Path, *, error: Calibration
 ) -> Session:
     """A session whose rig is not quite the one that took its pictures.
 
     Parameters
     ----------
     session : Session               whose rig is the true one
-    error : Calibration             standard deviations
     rng : Generator
     file : Path                     where the other rig is written
+    error : Calibration             standard deviations
 
     Returns
     -------

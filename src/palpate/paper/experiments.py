@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.arrays import known_median
 from palpate.figures import Picture, figure_pixels, probings_figure
 from palpate.lab import LabConfig, Variant, built_in, read_lab_config
 from palpate.paper.budget import budget_picture, budget_table, error_budget, sizes_table
@@ -45,7 +46,6 @@ from palpate.paper.sessions import (
     true_material,
 )
 from palpate.progress import Progress, part_of
-from palpate.shapes import PointScalars
 from palpate.vision import is_valid
 
 # Built-in configurations of the facility.
@@ -76,12 +76,31 @@ class Workplace:
     progress: Progress
 
     def config(self, name: str) -> LabConfig:
-        """A built-in configuration, for a quick look if so wanted."""
+        """A built-in configuration, for a quick look if so wanted.
+
+        Parameters
+        ----------
+        name : str                  one of `built_in`
+
+        Returns
+        -------
+        LabConfig
+        """
         config = read_lab_config(built_in()[name])
         return quickened(config) if self.quick else config
 
     def part(self, begin: float, end: float, name: str) -> "Workplace":
-        """The same for a part of the work."""
+        """The same for a part of the work.
+
+        Parameters
+        ----------
+        begin, end : float          fractions of the whole, 0 to 1, where the part begins and ends
+        name : str                  of the part, for the progress
+
+        Returns
+        -------
+        Workplace
+        """
         return replace(self, progress=part_of(self.progress, begin, end, prefix=f"{name}: "))
 
 
@@ -279,7 +298,7 @@ def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> Resul
     cells: list[tuple[Cell, ...]] = []
     for name, step, _ in motions:
         for method in METHODS:
-            (motion,) = (m for m in measured[name].found[method].motions if m.name == step)
+            motion = measured[name].motion(method, step)
             if motion.flow is None or motion.vertices is None:
                 cells.append((name, step, method, None, None, None, None, None))
                 continue
@@ -290,7 +309,8 @@ def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> Resul
             cells.append(
                 (
                     name, step, method, len(valid), int(valid.sum()),
-                    _median(np.linalg.norm(true, axis=1)[valid]), _median(error),
+                    1e3 * known_median(np.linalg.norm(true, axis=1)[valid]),
+                    1e3 * known_median(error),
                     int(vertices.sum()),
                 )
             )  # fmt: skip
@@ -299,12 +319,6 @@ def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> Resul
         "vertices",
     )  # fmt: skip
     return ResultTable(title, columns, (0, 0, 0, 0, 0, 4, 4, 0), tuple(cells))
-
-
-def _median(lengths: PointScalars) -> float | None:
-    """Median of what is known [mm]."""
-    known = lengths[np.isfinite(lengths)]
-    return float(1e3 * np.median(known)) if len(known) else None
 
 
 # By the name that the command line knows.

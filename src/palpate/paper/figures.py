@@ -54,10 +54,7 @@ def flow_picture(measured: PaperSession, method: Method, name: str, title: str) 
     InputError                      no such motion, or one that could not be measured
     """
     found, mesh = measured.found[method], measured.session.mesh
-    motions = {motion.name: motion for motion in found.motions}
-    if name not in motions:
-        raise InputError(f"there is no motion '{name}' to draw; there are {', '.join(motions)}")
-    motion = motions[name]
+    motion = measured.motion(method, name)
     if motion.flow is None:
         raise InputError(f"motion '{name}' cannot be drawn: {motion.failure}")
     camera = found.rig.cameras[found.rig.reference]

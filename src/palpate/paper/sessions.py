@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from palpate.errors import InputError, RecordError
 from palpate.lab import LabConfig, Material, Variant, make_session
-from palpate.pipeline import FLOW_METHODS, SessionFlow, measure_motion
+from palpate.pipeline import FLOW_METHODS, MeasuredMotion, SessionFlow, measure_motion
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, TomlTable, read_session, read_toml
 from palpate.shapes import Points
@@ -36,6 +36,27 @@ class PaperSession:
 
     session: Session
     found: Mapping[Method, SessionFlow]
+
+    def motion(self, method: Method, name: str) -> MeasuredMotion:
+        """The motion of a step or probing, by one method.
+
+        Parameters
+        ----------
+        method : str                one of `METHODS` that was measured
+        name : str                  of the step or probing
+
+        Returns
+        -------
+        MeasuredMotion
+
+        Raises
+        ------
+        InputError                  there is none of that name
+        """
+        motions = {motion.name: motion for motion in self.found[method].motions}
+        if name not in motions:
+            raise InputError(f"there is no motion '{name}'; there are {', '.join(motions)}")
+        return motions[name]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +106,7 @@ def measured_session(
     *,
     methods: Sequence[Method] = METHODS,
     variant: Variant,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> PaperSession:
     """Make a session in the facility and measure its motion.
 
@@ -107,8 +128,7 @@ def measured_session(
     ------
     InputError, RecordError         as `make_session` and `measure_motion`
     """
-    say = progress or silent
-    make_session(config, folder, variant=variant, progress=part_of(say, 0.0, _MAKING))
+    make_session(config, folder, variant=variant, progress=part_of(progress, 0.0, _MAKING))
     session, found = read_session(folder), {}
     for k, method in enumerate(methods):
         begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
@@ -116,7 +136,7 @@ def measured_session(
             session,
             method=FLOW_METHODS[method](),
             pose="given",
-            progress=part_of(say, begin, end, prefix=f"{method}: "),
+            progress=part_of(progress, begin, end, prefix=f"{method}: "),
         )
     return PaperSession(session, found)
 

@@ -9,8 +9,6 @@ Read first : `measure_motion.py`, then `fit_session.py`.
 """
 
 from palpate.pipeline.fit_session import (
-    ContactPoints as ContactPoints,
-    ObjectModel as ObjectModel,
     fit_session as fit_session,
     make_object_model as make_object_model,
     session_observations as session_observations,
@@ -27,12 +25,10 @@ from palpate.pipeline.measure_motion import (
 from palpate.pipeline.measurement_plan import (
     MATCHING_NOISE as MATCHING_NOISE,
     MeasurementPlan as MeasurementPlan,
-    PlannedProbing as PlannedProbing,
     plan_measurement as plan_measurement,
 )
 from palpate.pipeline.motion_figures import (
     MotionFigures as MotionFigures,
-    motion_figures as motion_figures,
     write_flow_document as write_flow_document,
 )
 from palpate.pipeline.poke import (
@@ -46,6 +42,7 @@ from palpate.pipeline.result_files import (
     seen_vertices as seen_vertices,
     write_flow_npz as write_flow_npz,
     write_flow_vtp as write_flow_vtp,
+    write_motions as write_motions,
     write_residuals as write_residuals,
     write_vertices as write_vertices,
 )

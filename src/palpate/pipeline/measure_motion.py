@@ -83,32 +83,17 @@ class SessionFlow:
 
 @dataclass(frozen=True, slots=True)
 class _Instant:
-    """A later instant: name, what its pictures are called, whether the force is all there."""
+    """An instant: name, whose pictures they are, their pattern, whether the force is all there."""
 
     name: str
-    what: str
+    whose: str
     pattern: str
     last: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Sequence:
-    """Pictures in time after one first instant."""
-
-    what: str
-    probing: str | None
-    first: str
-    later: tuple[_Instant, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _First:
-    """The first instant of sequences: posed rig, the reference's picture, the method's state."""
-
-    rig: Rig
-    reference: Float[np.ndarray, "_ _"]
-    state: Any
-    notes: tuple[str, ...]
+# Of sequences that begin with the same pictures: posed rig, the reference's picture, the method's
+# state.
+_Start = tuple[Rig, Float[np.ndarray, "_ _"], Any]
 
 
 def measure_motion(
@@ -142,19 +127,21 @@ def measure_motion(
         raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
     progress("cameras", 0.0)
     rig = read_rig(session.rig)
-    total = sum(len(sequence.later) for sequence in sequences)
+    total = sum(len(later) for _, _, later in sequences)
     motions: list[MeasuredMotion] = []
     notes: list[str] = []
-    firsts: dict[str, _First] = {}
-    for sequence in sequences:
-        if sequence.first not in firsts:
-            progress(f"{sequence.what}: first pictures and pose", len(motions) / total)
-            first = _first_instant(session, rig, sequence, method, pose)
-            rig = rig if firsts else first.rig
-            firsts[sequence.first] = first
-            notes += first.notes
-        first = firsts[sequence.first]
-        for motion, remarks in _motions(session, sequence, first, method):
+    starts: dict[str, _Start] = {}
+    for probing, first, later in sequences:
+        if first.pattern not in starts:
+            progress(f"{first.whose}: first pictures and pose", len(motions) / total)
+            pictures = _read(session, rig, first)
+            posed, remarks = posed_rig(rig, pictures.grey, session.mesh, pose)
+            state = method.start(posed, pictures.grey, session.mesh)
+            starts[first.pattern] = posed, pictures.grey[posed.reference], state
+            rig = rig if len(starts) > 1 else posed
+            notes += pictures.notes + remarks
+        start = starts[first.pattern]
+        for motion, remarks in _followed(session, probing, later, start, method):
             motions.append(motion)
             notes += remarks
             progress(f"{motion.name}, {len(motions)} of {total} instants", len(motions) / total)
@@ -215,15 +202,15 @@ def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
     return replace(session, probings=probings, notes=session.notes + flow.notes)
 
 
-def _sequences(session: Session) -> list[_Sequence]:
-    """What there is to measure."""
+def _sequences(session: Session) -> list[tuple[str | None, _Instant, list[_Instant]]]:
+    """What there is to measure: probing, if any, first instant, later ones."""
     if session.steps:
         first, *later = (
             _Instant(step.name, f"step '{step.name}'", step.images, True) for step in session.steps
         )
-        return [_Sequence(first.what, None, first.pattern, tuple(later))]
+        return [(None, first, later)]
     sequences = [
-        _probing_sequence(probing.name, probing.images)
+        (probing.name, *_instants(probing.name, probing.images))
         for probing in session.probings
         if probing.images is not None
     ]
@@ -235,45 +222,40 @@ def _sequences(session: Session) -> list[_Sequence]:
     return sequences
 
 
-def _probing_sequence(name: str, images: Images) -> _Sequence:
-    """The rest picture of a probing, and its later ones, the last of them at full force."""
-    what, count = f"probing '{name}'", len(images.loaded)
-    later = tuple(
-        _Instant(name if k == count else f"{name}_{k}", what, pattern, k == count)
+def _instants(name: str, images: Images) -> tuple[_Instant, list[_Instant]]:
+    """A probing at rest, and its later instants, the last of them at full force."""
+    whose, count = f"probing '{name}'", len(images.loaded)
+    later = [
+        _Instant(name if k == count else f"{name}_{k}", whose, pattern, k == count)
         for k, pattern in enumerate(images.loaded, start=1)
-    )
-    return _Sequence(what, name, images.rest, later)
+    ]
+    return _Instant("rest", whose, images.rest, False), later
 
 
-def _first_instant(
-    session: Session, rig: Rig, sequence: _Sequence, method: FlowMethod, pose: PoseChoice
-) -> _First:
-    """Read the first pictures, settle the pose, and choose the points to follow."""
-    pictures = _read(session, rig, sequence.first, sequence.what)
-    posed, notes = posed_rig(rig, pictures.grey, session.mesh, pose)
-    state = method.start(posed, pictures.grey, session.mesh)
-    return _First(posed, pictures.grey[posed.reference], state, pictures.notes + notes)
-
-
-def _motions(
-    session: Session, sequence: _Sequence, first: _First, method: FlowMethod
+def _followed(
+    session: Session,
+    probing: str | None,
+    later: Sequence[_Instant],
+    start: _Start,
+    method: FlowMethod,
 ) -> Iterator[tuple[MeasuredMotion, tuple[str, ...]]]:
     """Motions of one sequence, in time, with what is remarkable about their pictures."""
-    state = first.state
-    for instant in sequence.later:
-        head = instant.name, sequence.probing, instant.last, first.reference
+    rig, reference, state = start
+    for instant in later:
+        head = instant.name, probing, instant.last, reference
         try:
-            pictures = _read(session, first.rig, instant.pattern, instant.what)
+            pictures = _read(session, rig, instant)
         except InputError as error:
             yield MeasuredMotion(*head, None, None, str(error)), ()
             continue
         state, flow = method.follow(state, pictures.grey)
-        vertices = method.vertices(flow, first.rig, session.mesh)
+        vertices = method.vertices(flow, rig, session.mesh)
         yield MeasuredMotion(*head, flow, vertices, None), pictures.notes
 
 
-def _read(session: Session, rig: Rig, pattern: str, what: str) -> Pictures:
-    return read_pictures(rig, pattern, folder=session.path.parent, what=what)
+def _read(session: Session, rig: Rig, instant: _Instant) -> Pictures:
+    folder = session.path.parent
+    return read_pictures(rig, instant.pattern, folder=folder, what=instant.whose)
 
 
 def vertex_field(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import known_median
 from palpate.pipeline.measure_motion import MeasuredMotion
 from palpate.records import Camera, Rig, json_text
 from palpate.shapes import Flags
@@ -71,6 +72,10 @@ def motion_figures(motion: MeasuredMotion, rig: Rig, seen: Flags) -> MotionFigur
     motion : MeasuredMotion
     rig : Rig                       that it was measured with
     seen : (v,) bool                vertices that the reference camera sees
+
+    Returns
+    -------
+    MotionFigures                   with zeros and NaN where there is no flow
     """
     flow, camera = motion.flow, rig.cameras[rig.reference]
     cameras = [camera.name for camera in rig.cameras]
@@ -101,10 +106,10 @@ def motion_figures(motion: MeasuredMotion, rig: Rig, seen: Flags) -> MotionFigur
         valid=int(valid.sum()),
         rejected=cause_counts(flow),
         vertices={"seen": int((seen | known).sum()), "measured": int(known.sum())},
-        median_displacement=_median(np.linalg.norm(flow.displacement[valid], axis=1)),
+        median_displacement=known_median(np.linalg.norm(flow.displacement[valid], axis=1)),
         median_sigma=_median_sigma(flow.covariance[valid], camera),
         median_vertex_sigma=_median_sigma(covariance, camera),
-        median_reprojection=_median(flow.reprojection[valid]),
+        median_reprojection=known_median(flow.reprojection[valid]),
         through_last=int(flow.through_last[valid].sum()),
         drift=float(flow.drift),
         noise=dict(zip(cameras, flow.noise.tolist(), strict=True)),
@@ -147,10 +152,4 @@ def write_flow_document(
 def _median_sigma(covariance: Float[np.ndarray, "k 3 3"], camera: Camera) -> dict[str, float]:
     """Median standard deviations across a camera's axis and along it [m]."""
     lateral, depth = camera_sigma(covariance, camera)
-    return {"lateral": _median(lateral), "depth": _median(depth)}
-
-
-def _median(values: Float[np.ndarray, " k"]) -> float:
-    """Median of what is known; NaN of nothing."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else math.nan
+    return {"lateral": known_median(lateral), "depth": known_median(depth)}

@@ -2,8 +2,8 @@
 
 import base64
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh
-from palpate.pipeline.measure_motion import vertex_field
+from palpate.pipeline.measure_motion import MeasuredMotion, SessionFlow, vertex_field
+from palpate.pipeline.motion_figures import MotionFigures, motion_figures
 from palpate.records import Camera, Session, file_stem, write_displacement
 from palpate.shapes import Flags
 from palpate.vision import (
@@ -24,6 +25,7 @@ from palpate.vision import (
     dense_maps,
     is_valid,
     measured_vertices,
+    surface_map,
 )
 
 RANGE_FLOW_FORMAT = "palpate-range-flow/1"
@@ -35,8 +37,14 @@ _RESIDUALS = "x,y,z,ux,uy,uz,predicted_ux,predicted_uy,predicted_uz,weight_x,wei
 def file_stems(names: Sequence[str]) -> list[str]:
     """File names without their endings, one for each of k motions, all different.
 
-    A motion's own name, or `motion-NUMBER` (from 1) where that is no file name or would meet the
-    files of an earlier one.
+    Parameters
+    ----------
+    names : sequence of k str       of the motions
+
+    Returns
+    -------
+    list of k str                   a motion's own name, or `motion-NUMBER` (from 1) where that is no
+                                    file name or would meet the files of an earlier motion
     """
     stems: list[str] = []
     taken: set[str] = set()
@@ -76,6 +84,69 @@ def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
         rows = np.concatenate([field.points, field.displacement, fit.predicted, fit.weight], axis=1)
         file = below / f"{file_stem(fit.name, otherwise=f'probing-{number}')}.csv"
         np.savetxt(file, rows, fmt="%.9g", delimiter=",", header=_RESIDUALS, comments="")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrittenMotion:
+    """A measured motion whose files are written, pictures apart.
+
+    Attributes
+    ----------
+    motion : MeasuredMotion
+    surface : SurfaceMap            what the reference camera sees of the object at rest
+    figures : MotionFigures
+    stem : str                      of its files' names
+    files : dict of str to str      names of its files by what they are; empty without a flow
+    """
+
+    motion: MeasuredMotion
+    surface: SurfaceMap
+    figures: MotionFigures
+    stem: str
+    files: dict[str, str]
+
+
+def write_motions(folder: Path, session: Session, found: SessionFlow) -> Iterator[WrittenMotion]:
+    """Write the files of all motions of a session, one motion after the other.
+
+    Parameters
+    ----------
+    folder : Path                   of the result
+    session : Session               that was measured
+    found : SessionFlow
+
+    Yields
+    ------
+    WrittenMotion
+
+    Raises
+    ------
+    OSError, RecordError            a file cannot be written
+    """
+    camera, mesh = found.rig.cameras[found.rig.reference], session.mesh
+    names = [camera.name for camera in found.rig.cameras]
+    surfaces: dict[tuple[int, ...], SurfaceMap] = {}
+    stems = file_stems([motion.name for motion in found.motions])
+    for motion, stem in zip(found.motions, stems, strict=True):
+        rows, columns = motion.first.shape
+        if (rows, columns) not in surfaces:
+            view = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
+            surfaces[rows, columns] = view
+        surface = surfaces[rows, columns]
+        seen = seen_vertices(surface, mesh)
+        files: dict[str, str] = {}
+        if motion.flow is not None:
+            files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
+            write_flow_npz(
+                folder / files["range_flow"], motion.flow, name=motion.name, cameras=names
+            )
+            write_flow_vtp(folder / files["points"], motion.flow, camera)
+        if motion.vertices is not None:
+            files["vertices"] = f"{stem}.csv"
+            unit = session.metres_per_unit
+            path = folder / files["vertices"]
+            write_vertices(path, mesh, motion.vertices, seen=seen, metres_per_unit=unit)
+        yield WrittenMotion(motion, surface, motion_figures(motion, found.rig, seen), stem, files)
 
 
 def seen_vertices(surface: SurfaceMap, mesh: TriangleMesh) -> Flags:

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
+from palpate.arrays import known_median
 from palpate.geometry import triangle_distances, unit_normals
 from palpate.records import DisplacementField, Probing, Session, observed_rows
 
@@ -74,7 +74,10 @@ def survey_field(field: DisplacementField) -> FieldSurvey:
     length = np.linalg.norm(field.displacement[measured], axis=1)
     sigma = np.zeros(0) if field.std is None else field.std[measured]
     return FieldSurvey(
-        int(measured.sum()), int((~measured).sum()), _median(length), _median(sigma.ravel())
+        int(measured.sum()),
+        int((~measured).sum()),
+        known_median(length),
+        known_median(sigma.ravel()),
     )
 
 
@@ -111,8 +114,8 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
         observed=found.observed,
         missing=found.missing,
         median_displacement=found.median_displacement,
-        signal_to_noise=_median(np.linalg.norm(moved, axis=1) / sigma),
-        tangential_signal=_median(np.linalg.norm(along, axis=1) / sigma),
+        signal_to_noise=known_median(np.linalg.norm(moved, axis=1) / sigma),
+        tangential_signal=known_median(np.linalg.norm(along, axis=1) / sigma),
         near=int((away < NEAR_RADII * (contact.radius or edge)).sum()),
     )
 
@@ -169,8 +172,3 @@ def _expectation(near: int) -> str:
         " should be identifiable, and so should Poisson's ratio if the vectors' parts along the"
         " surface stand out of the noise."
     )
-
-
-def _median(values: Float[np.ndarray, " k"]) -> float:
-    """Median of some values; NaN of none."""
-    return float(np.median(values)) if len(values) else np.nan

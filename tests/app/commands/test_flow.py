@@ -13,7 +13,7 @@ from flow_samples import SHAPE, rig, sample
 from palpate.app.commands import flow as flow_command
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, write_mesh
-from palpate.pipeline import MeasuredMotion, SessionFlow
+from palpate.pipeline import MeasuredMotion, SessionFlow, result_files
 from palpate.records import read_displacement, read_session
 from palpate.vision import JointFlow, LangPaiFlow, Outcome
 
@@ -54,8 +54,9 @@ images = "s1_{camera}.png"
 """
 
 
-def motion(name, one, *, probing=None, last=True):
-    return MeasuredMotion(name, probing, last, one.picture, one.flow, one.vertices, None)
+def motion(name, sampled, *, probing=None, last=True):
+    found = (sampled.flow, sampled.vertices, None)
+    return MeasuredMotion(name, probing, last, sampled.picture, *found)
 
 
 def lost(name, failure):
@@ -77,12 +78,12 @@ def session(tmp_path):
 @pytest.fixture
 def measured(monkeypatch):
     """The measurement replaced: what it gives, and what it was asked for."""
-    one = sample(reject={Outcome.SCORE: [5, 6]})
+    sampled = sample(reject={Outcome.SCORE: [5, 6]})
     told = SimpleNamespace(
         asked=[],
         motions=[
-            motion("n01_1", one, probing="n01", last=False),
-            motion("n01", one, probing="n01"),
+            motion("n01_1", sampled, probing="n01", last=False),
+            motion("n01", sampled, probing="n01"),
         ],
         notes=("rest_c1.png: 16 bit a pixel, made 8.",),
     )
@@ -242,7 +243,7 @@ def test_a_disk_that_fills_up_leaves_nothing(palpate, measured, session, tmp_pat
     def write_flow_npz(path, flow, **options):
         raise OSError(28, "No space left on device", "n01_flow.npz")
 
-    monkeypatch.setattr(flow_command, "write_flow_npz", write_flow_npz)
+    monkeypatch.setattr(result_files, "write_flow_npz", write_flow_npz)
     code, _, err = palpate("flow", session)
     assert code == 2
     assert "n01_flow.npz: cannot be written (No space left on device); nothing was left" in err

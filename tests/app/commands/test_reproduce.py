@@ -74,10 +74,11 @@ def _write_truth_map(file):
 
 def moved(name, vector):
     """The sample, moved as a whole."""
-    one = sample()
-    flow = replace(one.flow, displacement=np.tile(vector, (len(one.flow.outcome), 1)))
-    vertices = replace(one.vertices, displacement=np.tile(vector, (len(one.mesh.vertices), 1)))
-    return MeasuredMotion(name, None, True, one.picture, flow, vertices, None)
+    sampled = sample()
+    flow = replace(sampled.flow, displacement=np.tile(vector, (len(sampled.flow.outcome), 1)))
+    moved = np.tile(vector, (len(sampled.mesh.vertices), 1))
+    vertices = replace(sampled.vertices, displacement=moved)
+    return MeasuredMotion(name, None, True, sampled.picture, flow, vertices, None)
 
 
 @pytest.fixture
@@ -119,8 +120,8 @@ def rows_of(folder):
 
 
 def test_every_experiment_needs_configurations_that_are_there():
-    for one in EXPERIMENTS.values():
-        for name in one.sessions:
+    for experiment in EXPERIMENTS.values():
+        for name in experiment.sessions:
             read_lab_config(built_in()[name])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import number_text, terminal_table
+from palpate.app.terminal import number_text, print_text, terminal_table
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import NEAR_RADII, ProbingSurvey, session_outlook, survey_probing
 from palpate.records import Session, read_session, require_probings
@@ -25,12 +25,12 @@ def check(session: Path, /) -> int:
     require_probings(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
     console = Console()
-    console.print(f"{given.name} ({given.path})", markup=False, highlight=False)
+    print_text(f"{given.name} ({given.path})")
     console.print(_mesh_table(given))
     console.print(_probings_table(surveys))
     for note in given.notes:
-        console.print(f"Note: {note}", markup=False, highlight=False)
-    console.print(session_outlook(given, surveys), markup=False, highlight=False)
+        print_text(f"Note: {note}")
+    print_text(session_outlook(given, surveys))
     return 0
 
 

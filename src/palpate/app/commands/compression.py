@@ -95,9 +95,8 @@ def compression(
         notes += [(file.name, note) for note in (*record.notes, *result.notes)]
     if out is not None:
         _write(out, results)
-    console = Console()
-    console.print(_table(results))
-    print_file_notes(console, notes, files=len(files))
+    Console().print(_table(results))
+    print_file_notes(notes, files=len(files))
     return 0
 
 

@@ -7,9 +7,15 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 from rich.console import Console
 
-from palpate.app.terminal import constants_table, print_notes, probes_table, progress_bar
+from palpate.app.terminal import (
+    constants_table,
+    print_notes,
+    print_text,
+    probes_table,
+    progress_bar,
+)
 from palpate.bem import SurfaceSettings
-from palpate.estimation import FitResult, FitSettings
+from palpate.estimation import FitSettings
 from palpate.figures import write_plots
 from palpate.pipeline import (
     fit_session,
@@ -17,7 +23,6 @@ from palpate.pipeline import (
     write_residuals,
 )
 from palpate.records import (
-    Session,
     Status,
     default_folder,
     disk_errors,
@@ -87,28 +92,19 @@ def fit(
                 progress=progress,
             )
             progress("tables and plots", 1.0)
-            _write(folder, measured, result)
+            with disk_errors(folder):
+                write_estimate(folder / "estimate.json", result.estimate)
+                write_residuals(folder, measured, result)
+                write_plots(folder, measured, result)
     estimate = result.estimate
     if len(estimate.probes) > 0:
         console.print(probes_table(estimate))
     console.print(constants_table(estimate))
     for note in estimate.notes:
         if note not in measured.notes:
-            console.print(f"Note: {note}", markup=False, highlight=False)
-    console.print(
-        f"Result in {target} ({estimate.seconds.get('total', float('nan')):.1f} s)",
-        markup=False,
-        highlight=False,
-    )
+            print_text(f"Note: {note}")
+    print_text(f"Result in {target} ({estimate.seconds.get('total', float('nan')):.1f} s)")
     if estimate.status is not Status.OK:
         print(f"palpate: {estimate.status.value}: {estimate.status.advice}", file=sys.stderr)
         return _NOT_OK
     return 0
-
-
-def _write(folder: Path, session: Session, result: FitResult) -> None:
-    """All files of the result."""
-    with disk_errors(folder):
-        write_estimate(folder / "estimate.json", result.estimate)
-        write_residuals(folder, session, result)
-        write_plots(folder, session, result)

@@ -12,33 +12,24 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
-from palpate.app.terminal import flow_table, print_notes, progress_bar
+from palpate.app.terminal import flow_table, print_notes, print_text, progress_bar
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
     FLOW_METHODS,
-    MeasuredMotion,
     MotionFigures,
     SessionFlow,
-    file_stems,
     measure_motion,
-    motion_figures,
-    seen_vertices,
     write_flow_document,
-    write_flow_npz,
-    write_flow_vtp,
-    write_vertices,
+    write_motions,
 )
 from palpate.progress import Progress
 from palpate.records import (
-    Rig,
     Session,
     default_folder,
     disk_errors,
     read_session,
     result_folder,
 )
-from palpate.shapes import Flags
-from palpate.vision import surface_map
 
 if TYPE_CHECKING:
     MethodName = str
@@ -117,10 +108,8 @@ def flow(
                     pictures=pictures,
                 )  # fmt: skip
     print_notes(note for note in found.notes if note not in given.notes)
-    console = Console()
-    console.print(flow_table(figures, found.rig))
-    console.print(_closing(figures, seconds), markup=False, highlight=False)
-    console.print(f"Result in {target}", markup=False, highlight=False)
+    Console().print(flow_table(figures, found.rig))
+    print_text(f"{_closing(figures, seconds)}\nResult in {target}")
     return _NOT_OK if _complaints(figures) else 0
 
 
@@ -137,24 +126,16 @@ def _write(
     """All files of the result; figures of every motion, in order."""
     start, count = time.perf_counter(), len(found.motions)
     report = _with_rate(progress, count)
-    stems = file_stems([motion.name for motion in found.motions])
-    camera, mesh = found.rig.cameras[found.rig.reference], session.mesh
-    surfaces = {
-        (rows, columns): surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
-        for rows, columns in {motion.first.shape for motion in found.motions}
-    }
+    camera = found.rig.cameras[found.rig.reference]
     figures, files = [], []
-    for k, (motion, stem) in enumerate(zip(found.motions, stems, strict=True)):
-        report(f"writing {motion.name}, {k + 1} of {count}", k / count)
-        surface = surfaces[motion.first.shape]
-        seen = seen_vertices(surface, mesh)
-        figures.append(motion_figures(motion, found.rig, seen))
-        files.append(_write_motion(folder / stem, session, found.rig, motion, seen))
+    for written in write_motions(folder, session, found):
+        motion = written.motion
         if pictures and motion.flow is not None:
-            view = make_flow_view(motion.first, camera, surface, mesh)
-            files[-1]["picture"], files[-1]["quality"] = write_flow_pictures(
-                folder, stem, motion.name, motion.flow, motion.vertices, view
-            )
+            view = make_flow_view(motion.first, camera, written.surface, session.mesh)
+            written.files.update(write_flow_pictures(folder, written.stem, motion, view))
+        figures.append(written.figures)
+        files.append(written.files)
+        report(f"wrote {motion.name}, {len(files)} of {count}", len(files) / count)
     heading |= {
         "csv_metres_per_unit": session.metres_per_unit,
         "seconds": {"measuring": measuring, "writing": time.perf_counter() - start},
@@ -162,26 +143,6 @@ def _write(
     }
     write_flow_document(folder / "flow.json", figures, files, found.rig, heading)
     return figures
-
-
-def _write_motion(
-    stem: Path, session: Session, rig: Rig, motion: MeasuredMotion, seen: Flags
-) -> dict[str, str]:
-    """The files of one motion without its pictures: their names by what they are."""
-    if motion.flow is None:
-        return {}
-    files = {"range_flow": f"{stem.name}_flow.npz", "points": f"{stem.name}_flow.vtp"}
-    names = [camera.name for camera in rig.cameras]
-    flow_file, points_file = (stem.with_name(name) for name in files.values())
-    write_flow_npz(flow_file, motion.flow, name=motion.name, cameras=names)
-    write_flow_vtp(points_file, motion.flow, rig.cameras[rig.reference])
-    if motion.vertices is not None:
-        files["vertices"] = f"{stem.name}.csv"
-        write_vertices(
-            stem.with_name(files["vertices"]), session.mesh, motion.vertices, seen=seen,
-            metres_per_unit=session.metres_per_unit,
-        )  # fmt: skip
-    return files
 
 
 def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:

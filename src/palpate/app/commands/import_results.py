@@ -11,7 +11,13 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import number_text, print_file_notes, print_notes, terminal_table
+from palpate.app.terminal import (
+    number_text,
+    print_file_notes,
+    print_notes,
+    print_text,
+    terminal_table,
+)
 from palpate.errors import InputError
 from palpate.pipeline import survey_field
 from palpate.records import (
@@ -187,10 +193,9 @@ def _csv_name(item: _Import) -> str:
 
 def _report(session: Session, done: Sequence[_Import], out: Path | None) -> None:
     """What was read and where it went."""
-    console = Console()
-    console.print(_table(done))
+    Console().print(_table(done))
     notes = [(item.file.name, note) for item in done for note in item.imported.notes]
-    print_file_notes(console, notes, files=len(done))
+    print_file_notes(notes, files=len(done))
     for item in done:
         name = _csv_name(item)
         if out is None:
@@ -198,7 +203,7 @@ def _report(session: Session, done: Sequence[_Import], out: Path | None) -> None
         else:
             file = os.path.relpath(out / name, session.path.parent)
             line = f"Add to probing '{item.name}': {displacement_line(Path(file).as_posix())}"
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        print_text(line, wrapped=False)
 
 
 def _table(done: Sequence[_Import]) -> Table:

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
 from palpate.errors import InputError
 from palpate.lab import (
     SHAPES,
@@ -51,10 +51,8 @@ def lab(
     int
         0.
     """
-    console = Console()
     if list_:
-        for table in _lists():
-            console.print(table)
+        Console().print(*_lists())
         return 0
     if config is None or out is None:
         raise InputError(
@@ -68,7 +66,7 @@ def lab(
         print_notes([variant.why])
         with progress_bar() as progress:
             make_session(plan, folder, variant=variant, progress=progress)
-    console.print(_closing(plan, out), markup=False, highlight=False, soft_wrap=True)
+    print_text(_closing(plan, out), wrapped=False)
     return 0
 
 

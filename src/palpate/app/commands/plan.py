@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
 from palpate.errors import InputError
 from palpate.lab import choose_variant, planned_pictures
 from palpate.pipeline import MATCHING_NOISE, MeasurementPlan, plan_measurement
@@ -48,7 +48,6 @@ def plan(
     int
         0.
     """
-    console = Console()
     target = out or default_folder(session, "plan")
     with result_folder(target) as folder:
         given = read_session(session)
@@ -66,9 +65,8 @@ def plan(
             for name, picture in planned_pictures(given, variant=variant):
                 _save(folder / f"{name}.png", picture)
         print_notes([variant.why])
-    for table in (_cameras(found), _probings(found, young_modulus, poisson_ratio)):
-        console.print(table)
-    console.print(f"Pictures in {target}", markup=False, highlight=False)
+    Console().print(_cameras(found), _probings(found, young_modulus, poisson_ratio))
+    print_text(f"Pictures in {target}")
     return 0
 
 

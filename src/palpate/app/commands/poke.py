@@ -11,7 +11,7 @@ from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
 from palpate.bem import InteriorState, SurfaceSettings
 from palpate.errors import InputError
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
@@ -89,17 +89,15 @@ def poke(
             interior=points, surface=SurfaceSettings(smooth=surface == "smooth"), cache=cache,
             progress=progress,
         )  # fmt: skip
-    console = Console()
     factor, unit = modulus_unit(shear)
-    console.print(
+    print_text(
         f"{given.name}: G = {shear / factor:.4g} {unit}, nu = {ratio:.4g}; a force of"
         f" ({_numbers(force)}) N over a radius of {1e3 * (contact.radius or 0.0):.3g} mm;"
-        f" the support answers with ({_numbers(found.reaction)}) N",
-        markup=False, highlight=False,
-    )  # fmt: skip
-    console.print(_displacement_table(found, points))
+        f" the support answers with ({_numbers(found.reaction)}) N"
+    )
+    Console().print(_displacement_table(found, points))
     if found.interior is not None:
-        console.print(_stress_table(found.interior))
+        Console().print(_stress_table(found.interior))
     return 0
 
 

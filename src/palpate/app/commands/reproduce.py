@@ -6,7 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.console import Console
 
-from palpate.app.terminal import print_notes, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
 from palpate.errors import InputError
 from palpate.lab import choose_variant
 from palpate.paper import (
@@ -53,7 +53,6 @@ def reproduce(
         0.
     """
     names = _chosen(experiment, page)
-    console = Console()
     target = out or Path(f"paper-{experiment}")
     # A folder each, unless an experiment is alone.
     below = {name: name if len(names) > 1 else "" for name in names}
@@ -68,13 +67,13 @@ def reproduce(
             write_result(folder / below[name], result)
     for result in results.values():
         summary = result.summary
-        console.print(terminal_table(summary.title, summary.columns, shown_rows(summary)))
+        Console().print(terminal_table(summary.title, summary.columns, shown_rows(summary)))
     if page is not None:
         command = f"palpate reproduce {ALL}{' --quick' if quick else ''} --page {page.as_posix()}"
         folders = {name: target / below[name] for name in names}
         write_page(page, results, folders, command=command)
     done = f"Result in {target}" + ("" if page is None else f"; page {page}")
-    console.print(done, markup=False, highlight=False, soft_wrap=True)
+    print_text(done, wrapped=False)
     return 0
 
 

@@ -10,6 +10,7 @@ Read first : `tables.py`.
 from palpate.app.terminal.notes import (
     print_file_notes as print_file_notes,
     print_notes as print_notes,
+    print_text as print_text,
 )
 from palpate.app.terminal.progress import progress_bar as progress_bar
 from palpate.app.terminal.tables import (

@@ -1,9 +1,20 @@
-"""Notes to the person at the keyboard: on standard error, or below a table."""
+"""Sentences to the person at the keyboard: below a table, or notes on standard error."""
 
 import sys
 from collections.abc import Iterable
 
 from rich.console import Console
+
+
+def print_text(text: str, *, wrapped: bool = True) -> None:
+    """Print sentences as they are: brackets in names are no markup.
+
+    Parameters
+    ----------
+    text : str
+    wrapped : bool                  between words at the terminal's width; not where it is copied
+    """
+    Console().print(text, markup=False, highlight=False, soft_wrap=not wrapped)
 
 
 def print_notes(notes: Iterable[str]) -> None:
@@ -17,12 +28,11 @@ def print_notes(notes: Iterable[str]) -> None:
         print(f"palpate: note: {note}", file=sys.stderr)
 
 
-def print_file_notes(console: Console, notes: Iterable[tuple[str, str]], *, files: int) -> None:
+def print_file_notes(notes: Iterable[tuple[str, str]], *, files: int) -> None:
     """Print each note once, with the file that it is about, or how many they are.
 
     Parameters
     ----------
-    console : Console
     notes : iterable of two str     name of a file, note about it
     files : int                     all of them
     """
@@ -31,4 +41,4 @@ def print_file_notes(console: Console, notes: Iterable[tuple[str, str]], *, file
         names.setdefault(note, []).append(name)
     for note, each in names.items():
         whose = each[0] if len(each) == 1 else f"{len(each)} of {files} files"
-        console.print(f"Note ({whose}): {note}", markup=False, highlight=False)
+        print_text(f"Note ({whose}): {note}")
