@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,16 @@ import numpy as np
 import pytest
 
 from palpate.errors import CalibrationError, InputError
-from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
-from palpate.records import Session, read_session
+from palpate.geometry import closest_points
+from palpate.pipeline import (
+    SessionFlow,
+    fit_session,
+    measure_motion,
+    with_measured_displacement,
+    with_pictures_measured,
+)
+from palpate.progress import Progress
+from palpate.records import DisplacementField, Session, read_rig, read_session
 from palpate.vision import JointFlow, Outcome
 
 GIVEN = {"method": JointFlow(step=8), "pose": "given"}
@@ -141,6 +150,36 @@ def test_images_alone_give_the_constants(half_ball: Session) -> None:
     estimate = fit_session(session).estimate
     assert estimate.poisson_ratio.value == pytest.approx(0.21, abs=0.03)
     assert estimate.young_modulus.value == pytest.approx(52e3, rel=0.05)
+
+
+def test_only_what_has_no_displacement_is_measured(
+    half_ball: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A probing with a file of displacements keeps it; notes of the pictures come last."""
+    (seen,) = half_ball.probings
+    nothing = np.zeros_like(half_ball.mesh.vertices)
+    field = DisplacementField(
+        half_ball.mesh.vertices, nothing, None, None,
+        closest_points(half_ball.mesh, half_ball.mesh.vertices), "file",
+    )  # fmt: skip
+    known = replace(seen, name="known", displacement=field)
+    session = replace(half_ball, probings=(known, seen), notes=("first",))
+    asked = []
+
+    def measure(session: Session, *, pose: str, progress: Progress) -> SessionFlow:
+        asked.append(([probing.name for probing in session.probings], pose))
+        camera_rig = read_rig(session.rig)
+        return SessionFlow(camera_rig, (), ("second",))
+
+    module = sys.modules[with_pictures_measured.__module__]
+    monkeypatch.setattr(module, "measure_motion", measure)
+    found = with_pictures_measured(session, pose="given")
+    assert asked == [(["n01"], "given")]
+    assert found.probings[0].displacement is field
+    assert found.notes == ("first", "second")
+    read = replace(session, probings=(known,))
+    assert with_pictures_measured(read) is read
+    assert len(asked) == 1
 
 
 def test_a_session_without_images_says_so(half_ball: Session) -> None:

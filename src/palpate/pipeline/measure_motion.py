@@ -202,7 +202,7 @@ def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
     return replace(session, probings=probings, notes=session.notes + flow.notes)
 
 
-def _sequences(session: Session) -> list[tuple[str | None, _Instant, list[_Instant]]]:
+def _sequences(session: Session) -> Sequence[tuple[str | None, _Instant, list[_Instant]]]:
     """What there is to measure: probing, if any, first instant, later ones."""
     if session.steps:
         first, *later = (
@@ -269,6 +269,10 @@ def vertex_field(
     vertices : VertexDisplacement   of all v vertices of the mesh
     rows : (k,) int                 vertices that were looked at, measured or not
     source : str                    where it comes from, for messages
+
+    Returns
+    -------
+    DisplacementField               k rows; NaN where nothing was measured
     """
     points = mesh.vertices[rows]
     return DisplacementField(

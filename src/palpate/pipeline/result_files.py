@@ -43,8 +43,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
     Returns
     -------
-    list of k str                   a motion's own name, or `motion-NUMBER` (from 1) where that is no
-                                    file name or would meet the files of an earlier motion
+    list of k str                   a motion's own name, or `motion-NUMBER` (from 1) where that is
+                                    no file name or would meet the files of an earlier motion
     """
     stems: list[str] = []
     taken: set[str] = set()
