@@ -9,9 +9,9 @@ from benchmarks.machine import CORES
 from benchmarks.meshes import ball, cap
 from benchmarks.options import Options
 from benchmarks.peers import laplace_times
-from palpate.bem import BoundarySurface, Quadrature, make_surface
+from palpate.bem import BoundarySurface, make_surface
 from palpate.bem.integrals.assembly import Collocation, assemble
-from palpate.bem.integrals.kelvin import DISPLACEMENT_FIELDS, TRACTION_FIELDS
+from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION, FieldLayout
 from palpate.geometry import TriangleMesh
 
 ASKED = {3: (0.4, 0.1), 4: (3.0, 0.8)}
@@ -25,8 +25,8 @@ def measure(options: Options) -> list[Figure]:
         mesh = ball(level)
         size = len(mesh.vertices)
         surface = make_surface(mesh, cap(mesh, -0.4))
-        traction = shortest(lambda s=surface: _fields(s, TRACTION_FIELDS), repeats=REPEATS)
-        displacement = shortest(lambda s=surface: _fields(s, DISPLACEMENT_FIELDS), repeats=REPEATS)
+        traction = shortest(lambda s=surface: _fields(s, TRACTION), repeats=REPEATS)
+        displacement = shortest(lambda s=surface: _fields(s, DISPLACEMENT), repeats=REPEATS)
         pairs = len(mesh.triangles) * size
         how = (
             f"ball, {size} vertices, {len(mesh.triangles)} triangles, {CORES} cores; nine fields"
@@ -60,21 +60,14 @@ def lu_time(size: int, *, repeats: int = REPEATS) -> float:
     return shortest(lambda: lu_factor(matrix, check_finite=False), repeats=repeats, warm=False)
 
 
-def _fields(surface: BoundarySurface, n_fields: int) -> None:
+def _fields(surface: BoundarySurface, kernel: FieldLayout) -> None:
     """One kernel from every vertex over every triangle, against the nodes it is used with."""
     vertices = surface.mesh.vertices
     n = len(vertices)
     nowhere = np.full(n, -1)
     collocation = Collocation(vertices, np.arange(n), nowhere, np.zeros((n, 3)))
-    nodes = surface.displacement if n_fields == TRACTION_FIELDS else surface.traction
-    assemble(
-        collocation,
-        surface.mesh.triangles,
-        surface.element_nodes,
-        nodes,
-        n_fields=n_fields,
-        quadrature=Quadrature(),
-    )
+    nodes = surface.displacement if kernel is TRACTION else surface.traction
+    assemble(surface, collocation, nodes, kernel)
 
 
 def _peer(mesh: TriangleMesh, *, make: bool) -> list[Figure]:

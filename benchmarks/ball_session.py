@@ -10,7 +10,6 @@ from palpate.geometry import closest_points, write_mesh
 from palpate.pipeline import make_object_model
 from palpate.records import (
     Contact,
-    ContactProfile,
     DisplacementField,
     Probing,
     Session,
@@ -86,7 +85,7 @@ def _silent_session(subdivisions: int, count: int) -> Session:
     probings = tuple(
         Probing(
             name=f"n{k + 1:02d}",
-            contact=Contact(place[k], CONTACT_RADIUS, ContactProfile.SMOOTH),
+            contact=Contact(place[k], CONTACT_RADIUS, "smooth"),
             force=tilt[k] - outward[k],
             force_std=None,
             tip_displacement=None,

@@ -24,7 +24,7 @@ def measure(options: Options) -> list[Figure]:
         ("ball, smooth surface", [_ball_size(k) for k in levels], ball_error, levels, sources),
         ("cube", [6 * n * n + 2 for n in cells], cube_error, cells, sources),
     ]
-    figures = [_order(*one, MUST, REACH) for one in shapes]
+    figures = [_order(*shape, MUST, REACH) for shape in shapes]
     sizes = list(CASES)[: 2 if options.quick else 3]
     cases = [CASES[size][0] for size in sizes]
     for name, quadratic in (("", True), (", linear elements", False)):
@@ -71,7 +71,7 @@ def _order(
     must: float | None,
     reach: float | None,
 ) -> Figure:
-    errors = [error(one) for one in arguments]
+    errors = [error(argument) for argument in arguments]
     slope = np.polyfit(-0.5 * np.log(sizes), np.log(errors), 1)[0]
     listed = ", ".join(f"{e:.2g}" for e in errors)
     note = f"{how}; relative L2 errors {listed} at {', '.join(map(str, sizes))} vertices"

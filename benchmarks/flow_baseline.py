@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
-from palpate.pipeline import MotionSettings, measure_motion
+from palpate.pipeline import FLOW_METHODS, measure_motion
 from palpate.records import Session, read_session
 
 RIGID = ("rigid_translation_x", "rigid_translation_y", "rigid_rotation_z")
@@ -64,10 +64,10 @@ def _compared(
 ) -> _Compared:
     """Both methods over the same instants, at the same vertices."""
     found = {
-        method: measure_motion(
-            session, probes=probes, settings=MotionSettings(method=method, pose="given")
+        name: measure_motion(
+            session, probes=probes, method=FLOW_METHODS[name](), pose="given"
         ).motions
-        for method in ("joint", "lang-pai")
+        for name in ("joint", "lang-pai")
     }
     ours, theirs, moved = [], [], []
     for joint, paper, true in zip(found["joint"], found["lang-pai"], truth, strict=True):
@@ -106,7 +106,7 @@ def _own(one: _Compared) -> list[Figure]:
         bias = [float(np.mean(_length(e + t) - _length(t))) for e, t in _instants(one)]
         angle = [float(_angle(e + t, t).std()) for e, t in _instants(one)[1:]]
         figures += [
-            Figure(FLOW, f"{title}: bias of the vertices' way, worst step",
+            Figure(FLOW, f"{title}: bias of the vertices' displacement, worst step",
                    1e3 * max(map(abs, bias)), "mm"),
             Figure(FLOW, f"{title}: sd of the angle from step 2 on, worst step", max(angle), "deg"),
         ]  # fmt: skip

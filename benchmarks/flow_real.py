@@ -12,16 +12,13 @@ from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
 from benchmarks.resection import resected
-from palpate.records import Camera, Rig, read_rig
-from palpate.records.programs.calibration_multidic import read_control_points
-from palpate.records.programs.dice import read_dice
+from palpate.records import Camera, Rig, read_measured, read_rig
+from palpate.records.programs.multidic import read_control_points
 from palpate.vision import (
-    JointSettings,
+    JointFlow,
     RangeFlow,
     StereoSettings,
     is_valid,
-    joint_flow,
-    make_scene,
     prepare_pictures,
     read_pictures,
     stereo_points,
@@ -51,14 +48,14 @@ def _static() -> list[Figure]:
     mask = np.zeros(grey[0][0].shape, dtype=bool)
     mask[300:540, 160:1100] = True  # the region of the gold results, roi.dat
     stereo = StereoSettings(reprojection=30.0, subset=31)
-    coarse = JointSettings(subset=45, step=10, shape="shift", smoothing=0.0)
+    coarse = JointFlow(subset=45, step=10, shape="shift", smoothing=0.0)
     flows = _followed(rig, grey, mask, stereo, coarse)
     others = [
         "/".join(f"{value:.2f}" for value in _spread(_followed(rig, grey, mask, stereo, one)))
         for one in (
             replace(coarse, subset=27),
-            JointSettings(subset=27, step=10),
-            JointSettings(subset=45, step=10),
+            JointFlow(subset=27, step=10),
+            JointFlow(subset=45, step=10),
         )
     ]
     valid = np.mean([is_valid(f).mean() for f in flows])
@@ -97,7 +94,7 @@ def _tension() -> list[Figure]:
     mask = np.zeros(grey[0][0].shape, dtype=bool)
     left, right, top, bottom = TENSION_REGION
     mask[top:bottom, left:right] = True
-    flows = _followed(rig, grey, mask, StereoSettings(step=20), JointSettings(step=20))
+    flows = _followed(rig, grey, mask, StereoSettings(step=20), JointFlow(step=20))
     apart = [
         beside_dice(f.pixel[ok], f.point[ok], f.displacement[ok], frame=k)
         for k, f, ok in ((k, flow, is_valid(flow)) for k, flow in enumerate(flows, 1))
@@ -136,7 +133,7 @@ def beside_dice(
     (k, 3) [um]                 at DICe's points within 15 px of one of these
     """
     gold = TENSION / "dice_gold" / "DICe_solution.e"
-    measured = read_dice(gold, frame=frame)
+    measured = read_measured("dice", gold, frame=frame)
     near, which = cKDTree(pixel).query(_exodus_pixels(gold))
     both = (near < 15.0) & np.isfinite(measured.displacement).all(axis=1)
     ours, theirs = point[which[both]], measured.points[both]
@@ -179,7 +176,7 @@ def _cylinder() -> list[Figure]:
     ]
     flows = _followed(
         cropped, parts, mask[boxes[0]], StereoSettings(step=12, subset=43),
-        JointSettings(step=24, subset=43),
+        JointFlow(step=24, subset=43),
     )  # fmt: skip
     left, valid = [], []
     for flow in flows:
@@ -222,13 +219,13 @@ def _followed(
     grey: list[tuple[np.ndarray, ...]],
     mask: np.ndarray,
     stereo: StereoSettings,
-    settings: JointSettings,
+    method: JointFlow,
 ) -> list[RangeFlow]:
     """Range flow of a surface that is known from the first pictures only."""
     first = prepare_pictures(rig, grey[0])
     surface = triangulated_surface(stereo_points(first, mask=mask, settings=stereo))
-    return list(
-        joint_flow(
-            make_scene(rig, grey[0], *surface, settings=settings), grey[1:], settings=settings
-        )
-    )
+    state, flows = method.start_on(rig, grey[0], *surface), []
+    for pictures in grey[1:]:
+        state, flow = method.follow(state, pictures)
+        flows.append(flow)
+    return flows

@@ -9,9 +9,7 @@ from scipy.spatial import cKDTree
 from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
-from palpate.geometry import refined_surface
 from palpate.pipeline import (
-    MotionSettings,
     SessionFlow,
     fit_session,
     measure_motion,
@@ -19,12 +17,10 @@ from palpate.pipeline import (
 )
 from palpate.records import Session, read_rig, read_session
 from palpate.vision import (
+    JointFlow,
     VertexDisplacement,
     is_valid,
-    joint_flow,
-    make_scene,
     read_pictures,
-    vertex_displacement,
 )
 
 RIGID = ("rigid_translation_x", "rigid_translation_y", "rigid_rotation_z")
@@ -45,7 +41,7 @@ def measure(options: Options) -> list[Figure]:
     """All figures from rendered pictures."""
     joint = [_rigid(name) for name in RIGID]
     session = read_session(SHARED / "halfball_images")
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    found = measure_motion(session, pose="given")
     ball, squares = _half_ball(session, found)
     return [
         *_translations(joint),
@@ -61,7 +57,7 @@ def _rigid(name: str) -> Rigid:
     folder = SHARED / name
     truth = tomllib.loads((folder / "truth.toml").read_text(encoding="utf-8"))["step"]
     session = read_session(folder)
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    found = measure_motion(session, pose="given")
     point = session.mesh.vertices
     errors, moves, squares = [], [], []
     for motion, step in zip(found.motions, truth[1:], strict=True):
@@ -85,8 +81,8 @@ def _errors(
 
 def _translations(joint: list[Rigid]) -> list[Figure]:
     bias, rms, angles = [], [], []
-    for one in joint[:2]:
-        for step, (error, truth) in enumerate(zip(one.error, one.truth, strict=True), start=1):
+    for rigid in joint[:2]:
+        for step, (error, truth) in enumerate(zip(rigid.error, rigid.truth, strict=True), start=1):
             found = error + truth
             length = np.linalg.norm(found, axis=1)
             bias.append(float((length - np.linalg.norm(truth, axis=1)).mean()))
@@ -96,7 +92,7 @@ def _translations(joint: list[Rigid]) -> list[Figure]:
                 angles.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).std()))
     note = f"{len(joint[0].error[0])} vertices a step, eight steps of 2.5 mm along x and along y"
     return [
-        Figure(FLOW, "rigid translation: bias of the vertices' way, worst step",
+        Figure(FLOW, "rigid translation: bias of the vertices' displacement, worst step",
                1e3 * max(map(abs, bias)), "mm", must=0.02, reach=0.005, note=note),
         Figure(FLOW, "rigid translation: rms of vertex displacement, worst step", 1e3 * max(rms),
                "mm", must=0.06, reach=0.02, note=f"best step {1e3 * min(rms):.3f} mm; {note}"),
@@ -105,8 +101,8 @@ def _translations(joint: list[Rigid]) -> list[Figure]:
     ]  # fmt: skip
 
 
-def _rotation(one: Rigid) -> Figure:
-    rms = [1e3 * float(np.sqrt((error**2).sum(axis=1).mean())) for error in one.error]
+def _rotation(rigid: Rigid) -> Figure:
+    rms = [1e3 * float(np.sqrt((error**2).sum(axis=1).mean())) for error in rigid.error]
     return Figure(
         FLOW, "rigid rotation: rms of vertex displacement at 16 degrees", rms[-1], "mm", must=0.15,
         reach=0.04, note="steps of 2 degrees: " + ", ".join(f"{value:.3f}" for value in rms),
@@ -172,7 +168,7 @@ def _constants(session: Session, found: SessionFlow) -> list[Figure]:
 
 
 def _sigmas(joint: list[Rigid], ball: list[np.ndarray]) -> Figure:
-    sets = {one.name: np.concatenate(one.square) for one in joint}
+    sets = {rigid.name: np.concatenate(rigid.square) for rigid in joint}
     sets["halfball_images"] = np.concatenate(ball)
     each = ", ".join(f"{name} {np.sqrt(value.mean()):.2f}" for name, value in sets.items())
     pooled = float(np.sqrt(np.concatenate(list(sets.values())).mean()))
@@ -193,18 +189,18 @@ def _cameras() -> Figure:
             read_pictures(part, step.images, folder=folder, what=step.name).grey
             for step in session.steps[:4]
         ]
-        scene = make_scene(part, grey[0], *refined_surface(session.mesh))
-        found = [
-            vertex_displacement(
-                flow, part.cameras[0], session.mesh.vertices, session.mesh.triangles
-            )
-            for flow in joint_flow(scene, grey[1:])
-        ]
+        method = JointFlow()
+        state, found = method.start(part, grey[0], session.mesh), []
+        for pictures in grey[1:]:
+            state, flow = method.follow(state, pictures)
+            found.append(method.vertices(flow, part, session.mesh))
         error[chosen] = np.stack(
-            [one.displacement - [0.0025 * k, 0, 0] for k, one in enumerate(found, start=1)]
+            [motion.displacement - [0.0025 * k, 0, 0] for k, motion in enumerate(found, start=1)]
         )
-        sigma[chosen] = np.stack([np.trace(one.covariance, axis1=1, axis2=2) for one in found])
-    common = np.all([np.isfinite(one).all(axis=2) for one in error.values()], axis=0)
+        sigma[chosen] = np.stack(
+            [np.trace(motion.covariance, axis1=1, axis2=2) for motion in found]
+        )
+    common = np.all([np.isfinite(each).all(axis=2) for each in error.values()], axis=0)
     rms = {c: float(np.sqrt((e[common] ** 2).sum(axis=1).mean())) for c, e in error.items()}
     claim = {c: float(np.sqrt(s[common].mean())) for c, s in sigma.items()}
     pair = min(((0, 1), (0, 2)), key=rms.__getitem__)

@@ -14,7 +14,6 @@ from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
 from benchmarks.planar_flow import planar_flow
-from palpate.vision import PlanarSettings
 from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.matching.planar_match import refine_planar
 
@@ -54,7 +53,7 @@ def _errors(folder: Path, subset: int, must: float, reach: float) -> list[Figure
     rms, farthest, share, claimed = {}, 0.0, 1.0, []
     for name, case in cases.items():
         second = _picture(folder / f"{name}.png")
-        flow = planar_flow(first, second, pixel, settings=PlanarSettings(subset=subset))
+        flow = planar_flow(first, second, pixel, subset=subset)
         error = (flow.displacement - _truth(case, pixel))[flow.valid]
         rms[name] = float(np.sqrt((error**2).mean()))
         farthest = max(farthest, float(np.hypot(*error.T).max()))

@@ -16,7 +16,6 @@ from palpate.bem import (
     traction_column,
 )
 from palpate.bem.elastic_map import sorted_state
-from palpate.bem.integrals.kelvin import kelvin_displacement, kelvin_traction
 from palpate.geometry import TriangleMesh
 
 Normals = Callable[[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]], Float[np.ndarray, "k 3"]]
@@ -95,6 +94,60 @@ def kelvin_field(
         return np.einsum("i,nij->nj", force, kernel)
 
     return Field(displacement, traction, poisson_ratio, shear_modulus)
+
+
+def kelvin_displacement(
+    r: Float[np.ndarray, "n 3"], shear_modulus: float, poisson_ratio: float
+) -> Float[np.ndarray, "n 3 3"]:
+    """Displacement at x per unit point force at y in unbounded elastic space.
+
+    Parameters
+    ----------
+    r : (n, 3) float [m]            x - y, non-zero
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu <= 0.5
+
+    Returns
+    -------
+    (n, 3, 3) float [m/N]           entry [n, i, j]: force along i, component j; symmetric
+
+    Source
+    ------
+    Lang and Pai (2001), eq. 3
+    """
+    distance = np.linalg.norm(r, axis=1)[:, None, None]
+    outer = r[:, :, None] * r[:, None, :]
+    part = (3 - 4 * poisson_ratio) * np.eye(3) / distance + outer / distance**3
+    return part / (16 * np.pi * shear_modulus * (1 - poisson_ratio))
+
+
+def kelvin_traction(
+    r: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], poisson_ratio: float
+) -> Float[np.ndarray, "n 3 3"]:
+    """Traction at x on a plane of given normal per unit point force at y in unbounded elastic
+    space.
+
+    Parameters
+    ----------
+    r : (n, 3) float [m]            x - y, non-zero
+    normal : (n, 3) float [-]       unit normals at x
+    poisson_ratio : float [-]       -1 < nu <= 0.5
+
+    Returns
+    -------
+    (n, 3, 3) float [1/m^2]         entry [n, i, j]: force along i, component j
+
+    Source
+    ------
+    Lang and Pai (2001), eq. 2
+    """
+    distance = np.linalg.norm(r, axis=1)[:, None, None]
+    outer = r[:, :, None] * r[:, None, :]
+    skew = r[:, :, None] * normal[:, None, :] - normal[:, :, None] * r[:, None, :]
+    flux = np.einsum("ni,ni->n", r, normal)[:, None, None]
+    a = (skew - np.eye(3) * flux) / distance**3
+    b = -3 * outer * flux / distance**5
+    return ((1 - 2 * poisson_ratio) * a + b) / (8 * np.pi * (1 - poisson_ratio))
 
 
 def flat_normals(mesh: TriangleMesh) -> Normals:

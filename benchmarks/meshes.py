@@ -28,7 +28,7 @@ def cube(cells: int) -> tuple[TriangleMesh, Int[np.ndarray, " m"]]:
                     corner.append(number.setdefault(tuple(place), len(number)))
                 a, b, c, d = corner
                 cut = [[a, b, c], [a, c, d]] if (i + j) % 2 == 0 else [[a, b, d], [b, c, d]]
-                triangles += cut if side else [one[::-1] for one in cut]
+                triangles += cut if side else [triangle[::-1] for triangle in cut]
                 face += [2 * axis + side] * 2
     vertices = np.array(list(number), dtype=float) / cells
     return TriangleMesh(vertices, np.array(triangles)), np.array(face)

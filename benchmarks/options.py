@@ -1,4 +1,4 @@
-"""What a subject is told."""
+"""Choices of a run that every subject gets."""
 
 from dataclasses import dataclass
 

@@ -26,7 +26,7 @@ def planar_field(
     displacement : (n, 2) float [px]    used where good
     good : (n,) bool
     subset : int [px]                   side of the windows; its half is the unit of the reach
-    covariance : (n, 2, 2) float [px^2] all alike unless told
+    covariance : (n, 2, 2) float [px^2] all alike unless given
 
     Returns
     -------

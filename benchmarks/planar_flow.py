@@ -1,6 +1,6 @@
 """Displacement between two pictures of one camera, on a grid of points, without any seed."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from benchmarks.planar_field import planar_field
 from palpate.shapes import Flags, PointScalars
 from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.matching.dense_flow import dense_start
-from palpate.vision.matching.planar_match import PlanarMatch, PlanarSettings, refine_planar
+from palpate.vision.matching.planar_match import PlanarMatch, refine_planar
 
 # The gradient of the motion needs a window of this size; a smaller one takes it as known.
 _GRADIENT_SUBSET = 21
@@ -46,7 +46,7 @@ def planar_flow(
     second: Float[np.ndarray, "rows columns"],
     pixel: Float[np.ndarray, "n 2"],
     *,
-    settings: PlanarSettings = PlanarSettings(),
+    subset: int = 21,
 ) -> PlanarFlow:
     """Follow windows of one picture into another one.
 
@@ -54,7 +54,7 @@ def planar_flow(
     ----------
     first, second : (rows, columns) float [grey levels]
     pixel : (n, 2) float [px]       column, row of the windows' centres, whole pixels
-    settings : PlanarSettings
+    subset : int [px]               side of the windows, odd, at least 5
 
     Returns
     -------
@@ -63,25 +63,24 @@ def planar_flow(
     start = dense_start(first, second)
     flow = cv2.remap(start.flow, pixel.astype(np.float32)[None], None, cv2.INTER_LINEAR)[0]
     reference, moved = make_spline_picture(first), make_spline_picture(second)
-    wide = replace(settings, subset=max(settings.subset, _GRADIENT_SUBSET))
-    match = refine_planar(reference, moved, pixel, flow, settings=wide)
+    wide = max(subset, _GRADIENT_SUBSET)
+    match = refine_planar(reference, moved, pixel, flow, subset=wide)
     for _ in range(_RETRIES):
-        value, gradient = _field(match, pixel, wide.subset)
+        value, gradient = _field(match, pixel, wide)
         lost = ~match.converged & np.isfinite(value).all(axis=1)
         if not lost.any():
             break
         tried = refine_planar(
             reference, moved, pixel[lost], value[lost],
-            start_gradient=gradient[lost], settings=wide,
+            subset=wide, start_gradient=gradient[lost],
         )  # fmt: skip
         match = _replaced(match, tried, np.flatnonzero(lost))
-    if settings.subset < wide.subset:
-        value, gradient = _field(match, pixel, wide.subset)
-        narrow = replace(settings, shape="shift")
+    if subset < wide:
+        value, gradient = _field(match, pixel, wide)
         match = refine_planar(
-            reference, moved, pixel, value, start_gradient=gradient, settings=narrow
+            reference, moved, pixel, value, subset=subset, shape="shift", start_gradient=gradient
         )
-    return _judged(match, pixel, wide.subset)
+    return _judged(match, pixel, wide)
 
 
 def _field(

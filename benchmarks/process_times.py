@@ -12,7 +12,7 @@ from benchmarks.machine import ROOT
 from benchmarks.options import Options
 
 START = "import sys; from palpate.app.cli import main; sys.exit(main())"
-NOT_OK = 3  # the beam's Poisson's ratio cannot be told
+NOT_OK = 3  # the beam's Poisson's ratio is not identifiable
 
 
 def measure(options: Options) -> list[Figure]:

@@ -102,8 +102,8 @@ def _checked(
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[2] <= _FLATTEST * spread[0]:
         raise CalibrationError(
-            f"camera '{start.name}': the points lie in a plane; one picture of it does not tell"
-            " focal length and distance apart. Use a calibration object with depth"
+            f"camera '{start.name}': the points lie in a plane; one picture of it does not separate"
+            " focal length from distance. Use a calibration object with depth"
         )
     return [DISTORTION_TERMS.index(term) for term in terms]
 

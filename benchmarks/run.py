@@ -98,7 +98,7 @@ def _measured(name: str, *, quick: bool, peers: bool) -> list[Figure] | str:
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
         return f"stopped with exit code {done.returncode}; its message is on the screen"
-    return [figure_from_plain(one) for one in json.loads(done.stdout.splitlines()[-1])]
+    return [figure_from_plain(values) for values in json.loads(done.stdout.splitlines()[-1])]
 
 
 if __name__ == "__main__":

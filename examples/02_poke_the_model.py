@@ -10,7 +10,7 @@ import numpy as np
 from palpate.bem import assemble_system, make_elastic_map, make_surface
 from palpate.pipeline import surface_load
 from palpate.probe import find_contact_patch
-from palpate.records import Contact, ContactProfile, read_session
+from palpate.records import Contact, read_session
 
 HERE = Path(__file__).parent
 FORCE = np.array([0.3, 0.0, -0.8])
@@ -23,7 +23,7 @@ def main() -> float:
     body = make_elastic_map(system, shear_modulus=60e3 / 2.6, poisson_ratio=0.30)
 
     pole = session.mesh.vertices[np.argmax(session.mesh.vertices[:, 2])]
-    contact = Contact(pole, 0.006, ContactProfile.SMOOTH)
+    contact = Contact(pole, 0.006, "smooth")
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="pole")
     (state,) = body.respond([surface_load(patch)], FORCE[None])
 

@@ -6,7 +6,7 @@ python examples/11_range_flow.py
 import numpy as np
 
 from palpate.records import Camera, Rig
-from palpate.vision import is_valid, joint_flow, make_scene
+from palpate.vision import JointFlow, is_valid
 
 SHAPE = (120, 150)  # rows, columns
 FOCAL, DISTANCE = 1000.0, 0.30  # px, m
@@ -42,8 +42,9 @@ def main() -> np.ndarray:
         [picture(view, motion, speckle) for view in rig.cameras] for motion in (0 * MOTION, MOTION)
     )
     corners = 0.025 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
-    scene = make_scene(rig, still, corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    (flow,) = joint_flow(scene, [moved])
+    method = JointFlow()
+    state = method.start_on(rig, still, corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    _, flow = method.follow(state, moved)
     valid = is_valid(flow)
     found = np.median(flow.displacement[valid], axis=0)
     sigma = np.sqrt(np.median(np.einsum("nii->ni", flow.covariance[valid]), axis=0))

@@ -18,9 +18,10 @@ from palpate.lab import (
     read_sensor,
     sensor_std,
 )
-from palpate.lab.bodies import TIPS, surface_values
+from palpate.lab.bodies.finite_elements import surface_values
+from palpate.lab.bodies.tips import TIPS
 from palpate.pipeline import fit_session
-from palpate.records import Contact, ContactProfile, DisplacementField, Probing, Session
+from palpate.records import Contact, DisplacementField, Probing, Session
 
 YOUNG_MODULUS, POISSON_RATIO = 52e3, 0.21  # truth
 RADIUS, TIP_RADIUS, DEPTH = 0.04, 0.012, 0.0015  # m
@@ -48,7 +49,7 @@ def main() -> tuple[float, float]:
     moved += SIGMA * rng.standard_normal(moved.shape)
     std, place = np.full(points.shape, SIGMA), closest_points(mesh, points)
     field = DisplacementField(points, moved, std, None, place, "example")
-    contact = Contact(pole, pressed.radius, ContactProfile.HERTZ)
+    contact = Contact(pole, pressed.radius, "hertz")
     force = read_sensor(pressed.force, sensor, rng=rng)
     sigma = np.full(3, sensor_std(pressed.force, sensor))
     probing = Probing("pole", contact, force, sigma, None, None, field, None)

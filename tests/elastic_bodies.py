@@ -19,8 +19,8 @@ from palpate.bem import (
     support_columns,
     traction_column,
 )
-from palpate.bem.integrals.quadrature import ELEMENT_NODES, element_points
 from palpate.geometry import TriangleMesh, unit_normals
+from palpate.geometry.quadratic_triangle import ELEMENT_NODES, element_points
 
 DEFAULT = Quadrature()
 

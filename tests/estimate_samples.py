@@ -9,9 +9,9 @@ YOUNG, NU = 6e4, 0.3
 SHEAR = YOUNG / (2 * (1 + NU))
 
 
-def constants(*, told=True):
+def constants(*, known=True):
     """G, nu and E with intervals of a few per cent, or of nothing at all."""
-    width = 0.02 if told else np.inf
+    width = 0.02 if known else np.inf
     return {
         name: Constant(value, width * value, (value - 2 * width * value, value + 2 * width * value))
         for name, value in zip(CONSTANT_NAMES, (SHEAR, NU, YOUNG), strict=True)

@@ -6,7 +6,8 @@ import h5py
 import numpy as np
 from scipy.io import netcdf_file, savemat
 
-from palpate.records.programs.measured_points import MeasuredPoints, measured_rows
+from palpate.records.measured_points import MeasuredPoints
+from palpate.records.probing import measured_rows
 
 # Four points at rest and their displacements [mm]; the last one failed.
 PLACE = np.array([[1.0, 2.0, 300.0], [4.0, 5.0, 301.0], [7.0, 8.0, 302.5], [3.0, 3.0, 299.0]])
@@ -108,7 +109,22 @@ def check_four_points(measured: MeasuredPoints, *, nowhere=False) -> None:
     """The four points in metres; the failed one as NaN, with or without its place."""
     # The largest number is 302.5 mm; one rounding of the sum of place and displacement.
     exact = {"rtol": 0.0, "atol": 1e-16}
-    assert list(measured_rows(measured)) == list(GOOD)
+    assert list(measured_rows(measured.displacement)) == list(GOOD)
     np.testing.assert_allclose(measured.displacement[GOOD], 1e-3 * MOVE[GOOD], **exact)
     place = np.where((GOOD | (not nowhere))[:, None], 1e-3 * PLACE, np.nan)
     np.testing.assert_allclose(measured.points, place, **exact)
+
+
+def dice_gold(path: Path) -> dict[str, np.ndarray]:
+    """Nodal variables of the first state of an Exodus file, read without Palpate."""
+    with netcdf_file(path, mmap=False) as file:
+        names = [b"".join(row).split(b"\0")[0].decode() for row in file.variables["name_nod_var"]]
+        return {
+            name: np.array(file.variables[f"vals_nod_var{i + 1}"][0], dtype=np.float64)
+            for i, name in enumerate(names)
+        }
+
+
+def gold_columns(gold: dict[str, np.ndarray], *names: str) -> np.ndarray:
+    """Some of them side by side."""
+    return np.stack([gold[name] for name in names], axis=1)

@@ -61,7 +61,7 @@ class Environment:
             run_command([*install, "-c", str(listed), package])
             for package in listed.read_text(encoding="utf-8").split()
         ]
-        return next((one for one in one_by_one if one.returncode == 0), done)
+        return next((each for each in one_by_one if each.returncode == 0), done)
 
 
 def run_command(

@@ -47,5 +47,5 @@ def speckle_rows(tool: Path, engines: Sequence[str], *, subset: int, make: bool)
         if done.returncode:
             return f"the bench stopped: {last_line(done.stderr)}"
         rows = json.loads(found.read_text(encoding="utf-8"))["rows"]
-    told = run_command([python, "-c", VERSIONS, *PROGRAMS])
-    return {"versions": json.loads(told.stdout), "rows": rows}
+    versions = run_command([python, "-c", VERSIONS, *PROGRAMS])
+    return {"versions": json.loads(versions.stdout), "rows": rows}

@@ -1,8 +1,9 @@
-"""Checked read-only copies of arrays, for the constructors of frozen dataclasses."""
+"""Copies of arrays: checked and read-only for frozen dataclasses; with some rows replaced."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Int, Shaped
 from numpy.typing import ArrayLike
 
 from palpate.errors import InputError
@@ -54,3 +55,25 @@ def fixed_array(
         array = whole
     array.setflags(write=False)
     return array
+
+
+def with_rows(
+    array: Shaped[np.ndarray, "n ..."],
+    rows: Int[np.ndarray, " k"],
+    values: Shaped[np.ndarray, "k ..."],
+) -> Shaped[np.ndarray, "n ..."]:
+    """A copy of an array with some of its rows replaced.
+
+    Parameters
+    ----------
+    array : (n, ...)
+    rows : (k,) int
+    values : (k, ...)
+
+    Returns
+    -------
+    (n, ...)                        as `array`, but for row rows[i], which is values[i]
+    """
+    result = array.copy()
+    result[rows] = values
+    return result

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from benchmarks.planar_flow import planar_flow
-from palpate.vision import PlanarSettings
 from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.matching.planar_match import refine_planar
 from tests.vision.textures import Speckle, affine, noisy, turned
@@ -29,7 +28,7 @@ def test_a_turned_and_stretched_texture_is_followed_everywhere(subset: int, boun
     warp = affine(turned(1.5, 0.03), (6.4, -4.7), (128.0, 128.0))
     first, second = noisy(texture.image(), 1.5, 1), noisy(texture.image(warp), 1.5, 2)
     pixel = _grid(256, 40, 8)
-    flow = planar_flow(first, second, pixel, settings=PlanarSettings(subset=subset))
+    flow = planar_flow(first, second, pixel, subset=subset)
     error = (flow.displacement - warp.displacement(pixel))[flow.valid]
     assert flow.valid.mean() > 0.99
     assert np.sqrt((error**2).mean()) < bound

@@ -11,7 +11,7 @@ from benchmarks.resection import resected
 from palpate.errors import CalibrationError, InputError
 from palpate.records import Rig
 from palpate.records.files.rig import read_rig
-from palpate.records.programs.calibration_multidic import read_control_points
+from palpate.records.programs.multidic import read_control_points
 from palpate.vision.cameras.projection import project
 from palpate.vision.cameras.triangulation import triangulate
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from estimate_samples import constants, sample_result
 
+from palpate.estimation import LikelihoodMap
 from palpate.figures.displacement import best_direction, make_view, projected
-from palpate.figures.estimate import write_plots
+from palpate.figures.estimate import _panel_limits as panel_limits, _refined as refined, write_plots
 from palpate.geometry import TriangleMesh
-from palpate.records import Status, read_session
+from palpate.records import Constant, Status, read_session
 
 
 @pytest.fixture
@@ -41,8 +42,8 @@ def test_all_pictures_are_written(tmp_path, session, result):
         assert 200 <= height <= 1200
 
 
-def test_a_constant_that_is_not_told_can_be_drawn(tmp_path, session, result):
-    lost = constants(told=False)
+def test_a_constant_that_is_not_identifiable_can_be_drawn(tmp_path, session, result):
+    lost = constants(known=False)
     probe = replace(result.estimate.probes[0], **lost)
     estimate = replace(
         result.estimate,
@@ -103,3 +104,37 @@ def test_the_projection_is_a_rotation_and_shows_the_front(session):
     a, b, c = view.polygons.transpose(1, 0, 2)
     (p, q), (r, s) = (b - a).T, (c - a).T
     assert 0.5 * (p * s - q * r).sum() == pytest.approx(0.04**2 * 1.4, rel=1e-9)
+
+
+def limits(values, ends, joint=(2.0, (1.9, 2.1))):
+    joint = Constant(joint[0], 0.1, joint[1])
+    return panel_limits(np.array(values), np.array(ends), joint, 1.0)
+
+
+def test_a_panel_shows_all_values_and_ends_of_usual_intervals():
+    low, high = limits([1.5, 2.5], [[1.2, 1.8], [2.2, 2.8]])
+    # A margin of 4 % of what is shown on both sides.
+    assert (low, high) == pytest.approx((1.2 - 0.04 * 1.6, 2.8 + 0.04 * 1.6))
+
+
+def test_a_hopelessly_wide_interval_does_not_squeeze_the_others():
+    low, high = limits([1.5, 2.5], [[-50.0, 70.0], [2.2, 2.8]])
+    # Twice the range of the values beyond them, and the margin of what is shown.
+    assert (low, high) == pytest.approx((1.5 - 2.0 - 0.2, 2.5 + 2.0 + 0.2))
+
+
+def test_unknown_values_have_no_say_in_the_limits():
+    low, high = limits([1.5, np.nan, 2.5], [[1.5, 1.5], [-np.inf, np.inf], [2.5, 2.5]])
+    assert (low, high) == pytest.approx((1.46, 2.54))
+
+
+def test_the_likelihood_is_refined_between_its_nodes():
+    nu, shear = np.linspace(0.1, 0.3, 41), np.linspace(1.0, 3.0, 31)
+    quadratic = 5e4 * (nu[:, None] - 0.2) ** 2 + 26 * (shear - 2.0) ** 2
+    fine_nu, fine_shear, fine = refined(LikelihoodMap(nu, shear, quadratic))
+    # Shown is what is below a deviance of 16, and two nodes more.
+    assert (fine_nu[0], fine_nu[-1]) == pytest.approx((0.175, 0.225))
+    assert (fine_shear[0], fine_shear[-1]) == pytest.approx((2.0 - 13 / 15, 2.0 + 13 / 15))
+    expected = 5e4 * (fine_nu - 0.2) ** 2 + 26 * (fine_shear[:, None] - 2.0) ** 2
+    # Cubic splines hold a quadratic to rounding.
+    np.testing.assert_allclose(fine, expected, atol=1e-9)

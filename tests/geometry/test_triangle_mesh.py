@@ -13,6 +13,7 @@ from palpate.geometry import (
     triangle_areas,
     unit_normals,
 )
+from palpate.geometry.triangle_mesh import connected_groups, half_edges
 
 
 def test_box_has_the_volume_and_area_of_a_box():
@@ -74,3 +75,28 @@ def test_normal_of_a_flat_triangle_is_refused():
     mesh = TriangleMesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]]))
     with pytest.raises(MeshError, match="zero area"):
         unit_normals(mesh)
+
+
+def test_half_edges_of_a_tetrahedron():
+    halves = half_edges(np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
+    head = halves.tail[halves.following]
+    assert halves.tail.tolist() == [0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2]
+    assert head.tolist() == [1, 2, 0, 3, 1, 0, 2, 3, 0, 3, 2, 1]
+    assert halves.ends.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
+    assert np.array_equal(np.sort([halves.tail, head], axis=0).T, halves.ends[halves.edge])
+    opposite = halves.opposite()
+    assert np.array_equal(halves.tail[opposite], head)
+    assert np.array_equal(opposite[opposite], np.arange(12))
+
+
+def test_pairs_leave_out_edges_of_one_and_of_three_triangles():
+    halves = half_edges(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [3, 2, 1]]))
+    count = dict(zip(map(tuple, halves.ends.tolist()), halves.count.tolist(), strict=True))
+    assert (count[0, 1], count[1, 2], count[1, 3], count[0, 4]) == (3, 2, 2, 1)
+    assert halves.pairs().tolist() == [[1, 10], [5, 11]]
+
+
+def test_groups_hang_together_by_their_links():
+    count, group = connected_groups(np.array([[0, 3], [3, 1], [4, 5]]), 6)
+    assert count == 3
+    assert group.tolist() == [0, 0, 1, 0, 2, 2]

@@ -1,9 +1,9 @@
-"""Checked read-only copies: what passes, and what each refusal says."""
+"""Checked read-only copies: what passes, and what each refusal says; rows replaced in a copy."""
 
 import numpy as np
 import pytest
 
-from palpate.arrays import fixed_array
+from palpate.arrays import fixed_array, with_rows
 from palpate.errors import InputError
 
 
@@ -37,3 +37,10 @@ def test_nan_may_stand_for_not_measured():
 def test_refusals_name_the_value(value, options, message):
     with pytest.raises(InputError, match=message):
         fixed_array(value, name="p", **options)
+
+
+def test_rows_are_replaced_in_a_copy():
+    array = np.arange(6.0).reshape(3, 2)
+    changed = with_rows(array, np.array([2, 0]), np.array([[8.0, 9.0], [6.0, 7.0]]))
+    np.testing.assert_array_equal(changed, [[6.0, 7.0], [2.0, 3.0], [8.0, 9.0]])
+    np.testing.assert_array_equal(array, np.arange(6.0).reshape(3, 2))

@@ -15,7 +15,6 @@ from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session, make_object_model, session_observations
 from palpate.records import (
     Contact,
-    ContactProfile,
     DisplacementField,
     Probing,
     Session,
@@ -35,7 +34,7 @@ def _probing(mesh: TriangleMesh, name: str, place: list[float], force: list[floa
     contact = closest_points(mesh, RADIUS * np.array([place])).position[0]
     return Probing(
         name=name,
-        contact=Contact(contact, 0.008, ContactProfile.SMOOTH),
+        contact=Contact(contact, 0.008, "smooth"),
         force=np.array(force),
         force_std=np.full(3, 0.005),
         tip_displacement=np.zeros(3) if name == "b" else None,

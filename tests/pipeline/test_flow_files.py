@@ -14,6 +14,7 @@ from rich.console import Console
 
 from palpate.app.terminal.tables import flow_table
 from palpate.errors import RecordError
+from palpate.pipeline import MeasuredMotion
 from palpate.pipeline.flow_files import (
     file_stems,
     seen_vertices,
@@ -21,10 +22,10 @@ from palpate.pipeline.flow_files import (
     write_flow_vtp,
     write_vertices,
 )
-from palpate.pipeline.motion_figures import failed_figures, motion_figures, write_flow_document
+from palpate.pipeline.motion_figures import motion_figures, write_flow_document
 from palpate.records import observed_rows, read_displacement
 from palpate.records.quantities import length_unit
-from palpate.vision import Outcome, SurfaceMap, is_valid
+from palpate.vision import Outcome, SurfaceMap, dense_maps, is_valid
 from palpate.vision.cameras.projection import camera_sigma
 
 REJECT = {Outcome.SCORE: [0, 1, 2], Outcome.LOST: [7]}
@@ -38,6 +39,18 @@ def cube():
 @pytest.fixture(scope="module")
 def seen(cube):
     return seen_vertices(cube.surface, cube.mesh)
+
+
+def figures_of(name, given, vertices, seen):
+    """Figures of a step with a sample's flow."""
+    found = MeasuredMotion(name, None, True, given.picture, given.flow, vertices, None)
+    return motion_figures(found, given.rig, seen)
+
+
+def lost_figures(name, given, seen):
+    """Figures of a step whose pictures could not be read."""
+    found = MeasuredMotion(name, None, True, given.picture, None, None, "torn picture")
+    return motion_figures(found, given.rig, seen)
 
 
 def shown(table, width=100):
@@ -137,19 +150,23 @@ def test_the_npz_holds_all_of_the_range_flow(cube, tmp_path):
         assert (stored["format"], stored["name"]) == ("palpate-range-flow/1", "n01")
         assert stored["camera_names"].tolist() == ["c0", "c1"]
         assert stored["outcome_names"][stored["outcome"][7]] == "lost"
-        assert "dense_displacement" not in stored
 
 
-def test_dense_maps_are_stored_in_single_precision(cube, tmp_path):
-    moved = np.full((*cube.flow.shape, 3), np.nan)
-    moved[40, 60] = [1e-3, 2e-3, -1e-3]
-    dense = (moved, np.full(cube.flow.shape, 3e-6))
-    write_flow_npz(tmp_path / "a.npz", cube.flow, name="s1", cameras=["c0", "c1"], dense=dense)
+def test_the_flow_at_every_pixel_is_stored_in_single_precision(cube, tmp_path):
+    write_flow_npz(tmp_path / "a.npz", cube.flow, name="s1", cameras=["c0", "c1"])
+    displacement, sigma = dense_maps(cube.flow)
     with np.load(tmp_path / "a.npz") as stored:
         assert stored["dense_displacement"].dtype == np.float32
-        # Single precision.
-        np.testing.assert_allclose(stored["dense_displacement"], moved, rtol=6e-8)
-        np.testing.assert_allclose(stored["dense_sigma"], dense[1], rtol=6e-8)
+        np.testing.assert_array_equal(stored["dense_displacement"], displacement)
+        np.testing.assert_array_equal(stored["dense_sigma"], sigma)
+    # Points are pixels too: single precision there.
+    valid = is_valid(cube.flow)
+    column, row = cube.flow.pixel[valid].astype(int).T
+    inside = np.isfinite(displacement[row, column, 0])
+    assert inside.mean() > 0.8
+    np.testing.assert_allclose(
+        displacement[row, column][inside], cube.flow.displacement[valid][inside], rtol=1e-6
+    )
 
 
 def vtp_arrays(path):
@@ -217,7 +234,7 @@ def test_sigma_is_across_and_along_the_axis_of_the_camera():
 
 
 def test_figures_count_and_take_medians(cube, seen):
-    f = motion_figures("n01", cube.flow, cube.vertices, seen=seen, camera=camera())
+    f = figures_of("n01", cube, cube.vertices, seen)
     assert f.valid == f.points - 4 == len(cube.flow.point) - 4
     assert {cause: n for cause, n in f.rejected.items() if n} == {"score": 3, "lost": 1}
     assert next(iter(f.rejected)) == "hidden"
@@ -236,7 +253,7 @@ def test_figures_count_and_take_medians(cube, seen):
 def test_figures_of_nothing_are_unknown(seen):
     count = len(sample().flow.point)
     blind = sample(reject={Outcome.TEXTURE: np.arange(count)})
-    f = motion_figures("n01", blind.flow, None, seen=seen, camera=camera())
+    f = figures_of("n01", blind, None, seen)
     assert (f.valid, f.measured, f.rejected["texture"]) == (0, 0, count)
     assert all(math.isnan(x) for x in (f.lateral, f.depth, f.reprojection, f.vertex_lateral))
 
@@ -249,8 +266,8 @@ def test_a_length_is_told_in_a_unit_of_its_size(length, unit):
 
 
 def test_the_table_shows_causes_that_occur_and_failures(cube, seen):
-    good = motion_figures("n[01]", cube.flow, cube.vertices, seen=seen, camera=camera())
-    lost = failed_figures("n02", 2)
+    good = figures_of("n[01]", cube, cube.vertices, seen)
+    lost = lost_figures("n02", cube, seen)
     text = shown(flow_table([good, lost], cube.rig))
     lines = text.splitlines()
     first = next(line for line in lines if line.startswith(" n[01]")).split()
@@ -267,7 +284,7 @@ def test_the_table_shows_causes_that_occur_and_failures(cube, seen):
 
 def test_a_narrow_terminal_shows_every_cause_and_cuts_no_number(cube, seen):
     every = sample(reject={cause: [int(cause)] for cause in list(Outcome)[1:]})
-    f = motion_figures("n05_12", every.flow, every.vertices, seen=seen, camera=camera())
+    f = figures_of("n05_12", every, every.vertices, seen)
     counts = dict.fromkeys(f.rejected, 12345)
     f = replace(f, points=98765, rejected=counts, noise=(1.5, 1.5, 12.5), vertices=1049)
     text = shown(flow_table([f], cube.rig), width=80)
@@ -282,8 +299,8 @@ def test_a_narrow_terminal_shows_every_cause_and_cuts_no_number(cube, seen):
 
 
 def test_the_document_is_plain_json_with_null_for_what_is_not_known(cube, seen, tmp_path):
-    good = motion_figures("s1", cube.flow, cube.vertices, seen=seen, camera=camera())
-    lost = failed_figures("s2", 2)
+    good = figures_of("s1", cube, cube.vertices, seen)
+    lost = lost_figures("s2", cube, seen)
     path = tmp_path / "flow.json"
     names = [{"vertices": "s1.csv"}, {}]
     write_flow_document(path, [good, lost], names, cube.rig, {"session": "cube", "notes": []})
@@ -297,6 +314,6 @@ def test_the_document_is_plain_json_with_null_for_what_is_not_known(cube, seen, 
     assert first["rejected"]["score"] == 3
     assert (first["through_last"], first["drift"]) == (0, 3e-6)
     assert first["files"] == {"vertices": "s1.csv"}
-    assert (second["failure"], second["points"]) == ("nothing was measured", 0)
+    assert (second["failure"], second["points"]) == ("torn picture", 0)
     assert second["median_sigma"] == {"lateral": None, "depth": None}
     assert second["noise"] == {"c0": None, "c1": None}

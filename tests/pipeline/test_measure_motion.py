@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from palpate.errors import CalibrationError, InputError
-from palpate.pipeline import MotionSettings, fit_session, measure_motion, with_measured_displacement
+from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
 from palpate.records import Session, read_session
-from palpate.vision import JointSettings, Outcome
+from palpate.vision import JointFlow, Outcome
 
-GIVEN = MotionSettings(pose="given", joint=JointSettings(step=8))
+GIVEN = {"method": JointFlow(step=8), "pose": "given"}
 
 
 def _part(source: Path, target: Path, steps: int) -> Path:
@@ -45,7 +45,7 @@ def half_ball(shared_data: Path) -> Session:
 
 
 def test_a_translation_is_measured_to_hundredths_of_a_millimetre(sequence: Path) -> None:
-    found = measure_motion(read_session(sequence), settings=GIVEN)
+    found = measure_motion(read_session(sequence), **GIVEN)
     assert [motion.name for motion in found.motions] == ["s1", "s2"]
     for number, motion in enumerate(found.motions, start=1):
         assert motion.vertices is not None
@@ -67,7 +67,7 @@ def test_a_truncated_picture_fails_its_step_and_keeps_the_others(
     folder = _part(sequence, tmp_path / "cut", 3)
     picture = folder / "images" / "s1_c1.png"
     picture.write_bytes(picture.read_bytes()[:40_000])
-    found = measure_motion(read_session(folder), settings=GIVEN)
+    found = measure_motion(read_session(folder), **GIVEN)
     failed, kept = found.motions
     assert failed.flow is None
     assert failed.failure is not None
@@ -82,7 +82,7 @@ def test_a_truncated_first_picture_is_refused(sequence: Path, tmp_path: Path) ->
     picture = folder / "images" / "s0_c2.png"
     picture.write_bytes(picture.read_bytes()[:40_000])
     with pytest.raises(InputError, match=r"s0_c2\.png"):
-        measure_motion(read_session(folder), settings=GIVEN)
+        measure_motion(read_session(folder), **GIVEN)
 
 
 def test_pictures_without_texture_say_where_and_how_much_is_needed(
@@ -96,7 +96,7 @@ def test_pictures_without_texture_say_where_and_how_much_is_needed(
         grey[160:, :] = np.where(grey[160:] > 20.0, 100.0, grey[160:])
         grey[160:] += rng.normal(0.0, 1.5, grey[160:].shape)
         cv2.imwrite(str(path), np.clip(np.round(grey), 0, 255).astype(np.uint8))
-    found = measure_motion(read_session(folder), settings=GIVEN)
+    found = measure_motion(read_session(folder), **GIVEN)
     flow = found.motions[0].flow
     assert flow is not None
     assert (flow.outcome == Outcome.TEXTURE).mean() > 0.1
@@ -111,7 +111,7 @@ def test_swapped_cameras_are_named(sequence: Path, tmp_path: Path) -> None:
         (images / f"{step}_c2.png").rename(images / f"{step}_c1.png")
         (images / "kept.png").rename(images / f"{step}_c2.png")
     with pytest.raises(CalibrationError, match="look swapped"):
-        measure_motion(read_session(folder), settings=GIVEN)
+        measure_motion(read_session(folder), **GIVEN)
 
 
 def test_an_object_out_of_view_names_the_camera(sequence: Path, tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_an_object_out_of_view_names_the_camera(sequence: Path, tmp_path: Path) 
     moved = re.sub(r"t = \[([^,]+),", r"t = [5.0,", rig)
     (folder / "rig.toml").write_text(moved)
     with pytest.raises(CalibrationError, match="does not see the object"):
-        measure_motion(read_session(folder), settings=GIVEN)
+        measure_motion(read_session(folder), **GIVEN)
 
 
 def test_load_steps_in_the_wrong_order_are_remarked(shared_data: Path) -> None:
@@ -130,13 +130,13 @@ def test_load_steps_in_the_wrong_order_are_remarked(shared_data: Path) -> None:
     assert probing.images is not None
     wrong = (probing.images.loaded[4], probing.images.loaded[1])
     turned = replace(probing, images=replace(probing.images, loaded=wrong))
-    found = measure_motion(replace(session, probings=(turned,)), settings=GIVEN)
+    found = measure_motion(replace(session, probings=(turned,)), **GIVEN)
     assert any("is their order right" in note for note in found.notes)
 
 
 def test_images_alone_give_the_constants(half_ball: Session) -> None:
     """One probing, force known to 1 %: nu within 0.03 of 0.21, E within 5 % of 52 kPa."""
-    found = measure_motion(half_ball, settings=GIVEN)
+    found = measure_motion(half_ball, **GIVEN)
     session = with_measured_displacement(half_ball, found)
     estimate = fit_session(session).estimate
     assert estimate.poisson_ratio.value == pytest.approx(0.21, abs=0.03)

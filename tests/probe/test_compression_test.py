@@ -11,6 +11,7 @@ from palpate.probe import (
     gent_lindley_factor,
     read_compression,
 )
+from palpate.probe.compression_test import slope_deviation
 
 DIAMETER, HEIGHT, YOUNG = 0.05, 0.03, 1.0e5
 AREA = np.pi * DIAMETER**2 / 4
@@ -168,3 +169,55 @@ def test_bad_records_are_refused():
         compression_test(back, force, **SIZES)
     with pytest.raises(InputError, match="at least one"):
         compression_series([])
+
+
+def test_the_deviation_of_a_slope_is_that_of_the_slow_departures():
+    """A departure along one orthonormal polynomial of degree 2, in closed form.
+
+    Its square over three polynomials is the variance that replaces the residual's.
+    """
+    strain = 0.05 + 0.05 * np.linspace(-1.0, 1.0, 41)
+    x = strain - strain.mean()
+    bend = x**2 - np.mean(x**2)
+    bend /= np.linalg.norm(bend)
+    deviation, freedom = slope_deviation(strain, 2e5 * strain + 70.0 + 300.0 * bend)
+    assert freedom == 3
+    # Rounding of the orthonormal columns.
+    assert deviation == pytest.approx(300.0 / np.sqrt(3.0) / np.linalg.norm(x), rel=1e-10)
+    assert slope_deviation(strain[:4], strain[:4] ** 2)[1] == 2
+
+
+@pytest.mark.parametrize(("fall", "refused"), [(0.9, False), (1.1, True)])
+def test_a_hundredth_of_the_range_is_noise_of_the_gauge(fall, refused):
+    shortening, force = line()
+    shortening = shortening.copy()
+    shortening[41:] -= shortening[41] - shortening[40] + 0.01 * fall * 0.1 * HEIGHT
+    shortening[41:] = np.maximum(shortening[41:], shortening[40] - 0.01 * fall * 0.1 * HEIGHT)
+    if refused:
+        with pytest.raises(InputError, match="goes back"):
+            compression_test(shortening, force, **SIZES)
+    else:
+        assert compression_test(shortening, force, **SIZES).young_modulus > 0.0
+
+
+@pytest.mark.parametrize(("softer", "said"), [(0.70, True), (0.80, False)])
+def test_a_toe_is_a_quarter_softer(softer, said):
+    """Slope `softer` up to a fifth of the range and one that makes the whole fit 1 beyond."""
+    strain = np.linspace(0.0, 0.1, 401)
+    early = strain <= 0.02
+    stress = np.where(early, softer * strain, softer * 0.02 + (strain - 0.02))
+    fitted = np.polyfit(strain, stress, 1)[0]
+    stress = np.where(early, softer * fitted * strain, stress - softer * 0.02 * (1.0 - fitted))
+    ratio = np.polyfit(strain[early], stress[early], 1)[0] / np.polyfit(strain, stress, 1)[0]
+    # The second fit shifts the ratio a little; it stays on its side of 0.75.
+    assert ratio == pytest.approx(softer, abs=0.02)
+    result = compression_test(strain * HEIGHT, YOUNG * AREA * stress, **SIZES)
+    assert any(note.startswith("Toe") for note in result.notes) is said
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(0.39, False), (0.41, True)])
+def test_two_percent_by_sticking_ends_is_said(ratio, said):
+    """1 + 2 (ratio / 4)^2 is 1.02 at a diameter of 0.4 heights."""
+    shortening, force = line()
+    result = compression_test(shortening, force, diameter=ratio * HEIGHT, height=HEIGHT)
+    assert any("stick instead of slipping" in note for note in result.notes) is said

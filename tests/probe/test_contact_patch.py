@@ -7,14 +7,14 @@ from surfaces import box, joined, sphere
 from palpate.errors import InputError
 from palpate.geometry import triangle_areas
 from palpate.probe import find_contact_patch
-from palpate.records import Contact, ContactProfile
+from palpate.records import PRESSURES, Contact
 
 NOBODY = np.array([], dtype=np.int64)
 TOP = np.array([0.5, 0.5, 1.0])
 
 
 def contact(point=TOP, radius=0.2, profile="smooth"):
-    return Contact(point=np.asarray(point, float), radius=radius, profile=ContactProfile(profile))
+    return Contact(point=np.asarray(point, float), radius=radius, profile=profile)
 
 
 def patch_on_cube(held=NOBODY, **options):
@@ -34,6 +34,15 @@ def test_profiles_of_the_session_format(profile, expected):
     position = TOP + np.array([[0.06, 0.08, 0.0]])
     found = patch.density(np.array([0]), np.full((1, 3), 1 / 3), position)
     np.testing.assert_allclose(found, expected)
+
+
+def test_a_new_tool_shape_presses_as_registered(monkeypatch):
+    monkeypatch.setitem(PRESSURES, "cone", lambda s: np.clip(1.0 - s, 0.0, None))
+    patch = patch_on_cube(profile="cone")
+    position = TOP + np.array([[0.06, 0.08, 0.0], [0.0, 0.0, 0.0], [0.0, 0.3, 0.0]])
+    found = patch.density(np.zeros(3, dtype=int), np.full((3, 3), 1 / 3), position)
+    # Half a radius away, in the middle, and beyond the rim.
+    np.testing.assert_allclose(found, [0.5, 1.0, 0.0])
 
 
 def test_patch_holds_every_triangle_within_its_radius_on_the_top():

@@ -5,7 +5,15 @@ import math
 import pytest
 
 from palpate.records import Constant
-from palpate.records.quantities import constant_text, interval_text, modulus_unit
+from palpate.records.quantities import (
+    FILE_LENGTH_UNITS,
+    LENGTH_UNITS,
+    constant_text,
+    interval_text,
+    length_unit,
+    modulus_unit,
+    unit_name,
+)
 
 
 @pytest.mark.parametrize(
@@ -42,3 +50,23 @@ def test_units_scale_value_and_interval():
     assert constant_text(constant, factor=1e3) == "21.00 ± 0.15"
     assert interval_text(constant, factor=1e3) == "20.70 to 21.30"
     assert interval_text(Constant(math.nan, math.inf, (-math.inf, math.inf))) == "-inf to inf"
+
+
+@pytest.mark.parametrize(
+    ("length", "unit"), [(0.99e-4, (1e-6, "µm")), (1.01e-4, (1e-3, "mm")), (math.inf, (1e-6, "µm"))]
+)
+def test_a_tenth_of_a_millimetre_is_written_in_millimetres(length, unit):
+    assert length_unit(length) == unit
+
+
+@pytest.mark.parametrize(
+    ("word", "name"),
+    [("MM", "mm"), ("micron", "um"), ("\u00b5m", "um"), ("Inches", "in"), ("px", "px")],
+)
+def test_units_as_programs_spell_them(word, name):
+    assert unit_name(word) == name
+
+
+def test_units_are_what_they_are():
+    assert LENGTH_UNITS == {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+    assert FILE_LENGTH_UNITS == {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}

@@ -5,7 +5,7 @@ is found by Newton's method on the exact projection, written out here, so that n
 package has a part in the truth.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -15,6 +15,8 @@ from jaxtyping import Float
 from vision.textures import Speckle, Warp, pixel_grid
 
 from palpate.records import Camera, Rig
+from palpate.vision import FlowMethod, JointFlow, RangeFlow
+from palpate.vision.joint.flow import JointState
 
 SHAPE = (150, 190)
 # Cameras stand this far from the origin, a pixel is PITCH wide there [m].
@@ -220,6 +222,22 @@ def noisy_views(views: list[np.ndarray], sigma: float, seed: int) -> list[np.nda
     """Pictures with white noise [grey levels], another in each."""
     rng = np.random.default_rng(seed)
     return [(view + rng.normal(0.0, sigma, view.shape)).astype(np.float32) for view in views]
+
+
+def first_instant(
+    stage: "Stage", views: list[np.ndarray], method: JointFlow = JointFlow()
+) -> JointState:
+    """The first instant of a stage for the method `joint`, on the stage's own mesh."""
+    return method.start_on(stage.rig, views, *stage.mesh())
+
+
+def followed(
+    state: object, series: Iterable[list[np.ndarray]], method: FlowMethod = JointFlow()
+) -> Iterator[RangeFlow]:
+    """Range flow to each instant of a series."""
+    for views in series:
+        state, flow = method.follow(state, views)
+        yield flow
 
 
 # Motions of two to seven pixels; the bump bends by 0.05 px over half a window.

@@ -164,3 +164,26 @@ def noisy(
     """What an 8-bit camera makes of a picture: noise of `sigma` grey levels, rounded, clipped."""
     noise = np.random.default_rng(seed).normal(0.0, sigma, grey.shape)
     return np.clip(np.round(grey + noise), 0.0, 255.0).astype(np.float32)
+
+
+def window_correlation(first, at, second, there, half):
+    """Correlation of two windows between pixels, by numpy's own; NaN greys are not expected.
+
+    `at` and `there` are (column, row); one of the two may lie between whole pixels.
+    """
+
+    def window(grey, place):
+        column, row = (int(np.floor(value)) for value in place)
+        right, down = place[0] - column, place[1] - row
+        rows, columns = (
+            np.arange(row - half, row + half + 1),
+            np.arange(column - half, column + half + 1),
+        )
+        near = grey[np.ix_(rows, columns)]
+        if not (right or down):
+            return near.ravel()
+        share = max(right, down)
+        far = grey[np.ix_(rows + (down > 0), columns + (right > 0))]
+        return ((1.0 - share) * near + share * far).ravel()
+
+    return np.corrcoef(window(first, at), window(second, there))[0, 1]

@@ -1,12 +1,11 @@
 """Boundary element model of a held elastic object.
 
-Purpose    : how every point of an object moves under a load, for all materials at once.
+Purpose    : find how every point of an object moves under a load, for all materials at once.
 Takes      : a closed triangle mesh, the triangles of its support, tractions on its free surface.
-Gives      : `BoundarySystem` (material-free matrices), `ElasticMap` (one material), right-hand
-           sides.
-Depends on : errors, geometry.
-Read first : `kelvin.py` (what is integrated), `system.py` (what is solved), `elastic_map.py` (what
-comes out).
+Gives      : `BoundarySystem` (matrices free of the material), right-hand sides, `ElasticMap` (one
+             material), displacement and stress inside.
+Depends on : geometry; errors, threads.
+Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
 
 from palpate.bem.elastic_map import (

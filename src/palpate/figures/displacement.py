@@ -15,6 +15,7 @@ from palpate.figures.style import (
     INK,
     LIGHT,
     ORANGE,
+    add_arrows,
     add_colour_bar,
     add_texts,
     magnification_text,
@@ -27,7 +28,7 @@ from palpate.records import Probing, observed_rows
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, TriangleScalars, Vector3
 
 OUTLIER_WEIGHT = 0.1  # robust weight below which a point counts as an outlier
-MAX_ARROWS = 60  # more would hide the points
+ARROWS_ACROSS = 12  # more would hide the points
 LONGEST_ARROW = 0.13  # of the object's size in the picture
 CLAY = LinearSegmentedColormap.from_list("clay", ["#a9adb4", "#f4f5f6"])
 MIN_FACING = 0.25  # cosine between normal and view below which a point is hard to see
@@ -137,7 +138,9 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points]) -> Figure:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         _surface(axes, scene)
         _points(axes, scene, length, cmap, top)
-        _arrows(axes, scene, vector, arrow / top)
+        front = scene.front & scene.used
+        stretched = arrow / top * vector[front, :2]
+        add_arrows(axes, scene.place[front, :2], stretched, pitch=scene.size / ARROWS_ACROSS)
         title_panel(axes, title)
     _contact(panels[0], scene)
     _scale_bar(panels[0])
@@ -205,29 +208,6 @@ def _points(axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: flo
     )
 
 
-def _arrows(axes: Axes, scene: _Scene, moved: Points, stretch: float) -> None:
-    """Displacements of some points as arrows in the picture plane."""
-    front = np.flatnonzero(scene.front & scene.used)
-    chosen = front[_spread(scene.place[front, :2], MAX_ARROWS)]
-    place, vector = scene.place[chosen, :2], stretch * moved[chosen, :2]
-    axes.quiver(
-        place[:, 0], place[:, 1], vector[:, 0], vector[:, 1], angles="xy", scale_units="xy",
-        scale=1.0, width=0.005, headwidth=3.6, headlength=4.2, color=INK, zorder=3,
-    )  # fmt: skip
-
-
-def _spread(place: Float[np.ndarray, "n 2"], count: int) -> list[int]:
-    """Indices of at most `count` points, each as far as it can be from the ones before."""
-    if len(place) == 0:
-        return []
-    chosen = [0]
-    distance = np.linalg.norm(place - place[0], axis=1)
-    while len(chosen) < min(count, len(place)):
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
-    return chosen
-
-
 def _contact(axes: Axes, scene: _Scene) -> None:
     """The contact point and the direction of the force on it."""
     tip, tail = scene.contact[:2], _arrow_tail(scene)
@@ -241,14 +221,13 @@ def _contact(axes: Axes, scene: _Scene) -> None:
 
 def _scale_bar(axes: Axes) -> None:
     """A bar of a round length in the lower left corner."""
-    low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
-    target = 0.22 * float(high[0] - low[0])
+    (left, right), bottom = axes.get_xlim(), axes.get_ylim()[0]
+    target, start = 0.22 * (right - left), left + 0.03 * (right - left)
     power = 10.0 ** np.floor(np.log10(target))
     length = float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= target))
-    x, y = float(low[0]) + 0.03 * float(high[0] - low[0]), float(low[1])
-    axes.plot([x, x + length], [y, y], color=INK, linewidth=1.6, clip_on=False)
+    axes.plot([start, start + length], [bottom] * 2, color=INK, linewidth=1.6, clip_on=False)
     axes.annotate(
-        f"{length:g} mm", (x + length, y), xytext=(3, 0), textcoords="offset points",
+        f"{length:g} mm", (start + length, bottom), xytext=(3, 0), textcoords="offset points",
         va="center", fontsize=7, annotation_clip=False,
     )  # fmt: skip
 
@@ -284,6 +263,10 @@ def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
     ----------
     mesh : TriangleMesh
     direction : (3,) float      unit, toward the viewer
+
+    Returns
+    -------
+    SurfaceView
     """
     rotation = _rotation(direction)
     corners = (mesh.vertices @ rotation.T)[mesh.triangles]
@@ -296,7 +279,17 @@ def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
 
 
 def projected(view: SurfaceView, points: Shaped[np.ndarray, "*n 3"]) -> Shaped[np.ndarray, "*n 3"]:
-    """Points or vectors in the viewer's frame: right, up, toward the viewer [m]."""
+    """Points or vectors in the viewer's frame: right, up, toward the viewer [m].
+
+    Parameters
+    ----------
+    view : SurfaceView
+    points : (..., 3) float [m]     points or vectors, object frame
+
+    Returns
+    -------
+    (..., 3) float [m]
+    """
     return points @ view.R_view_object.T
 
 

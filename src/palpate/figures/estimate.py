@@ -80,6 +80,10 @@ def likelihood_figure(result: FitResult) -> Figure:
     Parameters
     ----------
     result : FitResult
+
+    Returns
+    -------
+    Figure                          4.6 by 3.6 inches
     """
     estimate = result.estimate
     factor, unit = modulus_unit(estimate.shear_modulus.value)
@@ -139,6 +143,10 @@ def probings_figure(estimate: Estimate) -> Figure:
     Parameters
     ----------
     estimate : Estimate             with probings
+
+    Returns
+    -------
+    Figure                          7 inches wide, as high as its probings need
     """
     count = len(estimate.probes)
     height = 1.25 + 0.2 * max(count, 3)
@@ -197,14 +205,11 @@ def _panel_limits(
     value: Float[np.ndarray, " n"], ends: Float[np.ndarray, "n 2"], joint: Constant, factor: float
 ) -> tuple[float, float]:
     """Limits that show all values, and intervals that are not hopelessly wide."""
-    everything = np.concatenate([value, np.array([joint.value, *joint.ci95]) / factor])
-    everything = everything[np.isfinite(everything)]
-    low, high = float(everything.min()), float(everything.max())
+    values = np.concatenate([value, np.array([joint.value, *joint.ci95]) / factor])
+    values = values[np.isfinite(values)]
+    low, high = values.min(), values.max()
     width = max(high - low, 1e-3 * max(abs(high), 1e-12))
-    reach = ends[np.isfinite(ends)]
-    if reach.size:
-        low = max(float(reach.min()), low - 2 * width)
-        high = min(float(reach.max()), high + 2 * width)
-    low, high = min(low, float(everything.min())), max(high, float(everything.max()))
-    more = 0.04 * max(high - low, width)
-    return low - more, high + more
+    reach = np.concatenate([values, ends[np.isfinite(ends)]])
+    low, high = max(reach.min(), low - 2 * width), min(reach.max(), high + 2 * width)
+    margin = 0.04 * max(high - low, width)
+    return float(low - margin), float(high + margin)

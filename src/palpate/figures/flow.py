@@ -22,7 +22,7 @@ from palpate.figures.flow_view import (
     seen_corners,
 )
 from palpate.figures.style import (
-    INK,
+    add_arrows,
     add_colour_bar,
     add_texts,
     magnification_text,
@@ -111,6 +111,10 @@ def flow_figure(
     flow : RangeFlow
     vertices : VertexDisplacement or None
     view : FlowView
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
     """
     pixel = project(view.camera, flow.point)
     optical = project(view.camera, flow.point + flow.displacement) - pixel
@@ -153,6 +157,10 @@ def quality_figure(name: str, flow: RangeFlow, view: FlowView) -> Figure:
     name : str
     flow : RangeFlow
     view : FlowView
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
     """
     figure, panels = three_panels(view.high - view.low)
     titles = ("rejected, and why", "1 sigma across the view", "1 sigma in depth")
@@ -217,26 +225,12 @@ def _arrows_in_space(axes: Axes, view: FlowView, point: Points, vector: Points) 
 
 
 def _arrows(
-    axes: Axes,
-    view: FlowView,
-    place: Float[np.ndarray, "n 2"],
-    vector: Float[np.ndarray, "n 2"],
+    axes: Axes, view: FlowView, place: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
 ) -> None:
-    """Arrows at points of an even choice, light with a dark rim: seen on every colour."""
-    known = np.flatnonzero(np.isfinite(vector).all(axis=1) & np.isfinite(place).all(axis=1))
-    pitch = float((view.high - view.low).max()) / ARROWS_ACROSS
-    cell = np.floor((place[known] - view.low) / pitch)
-    off = np.linalg.norm((place[known] - view.low) / pitch - cell - 0.5, axis=1)
-    order = np.argsort(off, kind="stable")
-    _, first = np.unique(cell[order], axis=0, return_index=True)
-    chosen = known[order[first]]
-    shortest = SHORTEST_ARROW * pitch * ARROWS_ACROSS
-    chosen = chosen[np.linalg.norm(vector[chosen], axis=1) > shortest]
-    axes.quiver(
-        *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
-        units="inches", width=0.022, headwidth=3.4, headlength=3.6, headaxislength=3.2,
-        minlength=0.5, color="white", edgecolor=INK, linewidth=0.5, zorder=3,
-    )  # fmt: skip
+    """Light arrows with a dark rim: seen on every colour."""
+    side = float((view.high - view.low).max())
+    pitch, shortest = side / ARROWS_ACROSS, SHORTEST_ARROW * side
+    add_arrows(axes, place, vector, pitch=pitch, shortest=shortest, colour="white")
 
 
 def _bar(figure: Figure, panels: list[Axes], cmap: str, norm: Normalize, label: str) -> None:

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize
+from matplotlib.tri import Triangulation
 
 from palpate.figures.style import INK, LIGHT
 from palpate.geometry import TriangleMesh, unit_normals
@@ -64,6 +65,10 @@ def make_flow_view(
     camera : Camera                 the reference camera
     surface : SurfaceMap            of that camera
     mesh : TriangleMesh
+
+    Returns
+    -------
+    FlowView
     """
     size = np.array(picture.shape[::-1])
     rows, columns = np.nonzero(surface.triangle >= 0)
@@ -85,7 +90,16 @@ def make_flow_view(
 
 
 def seen_corners(view: FlowView) -> Indices:
-    """Vertices of the triangles that are seen, (k,) int."""
+    """Vertices of the triangles that are seen, (k,) int.
+
+    Parameters
+    ----------
+    view : FlowView
+
+    Returns
+    -------
+    (k,) int                        rows of the mesh's vertices, ascending
+    """
     return np.unique(view.mesh.triangles[view.triangles])
 
 
@@ -148,8 +162,8 @@ def draw_vertices(
     """
     rows, mesh = seen_corners(view), view.mesh
     place, corners = project(view.camera, mesh.vertices[rows]), mesh.triangles[view.triangles]
-    right, down, into = view.camera.T_camera_object[:3, :3]
-    toward = LIGHT[0] * right - LIGHT[1] * down - LIGHT[2] * into
+    right, below, into = view.camera.T_camera_object[:3, :3]
+    toward = LIGHT[0] * right - LIGHT[1] * below - LIGHT[2] * into
     light = unit_normals(mesh)[view.triangles] @ (toward / np.linalg.norm(toward))
     colours = CLAY(np.clip(light, 0.0, 1.0))
     local = np.searchsorted(rows, corners)
@@ -160,14 +174,16 @@ def draw_vertices(
     )
     if vertices is None:
         return
+    across, down = place.T
     known = measured_vertices(vertices)[rows]
     length = np.linalg.norm(vertices.displacement[rows], axis=1)
     whole = known[local].all(axis=1)
     if whole.any():
-        axes.tripcolor(*place.T, np.nan_to_num(length), triangles=local[whole], cmap=cmap,
-                       norm=norm, shading="gouraud")  # fmt: skip
+        shape = Triangulation(across, down, local[whole])
+        values = np.nan_to_num(length)
+        axes.tripcolor(shape, values, cmap=cmap, norm=norm, shading="gouraud")
     size = float(np.clip(1500.0 / max(known.sum(), 1), 2.0, 9.0))
     axes.scatter(
-        *place[known].T, c=length[known], s=size, cmap=cmap, norm=norm, linewidths=0.3,
+        across[known], down[known], c=length[known], s=size, cmap=cmap, norm=norm, linewidths=0.3,
         edgecolors=INK, zorder=2,
     )  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -106,6 +106,11 @@ def three_panels(size: Shaped[np.ndarray, "2"]) -> tuple[Figure, list[Axes]]:
     ----------
     size : (2,) float or int        width and height of what a panel shows, any unit: the panels
                                     get its proportions unless they would be too flat or too tall
+
+    Returns
+    -------
+    Figure                          8.4 inches wide
+    list of three Axes              from the left, without ticks
     """
     panel_height = min(max(_PANEL * float(size[1] / size[0]), 0.6), 3.6)
     total = panel_height + 1.23
@@ -120,7 +125,13 @@ def three_panels(size: Shaped[np.ndarray, "2"]) -> tuple[Figure, list[Axes]]:
 
 
 def title_panel(axes: Axes, title: str) -> None:
-    """Write a title above a panel of `three_panels`."""
+    """Write a title above a panel of `three_panels`.
+
+    Parameters
+    ----------
+    axes : Axes
+    title : str                     shown as it is, dollars too
+    """
     # A title proper would look for room above ticks that are not there: it takes 30 ms.
     axes.annotate(
         title, (0.5, 1.0), (0.0, 5.0), xycoords="axes fraction", textcoords="offset points",
@@ -129,7 +140,17 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def place_below(figure: Figure, panels: Sequence[Axes]) -> tuple[float, float]:
-    """Middle of some panels and width of one, as fractions of the figure's width."""
+    """Middle of some panels and width of one, as fractions of the figure's width.
+
+    Parameters
+    ----------
+    figure : Figure
+    panels : sequence of Axes       neighbours
+
+    Returns
+    -------
+    tuple of two float              both from 0 to 1
+    """
     cells = [axes.get_position(original=True) for axes in panels]
     return 0.5 * (cells[0].x0 + cells[-1].x1), cells[0].width
 
@@ -160,7 +181,13 @@ def add_colour_bar(
 
 
 def add_texts(figure: Figure, heading: str, left: str, right: str) -> None:
-    """Write a heading, and two notes along the lower edge, on a figure of `three_panels`."""
+    """Write a heading, and two notes along the lower edge, on a figure of `three_panels`.
+
+    Parameters
+    ----------
+    figure : Figure
+    heading, left, right : str      shown as they are, dollars too
+    """
     total = figure.get_figheight()
     # Names may hold dollar signs: they are no mathematics.
     figure.text(
@@ -171,11 +198,60 @@ def add_texts(figure: Figure, heading: str, left: str, right: str) -> None:
         figure.text(place, 0.05 / total, text, ha=side, va="bottom", fontsize=6.5, parse_math=False)
 
 
+def add_arrows(
+    axes: Axes,
+    place: Float[np.ndarray, "n 2"],
+    vector: Float[np.ndarray, "n 2"],
+    *,
+    pitch: float,
+    shortest: float = 0.0,
+    colour: str = INK,
+) -> None:
+    """Draw arrows at an even choice of points.
+
+    Parameters
+    ----------
+    axes : Axes
+    place, vector : (n, 2) float    in the units of the axes; rows with NaN have no arrow
+    pitch : float                   of square cells, the same unit: of the points in a cell the
+                                    nearest to its centre has an arrow
+    shortest : float                shorter ones would be blots and are left out
+    colour : str                    with a dark rim, if it is not dark itself
+    """
+    known = np.flatnonzero(np.isfinite(vector).all(axis=1) & np.isfinite(place).all(axis=1))
+    cell = np.floor(place[known] / pitch)
+    off_centre = np.linalg.norm(place[known] / pitch - cell - 0.5, axis=1)
+    order = np.argsort(off_centre, kind="stable")
+    _, first = np.unique(cell[order], axis=0, return_index=True)
+    chosen = known[order[first]]
+    chosen = chosen[np.linalg.norm(vector[chosen], axis=1) > shortest]
+    width, rim = (0.014, 0.0) if colour == INK else (0.022, 0.5)
+    axes.quiver(
+        *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
+        units="inches", width=width, headwidth=3.4, headlength=3.6, headaxislength=3.2,
+        minlength=0.5, color=colour, edgecolor=INK, linewidth=rim, zorder=3,
+    )  # fmt: skip
+
+
 def open_frame(axes: Axes) -> None:
-    """Leave out the upper and right line of the frame."""
+    """Leave out the upper and right line of the frame.
+
+    Parameters
+    ----------
+    axes : Axes
+    """
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def magnification_text(factor: float) -> str:
-    """A factor of arrows to two digits, never with an exponent: `3.2 times`."""
+    """A factor of arrows to two digits, never with an exponent: `3.2 times`.
+
+    Parameters
+    ----------
+    factor : float                  > 0
+
+    Returns
+    -------
+    str
+    """
     return f"{factor:.2g} times" if factor < 10 else f"{factor:.0f} times"

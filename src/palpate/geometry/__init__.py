@@ -1,10 +1,10 @@
 """Geometry of the object's surface.
 
-Purpose    : triangle surfaces, their files, their quality, closest points on them.
+Purpose    : triangle surfaces, their quality, points on them, the smooth surface between vertices.
 Takes      : arrays and mesh files.
-Gives      : `TriangleMesh`, `SurfacePoints`, figures about a mesh.
-Depends on : `errors`, `shapes`.
-Read first : `triangle_mesh.py`, then `mesh_quality.py`.
+Gives      : `TriangleMesh`, `MeshQuality`, `SurfacePoints`, `QuadraticNodes`, `Registration`.
+Depends on : arrays, errors, optional_imports, shapes.
+Read first : `triangle_mesh.py`, `mesh_quality.py`.
 """
 
 from palpate.geometry.closest_point import (
@@ -29,6 +29,14 @@ from palpate.geometry.midpoints import (
     interpolation_matrix as interpolation_matrix,
     linear_nodes as linear_nodes,
     side_nodes as side_nodes,
+)
+from palpate.geometry.point_order import morton_order as morton_order
+from palpate.geometry.quadratic_triangle import (
+    ELEMENT_NODES as ELEMENT_NODES,
+    element_points as element_points,
+    element_spheres as element_spheres,
+    quadratic_shapes as quadratic_shapes,
+    quartered as quartered,
 )
 from palpate.geometry.refinement import refined_surface as refined_surface
 from palpate.geometry.registration import (

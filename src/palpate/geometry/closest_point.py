@@ -1,5 +1,6 @@
 """Closest points of a triangle surface: how an observation is tied to the mesh."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,36 @@ class SurfacePoints:
             object.__setattr__(self, name, array)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceSearch:
+    """A surface made ready for many searches of closest points (`surface_search`).
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+    tree : cKDTree                  centres of spheres that cover the triangles
+    radius : (s,) float [m]         of each sphere
+    owner : (s,) int                triangle that each sphere covers a piece of
+    """
+
+    mesh: TriangleMesh
+    tree: cKDTree
+    radius: Float[np.ndarray, " s"]
+    owner: Int[np.ndarray, " s"]
+
+    def closest(self, points: Points) -> SurfacePoints:
+        """Point of the surface nearest to each given point; see `closest_points`."""
+        points = fixed_array(points, name="points", shape=(None, 3))
+        triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
+        for begin in range(0, len(points), _POINTS_A_BLOCK):
+            block = slice(begin, begin + _POINTS_A_BLOCK)
+            triangle[block], barycentric[block] = _closest_in_block(self, points[block])
+        corner = self.mesh.vertices[self.mesh.triangles[triangle]]
+        position = np.einsum("nv,nva->na", barycentric, corner)
+        distance = np.linalg.norm(points - position, axis=1)
+        return SurfacePoints(triangle, barycentric, position, distance)
+
+
 def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
     """Point of the surface nearest to each given point.
 
@@ -62,24 +93,50 @@ def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
     Ericson, Real-Time Collision Detection (2005), section 5.1.5, written over masks. Candidates
     come from spheres that cover the triangles, so the result is exact, not approximate.
     """
-    points = fixed_array(points, name="points", shape=(None, 3))
-    centre, radius, owner = _covering_spheres(mesh)
-    tree = cKDTree(centre)
-    blocks = [
-        _closest_in_block(mesh, points[i : i + _POINTS_A_BLOCK], tree, radius, owner)
-        for i in range(0, len(points), _POINTS_A_BLOCK)
-    ]
-    if not blocks:
-        blocks = [(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))]
-    triangle = np.concatenate([block[0] for block in blocks])
-    barycentric = np.concatenate([block[1] for block in blocks])
-    position = np.einsum("nv,nva->na", barycentric, mesh.vertices[mesh.triangles[triangle]])
-    return SurfacePoints(
-        triangle=triangle,
-        barycentric=barycentric,
-        position=position,
-        distance=np.linalg.norm(points - position, axis=1),
-    )
+    return surface_search(mesh).closest(points)
+
+
+def surface_search(mesh: TriangleMesh) -> SurfaceSearch:
+    """Cover every triangle with spheres of similar size.
+
+    Long triangles are halved until the pieces are no larger than twice the median, so that one
+    large triangle does not become everybody's candidate.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    SurfaceSearch
+    """
+    corner = mesh.vertices[mesh.triangles]
+    limit = 2.0 * float(np.median(_sphere_radius(corner)))
+    pieces, owner = small_pieces(corner, lambda piece: _sphere_radius(piece) > limit)
+    return SurfaceSearch(mesh, cKDTree(pieces.mean(axis=1)), _sphere_radius(pieces), owner)
+
+
+def small_pieces(
+    corner: Float[np.ndarray, "m 3 3"], is_large: Callable[[np.ndarray], np.ndarray]
+) -> tuple[Float[np.ndarray, "s 3 3"], Int[np.ndarray, " s"]]:
+    """Halve triangles across their longest edges until none is large.
+
+    Parameters
+    ----------
+    corner : (m, 3, 3) float [m]    corners of the triangles
+    is_large : callable             (k, 3, 3) float -> (k,) bool
+
+    Returns
+    -------
+    (s, 3, 3) float [m], (s,) int   corners of the pieces, and the triangle that each is a part of
+    """
+    owner = np.arange(len(corner))
+    done: list[tuple[np.ndarray, np.ndarray]] = []
+    while len(corner):
+        large = is_large(corner)
+        done.append((corner[~large], owner[~large]))
+        corner, owner = _halved(corner[large]), np.repeat(owner[large], 2)
+    return np.concatenate([pair[0] for pair in done]), np.concatenate([pair[1] for pair in done])
 
 
 def triangle_distances(mesh: TriangleMesh, point: Vector3) -> TriangleScalars:
@@ -104,26 +161,6 @@ def triangle_distances(mesh: TriangleMesh, point: Vector3) -> TriangleScalars:
     return np.linalg.norm(np.einsum("ev,eva->ea", barycentric, corner) - point, axis=1)
 
 
-def _covering_spheres(
-    mesh: TriangleMesh,
-) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"], Int[np.ndarray, " s"]]:
-    """Spheres of similar size that cover every triangle: centre, radius, index of the triangle.
-
-    Long triangles are halved across their longest edge until the pieces are no larger than twice
-    the median, so that one large triangle does not become everybody's candidate.
-    """
-    corner = mesh.vertices[mesh.triangles]
-    owner = np.arange(len(corner))
-    limit = 2.0 * float(np.median(_sphere_radius(corner)))
-    done: list[tuple[np.ndarray, np.ndarray]] = []
-    while len(corner):
-        large = _sphere_radius(corner) > limit
-        done.append((corner[~large], owner[~large]))
-        corner, owner = _halved(corner[large]), np.repeat(owner[large], 2)
-    corner = np.concatenate([pair[0] for pair in done])
-    return corner.mean(axis=1), _sphere_radius(corner), np.concatenate([pair[1] for pair in done])
-
-
 def _sphere_radius(corner: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, " s"]:
     """Largest distance of a corner from the centroid [m]."""
     offset = corner - corner.mean(axis=1, keepdims=True)
@@ -141,14 +178,9 @@ def _halved(corner: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "t 3 3"]:
     return halves.reshape(-1, 3, 3)
 
 
-def _closest_in_block(
-    mesh: TriangleMesh,
-    points: Points,
-    tree: cKDTree,
-    radius: Float[np.ndarray, " s"],
-    owner: Int[np.ndarray, " s"],
-) -> tuple[PointIndices, Points]:
+def _closest_in_block(search: SurfaceSearch, points: Points) -> tuple[PointIndices, Points]:
     """Triangle and barycentric coordinates of the closest point, for a few thousand points."""
+    mesh, tree, radius = search.mesh, search.tree, search.radius
     near, _ = tree.query(points)
     # The centroid of a piece is on the surface: its distance bounds the answer from above.
     reach = near + radius.max()
@@ -158,7 +190,7 @@ def _closest_in_block(
     row = np.repeat(np.arange(len(points)), counts)
     gap = np.linalg.norm(points[row] - tree.data[piece], axis=1) - radius[piece]
     keep = gap <= near[row] * (1.0 + 1e-12)
-    pair = np.unique(np.stack([row[keep], owner[piece[keep]]], axis=1), axis=0)
+    pair = np.unique(np.stack([row[keep], search.owner[piece[keep]]], axis=1), axis=0)
     row, triangle = pair[:, 0], pair[:, 1]
     corner = mesh.vertices[mesh.triangles[triangle]]
     barycentric = _closest_in_triangle(corner, points[row])

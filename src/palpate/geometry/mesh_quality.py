@@ -3,13 +3,18 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from jaxtyping import Bool
 
 from palpate.errors import MeshError
 from palpate.geometry.self_intersection import intersecting_pairs
-from palpate.geometry.triangle_mesh import TriangleMesh, enclosed_volume, triangle_areas
+from palpate.geometry.triangle_mesh import (
+    HalfEdges,
+    TriangleMesh,
+    connected_groups,
+    enclosed_volume,
+    half_edges,
+    triangle_areas,
+)
 
 # Height over longest edge below which a triangle has no usable normal in double precision.
 _DEGENERATE_HEIGHT = 1e-6
@@ -88,10 +93,11 @@ def checked_mesh(mesh: TriangleMesh) -> tuple[TriangleMesh, tuple[str, ...]]:
     _check_vertices_used(mesh)
     _check_degenerate(mesh)
     _check_duplicates(mesh)
-    opposite = _opposite_half_edges(mesh)
-    _check_vertex_fans(mesh, opposite)
-    _check_one_component(mesh, opposite)
-    mesh, notes = _outward(mesh, opposite)
+    halves = half_edges(mesh.triangles)
+    _check_edges(mesh, halves)
+    _check_vertex_fans(mesh, halves)
+    _check_one_component(mesh, halves)
+    mesh, notes = _outward(mesh, halves)
     _check_self_intersection(mesh)
     angle = mesh_quality(mesh).smallest_angle
     if angle < _NEEDLE_ANGLE:
@@ -142,64 +148,39 @@ def _check_duplicates(mesh: TriangleMesh) -> None:
         )
 
 
-def _opposite_half_edges(mesh: TriangleMesh) -> Int[np.ndarray, " h"]:
-    """For half edge 3 e + i (from corner i to i + 1 of triangle e), the other one on its edge.
-
-    Raises
-    ------
-    MeshError                       an edge of one triangle (open) or of more than two
-    """
-    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    edges, where, count = np.unique(
-        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    where = where.ravel()
-    crowded = np.flatnonzero(count > 2)
+def _check_edges(mesh: TriangleMesh, halves: HalfEdges) -> None:
+    """Refuse an edge of one triangle (open) or of more than two."""
+    crowded = np.flatnonzero(halves.count > 2)
     if len(crowded):
-        a, b = edges[crowded[0]]
+        a, b = halves.ends[crowded[0]]
         raise MeshError(
             f"{len(crowded)} edges belong to more than two triangles, the first between vertices"
             f" {a} and {b} near {_place(mesh.vertices[a])}; the surface must be a single skin:"
             " delete inner walls and make the parts one solid (boolean union)"
         )
-    lonely = np.flatnonzero(count == 1)
+    lonely = np.flatnonzero(halves.count == 1)
     if len(lonely):
-        a, b = edges[lonely[0]]
+        a, b = halves.ends[lonely[0]]
         raise MeshError(
             f"the surface is open: {len(lonely)} edges belong to one triangle only, the first"
             f" between vertices {a} and {b} near {_place(mesh.vertices[a])};"
             " close the holes in a mesh program (fill holes), the support's side included"
         )
-    pair = np.argsort(where, kind="stable").reshape(-1, 2)
-    opposite = np.empty(len(ends), dtype=np.int64)
-    opposite[pair[:, 0]], opposite[pair[:, 1]] = pair[:, 1], pair[:, 0]
-    return opposite
 
 
-def _groups(links: np.ndarray, count: int) -> tuple[int, np.ndarray]:
-    """Number of connected groups of `count` things linked in pairs, and the group of each."""
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)
-
-
-def _check_vertex_fans(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) -> None:
+def _check_vertex_fans(mesh: TriangleMesh, halves: HalfEdges) -> None:
     """Refuse a vertex at which two sheets of triangles touch."""
-    half = np.arange(len(opposite))
-    tail = mesh.triangles.ravel()
-    following = 3 * (half // 3) + (half + 1) % 3
-    other_following = 3 * (opposite // 3) + (opposite + 1) % 3
-    along = tail == tail[opposite]
+    opposite, following = halves.opposite(), halves.following
+    along = halves.tail == halves.tail[opposite]
     # A corner is numbered as the half edge that leaves it; each edge joins the corners at its ends.
-    links = np.concatenate(
-        [
-            np.stack([half, np.where(along, opposite, other_following)], axis=1),
-            np.stack([following, np.where(along, other_following, opposite)], axis=1),
-        ]
-    )
-    count, group = _groups(links, len(half))
+    start = np.where(along, opposite, following[opposite])
+    end = np.where(along, following[opposite], opposite)
+    own = np.arange(len(opposite))
+    links = np.stack([np.concatenate([own, following]), np.concatenate([start, end])], axis=1)
+    count, group = connected_groups(links, len(opposite))
     if count == len(mesh.vertices):
         return
-    fans = np.unique(np.stack([tail, group], axis=1), axis=0)[:, 0]
+    fans = np.unique(np.stack([halves.tail, group], axis=1), axis=0)[:, 0]
     pinched = np.flatnonzero(np.bincount(fans) > 1)
     raise MeshError(
         f"at {len(pinched)} vertices separate parts of the surface touch in a point, the first:"
@@ -208,9 +189,8 @@ def _check_vertex_fans(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) -> N
     )
 
 
-def _check_one_component(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) -> None:
-    links = np.stack([np.arange(len(opposite)), opposite], axis=1) // 3
-    count, group = _groups(links, len(mesh.triangles))
+def _check_one_component(mesh: TriangleMesh, halves: HalfEdges) -> None:
+    count, group = connected_groups(halves.pairs() // 3, len(mesh.triangles))
     if count > 1:
         sizes = np.bincount(group)
         firsts = np.unique(group, return_index=True)[1]
@@ -221,11 +201,9 @@ def _check_one_component(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) ->
         )
 
 
-def _outward(
-    mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]
-) -> tuple[TriangleMesh, tuple[str, ...]]:
+def _outward(mesh: TriangleMesh, halves: HalfEdges) -> tuple[TriangleMesh, tuple[str, ...]]:
     """The surface with every triangle counter-clockwise from outside, and what was turned."""
-    turned = _turned(mesh, opposite)
+    turned = _turned(mesh, halves)
     triangles = np.where(turned[:, None], mesh.triangles[:, ::-1], mesh.triangles)
     mended = TriangleMesh(vertices=mesh.vertices, triangles=triangles)
     if enclosed_volume(mended) < 0.0:
@@ -243,21 +221,20 @@ def _outward(
     return mended, (note,)
 
 
-def _turned(mesh: TriangleMesh, opposite: Int[np.ndarray, " h"]) -> Bool[np.ndarray, " m"]:
+def _turned(mesh: TriangleMesh, halves: HalfEdges) -> Bool[np.ndarray, " m"]:
     """Which triangles must turn so that all agree with the first.
 
     Two copies of every triangle, as given and turned, are linked where they agree; the copies that
     hang together with the first triangle as given are the consistent surface.
     """
     m = len(mesh.triangles)
-    half = np.arange(len(opposite))
-    tail = mesh.triangles.ravel()
-    clash = tail == tail[opposite]
-    e, f = half // 3, opposite // 3
+    a, b = halves.pairs().T
+    clash = halves.tail[a] == halves.tail[b]
+    a, b = a // 3, b // 3
     links = np.concatenate(
-        [np.stack([e, f + m * clash], axis=1), np.stack([e + m, f + m * ~clash], axis=1)]
+        [np.stack([a, b + m * clash], axis=1), np.stack([a + m, b + m * ~clash], axis=1)]
     )
-    _, group = _groups(links, 2 * m)
+    _, group = connected_groups(links, 2 * m)
     if group[0] == group[m]:
         raise MeshError(
             "the surface is one-sided (like a Moebius strip): no choice of outward normals is"

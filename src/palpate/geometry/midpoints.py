@@ -12,13 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array, vstack
 
+from palpate.geometry.quadratic_triangle import quadratic_shapes
 from palpate.geometry.sides import CREASE_ANGLE, Sides
 from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors
 
-SMOOTH_TURN = np.cos(CREASE_ANGLE)
-LARGEST_WEIGHT_SUM = 4.0
+# The curve of a crease ends where it turns by more than the crease angle.
+_MIN_SMOOTH_COSINE = np.cos(CREASE_ANGLE)
+# Sum of the absolute weights of a midpoint beyond which its fit is not to be trusted.
+_MAX_WEIGHT_SUM = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,22 +125,11 @@ def interpolation_matrix(
     -------
     (n, n_nodes) sparse           rows sum to 1
     """
-    a, b, c = barycentric.T
-    corner = [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1)]
-    middle = [4 * a * b, 4 * b * c, 4 * c * a]
-    point = np.repeat(np.arange(triangle.size), 3)
-    at_corners = csr_array(
-        (np.stack(corner, axis=1).ravel(), (point, nodes.element[triangle, :3].ravel())),
-        shape=(triangle.size, nodes.n_nodes),
-    )
-    at_middles = csr_array(
-        (
-            np.stack(middle, axis=1).ravel(),
-            (point, nodes.element[triangle, 3:].ravel() - nodes.n_nodes),
-        ),
-        shape=(triangle.size, nodes.weights.shape[0]),
-    )
-    return csr_array(at_corners + at_middles @ nodes.weights)
+    point = np.repeat(np.arange(triangle.size), 6)
+    entries = (quadratic_shapes(barycentric).T.ravel(), (point, nodes.element[triangle].ravel()))
+    at_nodes = csr_array(entries, shape=(triangle.size, nodes.n_nodes + nodes.weights.shape[0]))
+    own = eye_array(nodes.n_nodes, format="csr")
+    return csr_array(at_nodes @ vstack([own, nodes.weights], format="csr"))
 
 
 def _half_edge_weights(mesh: TriangleMesh, sides: Sides) -> csr_array:
@@ -162,24 +154,20 @@ def _surface_stencils(
     corner = sides.corner.ravel()
     a, b = corner[half], corner[half - half % 3 + (half + 1) % 3]
     near = _neighbours(sides)
-    wide = csr_array(near @ near)
     normal = area_vectors(mesh)
-    across = sides.twin.ravel()[half]
-    plane = normal[half // 3] + normal[across // 3]
+    plane = normal[half // 3] + normal[sides.twin.ravel()[half] // 3]
     position = mesh.vertices[sides.vertex]
-    weight, column = _quadratic_weights(position, a, b, plane, near)
-    poor = ~(np.abs(weight).sum(axis=1) < LARGEST_WEIGHT_SUM)
-    row = np.broadcast_to(half[:, None], weight.shape)
-    keep = (weight != 0) & ~poor[:, None]
-    parts = [(row[keep], column[keep], weight[keep])]
-    if poor.any():
-        weight, column = _quadratic_weights(position, a[poor], b[poor], plane[poor], wide)
-        linear = ~(np.abs(weight).sum(axis=1) < LARGEST_WEIGHT_SUM)
-        row = np.broadcast_to(half[poor][:, None], weight.shape)
-        keep = (weight != 0) & ~linear[:, None]
+    parts, left = [], np.arange(half.size)
+    for reach in (near, csr_array(near @ near)):
+        weight, column = _quadratic_weights(position, a[left], b[left], plane[left], reach)
+        good = np.abs(weight).sum(axis=1) < _MAX_WEIGHT_SUM
+        row = np.broadcast_to(half[left][:, None], weight.shape)
+        keep = (weight != 0) & good[:, None]
         parts.append((row[keep], column[keep], weight[keep]))
-        ends = np.stack([a[poor][linear], b[poor][linear]], axis=1).ravel()
-        parts.append((np.repeat(half[poor][linear], 2), ends, np.full(ends.size, 0.5)))
+        left = left[~good]
+    # Where no neighbours fix a quadratic, the midpoint is the mean of its ends.
+    ends = np.stack([a[left], b[left]], axis=1).ravel()
+    parts.append((np.repeat(half[left], 2), ends, np.full(ends.size, 0.5)))
     row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     return row, column, value
 
@@ -256,8 +244,8 @@ def _curve_stencils(
         turn_start = np.einsum("hi,hi->h", step[:, 0], step[:, 1]) / (length[:, 0] * length[:, 1])
         turn_end = np.einsum("hi,hi->h", step[:, 1], step[:, 2]) / (length[:, 1] * length[:, 2])
     use = np.ones(chain.shape, dtype=bool)
-    use[:, 0] = (chain[:, 0] >= 0) & (turn_start > SMOOTH_TURN)
-    use[:, 3] = (chain[:, 3] >= 0) & (turn_end > SMOOTH_TURN)
+    use[:, 0] = (chain[:, 0] >= 0) & (turn_start > _MIN_SMOOTH_COSINE)
+    use[:, 3] = (chain[:, 3] >= 0) & (turn_end > _MIN_SMOOTH_COSINE)
     s = np.stack(
         [-length[:, 0], 0 * length[:, 0], length[:, 1], length[:, 1] + length[:, 2]], axis=1
     )

@@ -5,10 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from palpate.geometry.triangle_mesh import TriangleMesh, unit_normals
+from palpate.geometry.triangle_mesh import (
+    TriangleMesh,
+    connected_groups,
+    half_edges,
+    unit_normals,
+)
 
 CREASE_ANGLE = np.radians(40.0)
 
@@ -53,39 +56,21 @@ def split_sides(
     -------
     Sides
     """
-    edge, twin = _edges(mesh)
+    halves = half_edges(mesh.triangles)
+    edge, twin, following = halves.edge, halves.opposite(), halves.following
     normals = unit_normals(mesh)
     triangle = np.arange(edge.size) // 3
-    other = twin.ravel() // 3
-    turn = np.einsum("hi,hi->h", normals[triangle], normals[other])
-    cut_half = (turn < np.cos(crease_angle)) | (region[triangle] != region[other])
-    cut = np.zeros(edge.max() + 1, dtype=bool)
-    cut[edge.ravel()[cut_half]] = True
+    turn = np.einsum("hi,hi->h", normals[triangle], normals[twin // 3])
+    cut_half = (turn < np.cos(crease_angle)) | (region[triangle] != region[twin // 3])
+    cut = np.zeros(len(halves.ends), dtype=bool)
+    cut[edge[cut_half]] = True
 
+    # Across an edge that is not cut the corners at both of its ends belong together.
     joined = np.flatnonzero(~cut_half)
-    across = twin.ravel()[joined]
-    start, end = joined, _next(joined)
-    corners = np.concatenate([start, end])
-    partners = np.concatenate([_next(across), across])
-    graph = coo_array((np.ones(corners.size), (corners, partners)), shape=(edge.size, edge.size))
-    count, label = connected_components(graph, directed=False)
+    across = twin[joined]
+    corners = np.concatenate([joined, following[joined]])
+    partners = np.concatenate([following[across], across])
+    count, label = connected_groups(np.stack([corners, partners], axis=1), edge.size)
     vertex = np.empty(count, dtype=np.int64)
-    vertex[label] = mesh.triangles.ravel()
-    return Sides(label.reshape(-1, 3).astype(np.int64), vertex, edge, twin, cut)
-
-
-def _next(half_edge: Int[np.ndarray, " h"]) -> Int[np.ndarray, " h"]:
-    return half_edge - half_edge % 3 + (half_edge + 1) % 3
-
-
-def _edges(mesh: TriangleMesh) -> tuple[Int[np.ndarray, "m 3"], Int[np.ndarray, "m 3"]]:
-    tail = mesh.triangles
-    head = np.roll(tail, -1, axis=1)
-    ends = np.sort(np.stack([tail.ravel(), head.ravel()], axis=1), axis=1)
-    key = ends[:, 0] * np.int64(mesh.vertices.shape[0]) + ends[:, 1]
-    _, edge = np.unique(key, return_inverse=True)
-    order = np.argsort(edge, kind="stable")
-    twin = np.empty(edge.size, dtype=np.int64)
-    twin[order[0::2]] = order[1::2]
-    twin[order[1::2]] = order[0::2]
-    return edge.reshape(-1, 3).astype(np.int64), twin.reshape(-1, 3)
+    vertex[label] = halves.tail
+    return Sides(label.reshape(-1, 3), vertex, edge.reshape(-1, 3), twin.reshape(-1, 3), cut)

@@ -3,10 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from palpate.arrays import fixed_array
 from palpate.errors import MeshError
-from palpate.shapes import Triangles, TriangleScalars, TriangleVectors, Vertices
+from palpate.shapes import Indices, Triangles, TriangleScalars, TriangleVectors, Vertices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,3 +120,75 @@ def bounding_diagonal(mesh: TriangleMesh) -> float:
     """Length of the diagonal of the box that holds all used vertices [m]."""
     used = mesh.vertices[mesh.triangles.ravel()]
     return float(np.linalg.norm(used.max(axis=0) - used.min(axis=0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HalfEdges:
+    """The sides of all triangles: half-edge 3 e + i leaves corner i of triangle e for corner i + 1.
+
+    Attributes
+    ----------
+    tail : (3 m,) int         vertex from which each runs
+    following : (3 m,) int    the next one around its triangle
+    edge : (3 m,) int         edge that it lies on, one number for both directions
+    ends : (k, 2) int         vertices of each edge, the lower one first
+    count : (k,) int          half-edges on each edge, 2 on a closed surface
+    """
+
+    tail: Indices
+    following: Indices
+    edge: Indices
+    ends: Int[np.ndarray, "e 2"]
+    count: Int[np.ndarray, " e"]
+
+    def pairs(self) -> Int[np.ndarray, "p 2"]:
+        """The two half-edges of every edge that has just two, the lower one first."""
+        order = np.argsort(self.edge, kind="stable")
+        first = (np.cumsum(self.count) - self.count)[self.count == 2]
+        return np.stack([order[first], order[first + 1]], axis=1)
+
+    def opposite(self) -> Indices:
+        """The other half-edge of each one's edge; of a closed surface only."""
+        a, b = self.pairs().T
+        other = np.empty(len(self.tail), dtype=np.int64)
+        other[a], other[b] = b, a
+        return other
+
+
+def half_edges(triangles: Triangles) -> HalfEdges:
+    """Number the edges of triangles.
+
+    Parameters
+    ----------
+    triangles : (m, 3) int    vertex indices
+
+    Returns
+    -------
+    HalfEdges
+    """
+    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    ends, edge, count = np.unique(
+        np.sort(np.stack([tail, head], axis=1), axis=1),
+        axis=0, return_inverse=True, return_counts=True,
+    )  # fmt: skip
+    half = np.arange(len(tail))
+    following = half - half % 3 + (half + 1) % 3
+    return HalfEdges(tail, following, edge.ravel(), ends, count)
+
+
+def connected_groups(links: Int[np.ndarray, "p 2"], count: int) -> tuple[int, Indices]:
+    """Groups of things that hang together.
+
+    Parameters
+    ----------
+    links : (p, 2) int        pairs of things that are linked
+    count : int               number of things
+
+    Returns
+    -------
+    int                       number of groups
+    (count,) int              group of each thing
+    """
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
+    groups, label = connected_components(graph, directed=False)
+    return int(groups), label.astype(np.int64)

@@ -58,7 +58,12 @@ def read_lab_config(path: Path | str) -> LabConfig:
 
 
 def built_in() -> dict[str, Path]:
-    """Configurations that come with the program, by name."""
+    """Configurations that come with the program.
+
+    Returns
+    -------
+    dict                            file by name
+    """
     folder = Path(str(files("palpate.lab"))) / "configs"
     return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 

@@ -33,7 +33,6 @@ from palpate.lab import (
     LabConfig,
     Material,
     Sensor,
-    Specimen,
     Variant,
     half_ball,
     make_sessions,
@@ -47,6 +46,8 @@ from palpate.pipeline import fit_session
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, read_rig, read_session, write_rig
 
+# From the exact session, a generator and a file for another rig, to the session that is fitted.
+Change = Callable[[Session, np.random.Generator, Path], Session]
 # Share of the time that goes into the sessions; estimates take the rest.
 _MAKING = 0.6
 # Where it touches; a robot's repeatability and the care with which its frame was found [m].
@@ -78,15 +79,6 @@ class SourceErrors:
     joint: Float[np.ndarray, "d 3"]
 
 
-@dataclass(frozen=True, slots=True)
-class _Source:
-    """A source of error to put in: its name, its size, and what it changes."""
-
-    name: str
-    size: str
-    change: Callable[..., Any]
-
-
 def error_budget(
     config: LabConfig,
     folder: Path,
@@ -104,7 +96,7 @@ def error_budget(
     folder : Path                   empty: the sessions stay there
     variant : Variant               of Mitsuba
     draws : int                     of the sources that change no picture, >= 1
-    progress : callable or None     told what is done (text) and how far it is (0 to 1)
+    progress : callable or None     called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -116,37 +108,33 @@ def error_budget(
     InputError, RecordError         as `make_sessions`
     """
     say = progress or silent
-    on_bench, in_records = _bench_sources(config), _record_sources(config)
-    exact = _exact(config)
-    folders = [folder / _plain(source.name) for source in on_bench]
+    benches, readings = _benches(config), _readings(config)
+    folders = [folder / _plain(name) for name, _, _ in benches]
     for each in folders:
         each.mkdir()
     make_sessions(
-        [(source.change(exact), each) for source, each in zip(on_bench, folders, strict=True)],
+        [(bench, each) for (_, _, bench), each in zip(benches, folders, strict=True)],
         variant=variant,
         progress=part_of(say, 0.0, _MAKING),
     )
     # Its motion serves every source that changes no picture and no camera.
     first = pictures_measured(read_session(folders[0]))
-    drawn = [[first], *([read_session(each)] for each in folders[1:])]
-    sources = [*on_bench[:-1], *in_records, on_bench[-1]]
-    drawn[-1:-1] = [
-        [
-            source.change(
+    sessions = [[first], *([read_session(each)] for each in folders[1:])]
+    for number, (name, _, change) in enumerate(readings):
+        drawn = [
+            change(
                 first,
                 np.random.default_rng([config.seed, number, draw]),
-                folder / f"{_plain(source.name)}_{draw}.toml",
+                folder / f"{_plain(name)}_{draw}.toml",
             )
             for draw in range(draws)
         ]
-        for number, source in enumerate(in_records)
-    ]
-    found = []
-    done, count = 0, sum(map(len, drawn))
-    for source, sessions in zip(sources, drawn, strict=True):
-        say(source.name, _MAKING + (1.0 - _MAKING) * done / count)
-        found.append(_errors(source, sessions, config.material))
-        done += len(sessions)
+        sessions.insert(-1, drawn)
+    sources = [source[:2] for source in (*benches[:-1], *readings, benches[-1])]
+    found: list[SourceErrors] = []
+    for (name, size), drawn in zip(sources, sessions, strict=True):
+        say(name, _MAKING + (1.0 - _MAKING) * len(found) / len(sources))
+        found.append(SourceErrors(name, size, *_errors(drawn, config.material)))
     return tuple(found)
 
 
@@ -162,68 +150,54 @@ def _exact(config: LabConfig) -> LabConfig:
     )
 
 
-def _bench_sources(config: LabConfig) -> tuple[_Source, ...]:
-    """Sources that change the pictures."""
+def _benches(config: LabConfig) -> list[tuple[str, str, LabConfig]]:
+    """Sources that change the pictures: name, size, and the bench that has this error alone."""
+    exact = _exact(config)
+
+    def changed(part: str, **values: Any) -> LabConfig:
+        return replace(exact, **{part: replace(getattr(exact, part), **values)})
+
     noise, turn = config.pictures.noise, config.arm.misalignment
     edge = mesh_quality(config.specimen.mesh).edge_mean
-    return (
-        _Source("none", "flow and mesh alone", lambda exact: exact),
-        _Source(
-            "image noise",
-            f"{noise:g} of 255 grey levels",
-            lambda exact: replace(exact, pictures=replace(exact.pictures, noise=noise)),
-        ),
-        _Source(
-            "tip misalignment",
-            f"{turn:g}° about each axis",
-            lambda exact: replace(exact, arm=replace(exact.arm, misalignment=turn)),
-        ),
-        _Source(
-            "tip placement",
-            f"{1e3 * _PLACEMENT:g} mm along each direction",
-            lambda exact: replace(exact, arm=replace(exact.arm, placement=_PLACEMENT)),
-        ),
-        _Source(
-            "mesh size",
-            f"edges of {1e3 * _COARSER * edge:.2g} mm, not {1e3 * edge:.2g} mm",
-            lambda exact: replace(exact, specimen=_coarse(exact, _COARSER * edge)),
-        ),
-        _Source(
-            "nonlinearity",
-            "neo-Hookean body",
-            lambda exact: replace(exact, material=replace(exact.material, law="neo-hookean")),
-        ),
-        _Source("table 3", "force and image noise, misalignment", lambda _: config),
-    )
+    radius = float(config.specimen.mesh.vertices[:, 2].max())
+    coarse = half_ball(radius=radius, edge=_COARSER * edge)
+    edges = f"edges of {1e3 * _COARSER * edge:.2g} mm, not {1e3 * edge:.2g} mm"
+    place = f"{1e3 * _PLACEMENT:g} mm along each direction"
+    return [
+        ("none", "flow and mesh alone", exact),
+        ("image noise", f"{noise:g} of 255 grey levels", changed("pictures", noise=noise)),
+        ("tip misalignment", f"{turn:g}° about each axis", changed("arm", misalignment=turn)),
+        ("tip placement", place, changed("arm", placement=_PLACEMENT)),
+        ("mesh size", edges, changed("specimen", mesh=coarse)),
+        ("nonlinearity", "neo-Hookean body", changed("material", law="neo-hookean")),
+        ("table 3", "force and image noise, misalignment", config),
+    ]
 
 
-def _record_sources(config: LabConfig) -> tuple[_Source, ...]:
-    """Sources that change the readings and the calibration, and no picture."""
+def _readings(config: LabConfig) -> list[tuple[str, str, Change]]:
+    """Sources that change readings or calibration, and no picture: name, size, and the change."""
     sensor, calibration, pose = config.force_sensor, CALIBRATION, REGISTRATION
-    return (
-        _Source(
+    cameras = (
+        f"focal length {100 * calibration.focal:g} %, centre {calibration.centre:g} px, camera"
+        f" {calibration.rotation:g}° and {1e3 * calibration.translation:g} mm"
+    )
+    return [
+        (
             "force noise",
             f"{1e3 * sensor.noise:g} mN and {100 * sensor.relative_noise:g} %",
             lambda session, rng, _: _with_forces(session, sensor, rng),
         ),
-        _Source(
+        (
             "calibration",
-            f"focal length {100 * calibration.focal:g} %, centre {calibration.centre:g} px, camera"
-            f" {calibration.rotation:g}° and {1e3 * calibration.translation:g} mm",
+            cameras,
             lambda session, rng, file: with_misjudged_rig(session, calibration, rng, file),
         ),
-        _Source(
+        (
             "registration",
             f"{pose.object_rotation:g}° and {1e3 * pose.object_translation:g} mm on each axis",
             lambda session, rng, file: with_misjudged_rig(session, pose, rng, file),
         ),
-    )
-
-
-def _coarse(config: LabConfig, edge: float) -> Specimen:
-    """The same body with a coarser mesh of it for the session."""
-    radius = float(config.specimen.mesh.vertices[:, 2].max())
-    return replace(config.specimen, mesh=half_ball(radius=radius, edge=edge))
+    ]
 
 
 def _with_forces(session: Session, sensor: Sensor, rng: np.random.Generator) -> Session:
@@ -266,13 +240,13 @@ def with_misjudged_rig(
     return replace(session, rig=file, probings=probings)
 
 
-def _errors(source: _Source, sessions: Sequence[Session], truth: Material) -> SourceErrors:
-    """Errors of the estimates of some sessions; what was measured already is not measured anew."""
+def _errors(
+    sessions: Sequence[Session], truth: Material
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "d 3"]]:
+    """Errors of single probings and of all; what was measured already is not measured anew."""
     joint = [fit_session(pictures_measured(session)).estimate for session in sessions]
     single = [probe for estimate in joint for probe in estimate.probes]
-    return SourceErrors(
-        source.name, source.size, constant_errors(single, truth), constant_errors(joint, truth)
-    )
+    return constant_errors(single, truth), constant_errors(joint, truth)
 
 
 def _plain(name: str) -> str:
@@ -286,17 +260,18 @@ def budget_table(sources: Sequence[SourceErrors]) -> ResultTable:
     Parameters
     ----------
     sources : sequence of SourceErrors
+
+    Returns
+    -------
+    ResultTable                     E in per cent
     """
+    percent = np.array([1.0, 100.0, 100.0])
     rows: list[tuple[Cell, ...]] = []
     for source in sources:
-        mean, single, joint = source.single.mean(axis=0), _rms(source.single), _rms(source.joint)
-        rows.append(
-            (
-                source.name, len(source.joint),
-                float(100 * mean[_YOUNG]), float(100 * single[_YOUNG]), float(mean[_NU]),
-                float(single[_NU]), float(100 * joint[_YOUNG]), float(joint[_NU]),
-            )
-        )  # fmt: skip
+        mean = (percent * source.single.mean(axis=0)).tolist()
+        single, joint = (percent * _rms(e) for e in (source.single, source.joint))
+        each = (mean[_YOUNG], single[_YOUNG], mean[_NU], single[_NU], joint[_YOUNG], joint[_NU])
+        rows.append((source.name, len(source.joint), *map(float, each)))
     columns = (
         "source", "draws", "E mean (%)", "E rms (%)", "nu mean", "nu rms",
         "all: E rms (%)", "all: nu rms",
@@ -311,6 +286,10 @@ def sizes_table(sources: Sequence[SourceErrors]) -> ResultTable:
     Parameters
     ----------
     sources : sequence of SourceErrors
+
+    Returns
+    -------
+    ResultTable
     """
     rows = tuple((source.name, source.size) for source in sources)
     return ResultTable("Sizes of the sources", ("source", "size"), (0, 0), rows)
@@ -323,6 +302,10 @@ def budget_picture(sources: Sequence[SourceErrors]) -> Picture:
     Parameters
     ----------
     sources : sequence of SourceErrors      the bench without errors first, the whole bench last
+
+    Returns
+    -------
+    Picture
     """
     height = 1.1 + 0.27 * len(sources)
     figure = Figure(figsize=(8.4, height))

@@ -15,7 +15,7 @@ from palpate.paper.motion import PAPER
 from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
 from palpate.paper.result import Cell, ResultTable
 from palpate.paper.sessions import Method, PaperSession
-from palpate.pipeline import MotionSettings, fit_session, measure_motion, with_measured_displacement
+from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
 from palpate.records import Constant, Estimate, ProbeEstimate, Session
 
 # A cylinder as one would cut it from foam [m], and the strain of the test.
@@ -49,6 +49,10 @@ def estimated_constants(measured: PaperSession, method: Method) -> EstimatedCons
     measured : PaperSession         with probings
     method : Method                 one that was measured
 
+    Returns
+    -------
+    EstimatedConstants
+
     Raises
     ------
     InputError                      a motion that could not be measured
@@ -74,7 +78,7 @@ def pictures_measured(session: Session) -> Session:
     """
     if all(probing.displacement is not None for probing in session.probings):
         return session
-    found = measure_motion(session, settings=MotionSettings(pose="given"))
+    found = measure_motion(session, pose="given")
     return with_measured_displacement(session, found)
 
 
@@ -116,6 +120,10 @@ def constants_table(found: EstimatedConstants, title: str) -> ResultTable:
     ----------
     found : EstimatedConstants
     title : str
+
+    Returns
+    -------
+    ResultTable                     moduli in kPa
     """
     estimate = found.result.estimate
     rows: list[tuple[Cell, ...]] = []
@@ -143,6 +151,10 @@ def constants_summary(
     found : mapping of method to EstimatedConstants
     truth : Material
     compressed : float [Pa]         Young's modulus of a compression test of the same material
+
+    Returns
+    -------
+    ResultTable                     the paper first; errors of E in per cent
     """
     published = np.array([(row.poisson_ratio, row.shear_modulus) for row in PAPER_PROBES])
     error = PAPER_ALL_PROBES.young_modulus / PAPER_COMPRESSION_MODULUS - 1.0
@@ -214,6 +226,10 @@ def motion_picture(found: EstimatedConstants, name: str) -> Picture:
     ----------
     found : EstimatedConstants
     name : str                      of the probing
+
+    Returns
+    -------
+    Picture                         as `displacement_figure`
 
     Raises
     ------

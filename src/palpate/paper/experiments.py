@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.figures import figure_pixels, probings_figure
+from palpate.figures import Picture, figure_pixels, probings_figure
 from palpate.lab import LabConfig, Variant, built_in, read_lab_config
 from palpate.paper.budget import budget_picture, budget_table, error_budget, sizes_table
 from palpate.paper.constants import (
@@ -52,6 +52,8 @@ from palpate.vision import is_valid
 _X, _Y, _TURN, _PROBING = "translation-x", "translation-y", "rotation-z", "toy-probing"
 _BALL = "half-ball"
 Measured = Mapping[str, PaperSession]
+# Session, name of the motion in it, what it is.
+_Motion = tuple[str, str, str]
 # How often a source of error that changes no picture is drawn.
 _DRAWS = 5
 
@@ -65,7 +67,7 @@ class Workplace:
     folder : Path                   for folders of sessions
     variant : Variant               of Mitsuba
     quick : bool                    small pictures and few steps
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
     """
 
     folder: Path
@@ -168,42 +170,29 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
 
 
 def _figure2(measured: Measured, _work: Workplace) -> PaperResult:
-    shown = ((_X, "s2", "translation by 5 mm"), (_TURN, "s1", "rotation by 2°"))
-    pictures = {
-        f"figure2_{method}": np.concatenate(
-            [
-                flow_picture(measured[name], method, step, f"{title}, {method}")
-                for name, step, title in shown
-            ]
-        )
-        for method in METHODS
-    }
+    shown = [(_X, "s2", "translation by 5 mm"), (_TURN, "s1", "rotation by 2°")]
     return PaperResult(
         "Figure 2: optical flow and range flow of a rigid object",
         "Above a translation by 5 mm, below a rotation by 2 degrees about the object's z: optical"
         " flow, range flow, and the displacement of the vertices. The table has medians over the"
         " valid points: of their true displacement, and of the length of the error.",
-        _points("Figure 2, points that were tracked", measured, [(n, s) for n, s, _ in shown]),
+        _points("Figure 2, points that were tracked", measured, shown),
         (),
-        pictures,
+        _flow_pictures("figure2", measured, shown),
     )
 
 
 def _figure3(measured: Measured, _work: Workplace) -> PaperResult:
     last = measured[_PROBING].session.probings[0].name
+    shown = [(_PROBING, last, f"probing of the {last}")]
     return PaperResult(
         "Figure 3: a probing",
         "A soft toy is pushed from the side at an ear. Optical flow, range flow, and the"
         " displacement of the vertices; the probe hides what is behind it. The table has medians"
         " over the valid points: of their true displacement, and of the length of the error.",
-        _points("Figure 3, points that were tracked", measured, [(_PROBING, last)]),
+        _points("Figure 3, points that were tracked", measured, shown),
         (),
-        {
-            f"figure3_{method}": flow_picture(
-                measured[_PROBING], method, last, f"probing of the {last}, {method}"
-            )
-            for method in METHODS
-        },
+        _flow_pictures("figure3", measured, shown),
     )
 
 
@@ -275,10 +264,20 @@ def _beside(
     return {PAPER: own[: len(found[METHODS[0]])], **found}
 
 
-def _points(title: str, measured: Measured, motions: Sequence[tuple[str, str]]) -> ResultTable:
+def _flow_pictures(name: str, measured: Measured, motions: Sequence[_Motion]) -> dict[str, Picture]:
+    """Flow pictures of some motions below each other, for each method."""
+    return {
+        f"{name}_{method}": np.concatenate(
+            [flow_picture(measured[s], method, step, f"{t}, {method}") for s, step, t in motions]
+        )
+        for method in METHODS
+    }
+
+
+def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> ResultTable:
     """How much each method tracked in some motions, and how far from the truth."""
     cells: list[tuple[Cell, ...]] = []
-    for name, step in motions:
+    for name, step, _ in motions:
         for method in METHODS:
             (motion,) = (m for m in measured[name].found[method].motions if m.name == step)
             if motion.flow is None or motion.vertices is None:

@@ -70,6 +70,10 @@ def flow_row(
     axis : (3,) float [-]           optical axis of the reference camera, unit, object frame
     step : int                      from 1
     encoder, command : float [m]    see `MotionRow`
+
+    Returns
+    -------
+    MotionRow
     """
     moved = np.zeros((0, 3)) if flow is None else flow.displacement[is_valid(flow)]
     length = np.linalg.norm(moved, axis=1)
@@ -140,6 +144,10 @@ def flow_table(title: str, rows: Rows) -> ResultTable:
     ----------
     title : str
     rows : mapping of source to its rows    the paper's and the methods'
+
+    Returns
+    -------
+    ResultTable                     angles in degrees, lengths in mm
     """
     columns = (
         "step", "source", "angle (deg)", "sigma (deg)", "length (mm)", "sigma (mm)",
@@ -159,6 +167,10 @@ def vertex_table(title: str, rows: Rows) -> ResultTable:
     Parameters
     ----------
     title, rows                     as in `flow_table`
+
+    Returns
+    -------
+    ResultTable                     angles in degrees, lengths in mm
     """
     columns = (
         "step", "source", "angle error (deg)", "sigma (deg)", "length (mm)", "sigma (mm)",
@@ -179,6 +191,10 @@ def flow_summary(title: str, tests: Tests) -> ResultTable:
     ----------
     title : str
     tests : mapping of motion to mapping of source to rows
+
+    Returns
+    -------
+    ResultTable                     angles in degrees, lengths in mm
     """
     columns = (
         "motion", "source", "length bias, worst step (mm)", "length sigma, worst step (mm)",
@@ -199,6 +215,10 @@ def vertex_summary(title: str, tests: Tests) -> ResultTable:
     Parameters
     ----------
     title, tests                    as in `flow_summary`
+
+    Returns
+    -------
+    ResultTable                     angles in degrees
     """
     columns = (
         "motion", "source", "angle error, first step (deg)", "sigma (deg)",
@@ -220,6 +240,10 @@ def length_bias(row: MotionRow) -> float:
     Parameters
     ----------
     row : MotionRow                 the paper's rows have no count
+
+    Returns
+    -------
+    float [m]
     """
     true = row.encoder if row.count is None else row.command
     if row.length is None or true is None:

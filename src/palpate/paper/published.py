@@ -13,7 +13,12 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean and standard deviation of a quantity over points, in its unit; NaN of no points."""
+    """Mean and standard deviation of a quantity over points.
+
+    Attributes
+    ----------
+    mean, std : float               in the quantity's unit; NaN of no points
+    """
 
     mean: float
     std: float

@@ -35,7 +35,16 @@ class ResultTable:
 
 
 def markdown_text(table: ResultTable) -> str:
-    """A table in GitHub's Markdown, numbers to the right, without its title."""
+    """A table in GitHub's Markdown, numbers to the right, without its title.
+
+    Parameters
+    ----------
+    table : ResultTable
+
+    Returns
+    -------
+    str                             lines, the last one ended
+    """
     words = [
         any(isinstance(cell, str) for cell in column) for column in zip(*table.rows, strict=True)
     ]
@@ -49,6 +58,14 @@ def csv_text(tables: Sequence[ResultTable]) -> str:
     """Tables as comma-separated values, all digits, an empty line between them.
 
     Unknown values are empty. Every table begins with its columns' names.
+
+    Parameters
+    ----------
+    tables : sequence of ResultTable
+
+    Returns
+    -------
+    str
     """
     texts = []
     for table in tables:
@@ -66,6 +83,10 @@ def shown_rows(table: ResultTable) -> list[tuple[str, ...]]:
     Parameters
     ----------
     table : ResultTable
+
+    Returns
+    -------
+    list of tuples of str           as many cells as columns
     """
     return [
         tuple(

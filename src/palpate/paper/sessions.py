@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from palpate.errors import InputError, RecordError
 from palpate.lab import LabConfig, Material, Variant, make_session
-from palpate.pipeline import MotionSettings, SessionFlow, measure_motion
+from palpate.pipeline import FLOW_METHODS, SessionFlow, measure_motion
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, TomlTable, read_session, read_toml
 from palpate.shapes import Points
@@ -60,6 +60,10 @@ def quickened(config: LabConfig) -> LabConfig:
     Parameters
     ----------
     config : LabConfig
+
+    Returns
+    -------
+    LabConfig
     """
     head, look, stage = config.head, config.look, config.stage
     small = replace(
@@ -93,7 +97,7 @@ def measured_session(
     folder : Path                   an empty folder: the session stays there
     methods : sequence of Method
     variant : Variant               of Mitsuba
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -110,7 +114,8 @@ def measured_session(
         begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
         found[method] = measure_motion(
             session,
-            settings=MotionSettings(method=method, pose="given"),
+            method=FLOW_METHODS[method](),
+            pose="given",
             progress=part_of(say, begin, end, prefix=f"{method}: "),
         )
     return PaperSession(session, found)
@@ -152,6 +157,10 @@ def true_material(session: Session) -> Material:
     Parameters
     ----------
     session : Session               with truth.toml beside its file
+
+    Returns
+    -------
+    Material
 
     Raises
     ------

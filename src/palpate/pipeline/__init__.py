@@ -1,10 +1,11 @@
 """From files to results: the one place where vision, probe, boundary elements and estimation meet.
 
-Purpose    : measure the motion of a session's object from its pictures; estimate its constants.
+Purpose    : measure the motion of a session's object from its pictures, estimate its constants,
+             poke it.
 Takes      : a `Session`.
-Gives      : `SessionFlow`, `FitResult`, and the model between them.
+Gives      : `SessionFlow`, `FitResult`, the model between them, and the files that hold them.
 Depends on : `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
-Read first : `fit_session.py`, then `measure_motion.py`.
+Read first : `measure_motion.py`, then `fit_session.py`.
 """
 
 from palpate.pipeline.fit_session import (
@@ -23,8 +24,8 @@ from palpate.pipeline.flow_files import (
     write_vertices as write_vertices,
 )
 from palpate.pipeline.measure_motion import (
+    FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,
-    MotionSettings as MotionSettings,
     SessionFlow as SessionFlow,
     measure_motion as measure_motion,
     with_measured_displacement as with_measured_displacement,
@@ -37,7 +38,6 @@ from palpate.pipeline.measurement_plan import (
 )
 from palpate.pipeline.motion_figures import (
     MotionFigures as MotionFigures,
-    failed_figures as failed_figures,
     motion_figures as motion_figures,
     write_flow_document as write_flow_document,
 )

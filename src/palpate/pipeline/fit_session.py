@@ -318,10 +318,7 @@ def _rows(model: ObjectModel, probing: Probing, patch: int) -> ProbeRows:
 def _tip_rows(
     model: ObjectModel, tips: ContactPoints, patch: int, columns: Int[np.ndarray, " c"]
 ) -> PointRows:
-    right = [
-        tips.equations.by_point(part)[patch][:, columns]
-        for part in (tips.right.constant, tips.right.slope, tips.right.curvature)
-    ]
+    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
     particular = np.zeros(3)
     if model.body is not None:
         contact = model.patches[patch]

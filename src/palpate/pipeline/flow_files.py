@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from palpate.geometry import SurfacePoints, TriangleMesh
-from palpate.records import Camera, DisplacementField, write_displacement
+from palpate.geometry import TriangleMesh
+from palpate.pipeline.measure_motion import vertex_field
+from palpate.records import Camera, write_displacement
 from palpate.shapes import Flags
 from palpate.vision import (
     Outcome,
@@ -19,21 +20,18 @@ from palpate.vision import (
     SurfaceMap,
     VertexDisplacement,
     camera_sigma,
+    dense_maps,
     is_valid,
     measured_vertices,
 )
 
 RANGE_FLOW_FORMAT = "palpate-range-flow/1"
-_KEYS = tuple(field.name for field in fields(RangeFlow))
 # What is put behind a stem; another motion's name must not end up there.
 _ENDINGS = ("", "_flow", "_quality")
 
-# Displacement (rows, columns, 3) and its 1 sigma (rows, columns) at every pixel; NaN: not known.
-DenseFlow = tuple[Float[np.ndarray, "rows columns 3"], Float[np.ndarray, "rows columns"]]
-
 
 def file_stems(names: Sequence[str]) -> list[str]:
-    """File names without their endings, one for each motion, all different.
+    """File names without their endings, one for each of k motions, all different.
 
     A motion's own name, or `motion-NUMBER` (from 1) where that is no file name or would meet the
     files of an earlier one.
@@ -53,7 +51,17 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
 
 def seen_vertices(surface: SurfaceMap, mesh: TriangleMesh) -> Flags:
-    """Vertices of triangles that a camera sees anything of, (v,) bool."""
+    """Vertices of triangles that a camera sees anything of.
+
+    Parameters
+    ----------
+    surface : SurfaceMap            of the camera and the mesh
+    mesh : TriangleMesh             of v vertices
+
+    Returns
+    -------
+    (v,) bool
+    """
     triangles = np.unique(surface.triangle)
     flags = np.zeros(len(mesh.vertices), dtype=bool)
     flags[mesh.triangles[triangles[triangles >= 0]]] = True
@@ -68,7 +76,7 @@ def write_vertices(
     seen: Flags,
     metres_per_unit: float = 1.0,
 ) -> None:
-    """Displacement of the vertices as CSV, the way `palpate fit` takes it.
+    """Displacement of the vertices as CSV, as `palpate fit` takes it.
 
     Vertices that were neither seen nor measured are left out: nobody looked at them.
 
@@ -86,31 +94,16 @@ def write_vertices(
     RecordError                     the file cannot be written
     """
     rows = np.flatnonzero(seen | measured_vertices(vertices))
-    variance = np.einsum("vaa->va", vertices.covariance[rows])
-    field = DisplacementField(
-        points=mesh.vertices[rows],
-        displacement=vertices.displacement[rows],
-        std=np.sqrt(variance),
-        vertex=rows,
-        surface=_at_vertices(mesh, rows),
-        source=str(path),
-    )
+    field = vertex_field(mesh, vertices, rows, str(path))
     write_displacement(path, field, metres_per_unit=metres_per_unit)
 
 
-def write_flow_npz(
-    path: Path,
-    flow: RangeFlow,
-    *,
-    name: str,
-    cameras: Sequence[str],
-    dense: DenseFlow | None = None,
-) -> None:
+def write_flow_npz(path: Path, flow: RangeFlow, *, name: str, cameras: Sequence[str]) -> None:
     """Range flow as compressed NPZ; lengths in metres, object frame.
 
     Keys: the attributes of `RangeFlow`; `format`, `name`, `camera_names` (c,); `outcome_names`, so
-    that `outcome_names[outcome]` is the cause in words; and with dense maps `dense_displacement`
-    (rows, columns, 3) and `dense_sigma` (rows, columns), float32, NaN where nothing is known.
+    that `outcome_names[outcome]` is the cause in words; and `dense_displacement` (rows, columns, 3)
+    and `dense_sigma` (rows, columns), float32, at every pixel, NaN where nothing is known.
 
     Parameters
     ----------
@@ -118,22 +111,21 @@ def write_flow_npz(
     flow : RangeFlow
     name : str                      of the motion
     cameras : sequence of c str
-    dense : DenseFlow or None
 
     Raises
     ------
     OSError                         the file cannot be written
     """
+    displacement, sigma = dense_maps(flow)
     content: dict[str, Any] = {
         "format": np.array(RANGE_FLOW_FORMAT),
         "name": np.array(name),
         "camera_names": np.array(list(cameras)),
         "outcome_names": np.array([outcome.name.lower() for outcome in Outcome]),
+        "dense_displacement": displacement,
+        "dense_sigma": sigma,
     }
-    content |= {key: np.asarray(getattr(flow, key)) for key in _KEYS}
-    if dense is not None:
-        content["dense_displacement"] = dense[0].astype(np.float32)
-        content["dense_sigma"] = dense[1].astype(np.float32)
+    content |= {field.name: np.asarray(getattr(flow, field.name)) for field in fields(RangeFlow)}
     np.savez_compressed(path, **content)
 
 
@@ -169,18 +161,6 @@ def write_flow_vtp(path: Path, flow: RangeFlow, camera: Camera) -> None:
         "pixel": flow.pixel.astype(np.float32),
     }
     path.write_text(_polydata(flow.point, arrays), encoding="ascii")
-
-
-def _at_vertices(mesh: TriangleMesh, rows: np.ndarray) -> SurfacePoints:
-    """Where some vertices sit on their own mesh: at a corner of a triangle that has them."""
-    used, first = np.unique(mesh.triangles.ravel(), return_index=True)
-    corner = first[np.searchsorted(used, rows)]
-    return SurfacePoints(
-        triangle=corner // 3,
-        barycentric=np.eye(3)[corner % 3],
-        position=mesh.vertices[rows],
-        distance=np.zeros(len(rows)),
-    )
 
 
 def _polydata(points: Float[np.ndarray, "n 3"], arrays: Mapping[str, np.ndarray]) -> str:

@@ -1,60 +1,44 @@
 """From a session's pictures to the displacement of its object's vertices."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.geometry import closest_points, refined_surface
+from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline.object_pose import PoseChoice, posed_rig
 from palpate.progress import Progress, silent
-from palpate.records import DisplacementField, Probing, Rig, Session, read_rig
+from palpate.records import DisplacementField, Images, Rig, Session, read_rig
+from palpate.shapes import Indices
 from palpate.vision import (
-    JointSettings,
-    LangPaiSettings,
+    FlowMethod,
+    JointFlow,
+    LangPaiFlow,
     Outcome,
     Pictures,
     RangeFlow,
-    Scene,
     VertexDisplacement,
-    joint_flow,
-    lang_pai_flow,
-    lang_pai_vertices,
-    make_scene,
+    measured_vertices,
     read_pictures,
-    vertex_displacement,
 )
 
+# A new method is one file in vision and one line here; its name is what users ask for.
+FLOW_METHODS: Mapping[str, Callable[..., FlowMethod]] = {
+    "joint": JointFlow,
+    "lang-pai": LangPaiFlow,
+}
 # Motions of a fraction of a pixel are measured too long by structure finer than the pixels. With
 # the low-pass that is applied: by 0.1 % where speckles have a sigma of 1.7 px, 0.5 to 1.2 % where
 # it is 1 to 0.6 px (analytic textures).
 SCALE_ERROR = 0.007
-# Points without texture are an outline or a blot; this share of them is a surface without paint.
-_MUCH = 0.1
-Grey = tuple[Float[np.ndarray, "_ _"], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class MotionSettings:
-    """How motion is measured from pictures.
-
-    Parameters
-    ----------
-    method : "joint" or "lang-pai"  all cameras jointly, to a hundredth of a pixel; or the paper's
-                                    whole-pixel correlation with a vote
-    pose : "auto", "given" or "register"    whether the rig's pose of the object is believed: "auto"
-                                    registers only where the pictures contradict it
-    joint : JointSettings
-    lang_pai : LangPaiSettings
-    """
-
-    method: Literal["joint", "lang-pai"] = "joint"
-    pose: PoseChoice = "auto"
-    joint: JointSettings = field(default_factory=JointSettings)
-    lang_pai: LangPaiSettings = field(default_factory=LangPaiSettings)
+# Points without texture are an outline or a blot; more than this share of them is a surface without
+# paint.
+_MAX_TEXTURELESS = 0.1
+# An earlier image that shows so many times the motion of the last one is out of order.
+_MAX_EARLIER_MOTION = 1.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,9 +83,10 @@ class SessionFlow:
 
 @dataclass(frozen=True, slots=True)
 class _Instant:
-    """A later instant: its name, its file pattern, and whether the force is all there."""
+    """A later instant: name, what its pictures are called, whether the force is all there."""
 
     name: str
+    what: str
     pattern: str
     last: bool
 
@@ -116,11 +101,22 @@ class _Sequence:
     later: tuple[_Instant, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _First:
+    """The first instant of sequences: posed rig, the reference's picture, the method's state."""
+
+    rig: Rig
+    reference: Float[np.ndarray, "_ _"]
+    state: Any
+    notes: tuple[str, ...]
+
+
 def measure_motion(
     session: Session,
     *,
     probes: Sequence[str] | None = None,
-    settings: MotionSettings = MotionSettings(),
+    method: FlowMethod = JointFlow(),
+    pose: PoseChoice = "auto",
     progress: Progress | None = None,
 ) -> SessionFlow:
     """Measure how the object's surface moves in the pictures of a session.
@@ -128,8 +124,10 @@ def measure_motion(
     Parameters
     ----------
     session : Session               with steps, or with probings that have images
-    probes : sequence of str        probings to measure; all that have images unless told
-    settings : MotionSettings
+    probes : sequence of str        probings to measure; by default all that have images
+    method : FlowMethod             how, with its settings; see `FLOW_METHODS`
+    pose : "auto", "given" or "register"    whether the rig's pose of the object is believed: "auto"
+                                    registers only where the pictures contradict it
     progress : callable             told what is done (text) and how far it is (0 to 1)
 
     Returns
@@ -149,16 +147,17 @@ def measure_motion(
     rig = read_rig(session.rig)
     total = sum(len(sequence.later) for sequence in sequences)
     motions: list[MeasuredMotion] = []
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     firsts: dict[str, _First] = {}
     for sequence in sequences:
         if sequence.first not in firsts:
             say(f"{sequence.what}: first pictures and pose", len(motions) / total)
-            begun = _first_instant(session, rig, sequence, settings)
-            rig = begun.rig if not firsts else rig
-            firsts[sequence.first] = begun
-            notes += begun.notes
-        for motion, remarks in _motions(session, sequence, firsts[sequence.first], settings):
+            first = _first_instant(session, rig, sequence, method, pose)
+            rig = rig if firsts else first.rig
+            firsts[sequence.first] = first
+            notes += first.notes
+        first = firsts[sequence.first]
+        for motion, remarks in _motions(session, sequence, first, method):
             motions.append(motion)
             notes += remarks
             say(f"{motion.name}, {len(motions)} of {total} instants", len(motions) / total)
@@ -192,21 +191,13 @@ def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
     return replace(session, probings=tuple(probings), notes=session.notes + flow.notes)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _First:
-    """The first instant of sequences, read and ready."""
-
-    rig: Rig
-    grey: Grey
-    scene: Scene | None
-    notes: tuple[str, ...]
-
-
 def _sequences(session: Session, probes: Sequence[str] | None) -> list[_Sequence]:
     """What there is to measure."""
     if session.steps:
-        later = tuple(_Instant(step.name, step.images, True) for step in session.steps[1:])
-        return [_Sequence(f"step '{session.steps[0].name}'", None, session.steps[0].images, later)]
+        first, *later = (
+            _Instant(step.name, f"step '{step.name}'", step.images, True) for step in session.steps
+        )
+        return [_Sequence(first.what, None, first.pattern, tuple(later))]
     known = {probing.name: probing for probing in session.probings}
     missing = [name for name in probes or () if name not in known]
     if missing:
@@ -215,153 +206,116 @@ def _sequences(session: Session, probes: Sequence[str] | None) -> list[_Sequence
             f" it has {', '.join(known)}"
         )
     chosen = [known[name] for name in dict.fromkeys(probes)] if probes else list(known.values())
-    seen = [probing for probing in chosen if probing.images is not None]
-    if not seen:
+    sequences = [
+        _probing_sequence(probing.name, probing.images)
+        for probing in chosen
+        if probing.images is not None
+    ]
+    if not sequences:
         raise InputError(
             f"{session.path}: none of its probings has images; give `images` and a [rig], or"
             " estimate from its displacement files with `palpate fit`"
         )
-    return [_probing_sequence(probing) for probing in seen]
+    return sequences
 
 
-def _probing_sequence(probing: Probing) -> _Sequence:
-    images = probing.images
-    if images is None:
-        raise InputError(f"probing '{probing.name}' has no images")
-    count = len(images.loaded)
+def _probing_sequence(name: str, images: Images) -> _Sequence:
+    """The rest picture of a probing, and its later ones, the last of them at full force."""
+    what, count = f"probing '{name}'", len(images.loaded)
     later = tuple(
-        _Instant(
-            probing.name if k == count else f"{probing.name}_{k}", images.loaded[k - 1], k == count
-        )
-        for k in range(1, count + 1)
+        _Instant(name if k == count else f"{name}_{k}", what, pattern, k == count)
+        for k, pattern in enumerate(images.loaded, start=1)
     )
-    return _Sequence(f"probing '{probing.name}'", probing.name, images.rest, later)
+    return _Sequence(what, name, images.rest, later)
 
 
 def _first_instant(
-    session: Session, rig: Rig, sequence: _Sequence, settings: MotionSettings
+    session: Session, rig: Rig, sequence: _Sequence, method: FlowMethod, pose: PoseChoice
 ) -> _First:
     """Read the first pictures, settle the pose, and choose the points to follow."""
     pictures = _read(session, rig, sequence.first, sequence.what)
-    mesh = session.mesh
-    posed, notes = posed_rig(rig, pictures.grey, mesh, settings.pose)
-    scene = None
-    if settings.method == "joint":
-        # The smooth surface that the estimate will take the mesh for, not its facets.
-        scene = make_scene(posed, pictures.grey, *refined_surface(mesh), settings=settings.joint)
-    return _First(posed, pictures.grey, scene, pictures.notes + notes)
+    posed, notes = posed_rig(rig, pictures.grey, session.mesh, pose)
+    state = method.start(posed, pictures.grey, session.mesh)
+    return _First(posed, pictures.grey[posed.reference], state, pictures.notes + notes)
+
+
+def _motions(
+    session: Session, sequence: _Sequence, first: _First, method: FlowMethod
+) -> Iterator[tuple[MeasuredMotion, tuple[str, ...]]]:
+    """Motions of one sequence, in time, with what is remarkable about their pictures."""
+    state = first.state
+    for instant in sequence.later:
+        head = instant.name, sequence.probing, instant.last, first.reference
+        try:
+            pictures = _read(session, first.rig, instant.pattern, instant.what)
+        except InputError as error:
+            yield MeasuredMotion(*head, None, None, str(error)), ()
+            continue
+        state, flow = method.follow(state, pictures.grey)
+        vertices = method.vertices(flow, first.rig, session.mesh)
+        yield MeasuredMotion(*head, flow, vertices, None), pictures.notes
 
 
 def _read(session: Session, rig: Rig, pattern: str, what: str) -> Pictures:
     return read_pictures(rig, pattern, folder=session.path.parent, what=what)
 
 
-def _motions(
-    session: Session, sequence: _Sequence, first: _First, settings: MotionSettings
-) -> Iterator[tuple[MeasuredMotion, tuple[str, ...]]]:
-    """Motions of one sequence, in time; pictures are read when their turn has come."""
-    waiting: list[_Instant] = []
-    failures: list[tuple[_Instant, str]] = []
-    remarks: list[str] = []
+def vertex_field(
+    mesh: TriangleMesh, vertices: VertexDisplacement, rows: Indices, source: str
+) -> DisplacementField:
+    """Measured displacement of some vertices as a displacement file holds it.
 
-    def readable() -> Iterator[Grey]:
-        for instant in sequence.later:
-            try:
-                what = f"step '{instant.name}'" if sequence.probing is None else sequence.what
-                pictures = _read(session, first.rig, instant.pattern, what)
-            except InputError as error:
-                failures.append((instant, str(error)))
-                continue
-            remarks.extend(pictures.notes)
-            waiting.append(instant)
-            yield pictures.grey
-
-    reference = first.grey[first.rig.reference]
-    for flow, vertices in _measured(session, first, readable(), settings):
-        for instant, failure in failures:
-            yield _failed(instant, sequence, reference, failure), ()
-        failures.clear()
-        instant = waiting.pop(0)
-        yield (
-            MeasuredMotion(
-                instant.name, sequence.probing, instant.last, reference, flow, vertices, None
-            ),
-            tuple(remarks),
-        )
-        remarks.clear()
-    for instant, failure in failures:
-        yield _failed(instant, sequence, reference, failure), ()
-
-
-def _failed(
-    instant: _Instant, sequence: _Sequence, first: Float[np.ndarray, "_ _"], failure: str
-) -> MeasuredMotion:
-    return MeasuredMotion(instant.name, sequence.probing, instant.last, first, None, None, failure)
-
-
-def _measured(
-    session: Session, first: _First, later: Iterator[Grey], settings: MotionSettings
-) -> Iterator[tuple[RangeFlow, VertexDisplacement]]:
-    """Range flow and vertex displacement of each later instant by the chosen method."""
-    mesh = session.mesh
-    if first.scene is not None:
-        camera = first.rig.cameras[first.rig.reference]
-        for flow in joint_flow(first.scene, later, settings=settings.joint):
-            yield flow, vertex_displacement(flow, camera, mesh.vertices, mesh.triangles)
-        return
-    flows = lang_pai_flow(
-        first.rig,
-        [first.grey, *later],
-        mesh.vertices,
-        mesh.triangles,
-        settings=settings.lang_pai,
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    vertices : VertexDisplacement   of all v vertices of the mesh
+    rows : (k,) int                 vertices that were looked at, measured or not
+    source : str                    where it comes from, for messages
+    """
+    points = mesh.vertices[rows]
+    return DisplacementField(
+        points=points,
+        displacement=vertices.displacement[rows],
+        std=np.sqrt(np.einsum("vaa->va", vertices.covariance[rows])),
+        vertex=rows,
+        surface=closest_points(mesh, points),
+        source=source,
+        scale_error=SCALE_ERROR,
     )
-    for flow in flows:
-        found = lang_pai_vertices(flow, mesh.vertices, mesh.triangles, settings=settings.lang_pai)
-        yield flow, found
 
 
 def _displacement_field(session: Session, motion: MeasuredMotion) -> DisplacementField:
     """Measured vertices of one motion as the estimate takes them."""
     if motion.vertices is None:
         raise InputError(f"probing '{motion.name}': {motion.failure}")
-    found = motion.vertices
-    looked = np.flatnonzero((found.count > 0) | np.isfinite(found.displacement).all(axis=1))
-    if not np.isfinite(found.displacement).any():
+    measured = measured_vertices(motion.vertices)
+    if not measured.any():
         raise InputError(
             f"probing '{motion.name}' in {session.path}: no vertex of the mesh could be followed"
             " in its pictures; `palpate flow` shows why, point by point"
         )
-    points = session.mesh.vertices[looked]
-    std = np.sqrt(np.einsum("nii->ni", found.covariance[looked]))
-    return DisplacementField(
-        points=points,
-        displacement=found.displacement[looked],
-        std=std,
-        vertex=looked,
-        surface=closest_points(session.mesh, points),
-        source=f"images of {motion.name}",
-        scale_error=SCALE_ERROR,
-    )
+    rows = np.flatnonzero((motion.vertices.count > 0) | measured)
+    return vertex_field(session.mesh, motion.vertices, rows, f"images of {motion.name}")
 
 
 def _order_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
     """A remark where an earlier image of a probing shows more motion than the last one."""
+    full = {
+        motion.probing: _typical_motion(motion.flow)
+        for motion in motions
+        if motion.last and motion.probing is not None and motion.flow is not None
+    }
     notes = []
-    for last in motions:
-        if not last.last or last.probing is None or last.flow is None:
+    for motion in motions:
+        if motion.last or motion.flow is None or motion.probing not in full:
             continue
-        full = _typical_motion(last.flow)
-        for earlier in motions:
-            if earlier.probing != last.probing or earlier.last or earlier.flow is None:
-                continue
-            if _typical_motion(earlier.flow) > 1.2 * full:
-                notes.append(
-                    f"probing '{last.name}': image '{earlier.name}' shows more motion"
-                    f" ({1e3 * _typical_motion(earlier.flow):.3g} mm) than the last one"
-                    f" ({1e3 * full:.3g} mm), which must be the one at full force; is their order"
-                    " right?"
-                )
+        size, last = _typical_motion(motion.flow), full[motion.probing]
+        if size > _MAX_EARLIER_MOTION * last:
+            notes.append(
+                f"probing '{motion.probing}': image '{motion.name}' shows more motion"
+                f" ({1e3 * size:.3g} mm) than the last one ({1e3 * last:.3g} mm), which must be"
+                " the one at full force; is their order right?"
+            )
     return tuple(notes)
 
 
@@ -371,7 +325,7 @@ def _texture_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
         if motion.flow is None:
             continue
         poor = motion.flow.outcome == Outcome.TEXTURE
-        if len(poor) > 0 and poor.mean() > _MUCH:
+        if len(poor) > 0 and poor.mean() > _MAX_TEXTURELESS:
             column, row = np.median(motion.flow.pixel[poor], axis=0)
             needed = 3.0 * float(np.max(motion.flow.noise))
             return (

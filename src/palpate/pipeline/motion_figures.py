@@ -1,6 +1,5 @@
 """What can be said about measured motions in numbers, and flow.json."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,12 +9,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from palpate.records import Camera, Rig
+from palpate.pipeline.measure_motion import MeasuredMotion
+from palpate.records import Rig, json_text
 from palpate.shapes import Flags
 from palpate.vision import (
     CAUSES,
-    RangeFlow,
-    VertexDisplacement,
     camera_sigma,
     cause_counts,
     is_valid,
@@ -44,7 +42,7 @@ class MotionFigures:
     displacement : float [m]        median length over the valid points; NaN: none
     reprojection : float [px]       median over the valid points; NaN: none
     through_last : int              valid points followed through the instant before
-    drift : float [m]               rms difference between that way and the direct one; NaN: unknown
+    drift : float [m]               rms difference of such motions from direct ones; NaN: unknown
     noise : tuple of c float [grey levels]      of each camera, in the rig's order
     """
 
@@ -52,59 +50,59 @@ class MotionFigures:
     probing: str | None
     last: bool
     failure: str | None
-    points: int
-    valid: int
-    rejected: Mapping[str, int]
-    vertices: int
-    measured: int
-    lateral: float
-    depth: float
-    vertex_lateral: float
-    vertex_depth: float
-    displacement: float
-    reprojection: float
-    through_last: int
-    drift: float
     noise: tuple[float, ...]
+    rejected: Mapping[str, int]
+    points: int = 0
+    valid: int = 0
+    vertices: int = 0
+    measured: int = 0
+    lateral: float = math.nan
+    depth: float = math.nan
+    vertex_lateral: float = math.nan
+    vertex_depth: float = math.nan
+    displacement: float = math.nan
+    reprojection: float = math.nan
+    through_last: int = 0
+    drift: float = math.nan
 
 
-def motion_figures(
-    name: str,
-    flow: RangeFlow,
-    vertices: VertexDisplacement | None,
-    *,
-    seen: Flags,
-    camera: Camera,
-) -> MotionFigures:
-    """Counts and medians of one motion, taken for a step that did not fail.
+def motion_figures(motion: MeasuredMotion, rig: Rig, seen: Flags) -> MotionFigures:
+    """Counts and medians of one motion.
 
     Parameters
     ----------
-    name : str
-    flow : RangeFlow
-    vertices : VertexDisplacement or None   None: not one vertex has a displacement
+    motion : MeasuredMotion
+    rig : Rig                       that it was measured with
     seen : (v,) bool                vertices that the reference camera sees
-    camera : Camera                 the reference camera
     """
+    flow, camera = motion.flow, rig.cameras[rig.reference]
+    if flow is None:
+        return MotionFigures(
+            name=motion.name,
+            probing=motion.probing,
+            last=motion.last,
+            failure=motion.failure or "nothing was measured",
+            noise=(math.nan,) * len(rig.cameras),
+            rejected={cause.name.lower(): 0 for cause in CAUSES},
+        )
     valid = is_valid(flow)
     lateral, depth = camera_sigma(flow.covariance[valid], camera)
+    known = np.zeros_like(seen)
     vertex_lateral = vertex_depth = np.zeros(0)
-    measured = 0
-    if vertices is not None:
-        known = measured_vertices(vertices)
-        measured = int(known.sum())
-        seen = seen | known
-        vertex_lateral, vertex_depth = camera_sigma(vertices.covariance[known], camera)
+    if motion.vertices is not None:
+        known = measured_vertices(motion.vertices)
+        vertex_lateral, vertex_depth = camera_sigma(motion.vertices.covariance[known], camera)
     return MotionFigures(
-        name=name,
-        probing=None,
-        last=True,
-        failure=None,
+        name=motion.name,
+        probing=motion.probing,
+        last=motion.last,
+        failure=motion.failure,
+        noise=tuple(float(level) for level in flow.noise),
+        rejected=cause_counts(flow),
         points=len(valid),
         valid=int(valid.sum()),
-        rejected=cause_counts(flow),
-        vertices=int(seen.sum()),
-        measured=measured,
+        vertices=int((seen | known).sum()),
+        measured=int(known.sum()),
         lateral=_median(lateral),
         depth=_median(depth),
         vertex_lateral=_median(vertex_lateral),
@@ -113,32 +111,6 @@ def motion_figures(
         reprojection=_median(flow.reprojection[valid]),
         through_last=int(flow.through_last[valid].sum()),
         drift=float(flow.drift),
-        noise=tuple(float(level) for level in flow.noise),
-    )
-
-
-def failed_figures(name: str, cameras: int) -> MotionFigures:
-    """Figures of a motion that could not be measured at all, with some number of cameras."""
-    blank = math.nan
-    return MotionFigures(
-        name=name,
-        probing=None,
-        last=True,
-        failure="nothing was measured",
-        points=0,
-        valid=0,
-        rejected={cause.name.lower(): 0 for cause in CAUSES},
-        vertices=0,
-        measured=0,
-        lateral=blank,
-        depth=blank,
-        vertex_lateral=blank,
-        vertex_depth=blank,
-        displacement=blank,
-        reprojection=blank,
-        through_last=0,
-        drift=blank,
-        noise=(blank,) * cameras,
     )
 
 
@@ -170,12 +142,12 @@ def write_flow_document(
         **heading,
         "motions": [_motion(f, rig, names) for f, names in zip(figures, files, strict=True)],
     }
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json_text(content), encoding="utf-8")
 
 
 def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, Any]:
     """One entry of `motions`."""
-    noise = {camera.name: _known(level) for camera, level in zip(rig.cameras, f.noise, strict=True)}
+    names = [camera.name for camera in rig.cameras]
     return {
         "name": f.name,
         "probing": f.probing,
@@ -183,19 +155,16 @@ def _motion(f: MotionFigures, rig: Rig, files: Mapping[str, str]) -> dict[str, A
         "failure": f.failure,
         "points": f.points,
         "valid": f.valid,
-        "rejected": dict(f.rejected),
+        "rejected": f.rejected,
         "vertices": {"seen": f.vertices, "measured": f.measured},
-        "median_displacement": _known(f.displacement),
-        "median_sigma": {"lateral": _known(f.lateral), "depth": _known(f.depth)},
-        "median_vertex_sigma": {
-            "lateral": _known(f.vertex_lateral),
-            "depth": _known(f.vertex_depth),
-        },
-        "median_reprojection": _known(f.reprojection),
+        "median_displacement": f.displacement,
+        "median_sigma": {"lateral": f.lateral, "depth": f.depth},
+        "median_vertex_sigma": {"lateral": f.vertex_lateral, "depth": f.vertex_depth},
+        "median_reprojection": f.reprojection,
         "through_last": f.through_last,
-        "drift": _known(f.drift),
-        "noise": noise,
-        "files": dict(files),
+        "drift": f.drift,
+        "noise": dict(zip(names, f.noise, strict=True)),
+        "files": files,
     }
 
 
@@ -203,7 +172,3 @@ def _median(values: Float[np.ndarray, " k"]) -> float:
     """Median of what is known; NaN of nothing."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else math.nan
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -31,17 +31,17 @@ PoseChoice = Literal["auto", "given", "register"]
 
 # Where the shape does not fix the pose, stereo points must lie this close to the mesh, in
 # diagonals: what the reader of displacement files allows too.
-_CLOSE = 0.02
+_MAX_MESH_DISTANCE = 0.02
 # A registration that moves the points by less than three of its standard deviations, or by less
 # than 0.2 % of the diagonal, says that the given pose is right.
-_SIGNIFICANT = 3.0
-_SMALL = 0.002
+_MIN_SIGNIFICANCE = 3.0
+_MIN_MOVE = 0.002
 # Parts of an edge of the mesh: its smooth surface, not its facets, is what the cameras see.
 _PIECES = 2
 # Points this far from the mesh, in diagonals, belong to the table or the wall behind.
-_NEAR = 0.6
-# Fewer points say nothing about a pose.
-_FEWEST = 50
+_MAX_CENTRE_DISTANCE = 0.6
+# Fewer points do not determine a pose.
+_MIN_POINTS = 50
 
 
 def posed_rig(
@@ -77,7 +77,7 @@ def posed_rig(
         return rig, checked.notes
     stereo = stereo_points(prepared)
     near, distance = _near_points(stereo, mesh)
-    if near.sum() < _FEWEST:
+    if near.sum() < _MIN_POINTS:
         if choice == "auto":
             return rig, (*checked.notes, _unchecked(int(near.sum())))
         raise CalibrationError(
@@ -104,11 +104,11 @@ def _agrees(found: Registration, distance: float, mesh: TriangleMesh) -> bool:
     """
     diagonal = bounding_diagonal(mesh)
     if len(found.free):
-        return distance < _CLOSE * diagonal
+        return distance < _MAX_MESH_DISTANCE * diagonal
     middle = found.T_mesh_points @ np.append(found.centre, 1.0)
     shift = float(np.linalg.norm(middle[:3] - found.centre))
     moved = np.hypot(shift, _turn(found.T_mesh_points) * found.size)
-    return bool(moved < max(_SIGNIFICANT * found.weakest_std, _SMALL * diagonal))
+    return bool(moved < max(_MIN_SIGNIFICANCE * found.weakest_std, _MIN_MOVE * diagonal))
 
 
 def _turn(pose: Float[np.ndarray, "4 4"]) -> float:
@@ -119,7 +119,7 @@ def _turn(pose: Float[np.ndarray, "4 4"]) -> float:
 def _registered(
     rig: Rig, found: Registration, notes: tuple[str, ...]
 ) -> tuple[Rig, tuple[str, ...]]:
-    """The rig with the object where the stereo points say."""
+    """The rig with the object where the stereo points have it."""
     try:
         check_registration(found)
     except CalibrationError as error:
@@ -147,7 +147,7 @@ def _near_points(
     """Stereo points that may belong to the object, and their distance from the mesh [m]."""
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     away = np.linalg.norm(stereo.point - middle, axis=1)
-    near = away < _NEAR * bounding_diagonal(mesh)
+    near = away < _MAX_CENTRE_DISTANCE * bounding_diagonal(mesh)
     distance = np.full(len(near), np.nan)
     if near.any():
         distance[near] = closest_points(mesh, stereo.point[near]).distance

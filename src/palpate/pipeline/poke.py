@@ -21,7 +21,7 @@ from palpate.geometry import interpolation_matrix
 from palpate.pipeline.fit_session import surface_load
 from palpate.probe import find_contact_patch
 from palpate.progress import Progress, silent
-from palpate.records import Contact, ContactProfile, Session, require_probings
+from palpate.records import Contact, Session, require_probings
 from palpate.shapes import Points, Vector3
 
 
@@ -73,7 +73,7 @@ def poke_session(
                                         radius from its surface
     surface : SurfaceSettings           how the surface between the vertices is understood
     cache : Path                        folder that keeps the surface integrals; None: none
-    progress : callable                 told what is done (text) and how far it is (0 to 1)
+    progress : callable                 called with what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -119,6 +119,10 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
     point : (3,) float [m]
     radius : float or None [m]          None: that of the probing
 
+    Returns
+    -------
+    Contact
+
     Raises
     ------
     InputError                          no probings; no radius is given, and the session's probings
@@ -134,7 +138,7 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
             " give one with --radius: under a point the displacement grows without bound as the"
             " mesh gets finer"
         )
-    return Contact(point, radius, ContactProfile.SMOOTH)
+    return Contact(point, radius, "smooth")
 
 
 def von_mises_stress(stress: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:

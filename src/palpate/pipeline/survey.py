@@ -65,6 +65,10 @@ def survey_field(field: DisplacementField) -> FieldSurvey:
     Parameters
     ----------
     field : DisplacementField
+
+    Returns
+    -------
+    FieldSurvey
     """
     measured = observed_rows(field)
     length = np.linalg.norm(field.displacement[measured], axis=1)
@@ -81,6 +85,10 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
     ----------
     session : Session
     probing : Probing               of that session; without a displacement field nothing is seen
+
+    Returns
+    -------
+    ProbingSurvey
     """
     mesh, contact, field = session.mesh, probing.contact, probing.displacement
     distance = triangle_distances(mesh, contact.point)
@@ -118,6 +126,10 @@ def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
     ----------
     session : Session
     surveys : sequence of ProbingSurvey     of all its probings
+
+    Returns
+    -------
+    str                             sentences
     """
     unread = [p.name for p in session.probings if p.displacement is None and p.images is not None]
     if len(unread) == len(surveys):

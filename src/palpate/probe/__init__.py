@@ -1,10 +1,11 @@
-"""Probe: what a tool does to the object, and the plain compression test beside it.
+"""What a tool does to the object, and the plain compression test beside it.
 
-Purpose    : Young's modulus of a cylinder pressed between plates, with an honest interval.
-Takes      : shortening and force (arrays, or files of testing machines), diameter, height.
-Gives      : `CompressionResult` per specimen, `CompressionSeries` over several.
-Depends on : errors, shapes.
-Read first : `compression_test.py`.
+Purpose    : the triangles under a tool with its pressure there; Young's modulus of a pressed
+             cylinder, with an honest interval.
+Takes      : a mesh and a `Contact`; files of testing machines, or shortening and force.
+Gives      : `ContactPatch`; `CompressionResult` per specimen, `CompressionSeries` over several.
+Depends on : `records`, `geometry`, `shapes`, `errors`.
+Read first : `contact_patch.py`, then `compression_test.py`.
 """
 
 from palpate.probe.compression_files import (

@@ -1,21 +1,25 @@
 """Read compression records: files of testing machines, and plain columns of numbers."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from palpate.errors import InputError, RecordError
+from palpate.records import LENGTH_UNITS, Column, TextTable, make_table, split_cells, text_lines
 from palpate.shapes import PointScalars
 
-METRES = {"um": 1e-6, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+METRES = LENGTH_UNITS | {"µm": 1e-6}
 NEWTONS = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216}
 DISPLACEMENT_WORDS = ("compression", "displacement", "extension", "crosshead", "stroke", "position")
 FORCE_WORDS = ("load", "force")
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-SHOWN = 60  # characters of a bad line that a message quotes
+_BLANK = " \t,;"
+_CURE = (
+    "a record has columns of displacement and force, split by commas, semicolons, tabs or blanks"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +31,7 @@ class CompressionRecord:
     displacement : (n,) float [m]          shortening of the cylinder
     force : (n,) float [N]                 on its ends
     source : str                           the file
-    diameter, height : float [m] or None   where lines above the columns tell them
+    diameter, height : float [m] or None   where lines above the columns give them
     notes : tuple of str                   units assumed, signs turned, in full sentences
     """
 
@@ -78,7 +82,7 @@ def read_compression(
     """Shortening and force from a text file, whatever stands above the columns.
 
     Columns are split at commas, semicolons, tabs or blanks. A line of names right above the
-    numbers selects the columns (Compression, Displacement, Load, Force, ...) and tells their
+    numbers selects the columns (Compression, Displacement, Load, Force, ...) and gives their
     units (`Load (N)`, `Compression [mm]`); without names, the file has two columns: displacement
     and force. Lines like `Cylinder Diameter: 50mm;` are read too.
 
@@ -96,26 +100,34 @@ def read_compression(
     """
     _check_unit(displacement_unit, METRES, "displacement_unit")
     _check_unit(force_unit, NEWTONS, "force_unit")
-    lines = _lines(Path(path))
-    first, splitter = _first_row(lines, path)
-    names = _names(lines, first, splitter)
-    table = _table(lines, first, splitter, path)
+    table = _read_table(Path(path))
     columns = (
-        _column(names, displacement_column, DISPLACEMENT_WORDS, "displacement", 0, table, path),
-        _column(names, force_column, FORCE_WORDS, "force", 1, table, path),
+        _column(table, displacement_column, DISPLACEMENT_WORDS, "displacement", 0),
+        _column(table, force_column, FORCE_WORDS, "force", 1),
     )
     if columns[0] == columns[1]:
-        raise RecordError(f"{path}: displacement and force would both be column {columns[0] + 1}; "
-                          "name them with displacement_column and force_column")  # fmt: skip
+        raise RecordError(
+            f"{path}: displacement and force would both be column {columns[0].index + 1}; name them"
+            " with displacement_column and force_column"
+        )
+    values = table.values(columns)
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise RecordError(
+            f"{path}: line {table.numbers[bad[0]]}: displacement or force is not a finite number;"
+            " mend or delete the line"
+        )
     notes: list[str] = []
-    scale = _unit(names, columns[0], METRES, displacement_unit, "mm", "displacement", notes)
-    force_scale = _unit(names, columns[1], NEWTONS, force_unit, "N", "force", notes)
-    displacement = _turned(table[:, columns[0]] * scale, "displacement", notes)
-    force = _turned(table[:, columns[1]] * force_scale, "force", notes)
+    scale = _unit(columns[0], METRES, displacement_unit, "mm", "displacement", notes)
+    force_scale = _unit(columns[1], NEWTONS, force_unit, "N", "force", notes)
     return CompressionRecord(
-        displacement, force, str(path), _told(lines[:first], "diameter"),
-        _told(lines[:first], "height"), tuple(notes),
-    )  # fmt: skip
+        displacement=_turned(values[:, 0] * scale, "displacement", notes),
+        force=_turned(values[:, 1] * force_scale, "force", notes),
+        source=str(path),
+        diameter=_size_above(table.preamble, "diameter"),
+        height=_size_above(table.preamble, "height"),
+        notes=tuple(notes),
+    )
 
 
 def _check_unit(unit: str | None, known: dict[str, float], name: str) -> None:
@@ -124,116 +136,76 @@ def _check_unit(unit: str | None, known: dict[str, float], name: str) -> None:
         raise InputError(f'{name} is "{unit}"; must be one of {", ".join(known)}')
 
 
-def _lines(path: Path) -> list[str]:
-    """Lines of a text file in UTF-8 or Latin-1."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as e:
-        raise RecordError(f"{path}: no such file; check the path") from e
-    except OSError as e:
-        raise RecordError(f"{path}: cannot be read ({e.strerror}); give a text file") from e
-    try:
-        return data.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        return data.decode("latin-1").splitlines()
+def _read_table(path: Path) -> TextTable:
+    """The rows of numbers; the last line with text above them names the columns where it can."""
+    lines = text_lines(path, cure=_CURE)
+    first, delimiter = _first_row(lines, path)
+    width = len(_cells(lines[first], delimiter))
+    above = [line for line in lines[:first] if line.strip(_BLANK)]
+    headings = _cells(above[-1].lstrip("#% "), delimiter) if above else []
+    if len(headings) != width:
+        headings = [""] * width
+    # Lines of separators alone are no readings.
+    lines = [line if line.strip(_BLANK) else "" for line in lines]
+    return make_table(path, lines, headings, first=first, delimiter=delimiter, cure=_CURE)
 
 
-def _cells(line: str, splitter: str | None) -> list[str]:
-    """Cells of one line; closing separators and blanks round the cells fall away."""
-    line = line.strip()
-    if splitter is None:
-        return line.split()
-    return [cell.strip().strip('"') for cell in line.rstrip(splitter).split(splitter)]
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Cells of one line, without blanks around them; closing separators fall away."""
+    return [cell.strip() for cell in split_cells(line.strip().rstrip(delimiter), delimiter)]
 
 
-def _number(cell: str, splitter: str | None) -> float | None:
-    """Number in a cell, None where it is text; a decimal comma counts where commas do not split."""
-    if splitter != ",":
-        cell = cell.replace(",", ".")
-    try:
-        return float(cell)
-    except ValueError:
-        return None
-
-
-def _first_row(lines: list[str], path: str | Path) -> tuple[int, str | None]:
+def _first_row(lines: list[str], path: Path) -> tuple[int, str]:
     """Line number of the first row of two or more numbers, and what splits it."""
     for i, line in enumerate(lines):
-        for splitter in (";", "\t", ",", None):
-            if splitter is None or splitter in line:
-                cells = _cells(line, splitter)
-                if len(cells) >= 2 and all(_number(c, splitter) is not None for c in cells):
-                    return i, splitter
-    raise RecordError(
-        f"{path}: no line with two numbers in {len(lines)} lines; a record has columns of "
-        "displacement and force, split by commas, semicolons, tabs or blanks"
-    )
+        for delimiter in (d for d in ";\t, " if d in line.strip()):
+            cells = _cells(line, delimiter)
+            if len(cells) >= 2 and all(_is_number(cell, delimiter) for cell in cells):
+                return i, delimiter
+    raise RecordError(f"{path}: no line with two numbers in {len(lines)} lines; {_CURE}")
 
 
-def _names(lines: list[str], first: int, splitter: str | None) -> list[str]:
-    """Column names in the last line with text above the numbers; empty where it has too few."""
-    width = len(_cells(lines[first], splitter))
-    above = [line for line in lines[:first] if line.strip(" \t,;")]
-    if not above:
-        return []
-    names = _cells(above[-1].lstrip("#% "), splitter)
-    return names if len(names) == width else []
-
-
-def _table(
-    lines: list[str], first: int, splitter: str | None, path: str | Path
-) -> Float[np.ndarray, "n c"]:
-    """All rows of numbers from the first on; text or a missing cell is refused with its line."""
-    width = len(_cells(lines[first], splitter))
-    rows = []
-    for i in range(first, len(lines)):
-        if not lines[i].strip(" \t,;"):
-            continue
-        values = [_number(cell, splitter) for cell in _cells(lines[i], splitter)]
-        if len(values) != width or any(v is None or not np.isfinite(v) for v in values):
-            raise RecordError(
-                f'{path}, line {i + 1}: "{lines[i].strip()[:SHOWN]}" is not a row of {width} '
-                "numbers like the rows above it; mend or delete the line"
-            )
-        rows.append(values)
-    return np.array(rows, dtype=float)
+def _is_number(cell: str, delimiter: str) -> bool:
+    """True where a cell is a number; a decimal comma counts where commas do not split."""
+    try:
+        float(cell if delimiter == "," else cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _column(
-    names: list[str],
-    wanted: str | None,
-    words: tuple[str, ...],
-    what: str,
-    default: int,
-    table: Float[np.ndarray, "n c"],
-    path: str | Path,
-) -> int:
-    """Index of the column asked for, or that has one of the words, or the usual one of two."""
+    table: TextTable, wanted: str | None, words: tuple[str, ...], what: str, default: int
+) -> Column:
+    """The column asked for, or that has one of the words, or the usual one of two."""
+    path, named = table.path, [column for column in table.columns if column.heading]
     cure = f'name it with {what}_column (command line: --{what}-column "...")'
-    if wanted is not None or names:
-        keys = (wanted.lower(),) if wanted is not None else words
-        for key in keys:
-            found = [i for i, name in enumerate(names) if key in name.lower()]
-            exact = [i for i in found if names[i].lower() == key]
-            if len(found) == 1 or exact:
-                return exact[0] if exact else found[0]
-            if found:
-                raise RecordError(f'{path}: {len(found)} columns match {what} "{key}" '
-                                  f"({', '.join(names[i] for i in found)}); {cure}")  # fmt: skip
-        listed = ", ".join(names) if names else "none, the columns have no names"
-        raise RecordError(f'{path}: no column for the {what} ("{" / ".join(keys)}"); the file '
-                          f"has: {listed}; {cure}")  # fmt: skip
-    if table.shape[1] != 2:
-        raise RecordError(
-            f"{path}: {table.shape[1]} columns without names; a file without names has two, "
-            "displacement and force: put a line of names above the numbers"
-        )
-    return default
+    if wanted is None and not named:
+        if len(table.columns) != 2:
+            raise RecordError(
+                f"{path}: {len(table.columns)} columns without names; a file without names has two,"
+                " displacement and force: put a line of names above the numbers"
+            )
+        return table.columns[default]
+    keys = (wanted.lower(),) if wanted is not None else words
+    for key in keys:
+        found = [column for column in named if key in column.heading.lower()]
+        exact = [column for column in found if column.heading.lower() == key]
+        if len(found) == 1 or exact:
+            return (exact or found)[0]
+        if found:
+            raise RecordError(
+                f'{path}: {len(found)} columns match {what} "{key}"'
+                f" ({', '.join(column.heading for column in found)}); {cure}"
+            )
+    listed = ", ".join(column.heading for column in named) or "none, the columns have no names"
+    raise RecordError(
+        f'{path}: no column for the {what} ("{" / ".join(keys)}"); the file has: {listed}; {cure}'
+    )
 
 
 def _unit(
-    names: list[str],
-    column: int,
+    column: Column,
     known: dict[str, float],
     wanted: str | None,
     usual: str,
@@ -243,12 +215,12 @@ def _unit(
     """Factor to SI: as asked, else as the column's name says in brackets, else the usual unit."""
     if wanted is not None:
         return known[wanted]
-    told = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", names[column]) if names else None
-    if told and told[1] in known:
-        return known[told[1]]
-    if told:
+    found = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", column.heading)
+    if found and found[1] in known:
+        return known[found[1]]
+    if found:
         raise RecordError(
-            f'column "{names[column]}": unit "{told[1]}" is not known; must be one of '
+            f'column "{column.heading}": unit "{found[1]}" is not known; must be one of '
             f"{', '.join(known)}: correct it, or say {what}_unit"
         )
     notes.append(f"The file gives no unit for the {what}; {usual} is taken.")
@@ -263,8 +235,8 @@ def _turned(values: PointScalars, what: str, notes: list[str]) -> PointScalars:
     return values
 
 
-def _told(lines: list[str], word: str) -> float | None:
-    """Size [m] that a line above the columns tells, like `Cylinder Diameter: 50mm;`."""
+def _size_above(lines: Sequence[str], word: str) -> float | None:
+    """Size [m] that a line above the columns gives, like `Cylinder Diameter: 50mm;`."""
     for line in lines:
         match = re.search(rf"{word}\s*[:=,]?\s*({NUMBER})\s*(um|mm|cm|m|in)\b", line, re.IGNORECASE)
         if match:

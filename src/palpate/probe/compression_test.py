@@ -14,10 +14,10 @@ from scipy import stats
 from palpate.errors import InputError
 from palpate.shapes import PointScalars
 
-SLOW_SHAPES = 3  # departures from the line that set the interval: second to fourth degree
-FALL_ALLOWED = 0.01  # of the used range: a displacement gauge trembles, an unloading goes back
-TOE_RATIO = 0.75  # first fifth of the range softer than this share of the whole: a toe
-FEWEST_READINGS = 5
+SLOW_POLYNOMIALS = 3  # departures from the line that set the interval: second to fourth degree
+MAX_FALL = 0.01  # of the used range: noise of a gauge is smaller, an unloading goes back
+MAX_TOE_SLOPE = 0.75  # first fifth of the range softer than this share of the whole: a toe
+MIN_READINGS = 5
 
 Kept = Float[np.ndarray, " kept"]
 
@@ -222,7 +222,7 @@ def slope_deviation(strain: PointScalars, stress: PointScalars) -> tuple[float, 
     Sun, J. Econometrics 178 (2014) 659-677; here with polynomials in place of cosines because
     these stay orthogonal to a fitted line.
     """
-    shapes = min(SLOW_SHAPES, len(strain) - 2)
+    shapes = min(SLOW_POLYNOMIALS, len(strain) - 2)
     centred = strain - strain.mean()
     scaled = centred / np.abs(centred).max()
     columns: Float[np.ndarray, "n d"] = np.polynomial.legendre.legvander(scaled, shapes + 1)
@@ -283,7 +283,7 @@ def _from_contact(
     """Cut what lies before the force last rises through `preload`; count shortening from there."""
     below = np.flatnonzero(force < preload)
     first = int(below[-1]) + 1 if len(below) else 0
-    if first >= len(force) - FEWEST_READINGS:
+    if first >= len(force) - MIN_READINGS:
         raise InputError(
             f"{where}preload is {preload:g} N but the force never stays above it (largest "
             f"{force.max(initial=-np.inf):g} N); give a smaller preload"
@@ -311,24 +311,24 @@ def _inside(
     strain, stress = strain[:end], stress[:end]
     _refuse_return(strain, high, height, where)
     kept = (strain >= low - 1e-12) & (strain <= high * (1 + 1e-9))
-    if kept.sum() < FEWEST_READINGS:
+    if kept.sum() < MIN_READINGS:
         raise InputError(
             f"{where}only {kept.sum()} readings lie in the strain range {low:g} to {high:g}; "
-            f"at least {FEWEST_READINGS} are needed: widen the range or sample faster"
+            f"at least {MIN_READINGS} are needed: widen the range or sample faster"
         )
     return strain[kept], stress[kept]
 
 
 def _refuse_return(strain: PointScalars, high: float, height: float, where: str) -> None:
-    """Refuse displacement that starts far from zero, or goes back by more than a tremble."""
-    if strain.min() < -FALL_ALLOWED * high:
+    """Refuse displacement that starts far from zero, or goes back by more than noise."""
+    if strain.min() < -MAX_FALL * high:
         raise InputError(
             f"{where}the displacement is negative (down to {strain.min() * height * 1e3:.4g} mm); "
             "shortening must be positive and start at zero: subtract its first value or flip signs"
         )
     fall = np.maximum.accumulate(strain) - strain
     worst = int(np.argmax(fall))
-    if fall[worst] > FALL_ALLOWED * high:
+    if fall[worst] > MAX_FALL * high:
         raise InputError(
             f"{where}the displacement goes back by {fall[worst] * height * 1e3:.4g} mm before "
             f"reading {worst} (from 0); it must grow: keep one loading branch in the file"
@@ -341,9 +341,9 @@ def _notes(
     """What a reader of the modulus should know about the curve and the ends."""
     notes = []
     early = strain <= strain[0] + 0.2 * (strain[-1] - strain[0])
-    if early.sum() >= FEWEST_READINGS and stress[0] < 0.1 * stress.max():
+    if early.sum() >= MIN_READINGS and stress[0] < 0.1 * stress.max():
         first = _line(strain[early], stress[early])[0]
-        if first < TOE_RATIO * slope:
+        if first < MAX_TOE_SLOPE * slope:
             notes.append(
                 f"Toe: the first fifth of the strain range is {100 * (1 - first / slope):.0f} % "
                 f"softer than the whole (ends not yet in full contact?); start the range at "

@@ -1,6 +1,5 @@
 """The part of the surface that a tool presses on, and how its pressure is spread there."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, triangle_distances, unit_normals
-from palpate.records import Contact, ContactProfile
-
-Pressure = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
+from palpate.records import PRESSURES, Contact, Pressure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,26 +61,7 @@ class ContactPatch:
     @property
     def pressure(self) -> Pressure:
         """Pressure at a distance over the radius, up to a factor; zero from 1 on."""
-        return _PRESSURES[self.contact.profile]
-
-
-def _smooth(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    return np.clip(1 - s**2, 0, None) ** 2
-
-
-def _uniform(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    return (s < 1).astype(np.float64)
-
-
-def _hertz(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    return np.sqrt(np.clip(1 - s**2, 0, None))
-
-
-_PRESSURES = {
-    ContactProfile.SMOOTH: _smooth,
-    ContactProfile.UNIFORM: _uniform,
-    ContactProfile.HERTZ: _hertz,
-}
+        return PRESSURES[self.contact.profile]
 
 
 def find_contact_patch(

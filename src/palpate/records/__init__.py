@@ -1,12 +1,13 @@
-"""Records that cross rooms, and their files.
+"""What was measured and what was estimated, as records that cross rooms, and their files.
 
-Purpose    : frozen dataclasses for what was measured and what was estimated; read and write them.
-Takes      : session folders, displacement files, camera calibrations, estimate.json.
-Gives      : `Session`, `Probing`, `DisplacementField`, `Rig`, `Estimate`.
-Depends on : `geometry`, `errors`, `shapes`.
-Read first : `probing.py`, `session.py`, then `session_files.py`.
+Purpose    : frozen dataclasses that check themselves, and everything that reads or writes them.
+Takes      : session folders, displacement CSV, rig.toml, estimate.json, files of other programs.
+Gives      : `Session`, `Probing`, `Contact`, `DisplacementField`, `Rig`, `Estimate`, in SI units.
+Depends on : `geometry`, `arrays`, `optional_imports`, `shapes`, `errors`.
+Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
+from palpate.records.contact import PRESSURES as PRESSURES, Contact as Contact, Pressure as Pressure
 from palpate.records.estimate import (
     CONSTANT_NAMES as CONSTANT_NAMES,
     Constant as Constant,
@@ -18,17 +19,18 @@ from palpate.records.files import (
     ESTIMATE_FORMAT as ESTIMATE_FORMAT,
     SESSION_FORMAT as SESSION_FORMAT,
     ImportItem as ImportItem,
-    SessionOutline as SessionOutline,
     default_folder as default_folder,
     disk_errors as disk_errors,
     displacement_line as displacement_line,
     import_plan as import_plan,
+    named_displacements as named_displacements,
     placed_files as placed_files,
     read_displacement as read_displacement,
     read_estimate as read_estimate,
+    read_import_pose as read_import_pose,
     read_rig as read_rig,
     read_session as read_session,
-    read_session_outline as read_session_outline,
+    read_support as read_support,
     result_folder as result_folder,
     rig_to_toml as rig_to_toml,
     with_displacements as with_displacements,
@@ -36,22 +38,24 @@ from palpate.records.files import (
     write_estimate as write_estimate,
     write_rig as write_rig,
 )
-from palpate.records.import_displacement import (
+from palpate.records.measured_points import (
     ImportedField as ImportedField,
     on_object as on_object,
     on_surface as on_surface,
-    read_measured as read_measured,
 )
-from palpate.records.import_pose import read_import_pose as read_import_pose
 from palpate.records.probing import (
-    Contact as Contact,
-    ContactProfile as ContactProfile,
     DisplacementField as DisplacementField,
     Images as Images,
     Probing as Probing,
     observed_rows as observed_rows,
 )
+from palpate.records.programs import (
+    import_kinds as import_kinds,
+    kinds_text as kinds_text,
+    read_measured as read_measured,
+)
 from palpate.records.quantities import (
+    LENGTH_UNITS as LENGTH_UNITS,
     constant_text as constant_text,
     interval_text as interval_text,
     length_unit as length_unit,
@@ -65,7 +69,18 @@ from palpate.records.rig import (
     camera_centre as camera_centre,
     picture_size as picture_size,
 )
-from palpate.records.session import Session as Session, require_probings as require_probings
-from palpate.records.step import Step as Step
-from palpate.records.support import read_support as read_support
-from palpate.records.text import TomlTable as TomlTable, read_toml as read_toml
+from palpate.records.session import (
+    Session as Session,
+    Step as Step,
+    require_probings as require_probings,
+)
+from palpate.records.text import (
+    Column as Column,
+    TextTable as TextTable,
+    TomlTable as TomlTable,
+    json_text as json_text,
+    make_table as make_table,
+    read_toml as read_toml,
+    split_cells as split_cells,
+    text_lines as text_lines,
+)

@@ -11,29 +11,29 @@ CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"
 _TANGENTIAL_CURE = (
-    "force and normal displacement tell only G / (1 - nu): observe displacement vectors with all"
-    " three components near the contact (a few contact radii away), or probe at more points"
+    "force and normal displacement determine only G / (1 - nu): observe displacement vectors with"
+    " all three components near the contact (a few contact radii away), or probe at more points"
 )
 _SCALE_CURE = (
     "the displacements hardly exceed their noise: press harder (within small deformation),"
     " measure more points nearer to the contact, or repeat probings"
 )
 _ADVICE = {
-    "ok": "every constant is told by the data",
-    "poisson_ratio" + _SUFFIX: f"Poisson's ratio cannot be told: {_TANGENTIAL_CURE}",
-    "shear_modulus" + _SUFFIX: f"the shear modulus cannot be told: {_SCALE_CURE}",
-    "young_modulus" + _SUFFIX: f"Young's modulus cannot be told: {_SCALE_CURE}",
+    "ok": "every constant is identifiable from the data",
+    "poisson_ratio" + _SUFFIX: f"Poisson's ratio is not identifiable: {_TANGENTIAL_CURE}",
+    "shear_modulus" + _SUFFIX: f"the shear modulus is not identifiable: {_SCALE_CURE}",
+    "young_modulus" + _SUFFIX: f"Young's modulus is not identifiable: {_SCALE_CURE}",
     "shear_modulus_and_poisson_ratio" + _SUFFIX: (
-        "only Young's modulus is told, as in bending or stretching far from the contact; G and nu"
-        f" follow only together: {_TANGENTIAL_CURE}"
+        "only Young's modulus is identifiable, as in bending or stretching far from the contact; G"
+        f" and nu follow only together: {_TANGENTIAL_CURE}"
     ),
     "poisson_ratio_and_young_modulus" + _SUFFIX: (
-        f"only the shear modulus is told: {_TANGENTIAL_CURE}"
+        f"only the shear modulus is identifiable: {_TANGENTIAL_CURE}"
     ),
     "shear_modulus_and_young_modulus" + _SUFFIX: (
-        f"only Poisson's ratio is told: check the force, {_SCALE_CURE}"
+        f"only Poisson's ratio is identifiable: check the force, {_SCALE_CURE}"
     ),
-    "nothing_identifiable": f"no constant can be told: {_SCALE_CURE}",
+    "nothing_identifiable": f"no constant is identifiable: {_SCALE_CURE}",
     "not_converged": (
         "the search for the constants stopped early: look at the plots for outliers, and check"
         " that force, contact point and displacements belong together"
@@ -67,7 +67,7 @@ class Status(StrEnum):
 
     @classmethod
     def from_identifiable(cls, identifiable: Mapping[str, bool]) -> "Status":
-        """Status that names exactly the constants that the data cannot tell.
+        """Status that names exactly the constants that the data do not determine.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class ProbeEstimate:
-    """The constants as one probing alone tells them, and how well it was explained.
+    """The constants as one probing alone determines them, and how well it was explained.
 
     Parameters
     ----------
@@ -146,9 +146,9 @@ class Estimate:
 
     Parameters
     ----------
-    status : Status                 OK, or what could not be told, with its cure
+    status : Status                 OK, or what is not identifiable, with its cure
     shear_modulus, poisson_ratio, young_modulus : Constant
-    identifiable : mapping          constant's name -> whether the data tell it
+    identifiable : mapping          constant's name -> whether the data determine it
     probes : tuple of ProbeEstimate
     seconds : mapping               stage -> wall time [s]
     method : str                    how the misfit was minimised

@@ -1,63 +1,14 @@
 """One probing: where the tool pressed, with what force, and how the surface moved."""
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
+from palpate.records.contact import Contact
 from palpate.shapes import Flags, PointIndices, Points, Vector3
-
-
-class ContactProfile(StrEnum):
-    """How the traction falls off from the contact point; s = chord distance / radius.
-
-    Proportional to (1 - s^2)^2 `SMOOTH`, 1 `UNIFORM`, sqrt(1 - s^2) `HERTZ`; `VERTEX` is the
-    linear hat function of the vertex nearest to the contact point.
-    """
-
-    SMOOTH = "smooth"
-    UNIFORM = "uniform"
-    HERTZ = "hertz"
-    VERTEX = "vertex"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Contact:
-    """Patch of the surface over which the tool presses.
-
-    Parameters
-    ----------
-    point : (3,) float [m]          centre of the patch, on the surface or close to it
-    radius : float [m] or None      > 0; None only for the profile `VERTEX`
-    profile : ContactProfile
-
-    Raises
-    ------
-    InputError                      radius missing, not positive, or given for `VERTEX`
-    """
-
-    point: Vector3
-    radius: float | None
-    profile: ContactProfile
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
-        if self.profile is ContactProfile.VERTEX:
-            if self.radius is not None:
-                raise InputError(
-                    f"radius is {self.radius} with profile 'vertex'; that profile has no radius:"
-                    " leave it out, or choose 'smooth', 'uniform' or 'hertz'"
-                )
-        elif self.radius is None:
-            raise InputError(
-                f"radius is missing; profile '{self.profile.value}' needs one"
-                " (only profile 'vertex' has none)"
-            )
-        elif not (np.isfinite(self.radius) and self.radius > 0.0):
-            raise InputError(f"radius is {self.radius}; must be a positive length")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +24,7 @@ class DisplacementField:
     surface : SurfacePoints         where the points sit on the mesh
     source : str                    file they came from, for messages
     scale_error : float [-]         relative standard deviation of all displacements together, which
-                                    no single one shows; 0 unless told
+                                    no single one shows; 0 where unknown
 
     Raises
     ------
@@ -94,7 +45,7 @@ class DisplacementField:
         moved = np.array(
             fixed_array(self.displacement, name="displacement", shape=(n, 3), nan_allowed=True)
         )
-        missing = np.isnan(moved).any(axis=1)
+        missing = ~measured_rows(moved)
         moved[missing] = np.nan
         moved.setflags(write=False)
         object.__setattr__(self, "points", points)
@@ -115,9 +66,32 @@ class DisplacementField:
             raise InputError(f"surface has {len(self.surface.triangle)} points; must be {n}")
 
 
+def measured_rows(displacement: Points) -> Flags:
+    """True for the points that were measured, (n,) bool: no component is NaN.
+
+    Parameters
+    ----------
+    displacement : (n, 3) float [m] NaN where not measured
+
+    Returns
+    -------
+    (n,) bool
+    """
+    return ~np.isnan(displacement).any(axis=1)
+
+
 def observed_rows(field: DisplacementField) -> Flags:
-    """True for the points that were measured, (n,) bool."""
-    return ~np.isnan(field.displacement).any(axis=1)
+    """True for the points of a field that were measured, (n,) bool.
+
+    Parameters
+    ----------
+    field : DisplacementField
+
+    Returns
+    -------
+    (n,) bool
+    """
+    return measured_rows(field.displacement)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +125,8 @@ class Probing:
 
     Raises
     ------
-    InputError                      zero force, a negative standard deviation, wrong shape
+    InputError                      zero force, a negative standard deviation, or one of nothing,
+                                    wrong shape
     """
 
     name: str
@@ -176,5 +151,9 @@ class Probing:
         if self.force_std is not None and np.any(self.force_std < 0.0):
             raise InputError(f"force_std is {self.force_std.tolist()}; must not be negative")
         std = self.tip_displacement_std
+        if std is not None and self.tip_displacement is None:
+            raise InputError(
+                "tip_displacement_std is given without tip_displacement; give both or none"
+            )
         if std is not None and not np.all(std > 0.0):
             raise InputError(f"tip_displacement_std is {std.tolist()}; must be positive")

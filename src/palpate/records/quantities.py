@@ -1,12 +1,45 @@
-"""Numbers as a person reads them: a unit of fitting size, no more digits than are known."""
+"""Units of length, and numbers as a person reads them: no more digits than are known."""
 
 import math
 
 from palpate.records.estimate import Constant
 
+# Metres in each unit that a file or a command may name.
+LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+# The units of Palpate's own files, and of calibrations, which are never so small.
+FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
+_SPELLINGS = {
+    "\u00b5m": "um",
+    "\u03bcm": "um",
+    "micron": "um",
+    "meter": "m",
+    "metre": "m",
+    "inch": "in",
+    "inches": "in",
+}
+
+
+def unit_name(word: str) -> str:
+    """The name in `LENGTH_UNITS` of a unit as programs spell it; an unknown one in small letters.
+
+    Parameters
+    ----------
+    word : str                      e.g. "MM", "micron", "inches"
+    """
+    return _SPELLINGS.get(word.lower(), word.lower())
+
 
 def modulus_unit(modulus: float) -> tuple[float, str]:
-    """Unit in which a modulus has one to three digits before the point: (pascals a unit, name)."""
+    """Unit in which a modulus has one to three digits before the point: (pascals a unit, name).
+
+    Parameters
+    ----------
+    modulus : float [Pa]            NaN counts as zero
+
+    Returns
+    -------
+    (float [Pa], str)               1e9, 1e6, 1e3 or 1, and GPa, MPa, kPa or Pa
+    """
     size = abs(modulus) if math.isfinite(modulus) else 0.0
     for factor, name in ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa")):
         if size >= factor:
@@ -15,13 +48,32 @@ def modulus_unit(modulus: float) -> tuple[float, str]:
 
 
 def length_unit(length: float) -> tuple[float, str]:
-    """Unit in which a length has one to three digits before the point: (metres a unit, name)."""
+    """Unit in which a length has one to three digits before the point: (metres a unit, name).
+
+    Parameters
+    ----------
+    length : float [m]              NaN counts as zero
+
+    Returns
+    -------
+    (float [m], str)                1e-6 and µm below 0.1 mm, else 1e-3 and mm
+    """
     size = abs(length) if math.isfinite(length) else 0.0
     return (1e-6, "µm") if size < 0.1e-3 else (1e-3, "mm")
 
 
 def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Value and standard deviation to the same decimal, two digits of the deviation."""
+    """Value and standard deviation to the same decimal, two digits of the deviation.
+
+    Parameters
+    ----------
+    constant : Constant
+    factor : float                  value of the unit it is shown in, > 0
+
+    Returns
+    -------
+    str                             'unknown' where the value is not finite
+    """
     value, std = constant.value / factor, constant.std / factor
     if not math.isfinite(value):
         return "unknown"
@@ -32,13 +84,33 @@ def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
 
 
 def value_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Value alone, to two digits of its standard deviation."""
+    """Value alone, to two digits of its standard deviation.
+
+    Parameters
+    ----------
+    constant : Constant
+    factor : float                  value of the unit it is shown in, > 0
+
+    Returns
+    -------
+    str                             'unknown' where the value is not finite
+    """
     value, std = constant.value / factor, constant.std / factor
     return f"{value:.{_places(std, value)}f}" if math.isfinite(value) else "unknown"
 
 
 def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Both ends of the 95 % interval, to the decimal of the standard deviation."""
+    """Both ends of the 95 % interval, to the decimal of the standard deviation.
+
+    Parameters
+    ----------
+    constant : Constant
+    factor : float                  value of the unit it is shown in, > 0
+
+    Returns
+    -------
+    str                             e.g. '20.70 to 21.30'
+    """
     places = _places(constant.std / factor, constant.value / factor)
     low, high = (end / factor for end in constant.ci95)
     return f"{low:.{places}f} to {high:.{places}f}"

@@ -119,13 +119,30 @@ def _check_pose(name: str, pose: Float[np.ndarray, "4 4"]) -> None:
 
 
 def camera_centre(camera: Camera) -> Vector3:
-    """Where a camera stands, object frame [m]; (3,) float."""
+    """Where a camera stands, object frame [m]; (3,) float.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    (3,) float [m]
+    """
     pose = camera.T_camera_object
     return -pose[:3, :3].T @ pose[:3, 3]
 
 
 def picture_size(camera: Camera) -> tuple[int, int]:
     """Columns and rows of a camera's pictures.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    (int, int) [px]
 
     Raises
     ------

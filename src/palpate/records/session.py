@@ -9,8 +9,31 @@ from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.records.probing import Probing
-from palpate.records.step import Step
 from palpate.shapes import Indices, Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One instant of a rigid-motion sequence.
+
+    Parameters
+    ----------
+    name : str                      unique within its session
+    images : str                    file pattern of its pictures, with `{camera}` in place of the
+                                    camera's name
+
+    Raises
+    ------
+    InputError                      a blank name or pattern
+    """
+
+    name: str
+    images: str
+
+    def __post_init__(self) -> None:
+        for field in ("name", "images"):
+            if not getattr(self, field).strip():
+                raise InputError(f"{field} of a step is blank; must be a text")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +90,10 @@ class Session:
             gravity = fixed_array(self.gravity, name="gravity", shape=(3,))
             object.__setattr__(self, "gravity", gravity)
             if self.density is None:
-                raise InputError("gravity is given without a density; give it in kg/m^3")
+                raise InputError(
+                    "gravity is given without a density; give it in kg/m^3, or leave gravity out if"
+                    " the rest state was measured under gravity too"
+                )
 
 
 def require_probings(session: Session) -> None:
@@ -93,11 +119,15 @@ def _check_contents(session: Session) -> None:
     probings, steps = session.probings, session.steps
     if probings and steps:
         raise InputError(
-            f"the session has {len(probings)} probings and {len(steps)} steps; it must have one"
-            " kind only: make two sessions of it"
+            f"the session has {len(probings)} probings and {len(steps)} steps ([[probe]] and"
+            " [[step]] tables); it must have one kind only: make two sessions of it (both may use"
+            " the same mesh, rig and images)"
         )
     if not (probings or steps):
-        raise InputError("the session has no probings; at least one is needed (or two steps)")
+        raise InputError(
+            "the session has no probings ([[probe]] tables); at least one is needed, or two steps"
+            " ([[step]] tables) of a rigid motion"
+        )
     if len(steps) == 1:
         raise InputError(
             f"the session has one step, '{steps[0].name}', alone; motion needs at least two"

@@ -10,7 +10,8 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records.probing import Contact, DisplacementField, Probing, observed_rows
+from palpate.records.contact import Contact
+from palpate.records.probing import DisplacementField, Probing, observed_rows
 from palpate.shapes import Indices
 
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
@@ -65,6 +66,12 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
     """Refuse a field whose measured points all sit on the support, which does not move.
 
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    held : (k,) int                 triangles of the support
+    field : DisplacementField       on that mesh
+
     Raises
     ------
     InputError
@@ -84,7 +91,17 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
 
 
 def plausibility_notes(mesh: TriangleMesh, probings: tuple[Probing, ...]) -> tuple[str, ...]:
-    """Sentences about sizes and signs that are possible but more likely a mistake."""
+    """Sentences about sizes and signs that are possible but more likely a mistake.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in metres
+    probings : tuple of Probing
+
+    Returns
+    -------
+    tuple of str                    full sentences
+    """
     size = bounding_diagonal(mesh)
     notes = []
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:

@@ -3,9 +3,10 @@
 Purpose    : range flow, a 3-D displacement with a covariance at points of the surface, and from it
              the displacement of the mesh's vertices.
 Takes      : a `Rig`, grey pictures, a triangle surface.
-Gives      : `RangeFlow`, `VertexDisplacement`.
-Depends on : `records`, `geometry`, `shapes`, `errors`.
-Read first : `range_flow.py`, then `joint_flow.py`.
+Gives      : `FlowMethod` with `JointFlow` and `LangPaiFlow`; `RangeFlow`, `VertexDisplacement`;
+             `StereoPoints` and `RigCheck` of a rig's pictures at rest.
+Depends on : `geometry`, `records`.
+Read first : `range_flow.py`, then `joint/flow.py`, then `lang_pai/flow.py`.
 """
 
 from palpate.vision.cameras import (
@@ -21,31 +22,29 @@ from palpate.vision.cameras import (
     triangulate as triangulate,
     visible as visible,
 )
-from palpate.vision.dense_maps import dense_maps as dense_maps
 from palpate.vision.images import (
     Pictures as Pictures,
     prepare_pictures as prepare_pictures,
     read_pictures as read_pictures,
 )
 from palpate.vision.joint import (
-    JointSettings as JointSettings,
+    JointFlow as JointFlow,
     Scene as Scene,
-    joint_flow as joint_flow,
     make_scene as make_scene,
     vertex_displacement as vertex_displacement,
 )
 from palpate.vision.lang_pai import (
-    LangPaiSettings as LangPaiSettings,
-    lang_pai_flow as lang_pai_flow,
+    LangPaiFlow as LangPaiFlow,
     lang_pai_vertices as lang_pai_vertices,
 )
-from palpate.vision.matching import PlanarSettings as PlanarSettings
 from palpate.vision.range_flow import (
     CAUSES as CAUSES,
+    FlowMethod as FlowMethod,
     Outcome as Outcome,
     RangeFlow as RangeFlow,
     VertexDisplacement as VertexDisplacement,
     cause_counts as cause_counts,
+    dense_maps as dense_maps,
     is_valid as is_valid,
     measured_vertices as measured_vertices,
 )

@@ -4,14 +4,17 @@ import numpy as np
 from numba import njit
 
 # A pivot below this share of its diagonal is rounding: the unknowns are not determined.
-_SMALLEST_PIVOT = 1e-9
+_MIN_PIVOT = 1e-9
 
 
 @njit(cache=True, error_model="numpy")
-def cholesky_kernel(a, least=_SMALLEST_PIVOT):
+def cholesky_kernel(a, least=_MIN_PIVOT):
     """Replace the lower triangle by the Cholesky factor; False where not positive definite.
 
-    A pivot below `least` of its diagonal counts as zero.
+    `a` (n, n) float, symmetric, of which only the lower triangle is read. A pivot below `least`
+    (0 to 1) of its diagonal counts as zero.
+
+    Source: Golub and Van Loan, Matrix Computations (2013), chapter 4.
     """
     n = len(a)
     for j in range(n):
@@ -32,7 +35,7 @@ def cholesky_kernel(a, least=_SMALLEST_PIVOT):
 
 @njit(cache=True, error_model="numpy")
 def cholesky_solve_kernel(factor, right):
-    """Replace the right-hand side by the solution, `factor` from `cholesky_kernel`."""
+    """Replace the right-hand side, (n,) float, by the solution; `factor` from `cholesky_kernel`."""
     n = len(right)
     for i in range(n):
         total = right[i]
@@ -48,7 +51,7 @@ def cholesky_solve_kernel(factor, right):
 
 @njit(cache=True, error_model="numpy")
 def cholesky_inverse_kernel(factor, inverse):
-    """Inverse of the matrix whose Cholesky factor is given, written into `inverse`."""
+    """Inverse of the matrix whose Cholesky factor is given, written into `inverse`, (n, n)."""
     n = len(factor)
     for j in range(n):
         inverse[j, :] = 0.0

@@ -122,7 +122,7 @@ def test_status_that_is_not_ok_ends_with_three_and_its_cure(
     code, out, err = palpate("fit", cube_session)
     assert code == 3
     assert "no" in out.split()
-    assert "poisson_ratio_not_identifiable: Poisson's ratio cannot be told" in err
+    assert "poisson_ratio_not_identifiable: Poisson's ratio is not identifiable" in err
     assert (tmp_path / "cube-result" / "estimate.json").exists()
 
 

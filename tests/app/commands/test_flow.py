@@ -15,7 +15,7 @@ from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, write_mesh
 from palpate.pipeline import MeasuredMotion, SessionFlow
 from palpate.records import read_displacement, read_session
-from palpate.vision import Outcome
+from palpate.vision import JointFlow, LangPaiFlow, Outcome
 
 SESSION = """\
 format = "palpate-session/1"
@@ -87,8 +87,8 @@ def measured(monkeypatch):
         notes=("rest_c1.png: 16 bit a pixel, made 8.",),
     )
 
-    def measure_motion(session, *, settings, progress):
-        told.asked.append((session, settings))
+    def measure_motion(session, *, method, pose, progress):
+        told.asked.append((session, method, pose))
         progress("points [a]", 0.5)
         return SessionFlow(rig(), tuple(told.motions), told.notes)
 
@@ -130,6 +130,7 @@ def test_the_document_holds_settings_figures_and_files(palpate, measured, sessio
     assert content["format"] == "palpate-flow/1"
     assert content["session"] == "a [bold] cube"
     assert content["settings"]["joint"]["subset"] == 21
+    assert (content["settings"]["method"], content["settings"]["pose"]) == ("joint", "auto")
     assert content["csv_metres_per_unit"] == 1e-3
     assert content["notes"] == list(measured.notes)
     first, second = content["motions"]
@@ -156,18 +157,16 @@ def test_options_reach_the_measurement(palpate, measured, session, tmp_path):
     options = ("--out", tmp_path / "mine", "--method", "joint", "--pose", "given", "--probe", "n01")
     options += ("--no-pictures",)
     assert palpate("flow", session, *options, "--subset", "31", "--step", "8")[0] == 0
-    given, settings = measured.asked[0]
+    given, method, pose = measured.asked[0]
     assert [probing.name for probing in given.probings] == ["n01"]
-    assert (settings.method, settings.pose) == ("joint", "given")
-    assert (settings.joint.subset, settings.joint.step) == (31, 8)
+    assert (method, pose) == (JointFlow(subset=31, step=8), "given")
     assert (tmp_path / "mine" / "n01.csv").is_file()
 
 
 def test_defaults_are_those_of_the_method(palpate, measured, session):
     palpate("flow", session, "--method", "lang-pai", "--no-pictures")
-    _, settings = measured.asked[0]
-    assert (settings.method, settings.pose) == ("lang-pai", "auto")
-    assert settings == type(settings)(method="lang-pai")
+    _, method, pose = measured.asked[0]
+    assert (method, pose) == (LangPaiFlow(), "auto")
 
 
 def test_no_pictures_leaves_them_out(palpate, measured, session, tmp_path):

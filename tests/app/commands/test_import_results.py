@@ -73,7 +73,7 @@ def test_two_files_become_the_displacements_of_two_probings(palpate, bare, top, 
     lines = (bare / "session.toml").read_text().splitlines()
     assert [x for x in lines if x not in (line, line.replace("1", "3", 1))] == before.splitlines()
     assert f"probing 'n01': {line}" in out
-    assert "Note (2 of 2 files): It does not tell its unit of length; mm was taken" in out
+    assert "Note (2 of 2 files): It does not say its unit of length; mm was taken" in out
     row = next(x.split() for x in out.splitlines() if x.split()[:1] == ["n01"])
     assert row[2:6] == ["30", "29", "1", "0"]
 
@@ -191,21 +191,20 @@ def test_one_bad_file_of_two_leaves_nothing(palpate, bare, top, tmp_path):
     assert _tree(bare) == before
 
 
-def test_a_session_that_cannot_be_edited_is_left_alone(palpate, bare, top, tmp_path):
+def test_probings_in_one_line_are_edited_too(palpate, bare, top, tmp_path):
     file = bare / "session.toml"
     text = file.read_text()
     head = text[: text.index("[[probe]]")]
-    file.write_text(
+    line = (
         'probe = [{ name = "n01", force = [0, 0, -1], contact = { point = [0.02, 0.02, 0.04],'
-        ' radius = 0.006, profile = "smooth" } }]\n' + head
+        ' radius = 0.006, profile = "smooth" } }]\n'
     )
-    before = _tree(bare)
-    source = _vic3d(tmp_path / "B1.csv", top)
-    code, _, err = palpate("import", "vic3d", source, bare)
-    assert code == 2
-    assert "add by hand in the table of 'n01': displacement = \"n01.csv\"" in err
-    assert _tree(bare) == before
-    assert palpate("import", "vic3d", source, bare, "--out", "found")[0] == 0
+    file.write_text(line + head)
+    assert palpate("import", "vic3d", _vic3d(tmp_path / "B1.csv", top), bare)[0] == 0
+    edited = file.read_text()
+    assert edited.endswith(head)
+    assert edited.startswith(line[:-5])
+    assert len(read_session(bare).probings[0].displacement.points) == 30
 
 
 def test_a_byte_order_mark_and_line_ends_stay(palpate, bare, top, tmp_path):

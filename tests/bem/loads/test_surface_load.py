@@ -9,7 +9,7 @@ from palpate.bem import SurfaceLoad
 from palpate.bem.loads.surface_load import integrate_load, load_points
 from palpate.errors import InputError
 from palpate.probe import find_contact_patch
-from palpate.records import Contact, ContactProfile
+from palpate.records import Contact
 
 CENTRE = np.array([0.5, 0.5, 1.0])
 RADIUS = 0.3
@@ -29,7 +29,7 @@ def cube():
 
 def load_of(cube, profile, point=CENTRE, radius=RADIUS):
     held = np.flatnonzero(cube.surface.held)
-    contact = Contact(point=point, radius=radius, profile=ContactProfile(profile))
+    contact = Contact(point=point, radius=radius, profile=profile)
     patch = find_contact_patch(cube.surface.mesh, contact, held, name="test")
     return SurfaceLoad(patch.triangles, patch.density)
 

@@ -21,8 +21,8 @@ from palpate.bem import (
     support_columns,
     traction_column,
 )
-from palpate.bem.integrals.quadrature import quadratic_shapes
 from palpate.geometry import interpolation_matrix
+from palpate.geometry.quadratic_triangle import quadratic_shapes
 
 NU = 0.3
 FINE = Quadrature(tolerance=1e-9)

@@ -10,7 +10,6 @@ from palpate.bem.system.boundary import find_unknowns
 from palpate.bem.system.system import (
     assemble_system,
     integral_equations,
-    restrict_collocation,
     restricted_nodes,
     system_matrix,
 )
@@ -121,17 +120,6 @@ def test_restricted_parts_keep_what_they_name():
     whole = np.concatenate([x, surface.traction.weights @ x])[surface.traction.element[held]]
     part = x[unknowns.held_sides]
     assert np.array_equal(np.concatenate([part, nodes.weights @ part])[nodes.element], whole)
-
-
-def test_restricted_collocation_renumbers_triangles(cube_system):
-    collocation = cube_system.collocation
-    kept = cube_system.surface.held
-    local = restrict_collocation(collocation, kept).triangle
-    inside = collocation.triangle >= 0
-    assert np.array_equal(np.flatnonzero(kept)[local[inside]], collocation.triangle[inside])
-    assert (local[~inside] == -1).all()
-    none = restrict_collocation(collocation, np.zeros_like(kept))
-    assert (none.triangle == -1).all()
 
 
 def test_equations_without_the_rigid_sum_lack_only_the_free_term(cube_system):

@@ -13,8 +13,8 @@ from palpate.estimation.intervals.identifiability import (
     identifiable_constants,
     with_prior_ranges,
 )
-from palpate.estimation.responses import response_table
-from palpate.estimation.search import FixedWeights, fixed_weights
+from palpate.estimation.responses.table import response_table
+from palpate.estimation.search.variable_projection import FixedWeights, fixed_weights
 from palpate.records import Constant
 
 SHEAR, NU = 9e4, 0.1

@@ -12,7 +12,9 @@ from palpate.estimation.intervals.profile_likelihood import (
     profile_curve,
     profile_intervals,
 )
-from palpate.estimation.search import Minimum, Misfit, deviance_of
+from palpate.estimation.search.misfit import Misfit
+from palpate.estimation.search.scoring import Minimum
+from palpate.estimation.search.variable_projection import deviance_of
 
 ALLOWED = {"poisson_ratio": 3.84, "shear_modulus": 3.0, "young_modulus": 5.0}
 

@@ -19,7 +19,7 @@ from palpate.estimation.intervals.sandwich import (
     scores_of,
 )
 from palpate.estimation.intervals.spatial_correlation import CorrelationFactor
-from palpate.estimation.noise import gaussian_moments
+from palpate.estimation.noise.noise_model import gaussian_moments
 from palpate.estimation.noise.student_t import StudentT
 
 INDEPENDENT = CorrelationFactor(1.0, np.inf, 1.0)

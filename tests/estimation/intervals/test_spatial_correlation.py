@@ -14,7 +14,7 @@ from palpate.estimation.intervals.spatial_correlation import (
     correlation_factor,
     morton_order,
 )
-from palpate.estimation.search import LocalProbe
+from palpate.estimation.search.misfit import LocalProbe
 
 
 def _factor(seed: int, clump: int, *, force_noise: float = 0.0) -> CorrelationFactor:

@@ -13,7 +13,7 @@ from palpate.estimation.intervals.validation import (
     probe_estimate,
     probe_fits,
 )
-from palpate.estimation.noise import NOISE_MODELS
+from palpate.estimation.noise.registry import NOISE_MODELS
 from palpate.records import Constant
 
 

@@ -49,10 +49,7 @@ def setting():
     tips = point_equations(system, at_top, (mesh.triangles[at_top] == top).astype(float))
     tip_load = load_right_hand(tips.system, loads[1:2])
     tip_right = joined([tip_load, body_force_columns(tips.system, GRAVITY).right])
-    by_point = [
-        tips.by_point(part)[0]
-        for part in (tip_right.constant, tip_right.slope, tip_right.curvature)
-    ]
+    by_point = [tips.by_point(part)[0] for part in tip_right.terms]
     tip = PointRows(tips.matrix[:, 0], tips.own[:, 0], np.stack(by_point), body.particular[top])
     rows = ProbeRows(
         columns, csr_array(hstack([surface, rest])), (at_points @ body.particular).ravel(), tip

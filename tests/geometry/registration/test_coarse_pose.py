@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from surfaces import box
 
+from palpate.geometry.closest_point import surface_search
 from palpate.geometry.registration.coarse_pose import (
     coarse_pose,
     compact_groups,
@@ -25,7 +26,7 @@ def _faces(count, rng):
 def test_worst_guesses_with_a_table_behind_are_brought_near():
     """A fifth of the points belong to a table below: only a robust norm leaves it there."""
     rng = np.random.default_rng(0)
-    mesh = box(SIZE)
+    search = surface_search(box(SIZE))
     for trial in range(4):
         points = _faces(250, rng)
         points[:50] = rng.uniform(size=(50, 3)) * [0.12, 0.12, 1e-4] + [-0.02, -0.03, -0.012]
@@ -38,7 +39,7 @@ def test_worst_guesses_with_a_table_behind_are_brought_near():
         ).as_matrix()
         pose[:3, 3] = 0.02 * shift / np.linalg.norm(shift)
         moved = points @ pose[:3, :3].T + pose[:3, 3]
-        found = coarse_pose(mesh, moved, np.eye(4), angle=np.radians(5.0), distance=0.02)
+        found = coarse_pose(search, moved, np.eye(4), angle=np.radians(5.0), distance=0.02)
         back = moved @ found[:3, :3].T + found[:3, 3]
         # A hundredth of the diagonal is 0.9 mm.
         assert np.linalg.norm(back - points, axis=1).max() < 9e-4
@@ -48,7 +49,7 @@ def test_a_good_guess_is_returned_as_it_is():
     start = np.eye(4)
     start[:3, 3] = 1e-4
     points = _faces(50, np.random.default_rng(1))
-    found = coarse_pose(box(SIZE), points, start, angle=1e-4, distance=1e-4)
+    found = coarse_pose(surface_search(box(SIZE)), points, start, angle=1e-4, distance=1e-4)
     np.testing.assert_array_equal(found, start)
 
 

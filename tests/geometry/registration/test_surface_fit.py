@@ -4,6 +4,7 @@ import numpy as np
 from surfaces import box, sphere
 
 from palpate.geometry import closest_points
+from palpate.geometry.closest_point import surface_search
 from palpate.geometry.registration.surface_fit import (
     MeasuredPoints,
     linearised,
@@ -35,7 +36,7 @@ def test_derivatives_are_those_of_the_distance_also_beyond_edges():
     mesh = box((1.0, 2.0, 3.0))
     points = rng.uniform(-0.6, 3.6, size=(400, 3))
     points = points[((points < -0.05) | (points > np.array([1.05, 2.05, 3.05]))).any(axis=1)]
-    at = linearised(mesh, _measured(points), np.eye(4))
+    at = linearised(surface_search(mesh), _measured(points), np.eye(4))
     np.testing.assert_allclose(at.residual, closest_points(mesh, points).distance, atol=1e-12)
     beyond = (np.abs(at.normal).max(axis=1) < 0.99).sum()
     assert beyond > 100
@@ -51,7 +52,7 @@ def test_derivatives_are_those_of_the_distance_also_beyond_edges():
 
 
 def test_points_inside_have_a_negative_distance():
-    at = linearised(sphere(2), _measured(0.9 * sphere(1).vertices), np.eye(4))
+    at = linearised(surface_search(sphere(2)), _measured(0.9 * sphere(1).vertices), np.eye(4))
     assert (at.residual < 0.0).all()
 
 
@@ -72,6 +73,6 @@ def test_expected_noise_is_that_across_the_surface_at_the_pose():
     covariance = np.broadcast_to(np.diag([4.0, 0.0, 0.0]) * 1e-8, (4, 3, 3)).copy()
     pose = motion_pose(np.array([0.0, 0.5 * np.pi, 0.0, 0.0, 0.0, 0.0]), np.zeros(3))
     own = placed(np.linalg.inv(pose), points)
-    at = linearised(mesh, MeasuredPoints(own, covariance), pose)
+    at = linearised(surface_search(mesh), MeasuredPoints(own, covariance), pose)
     # x of the points points along -z of the mesh.
     np.testing.assert_allclose(at.sigma, [2e-4, 2e-4, 0.0, 0.0], atol=1e-6)

@@ -7,12 +7,13 @@ import cv2
 import numpy as np
 import pytest
 from lab.lab_configs import HALF_BALL, STAGE
+from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError, MeshError
-from palpate.lab import choose_variant, make_session, make_sessions, read_lab_config
+from palpate.lab import Stage, choose_variant, make_session, make_sessions, read_lab_config
 from palpate.lab.bench import facility
 from palpate.lab.bodies.finite_elements import make_body
-from palpate.records import ContactProfile, read_rig, read_session
+from palpate.records import read_rig, read_session
 from palpate.vision import project, read_pictures
 
 
@@ -39,7 +40,7 @@ def test_a_probed_specimen_is_an_ordinary_session(made):
     (probing,) = session.probings
     assert session.notes == ()
     assert len(session.held_triangles) > 20
-    assert probing.contact.profile is ContactProfile.HERTZ
+    assert probing.contact.profile == "hertz"
     np.testing.assert_array_equal(probing.contact.point, [0.0, 0.0, 0.04])
     assert len(probing.images.loaded) == 2
     rig = read_rig(session.rig)
@@ -122,6 +123,19 @@ def test_pictures_move_by_the_truth(made):
     error = np.median(np.linalg.norm(flow - truth, axis=1)[seen])
     assert error < 0.03
     assert error < 0.25 * np.median(moved[seen])
+
+
+def test_a_stage_turns_about_its_centre_and_goes_on_evenly():
+    centre, step = np.array([0.1, 0.2, 0.3]), np.array([1e-3, -2e-3, 3e-3])
+    axis = np.array([1.0, 2.0, -2.0])
+    stage = Stage(3, translation=step, rotation=10.0, axis=axis, centre=centre)
+    motions = facility.stage_motions(stage)
+    assert motions.shape == (4, 4, 4)
+    for k, motion in enumerate(motions):
+        turn = Rotation.from_rotvec(np.radians(10.0 * k) * axis / 3.0).as_matrix()
+        np.testing.assert_allclose(motion[:3, :3], turn, atol=1e-14)
+        np.testing.assert_allclose(motion[:3, :3] @ centre + motion[:3, 3], centre + k * step)
+        np.testing.assert_array_equal(motion[3], [0.0, 0.0, 0.0, 1.0])
 
 
 def test_a_stage_moves_the_toy_rigidly(made):

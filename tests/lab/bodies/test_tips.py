@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from palpate.lab.bodies.tips import TIPS, Punch, Sphere
-from palpate.records import ContactProfile
 
 POINT = np.array([0.01, -0.02, 0.03])
 ALONG = np.array([0.3, -0.2, -0.9])
@@ -29,7 +28,7 @@ def test_a_tip_that_went_to_a_point_touches_it(kind):
 @pytest.mark.parametrize("kind", TIPS.values())
 def test_what_lies_beside_is_passed(kind):
     tip = kind(0.006, POINT, np.array([0.0, 0.0, -1.0]))
-    beside = np.array([[0.0059, 0.0, -0.02], [0.0061, 0.0, -0.02], [0.0, 0.0061, 0.02]])
+    beside = np.array([[0.00599, 0.0, -0.02], [0.00601, 0.0, -0.02], [0.0, 0.00601, 0.02]])
     np.testing.assert_array_equal(np.isfinite(tip.travel(POINT + beside)), [True, False, False])
 
 
@@ -44,7 +43,7 @@ def test_a_sphere_obeys_hertz():
     # However hard it is pressed, the circle is no wider than the ball.
     assert ball.half_space_radius(None, 1e3, MODULUS) == 0.006
     assert ball.max_depth == 0.006
-    assert ball.profile is ContactProfile.HERTZ
+    assert ball.profile == "hertz"
 
 
 def test_a_punch_obeys_boussinesq():
@@ -53,7 +52,7 @@ def test_a_punch_obeys_boussinesq():
     assert depth == pytest.approx(0.3 / (2 * 0.006 * MODULUS), rel=1e-12)
     assert punch.half_space_radius(depth, None, MODULUS) == 0.006
     assert punch.max_depth == np.inf
-    assert punch.profile is ContactProfile.UNIFORM
+    assert punch.profile == "uniform"
 
 
 @pytest.mark.parametrize(("radius", "shaft"), [(0.003, 0.003), (0.012, 0.004)])
@@ -65,3 +64,9 @@ def test_the_end_of_a_balls_rod_is_the_ball(radius, shaft):
     # Out and up: from the pole to the shaft, and nowhere back.
     assert (np.diff(end[:, 1]) > 0.0).all()
     np.testing.assert_array_equal(Punch(radius, POINT, ALONG).outline(), [[0, 0], [radius, 0]])
+
+
+def test_a_point_under_the_rim_of_a_punch_is_touched():
+    # Elements under the rim have nodes on it, up to rounding.
+    rim = POINT + np.array([[0.006 * (1 + 1e-12), 0.0, -0.01]])
+    assert Punch(0.006, POINT, np.array([0.0, 0.0, -1.0])).travel(rim)[0] == pytest.approx(0.01)

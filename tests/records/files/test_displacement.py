@@ -2,10 +2,17 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 from surfaces import box
 
 from palpate.errors import RecordError
-from palpate.records import observed_rows, read_displacement, write_displacement
+from palpate.geometry import closest_points
+from palpate.records import (
+    DisplacementField,
+    observed_rows,
+    read_displacement,
+    write_displacement,
+)
 
 CUBE = box(size=(0.04, 0.04, 0.04), cells=4)
 HEAD = "x,y,z,ux,uy,uz"
@@ -77,6 +84,37 @@ def test_round_trip_through_another_unit(tmp_path, csv_file):
     np.testing.assert_allclose(again.displacement, field.displacement, rtol=5e-16)
 
 
+PLACES = st.tuples(st.floats(0.0, 0.04), st.floats(0.0, 0.04))
+MOVES = st.none() | st.tuples(*[st.floats(-1e3, 1e3)] * 3)
+STDS = st.tuples(*[st.floats(1e-300, 1e3)] * 3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rows=st.lists(st.tuples(PLACES, MOVES, STDS), min_size=1, max_size=6).filter(
+        lambda rows: any(move is not None for _, move, _ in rows)
+    ),
+    with_std=st.booleans(),
+)
+def test_whatever_is_written_is_read_back(tmp_path_factory, rows, with_std):
+    """In metres every digit of points, displacements, deviations and NaN rows comes back."""
+    path = tmp_path_factory.mktemp("law") / "a.csv"
+    points = np.array([[x, y, 0.04] for (x, y), _, _ in rows])
+    moved = np.array([(np.nan,) * 3 if move is None else move for _, move, _ in rows])
+    std = np.array([std for _, _, std in rows]) if with_std else None
+    surface = closest_points(CUBE, points)
+    field = DisplacementField(points, moved, std, None, surface, "memory")
+    write_displacement(path, field)
+    again, notes = read_displacement(path, CUBE)
+    assert notes == ()
+    np.testing.assert_array_equal(again.points, field.points)
+    np.testing.assert_array_equal(again.displacement, field.displacement)
+    if with_std:
+        np.testing.assert_array_equal(again.std, std)
+    else:
+        assert again.std is None
+
+
 def test_unknown_columns_are_left_out_and_said(csv_file):
     _, notes = read_displacement(csv_file(HEAD + ",correlation", ROW + ",high"), CUBE)
     assert "columns ['correlation'] are not of the format and were left out" in notes[0]
@@ -89,7 +127,7 @@ def test_points_off_the_surface_are_noted(csv_file):
 
 BAD = [
     (("x,y,z,ux,uy", "0,0,0,0,0"), "the column 'uz' is missing; the first line must hold"),
-    (("x;y;z;ux;uy;uz", "0;0;0;0;0;0"), "column 'x' is missing; separate the columns by ','"),
+    (("x;y;z;ux;uy;uz", "0;0;0;0;0;0"), "columns are separated by ';'; separate them by ','"),
     ((HEAD + ",ux", ROW + ",0"), "the column 'ux' is there twice"),
     ((HEAD + ",sx", ROW + ",0"), r"has \['sx'\] only; give sx, sy and sz"),
     ((HEAD + ",sx,sy,sz,sigma", ROW + ",1,1,1,1"), "has both sx,sy,sz and sigma"),
@@ -97,7 +135,7 @@ BAD = [
     ((HEAD, ROW, "0.02,0.02,top,0,0,0"), "line 3: column 'z' holds 'top'; must be a number"),
     ((HEAD, ROW, "0.02,0.02"), "line 3: has 2 cells; the header has 6 columns"),
     ((HEAD, ROW, "0,02,0,02,0,04,0,0,0"), "line 3: has 9 cells; the header has 6"),
-    ((HEAD, "", ROW), "line 2: has 0 cells"),
+    ((HEAD, "", ROW, ROW + ",1"), "line 4: has 7 cells"),
     ((HEAD,), "has a header and no rows"),
     ((HEAD, "0.02,0.02,0.04,nan,nan,nan"), r"not one of its 1 rows has a displacement \(all NaN"),
     ((HEAD, ROW, "nan,0.02,0.04,0,0,0"), "line 3: x, y or z is not a finite number"),
@@ -107,7 +145,7 @@ BAD = [
     ((HEAD + ",vertex", ROW + ",98"), "line 2: vertex is 98; must be a whole number from 0 to 97"),
     ((HEAD + ",vertex", ROW + ",0.5"), "line 2: vertex is 0.5; must be a whole number"),
     ((HEAD + ",vertex", ROW + ",0"), "vertex 0 of the mesh is 0.04899 m from the row's"),
-    (("",), "is empty; its first line must be x,y,z,ux,uy,uz"),
+    (("",), "is empty; give a header x,y,z,ux,uy,uz and a row"),
 ]
 
 
@@ -137,9 +175,28 @@ def test_limit_is_half_an_edge_where_the_mesh_is_coarse(csv_file):
 def test_files_that_cannot_be_read_or_written_are_named(tmp_path, csv_file):
     with pytest.raises(RecordError, match=r"none\.csv: cannot be read"):
         read_displacement(tmp_path / "none.csv", CUBE)
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "binary.csv").write_bytes(b"\x89PNG\x00\x01")
     with pytest.raises(RecordError, match="not a text file"):
         read_displacement(tmp_path / "binary.csv", CUBE)
     field, _ = read_displacement(csv_file(HEAD, ROW), CUBE)
     with pytest.raises(RecordError, match="cannot be written"):
         write_displacement(tmp_path / "none" / "a.csv", field)
+
+
+@pytest.mark.parametrize(("height", "noted"), [(0.0403, False), (0.0404, True)])
+def test_half_a_percent_of_the_object_off_the_surface_is_noted(csv_file, height, noted):
+    """0.005 of the cube's diagonal of 69.3 mm is 0.346 mm."""
+    _, notes = read_displacement(csv_file(HEAD, f"0.02,0.02,{height},0,0,0"), CUBE)
+    assert bool(notes) is noted
+
+
+@pytest.mark.parametrize(("shift", "refused"), [(1.3e-3, False), (1.5e-3, True)])
+def test_a_vertex_may_be_two_percent_of_the_object_away(csv_file, shift, refused):
+    """0.02 of 69.3 mm is 1.386 mm, along the face from the vertex in its middle."""
+    middle = int(np.linalg.norm(CUBE.vertices - [0.02, 0.02, 0.04], axis=1).argmin())
+    path = csv_file(HEAD + ",vertex", f"{0.02 + shift},0.02,0.04,0,0,0,{middle}")
+    if refused:
+        with pytest.raises(RecordError, match=f"vertex {middle} of the mesh is 0.0015 m from"):
+            read_displacement(path, CUBE)
+    else:
+        assert read_displacement(path, CUBE)[0].vertex.tolist() == [middle]

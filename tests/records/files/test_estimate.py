@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 
 from palpate.errors import RecordError
 from palpate.records import Constant, Estimate, ProbeEstimate, Status, read_estimate, write_estimate
@@ -37,6 +38,52 @@ def test_round_trip_is_exact(tmp_path):
     estimate = _estimate()
     write_estimate(tmp_path / "estimate.json", estimate)
     assert read_estimate(tmp_path / "estimate.json") == estimate
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+CONSTANTS = st.builds(
+    lambda value, std, ends: Constant(value, std, (min(ends), max(ends))),
+    FINITE,
+    FINITE,
+    st.tuples(FINITE, FINITE),
+)
+COUNTS = st.integers(0, 10**9)
+PROBES = st.builds(
+    ProbeEstimate,
+    st.text(),
+    CONSTANTS,
+    CONSTANTS,
+    CONSTANTS,
+    COUNTS,
+    COUNTS,
+    COUNTS,
+    FINITE,
+    st.none() | FINITE,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    constants=st.tuples(CONSTANTS, CONSTANTS, CONSTANTS),
+    probes=st.lists(PROBES, max_size=3),
+    status=st.sampled_from(Status),
+    seconds=st.dictionaries(st.text(), FINITE, max_size=3),
+    notes=st.lists(st.text(), max_size=3),
+)
+def test_whatever_is_written_is_read_back(
+    tmp_path_factory, constants, probes, status, seconds, notes
+):
+    path = tmp_path_factory.mktemp("law") / "estimate.json"
+    names = ("shear_modulus", "poisson_ratio", "young_modulus")
+    estimate = _estimate(
+        **dict(zip(names, constants, strict=True)),
+        probes=tuple(probes),
+        status=status,
+        seconds=seconds,
+        notes=tuple(notes),
+    )
+    write_estimate(path, estimate)
+    assert read_estimate(path) == estimate
 
 
 def test_every_key_of_the_format_is_there(tmp_path):

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.spatial.transform import Rotation
 
 from palpate.errors import CalibrationError, InputError, RecordError
 from palpate.records import Camera, Rig
@@ -48,6 +50,39 @@ def _assert_same(one, other):
         np.testing.assert_array_equal(a.distortion, b.distortion)
         # A rotation is made exact once more on reading: rounding.
         np.testing.assert_allclose(a.T_camera_object, b.T_camera_object, rtol=0.0, atol=1e-15)
+
+
+LENGTHS = st.floats(-10.0, 10.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    cameras=st.lists(
+        st.tuples(
+            st.text(min_size=1).filter(str.strip),
+            st.none() | st.tuples(st.integers(1, 10**5), st.integers(1, 10**5)),
+            st.tuples(*[st.floats(1e-3, 1e6)] * 2, *[st.floats(-1e6, 1e6)] * 3),
+            st.lists(st.floats(-100.0, 100.0), max_size=8),
+            st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+            st.tuples(LENGTHS, LENGTHS, LENGTHS),
+        ),
+        min_size=2,
+        max_size=3,
+        unique_by=lambda camera: camera[0],
+    ),
+    data=st.data(),
+)
+def test_whatever_is_written_is_read_back(tmp_path_factory, cameras, data):
+    path = tmp_path_factory.mktemp("law") / "rig.toml"
+    made = []
+    for name, size, (fx, fy, cx, cy, skew), lens, turn, shift in cameras:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+        matrix = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        made.append(Camera(name, size, matrix, np.array(lens), pose))
+    rig = Rig(tuple(made), data.draw(st.integers(0, len(made) - 1)), "rig.toml")
+    write_rig(path, rig)
+    _assert_same(read_rig(path), rig)
 
 
 def test_values_are_the_files_in_metres(toml_file):

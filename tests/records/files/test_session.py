@@ -6,7 +6,7 @@ from surfaces import box, joined, sphere
 
 from palpate.errors import MeshError, RecordError
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas, write_mesh
-from palpate.records import ContactProfile, observed_rows, read_session
+from palpate.records import observed_rows, read_session
 
 
 def test_a_good_session_is_read_in_si_units(session_folder):
@@ -16,7 +16,7 @@ def test_a_good_session_is_read_in_si_units(session_folder):
     assert session.notes == ()
     assert triangle_areas(session.mesh)[session.held_triangles].sum() == pytest.approx(0.04**2)
     first, second = session.probings
-    assert (first.name, first.contact.profile) == ("n01", ContactProfile.SMOOTH)
+    assert (first.name, first.contact.profile) == ("n01", "smooth")
     assert first.contact.radius == 0.006
     assert first.force_std.tolist() == [0.012] * 3
     assert first.tip_displacement_std.tolist() == [5e-5] * 3
@@ -97,7 +97,7 @@ BAD_TEXT = [
     ("[support]", "[suport]", "unknown key 'suport'; did you mean 'support'"),
     ('mesh = "mesh.ply"', 'mesh = "mash.ply"', r"\[object\] mesh: no such file: .*did you mean 'm"),
     ('mesh = "mesh.ply"', "mesh = 3", r"\[object\] mesh: is 3; must be a text"),
-    ("density = 1000.0", "density = -1", "density: is -1.0; must be positive"),
+    ("density = 1000.0", "density = -1", "density is -1.0; must be positive"),
     ("density = 1000.0", "density = nan", "density: is nan; must be a finite number"),
     ("density = 1000.0", "density = true", "density: is True; must be a finite number"),
     ("normal = [0, 0, 2]", "normal = [0, 0, 0]", r"\[support\] plane normal: is the zero vector"),
@@ -107,15 +107,27 @@ BAD_TEXT = [
     ("force = [0, 0, -1.2]", "force = [0, 0, 0]", r"\[\[probe\]\] 'n01': force is zero"),
     ("force = [0, 0, -1.2]", "force = 1.2", r"'n01' force: is 1.2; must be three finite numbers"),
     ("force = [0, 0, -1.2]", "", r"\[\[probe\]\] 'n01': the key 'force' is missing"),
-    ("force_std = 0.012", "force_std = -0.1", "force_std: is -0.1; must not be negative"),
+    (
+        "force_std = 0.012",
+        "force_std = -0.1",
+        r"'n01': force_std is \[-0.1, .*; must not be neg",
+    ),
     ("force_std = 0.012", 'force_std = "1 %"', "force_std: is '1 %'; must be a finite number, or"),
-    ("tip_displacement_std = 5e-5", "tip_displacement_std = 0", "tip_displacement_std: is 0; must"),
+    (
+        "tip_displacement_std = 5e-5",
+        "tip_displacement_std = 0",
+        "tip_displacement_std is .*; must be positive",
+    ),
     ("tip_displacement = [0, 0, -0.0021]", "", "is given without tip_displacement"),
     ("radius = 0.006, ", "", "'n01': radius is missing; profile 'smooth' needs one"),
     ("radius = 0.006", "radius = 0", "'n01': radius is 0.0; must be a positive length"),
     ('"smooth"', '"smoth"', "'n01' contact profile: is 'smoth'; did you mean 'smooth'"),
     ('profile = "vertex"', 'profile = "vertex", radius = 1', "'n02': radius is 1.0 with profile"),
-    ('name = "n02"', 'name = "n01"', "number 2 name: 'n01' is taken by an earlier probing"),
+    (
+        'name = "n02"',
+        'name = "n01"',
+        r"probings share the names \['n01'\]; names",
+    ),
     ('name = "n02"', "", r"\[\[probe\]\] number 2: the key 'name' is missing"),
     ('"n01.csv"', '"n03.csv"', "'n01' displacement: no such file: .*did you mean 'n0"),
     ('displacement = "n02.csv"', "", "'n02' displacement: the key is missing: give the measured"),
@@ -148,14 +160,14 @@ def test_far_side_of_a_thin_object_is_no_contact(session_folder):
 def test_gravity_needs_a_density(edited):
     edited("[[probe]]", "[gravity]\nacceleration = [0, 0, -9.81]\n[[probe]]")
     assert read_session(edited("n01", "n01")).gravity.tolist() == [0.0, 0.0, -9.81]
-    with pytest.raises(RecordError, match=r"\[gravity\] acceleration: gravity needs the object's"):
+    with pytest.raises(RecordError, match="gravity is given without a density; give it in kg"):
         read_session(edited("density = 1000.0", ""))
 
 
 def test_a_session_of_nothing_is_refused(session_folder):
     file = session_folder / "session.toml"
     file.write_text(file.read_text().partition("[[probe]]")[0])
-    with pytest.raises(RecordError, match=r"has no \[\[probe\]\] table"):
+    with pytest.raises(RecordError, match=r"toml: the session has no probings"):
         read_session(session_folder)
 
 

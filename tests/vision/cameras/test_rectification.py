@@ -157,11 +157,11 @@ def test_canvas_holds_the_whole_reference_picture(kind):
 def test_maps_lead_to_the_pixel_with_the_same_ray(kind):
     given = _pair() if kind == "pair" else _triple()
     rectified = rectify_pair(*given, SHAPE) if kind == "pair" else rectify_triple(*given, SHAPE)
-    for before, after, one in zip(given, rectified.cameras, rectified.maps, strict=True):
-        rows, columns = one.shape[1:]
+    for before, after, sources in zip(given, rectified.cameras, rectified.maps, strict=True):
+        rows, columns = sources.shape[1:]
         row, column = np.mgrid[:rows:9, :columns:9].astype(np.float64)
         _, wanted = rays(after, np.stack([column.ravel(), row.ravel()], axis=1))
-        place = one[:, ::9, ::9].reshape(2, -1).T.astype(np.float64)
+        place = sources[:, ::9, ::9].reshape(2, -1).T.astype(np.float64)
         inside = (place > -0.5).all(axis=1) & (place < [SHAPE[1], SHAPE[0]]).all(axis=1)
         assert inside.mean() > 0.4
         _, found = rays(before, place[inside])

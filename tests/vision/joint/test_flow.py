@@ -13,6 +13,8 @@ from vision.scenes import (
     SHAPE,
     example,
     example_views,
+    first_instant,
+    followed,
     make_rig,
     moved_frame,
     noisy_views,
@@ -20,9 +22,8 @@ from vision.scenes import (
 )
 
 from palpate.errors import InputError
-from palpate.vision.joint.flow import joint_flow
-from palpate.vision.joint.scene import make_scene
-from palpate.vision.joint.settings import JointSettings
+from palpate.vision import JointFlow
+from palpate.vision.joint.flow import composed_motion
 from palpate.vision.range_flow import Outcome, is_valid
 
 NOISE = 1.5
@@ -30,19 +31,18 @@ NOISE = 1.5
 LOUD = 4.0
 
 
-def _scene(views, stage=None, *, mesh=None):
-    stage = stage or example()
-    return make_scene(stage.rig, views, *(mesh or stage.mesh()))
+def _state(views, stage=None, method=JointFlow()):
+    return first_instant(stage or example(), views, method)
 
 
-def _flow(scene, views):
-    return next(joint_flow(scene, [views]))
+def _flow(state, views, method=JointFlow()):
+    return next(followed(state, [views], method))
 
 
 def _flows(name, count=3, lens=(), noise=NOISE, seed=1):
     stage = example(count, lens)
-    scene = _scene(noisy_views(example_views("still", count, lens), noise, seed), stage)
-    return _flow(scene, noisy_views(example_views(name, count, lens), noise, 100 + seed))
+    state = _state(noisy_views(example_views("still", count, lens), noise, seed), stage)
+    return _flow(state, noisy_views(example_views(name, count, lens), noise, 100 + seed))
 
 
 def _error(flow, motion):
@@ -103,14 +103,13 @@ def test_errors_are_as_large_as_claimed(name):
 
 @pytest.mark.parametrize("name", ["turn", "bump"])
 def test_fewer_unknowns_of_a_window_leave_less_noise_and_no_bias(flows, name):
-    """What a window does not say itself is its neighbours' word, and true to second order."""
-    stage, motion = example(), MOTIONS[name]
-    scene = _scene(noisy_views(example_views("still"), NOISE, 1), stage)
+    """What a window does not determine itself comes from its neighbours, to second order."""
+    motion = MOTIONS[name]
+    state = _state(noisy_views(example_views("still"), NOISE, 1))
     views = noisy_views(example_views(name), NOISE, 101)
     found = {"affine": flows[name]}
     for shape in ("shift", "quadratic"):
-        settings = JointSettings(shape=shape)
-        found[shape] = next(joint_flow(scene, [views], settings=settings))
+        found[shape] = _flow(state, views, JointFlow(shape=shape))
     good = np.logical_and.reduce([is_valid(flow) for flow in found.values()])
     assert good.sum() > 0.95 * is_valid(flows[name]).sum()
     rms = {}
@@ -209,8 +208,8 @@ ROD = [(0.0, 0.002, 0.0), (-0.03, 0.03, 0.03)]
 def test_a_rod_over_the_surface_is_rejected_and_never_averaged_in(name):
     motion, rig = MOTIONS[name], example().rig
     views = _paint(example_views(name), rig, ROD, 9)
-    scene = _scene(noisy_views(example_views("still"), NOISE, 1))
-    flow = _flow(scene, noisy_views(views, NOISE, 2))
+    state = _state(noisy_views(example_views("still"), NOISE, 1))
+    flow = _flow(state, noisy_views(views, NOISE, 2))
     good = is_valid(flow)
     away = np.stack([_touched(flow, motion, rig, ROD, 9, k) for k in range(3)])
     seen = (away > 15.0).sum(axis=0)
@@ -220,8 +219,8 @@ def test_a_rod_over_the_surface_is_rejected_and_never_averaged_in(name):
     assert covered.sum() > 20
     assert not good[covered].any()
     reasons = flow.outcome[covered]
-    told = (Outcome.SCORE, Outcome.LOST, Outcome.REPROJECTION, Outcome.NEIGHBOURS)
-    assert np.isin(reasons, told).all()
+    changed = (Outcome.SCORE, Outcome.LOST, Outcome.REPROJECTION, Outcome.NEIGHBOURS)
+    assert np.isin(reasons, changed).all()
     assert np.isin(reasons, (Outcome.SCORE, Outcome.LOST)).mean() > 0.8
     # Beside it nothing is lost.
     assert good[(seen == 3) & inside].mean() > 0.98
@@ -231,8 +230,8 @@ def test_a_rod_over_the_surface_is_rejected_and_never_averaged_in(name):
 def test_what_covers_one_camera_costs_that_camera_only():
     motion, rig = MOTIONS["shift"], example().rig
     views = _paint(example_views("shift"), rig, ROD, 9, only=(1,))
-    scene = _scene(noisy_views(example_views("still"), NOISE, 1))
-    flow = _flow(scene, noisy_views(views, NOISE, 2))
+    state = _state(noisy_views(example_views("still"), NOISE, 1))
+    flow = _flow(state, noisy_views(views, NOISE, 2))
     good = is_valid(flow)
     covered = (_touched(flow, motion, rig, ROD, 9, 1) < 3.0) & (_room(flow, motion, rig) > 14.0)
     assert covered.sum() > 60
@@ -260,15 +259,15 @@ def test_a_camera_behind_an_obstacle_of_the_mesh_drops_out():
         box = projected(stage.rig.cameras[1], np.array(corners)).round().astype(np.int32)
         cv2.fillConvexPoly(one[1], box, 200.0)
         views.append(one)
-    scene = _scene(views[0], mesh=mesh)
-    flow = _flow(scene, views[1])
+    state = JointFlow().start_on(stage.rig, views[0], *mesh)
+    flow = _flow(state, views[1])
     motion = MOTIONS["shift"]
     good = is_valid(flow)
-    pixel = projected(stage.rig.cameras[1], scene.point)
+    pixel = projected(stage.rig.cameras[1], state.scene.point)
     behind = (np.abs(pixel - box.mean(axis=0)) < 0.5 * np.ptp(box, axis=0) - 4.0).all(axis=1)
     behind &= _room(flow, motion, stage.rig) > 14.0
     assert behind.sum() > 20
-    assert not scene.seen[behind, 1].any()
+    assert not state.scene.seen[behind, 1].any()
     assert good[behind].mean() > 0.95
     assert (flow.cameras[behind & good] == 2).all()
     assert np.abs(_error(flow, motion)[good] / _sigma(flow)[good]).max() < 6.0
@@ -277,7 +276,7 @@ def test_a_camera_behind_an_obstacle_of_the_mesh_drops_out():
 def test_light_of_one_camera_is_no_matter(flows):
     views = noisy_views(example_views("turn"), NOISE, 101)
     views[1] = (0.7 * views[1] + 20.0).astype(np.float32)
-    flow = _flow(_scene(noisy_views(example_views("still"), NOISE, 1)), views)
+    flow = _flow(_state(noisy_views(example_views("still"), NOISE, 1)), views)
     both = is_valid(flow) & is_valid(flows["turn"])
     assert both.sum() > 0.99 * is_valid(flows["turn"]).sum()
     gap = flow.displacement[both] - flows["turn"].displacement[both]
@@ -308,8 +307,8 @@ def test_another_frame_turns_the_answer(flows):
     vertices, triangles = stage.mesh()
     rig = moved_frame(stage.rig, turn, shift)
     still = noisy_views(example_views("still"), NOISE, 1)
-    scene = make_scene(rig, still, vertices @ turn.T + shift, triangles)
-    flow = _flow(scene, noisy_views(example_views("turn"), NOISE, 101))
+    state = JointFlow().start_on(rig, still, vertices @ turn.T + shift, triangles)
+    flow = _flow(state, noisy_views(example_views("turn"), NOISE, 101))
     both = is_valid(flow) & is_valid(flows["turn"])
     assert both.sum() >= is_valid(flows["turn"]).sum() - 2
     expected = flows["turn"].displacement[both] @ turn.T
@@ -326,8 +325,8 @@ def test_order_of_the_cameras_is_no_matter(flows):
     rig = make_rig(3, reference=1, order=order)
     still = noisy_views(example_views("still"), NOISE, 1)
     later = noisy_views(example_views("turn"), NOISE, 101)
-    scene = make_scene(rig, [still[k] for k in order], *example().mesh())
-    flow = _flow(scene, [later[k] for k in order])
+    state = JointFlow().start_on(rig, [still[k] for k in order], *example().mesh())
+    flow = _flow(state, [later[k] for k in order])
     np.testing.assert_array_equal(flow.pixel, flows["turn"].pixel)
     both = is_valid(flow) & is_valid(flows["turn"])
     assert both.sum() >= is_valid(flows["turn"]).sum() - 2
@@ -338,13 +337,13 @@ def test_order_of_the_cameras_is_no_matter(flows):
 
 def test_a_series_is_measured_against_the_first_instant():
     """Each step as good as alone: nothing accumulates over a motion of 30 px in all."""
-    scene = _scene(noisy_views(example_views("still"), NOISE, 1))
+    state = _state(noisy_views(example_views("still"), NOISE, 1))
     steps = [(2e-3, 0.0, 0.0), (4e-3, 1e-3, 0.0), (6e-3, 1e-3, -1e-3), (8e-3, 2e-3, -1e-3)]
     motions = [lambda points, s=s: np.zeros_like(points) + np.array(s) for s in steps]
     series = [
         noisy_views(example().views(motion), NOISE, 10 + k) for k, motion in enumerate(motions)
     ]
-    for flow, motion in zip(joint_flow(scene, series), motions, strict=True):
+    for flow, motion in zip(followed(state, series), motions, strict=True):
         good = is_valid(flow)
         inside = _room(flow, motion, example().rig) > 14.0
         assert good[inside].mean() > 0.98
@@ -354,15 +353,15 @@ def test_a_series_is_measured_against_the_first_instant():
 
 
 def test_pictures_that_show_something_else_are_rejected():
-    scene = _scene(noisy_views(example_views("still"), NOISE, 1))
+    state = _state(noisy_views(example_views("still"), NOISE, 1))
     other = replace(example(), seed=77).views()
-    flow = _flow(scene, noisy_views(other, NOISE, 2))
+    flow = _flow(state, noisy_views(other, NOISE, 2))
     assert is_valid(flow).mean() < 0.01
 
 
 def test_black_pictures_are_rejected():
-    scene = _scene(noisy_views(example_views("still"), NOISE, 1))
-    flow = _flow(scene, [np.zeros(SHAPE, dtype=np.float32)] * 3)
+    state = _state(noisy_views(example_views("still"), NOISE, 1))
+    flow = _flow(state, [np.zeros(SHAPE, dtype=np.float32)] * 3)
     assert not is_valid(flow).any()
 
 
@@ -370,8 +369,8 @@ def test_a_scene_without_points_gives_a_flow_without_points():
     stage = example()
     vertices, triangles = stage.mesh()
     away = vertices * [0.02, 0.02, 1.0] + [0.2, 0.0, 0.0]
-    scene = make_scene(stage.rig, example_views("still"), away, triangles)
-    flow = _flow(scene, example_views("shift"))
+    state = JointFlow().start_on(stage.rig, example_views("still"), away, triangles)
+    flow = _flow(state, example_views("shift"))
     assert flow.displacement.shape == (0, 3)
 
 
@@ -381,4 +380,25 @@ def test_a_scene_without_points_gives_a_flow_without_points():
 )  # fmt: skip
 def test_settings_out_of_range_are_refused(wrong, text):
     with pytest.raises(InputError, match=text):
-        JointSettings(**wrong)
+        JointFlow(**wrong)
+
+
+def test_one_motion_after_another_multiplies_their_deformations():
+    """Any deformation of the tangent plane, then any of space: F = F2 F1."""
+    rng = np.random.default_rng(3)
+    tangent = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+    plane = rng.normal(0.0, 0.1, (2, 2))
+    extent = np.array([0.004])
+    before, after = np.zeros((2, 1, 6, 3))
+    before[0, 0], after[0, 0] = [1e-3, 2e-3, 3e-3], [-2e-3, 1e-3, 5e-4]
+    # F1 turns the plane by R and stretches it within; the moved tangents are those of R.
+    turn = cv2.Rodrigues(np.array([0.3, -0.2, 0.5]))[0]
+    moved = tangent @ turn.T
+    image = (np.eye(2) + plane) @ moved
+    before[0, 1:3] = extent * (image - tangent)
+    second = np.eye(3) + rng.normal(0.0, 0.1, (3, 3))
+    after[0, 1:3] = extent * (moved @ second.T - moved)
+    whole = composed_motion(before, after, tangent[None], moved[None], extent)
+    np.testing.assert_allclose(whole[0, 0], before[0, 0] + after[0, 0], atol=1e-18)
+    np.testing.assert_allclose(whole[0, 1:3] / extent, image @ second.T - tangent, atol=1e-14)
+    assert not whole[0, 3:].any()

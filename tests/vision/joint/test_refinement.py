@@ -20,29 +20,19 @@ from vision.textures import pixel_grid
 
 from palpate.vision.cameras.projection import packed_camera, project_jacobian
 from palpate.vision.images.spline import make_spline_picture
-from palpate.vision.joint.refinement import (
-    CONVERGED,
-    FEW_CAMERAS,
-    LEFT,
-    NO_TEXTURE,
-    NOT_CONVERGED,
-    First,
-    Limits,
-    Points,
-    refine_joint,
-)
-from palpate.vision.joint.scene import jacobians, make_scene
-from palpate.vision.joint.settings import JointSettings
+from palpate.vision.joint.refinement import Limits, refine_joint
+from palpate.vision.joint.scene import make_scene
 from palpate.vision.joint.window import deformed_frame_kernel, jacobian_kernel
+from palpate.vision.range_flow import Outcome
 
 # No low-pass: white noise stays white, so that the bound and the claim are the same thing.
-PLAIN = JointSettings(smoothing=0.0, shading=False, step=6)
+PLAIN = {"subset": 21, "smoothing": 0.0, "step": 6}
 NOISE = 1.5
 
 
-def _scene(views, stage=None, settings=PLAIN):
+def _scene(views, stage=None):
     stage = stage or example()
-    return make_scene(stage.rig, views, *stage.mesh(), settings=settings)
+    return make_scene(stage.rig, views, *stage.mesh(), **PLAIN)
 
 
 @pytest.fixture(scope="module")
@@ -59,30 +49,22 @@ def _start(scene, motion, seed=0):
 
 
 class Found:
-    """What `refine_joint` returns, by name."""
+    """What `refine_joint` finds for all points of a scene, with names for what is asked most."""
 
-    def __init__(self, scene, views, start, *, use=None, noise=None, bases=3, **limits):
-        known = {"tolerance": 1e-3, "reach": 6.0, "iterations": 25, "least_share": 0.6} | limits
-        pictures = scene.pictures
-        names = ("grey", "along_column", "along_row")
-        (
-            self.motion, self.covariance, self.score, self.left, self.own, self.own_variance,
-            self.rough, self.state,
-        ) = refine_joint(
-            First(
-                scene.packed,
-                *(tuple(getattr(picture, name) for picture in pictures) for name in names),
-                scene.surface,
-                scene.inner,
-            ),
-            tuple(make_spline_picture(view).coefficients for view in views),
-            Points(scene.point, scene.tangent, scene.extent),
-            scene.seen if use is None else use,
+    def __init__(self, scene, views, start, *, use=None, noise=None, **limits):
+        rows, c = np.arange(len(scene.point)), len(scene.pictures)
+        match = refine_joint(
+            scene,
+            rows,
+            [make_spline_picture(view) for view in views],
             start,
-            np.full(len(pictures), NOISE * np.sqrt(2.0)) if noise is None else noise,
-            Limits(half=10, bases=bases, shading=False, **known),
-        )  # fmt: skip
-        self.good = self.state == CONVERGED
+            scene.seen if use is None else use,
+            np.full(c, NOISE * np.sqrt(2.0)) if noise is None else noise,
+            Limits(**{"half": 10, "shading": False} | limits),
+        )
+        for name, value in match._asdict().items():
+            setattr(self, name, value)
+        self.good = self.outcome == Outcome.VALID
         self.displacement = self.motion[:, 0]
 
 
@@ -225,7 +207,7 @@ def test_what_each_camera_alone_would_add_is_as_large_as_claimed(repeated):
     assert 0.2 < ratio.mean() < 1.0
 
 
-def test_a_camera_that_slipped_is_told_by_its_own_word(still):
+def test_a_camera_that_slipped_is_identified_by_what_it_alone_would_add(still):
     """The joint answer is the weighted mean of the cameras'; what is left tells who is off."""
     motion = MOTIONS["shift"]
     views = list(example_views("shift"))
@@ -239,7 +221,7 @@ def test_a_camera_that_slipped_is_told_by_its_own_word(still):
     views[1] = Stage(replace(rig, cameras=cameras), example().height, 3).views(motion)[1]
     found = Found(still, views, _start(still, motion))
     keep = _whole(still, motion, rig) & plain.good & found.good
-    slope = jacobians(rig, still.point)[:, keep]
+    slope = np.stack([project_jacobian(c, still.point[keep])[1] for c in rig.cameras])
     # Cameras of equal weight: u = (sum J^T J)^-1 sum J^T d.
     word = np.zeros((3, keep.sum(), 2))
     word[1] = slip
@@ -259,7 +241,7 @@ def test_light_of_one_camera_is_no_matter(still):
     plain = Found(still, views, start)
     views[1] = (0.7 * views[1] + 25.0).astype(np.float32)
     other = Found(still, views, start)
-    np.testing.assert_array_equal(plain.state, other.state)
+    np.testing.assert_array_equal(plain.outcome, other.outcome)
     good = plain.good
     # Single precision and the last step.
     assert np.abs(other.displacement - plain.displacement)[good].max() < 1e-3 * PITCH
@@ -282,7 +264,7 @@ def test_order_of_the_cameras_does_not_matter(still):
     plain = Found(still, views, start)
     order = [2, 0, 1]
     other = Found(_reordered(still, order), [views[k] for k in order], start)
-    np.testing.assert_array_equal(plain.state, other.state)
+    np.testing.assert_array_equal(plain.outcome, other.outcome)
     # Sums in another order, in double precision.
     np.testing.assert_allclose(other.displacement, plain.displacement, atol=1e-9)
     np.testing.assert_allclose(other.covariance, plain.covariance, rtol=1e-6, atol=1e-20)
@@ -299,13 +281,13 @@ def test_frame_of_the_object_does_not_matter(still):
     vertices, triangles = stage.mesh()
     other = make_scene(
         moved_frame(stage.rig, turn, shift), example_views("still"), vertices @ turn.T + shift,
-        triangles, settings=PLAIN,
+        triangles, **PLAIN,
     )  # fmt: skip
     np.testing.assert_array_equal(other.pixel, still.pixel)
     start = _start(still, MOTIONS["turn"])
     plain = Found(still, example_views("turn"), start)
     found = Found(other, example_views("turn"), start @ turn.T)
-    np.testing.assert_array_equal(found.state, plain.state)
+    np.testing.assert_array_equal(found.outcome, plain.outcome)
     good = plain.good
     expected = plain.displacement[good] @ turn.T
     size = np.linalg.norm(expected, axis=1).mean()
@@ -326,11 +308,11 @@ def test_lengths_in_another_unit_are_lengths_in_another_unit(still):
         for camera, pose in zip(stage.rig.cameras, poses, strict=True)
     )
     rig = replace(stage.rig, cameras=cameras)
-    half = make_scene(rig, example_views("still"), 0.5 * vertices, triangles, settings=PLAIN)
+    half = make_scene(rig, example_views("still"), 0.5 * vertices, triangles, **PLAIN)
     start = _start(still, MOTIONS["strain"])
     plain = Found(still, example_views("strain"), start)
     found = Found(half, example_views("strain"), 0.5 * start)
-    np.testing.assert_array_equal(found.state, plain.state)
+    np.testing.assert_array_equal(found.outcome, plain.outcome)
     # A factor of two is exact in binary.
     np.testing.assert_allclose(found.displacement, 0.5 * plain.displacement, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(found.covariance, 0.25 * plain.covariance, rtol=1e-9, atol=1e-25)
@@ -346,8 +328,8 @@ def test_each_reason_for_nothing(still):
     start[good[1], 2, 1] = np.nan
     start[good[2], 0] += [3e-3, 0.0, 0.0]
     found = Found(still, views, start, use=use)
-    assert found.state[good].tolist() == [
-        FEW_CAMERAS, NOT_CONVERGED, NOT_CONVERGED, *[CONVERGED] * 5
+    assert found.outcome[good].tolist() == [
+        Outcome.HIDDEN, Outcome.LOST, Outcome.LOST, *[Outcome.VALID] * 5
     ]  # fmt: skip
     lost = ~found.good
     for value in (found.motion, found.covariance, found.score, found.left, found.own, found.rough):
@@ -357,11 +339,11 @@ def test_each_reason_for_nothing(still):
     assert not one.good.any()
     away = Found(still, views, _start(still, motion), reach=0.05)
     assert away.good.mean() < 0.02
-    assert (away.state[good] == NOT_CONVERGED).any()
+    assert (away.outcome[good] == Outcome.LOST).any()
 
 
 @pytest.mark.parametrize("shift", [(1e-3, 5e-4, 0.0), (-2e-3, -1e-3, 0.0)])
-def test_windows_that_leave_a_picture_are_told(still, shift):
+def test_windows_that_leave_a_picture_are_outside(still, shift):
     motion = rigid((0.0, 0.0, 0.03), shift)
     found = Found(still, example().views(motion), _start(still, motion))
     after = np.stack(
@@ -372,17 +354,17 @@ def test_windows_that_leave_a_picture_are_told(still, shift):
     used = np.isfinite(found.score)
     # Half a window, turned by 2 degrees, less the pixel that a mirror image makes up for.
     assert room[used].min() > 9.0
-    left = found.state == LEFT
+    left = found.outcome == Outcome.OUTSIDE
     assert left.sum() > 5
     assert (room[left].min(axis=1) < 11.0).all()
 
 
-def test_a_picture_without_texture_at_rest_is_told():
+def test_a_picture_without_texture_at_rest_is_rejected():
     flat = [np.full_like(view, 90.0) for view in example_views("still")]
     scene = _scene(flat)
     found = Found(scene, example_views("still"), np.zeros((len(scene.point), 6, 3)))
     # The sums of squares vanish: no camera has anything to say.
-    assert np.isin(found.state, (NO_TEXTURE, FEW_CAMERAS)).all()
+    assert np.isin(found.outcome, (Outcome.TEXTURE, Outcome.HIDDEN)).all()
 
 
 def test_stripes_say_nothing_along_them():
@@ -395,7 +377,7 @@ def test_stripes_say_nothing_along_them():
     stripes = [one.reshape(SHAPE).astype(np.float32) for one in stripes]
     scene = _scene(stripes)
     found = Found(scene, stripes, np.zeros((len(scene.point), 6, 3)))
-    assert np.isin(found.state, (CONVERGED, NO_TEXTURE, FEW_CAMERAS, NOT_CONVERGED, LEFT)).all()
+    assert np.isin(found.outcome, range(5)).all()
     sigma = np.sqrt(np.einsum("nii->ni", found.covariance[found.good]))
     assert not (sigma[:, 1] < 0.1 * PITCH).any()
     assert (sigma[:, 1] > 10.0 * sigma[:, 0]).all()

@@ -12,27 +12,25 @@ from vision.scenes import (
     SHAPE,
     example,
     example_views,
+    first_instant,
+    followed,
     noisy_views,
     projected,
 )
 
 from palpate.geometry import vertex_normals
-from palpate.vision.joint.flow import joint_flow
-from palpate.vision.joint.scene import make_scene
-from palpate.vision.joint.settings import JointSettings
+from palpate.vision import JointFlow
 from palpate.vision.joint.vertices import vertex_displacement
 from palpate.vision.range_flow import Outcome, is_valid
 
 NOISE = 3.0
 
 
-def _flow(name, *, noise=NOISE, settings=None, lens=(), seed=1):
-    settings = settings or JointSettings()
+def _flow(name, *, noise=NOISE, method=JointFlow(), lens=(), seed=1):
     stage = example(3, lens)
     still = noisy_views(example_views("still", 3, lens), noise, seed)
     later = noisy_views(example_views(name, 3, lens), noise, seed + 50)
-    scene = make_scene(stage.rig, still, *stage.mesh(), settings=settings)
-    return next(joint_flow(scene, [later], settings=settings))
+    return next(followed(first_instant(stage, still, method), [later], method))
 
 
 def _camera():
@@ -60,19 +58,19 @@ def test_errors_are_small_and_as_large_as_claimed(mesh, name):
     square = []
     for seed in (1, 2):
         found = vertex_displacement(_flow(name, seed=seed), _camera(), vertices, triangles)
-        told = np.isfinite(found.displacement).all(axis=1)
+        measured = np.isfinite(found.displacement).all(axis=1)
         inside = _inside(vertices, 22.0)
-        assert told[inside].all()
-        error = (found.displacement - motion(vertices))[told]
+        assert measured[inside].all()
+        error = (found.displacement - motion(vertices))[measured]
         square.append(
-            np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance[told]), error) / 3.0
+            np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance[measured]), error) / 3.0
         )
-        sigma = np.sqrt(np.einsum("nii->ni", found.covariance[told]))
-        assert np.abs(error / sigma)[inside[told]].max() < 6.0
+        sigma = np.sqrt(np.einsum("nii->ni", found.covariance[measured]))
+        assert np.abs(error / sigma)[inside[measured]].max() < 6.0
         # Beyond the last points quadratics are extrapolated: the claim is itself a guess.
         assert np.abs(error / sigma).max() < 10.0
         # Twice the noise of the usual 1.5: 0.014 px, three times that in depth, less by smoothing.
-        within = error[inside[told]]
+        within = error[inside[measured]]
         assert np.sqrt((within[:, :2] ** 2).mean()) < 0.016 * PITCH
         assert np.sqrt((within[:, 2] ** 2).mean()) < 0.05 * PITCH
     # 5 % from chance; a bias of 0.005 px is claimed on top of the noise that is really there, and
@@ -85,31 +83,31 @@ def test_without_noise_vertices_are_exact_through_lenses_too(mesh):
     flow = _flow("turn", noise=0.0, lens=LENS)
     camera = example(3, LENS).rig.cameras[0]
     found = vertex_displacement(flow, camera, vertices, triangles)
-    told = np.isfinite(found.displacement).all(axis=1)
-    told &= _inside(vertices, 22.0)
-    error = (found.displacement - MOTIONS["turn"](vertices))[told]
+    measured = np.isfinite(found.displacement).all(axis=1)
+    measured &= _inside(vertices, 22.0)
+    error = (found.displacement - MOTIONS["turn"](vertices))[measured]
     # A thousandth of a pixel, three in depth; rigid motion is exact on the dome.
     assert np.sqrt((error**2).mean(axis=0)).max() < 3e-3 * PITCH
 
 
-def test_only_vertices_among_points_are_told_and_all_are_counted(mesh):
+def test_only_vertices_among_points_are_measured_and_all_are_counted(mesh):
     vertices, triangles = mesh
     flow = _flow("shift")
     found = vertex_displacement(flow, _camera(), vertices, triangles)
-    told = np.isfinite(found.displacement).all(axis=1)
-    np.testing.assert_array_equal(told, np.isfinite(found.covariance).all(axis=(1, 2)))
+    measured = np.isfinite(found.displacement).all(axis=1)
+    np.testing.assert_array_equal(measured, np.isfinite(found.covariance).all(axis=(1, 2)))
     valid = flow.point[is_valid(flow)]
-    assert (found.count[told] >= 12).all()
+    assert (found.count[measured] >= 12).all()
     # The radius, 12 px, may double where there are few.
     nearest = np.linalg.norm(vertices[:, None] - valid, axis=2).min(axis=1)
-    assert not told[nearest > 25.0 * PITCH].any()
+    assert not measured[nearest > 25.0 * PITCH].any()
     assert not found.count[nearest > 25.0 * PITCH].any()
     near = (np.linalg.norm(vertices[:, None] - valid, axis=2) < 12.0 * PITCH).sum(axis=1)
     inside = _inside(vertices, 25.0)
     np.testing.assert_allclose(found.count[inside].mean(), near[inside].mean(), rtol=0.15)
 
 
-def test_vertices_that_face_away_are_not_told(mesh):
+def test_vertices_that_face_away_are_not_measured(mesh):
     vertices, triangles = mesh
     flow = _flow("shift")
     found = vertex_displacement(flow, _camera(), vertices, triangles[:, ::-1])
@@ -118,7 +116,7 @@ def test_vertices_that_face_away_are_not_told(mesh):
     assert not found.count.any()
 
 
-def test_rejected_points_have_no_say(mesh):
+def test_rejected_points_do_not_count(mesh):
     vertices, triangles = mesh
     flow = _flow("shift")
     plain = vertex_displacement(flow, _camera(), vertices, triangles)
@@ -143,11 +141,11 @@ def test_rejected_points_have_no_say(mesh):
 def test_sparse_points_and_small_windows_reach_the_vertices_too(mesh, settings):
     """The radius must hold enough points whatever their spacing."""
     vertices, triangles = mesh
-    flow = _flow("shift", noise=1.0, settings=JointSettings(**settings))
+    flow = _flow("shift", noise=1.0, method=JointFlow(**settings))
     assert is_valid(flow).mean() > 0.5
     found = vertex_displacement(flow, _camera(), vertices, triangles)
-    told = np.isfinite(found.displacement).all(axis=1)
-    assert told[_inside(vertices, 30.0)].all()
+    measured = np.isfinite(found.displacement).all(axis=1)
+    assert measured[_inside(vertices, 30.0)].all()
 
 
 def test_normals_of_a_sphere_are_its_radii():

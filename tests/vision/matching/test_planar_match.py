@@ -6,7 +6,7 @@ from vision.textures import Speckle, affine, inverse_quadratic, pixel_grid, turn
 
 from palpate.errors import InputError
 from palpate.vision.images.spline import make_spline_picture
-from palpate.vision.matching.planar_match import PlanarSettings, refine_planar
+from palpate.vision.matching.planar_match import refine_planar
 
 SHAPE = (190, 260)
 CENTRE = (130.0, 95.0)
@@ -39,7 +39,7 @@ def _match(first, second, start, *, points=POINTS, gradient=None, **options):
         points,
         start,
         start_gradient=gradient,
-        settings=PlanarSettings(**options),
+        **options,
     )
 
 
@@ -191,19 +191,6 @@ def test_light_that_changes_is_no_matter(rest, moved):
     np.testing.assert_allclose(other.covariance, plain.covariance, rtol=1e-2, atol=1e-9)
 
 
-def test_a_gain_that_varies_over_the_window_is_no_matter_where_it_is_allowed(rest, moved):
-    """Light that grows by a tenth over a window, bent so that the gain is not all of it."""
-    truth = WARPS["shift"].displacement(POINTS)
-    column, row = pixel_grid(SHAPE).transpose(2, 0, 1)
-    light = np.exp(0.005 * (column - 130.0) - 0.004 * (row - 95.0))
-    second = (0.5 * light * moved["shift"]).astype(np.float32)
-    wrong = _match(rest, second, truth).displacement - truth
-    error = _match(rest, second, truth, shading=True).displacement - truth
-    # What bends in the light is the square of a twentieth over two, a thousandth of the contrast.
-    assert np.sqrt((error**2).mean()) < 2e-3
-    assert np.sqrt((wrong**2).mean()) > 5.0 * np.sqrt((error**2).mean())
-
-
 def test_pictures_that_change_places_give_minus_the_motion(rest):
     """Shift by whole pixels: the same pixels are compared, so the noise is the same too."""
     step = np.array([3.0, -2.0])
@@ -256,14 +243,19 @@ def test_a_flat_or_negative_later_picture_is_not_found(rest):
     assert not (match.score > 0.8).any()
 
 
-def test_what_leaves_its_start_is_lost(rest):
-    second = TEXTURE.image(affine(np.eye(2), (2.0, 0.0), CENTRE))
-    truth = np.tile([2.0, 0.0], (len(POINTS), 1))
-    start = truth + np.array([0.9, 0.0])
-    assert _match(rest, second, start, reach=1.0).converged.mean() > 0.9
-    match = _match(rest, second, start, reach=0.5)
-    assert not match.converged.any()
-    assert not _match(rest, second, start, iterations=1).converged.any()
+def test_what_leaves_its_start_is_lost():
+    """Speckles so wide that windows are drawn over any distance; 8 px is the farthest allowed."""
+    wide = Speckle(SHAPE, 3, 12.0)
+    first, second = wide.image(), wide.image(affine(np.eye(2), (7.5, 0.0), CENTRE))
+    points = POINTS[np.linalg.norm(POINTS - CENTRE, axis=1) < 40.0]
+    near = _match(first, second, np.zeros_like(points), points=points, shape="shift", subset=41)
+    good = near.converged
+    # The others overshoot on their way.
+    assert good.sum() > 20
+    np.testing.assert_allclose(near.displacement[good], [[7.5, 0.0]] * good.sum(), atol=0.02)
+    farther = np.tile([-1.0, 0.0], (len(points), 1))
+    lost = _match(first, second, farther, points=points, shape="shift", subset=41)
+    assert not lost.converged[good].any()
 
 
 def test_windows_that_come_into_the_picture_are_not_found(rest):
@@ -287,4 +279,4 @@ def test_no_points_are_no_trouble(rest):
 @pytest.mark.parametrize("subset", [-1, 0, 3, 4, 20])
 def test_even_or_tiny_subsets_are_refused(subset):
     with pytest.raises(InputError, match=f"subset is {subset}"):
-        PlanarSettings(subset=subset)
+        _match(TEXTURE.image(), TEXTURE.image(), np.zeros((len(POINTS), 2)), subset=subset)

@@ -9,6 +9,7 @@ from vision.scenes import LENS, STILL, example, example_views, noisy_views, proj
 from palpate.errors import InputError
 from palpate.vision.images.features import find_features, prepare_pictures
 from palpate.vision.images.normalisation import make_normalised_image
+from palpate.vision.stereo import pair_disparity
 from palpate.vision.stereo.pair_disparity import _planes, _row_offset, stereo_start
 
 
@@ -62,6 +63,19 @@ def test_rows_that_differ_are_corrected_from_features():
     assert found.mean() > 0.9
     gap = np.linalg.norm(start.displacement - displacement, axis=1)[found]
     assert np.percentile(gap, 90.0) < 1.0
+
+
+def test_halved_pictures_give_the_same_to_a_pixel(monkeypatch):
+    """Half as many disparities of half the resolution: twice the error."""
+    stage, pictures = _pair(2, ())
+    whole = stereo_start(pictures, 1, PIXEL, half=10)
+    monkeypatch.setattr(pair_disparity, "_MAX_WORK", 1_500_000)
+    halved = stereo_start(pictures, 1, PIXEL, half=10)
+    truth, _ = _truth(stage, PIXEL, 1)
+    both = np.isfinite(whole.displacement + halved.displacement).all(axis=1)
+    assert both.mean() > 0.8
+    assert np.abs(halved.displacement - whole.displacement)[both].max() > 0.05
+    assert np.percentile(np.abs(halved.displacement - truth)[both], 95.0) < 1.0
 
 
 def test_too_few_features_are_refused():

@@ -5,7 +5,7 @@ import pytest
 from vision.textures import Speckle, affine, noisy, pixel_grid, turned
 
 from palpate.vision.images.spline import make_spline_picture
-from palpate.vision.matching.planar_match import PlanarSettings, refine_planar
+from palpate.vision.matching.planar_match import refine_planar
 from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.pair_disparity import StereoStart
 from palpate.vision.stereo.window_matches import (
@@ -203,9 +203,8 @@ def test_residual_is_the_noise_and_contrast_is_the_least_beside_the_middle():
     reference = make_spline_picture(first)
     points = np.array([[40.0, 30.0], [40.0, 60.0], [52.0, 80.0], [64.0, 50.0]])
     match = refine_planar(
-        reference, make_spline_picture(second), points, np.zeros((4, 2)),
-        settings=PlanarSettings(subset=21),
-    )  # fmt: skip
+        reference, make_spline_picture(second), points, np.zeros((4, 2)), subset=21
+    )
     residual, beside = _contrast(reference, points, match, 21)
     # 441 pixels fix a standard deviation to 3.4 %; the match takes six of them.
     np.testing.assert_allclose(residual, sigma, rtol=0.12)

@@ -1,11 +1,10 @@
 """`palpate compression`: Young's modulus of cylinders pressed between plates."""
 
-import json
 import math
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -21,7 +20,14 @@ from palpate.probe import (
     metres_from_text,
     read_compression,
 )
-from palpate.records import Constant, constant_text, interval_text, modulus_unit, placed_files
+from palpate.records import (
+    Constant,
+    constant_text,
+    interval_text,
+    json_text,
+    modulus_unit,
+    placed_files,
+)
 
 
 def compression(
@@ -129,16 +135,7 @@ def _write(path: Path, results: list[CompressionResult]) -> None:
         "specimens": [asdict(result) for result in results],
     }
     with placed_files([path]) as (staged,):
-        staged.write_text(json.dumps(_finite(record), indent=1, allow_nan=False) + "\n")
-
-
-def _finite(value: Any) -> Any:
-    """The same record with None in place of numbers that JSON does not know."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        staged.write_text(json_text(record), encoding="utf-8")
 
 
 def _table(results: list[CompressionResult]) -> Table:

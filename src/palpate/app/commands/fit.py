@@ -69,7 +69,7 @@ def fit(
     Returns
     -------
     int
-        0, or 3 where a constant cannot be told by the data.
+        0, or 3 where the data do not determine a constant.
     """
     console = Console()
     # The target is tried first: no one should wait for a result that cannot be kept.
@@ -109,10 +109,10 @@ def fit(
 
 def _with_motion(session: Session, progress: Progress) -> Session:
     """The session with displacements measured from the pictures where there is no file of them."""
-    blind = [one.name for one in session.probings if one.displacement is None and one.images]
-    if not blind:
+    unread = [p.name for p in session.probings if p.displacement is None and p.images]
+    if not unread:
         return session
-    flow = measure_motion(session, probes=blind, progress=progress)
+    flow = measure_motion(session, probes=unread, progress=progress)
     print_notes(flow.notes)
     return with_measured_displacement(session, flow)
 

@@ -4,9 +4,9 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -15,11 +15,10 @@ from rich.markup import escape
 from palpate.app.terminal import flow_table, print_notes, progress_bar
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
+    FLOW_METHODS,
     MeasuredMotion,
     MotionFigures,
-    MotionSettings,
     SessionFlow,
-    failed_figures,
     file_stems,
     measure_motion,
     motion_figures,
@@ -30,23 +29,25 @@ from palpate.pipeline import (
     write_vertices,
 )
 from palpate.progress import Progress
-from palpate.records import Session, default_folder, disk_errors, read_session, result_folder
-from palpate.vision import SurfaceMap, dense_maps, surface_map
+from palpate.records import (
+    Rig,
+    Session,
+    default_folder,
+    disk_errors,
+    read_session,
+    result_folder,
+)
+from palpate.shapes import Flags
+from palpate.vision import surface_map
 
+if TYPE_CHECKING:
+    MethodName = str
+else:
+    # The names that are registered; a type checker cannot read them.
+    MethodName = Literal[tuple(FLOW_METHODS)]
 _NOT_OK = 3
 # Before this a rate says more about the start than about the work [s].
 _RATE_STARTS = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Context:
-    """What the files of all motions of a session share."""
-
-    folder: Path
-    session: Session
-    found: SessionFlow
-    metres_per_unit: float
-    pictures: bool
 
 
 def flow(
@@ -55,7 +56,7 @@ def flow(
     *,
     out: Path | None = None,
     probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
-    method: Literal["joint", "lang-pai"] = "joint",
+    method: MethodName = "joint",
     pose: Literal["auto", "given", "register"] = "auto",
     subset: int | None = None,
     step: int | None = None,
@@ -96,7 +97,9 @@ def flow(
         0, or 3 where a step failed or nothing could be measured in it.
     """
     target = out or default_folder(session, "flow")
-    settings = _settings(MotionSettings(method=method, pose=pose), subset, step)
+    asked = {"subset": subset, "step": step}
+    options = {name: value for name, value in asked.items() if value is not None}
+    chosen = FLOW_METHODS[method](**options)
     # The target is tried first: no one should wait for a result that cannot be kept.
     with result_folder(target) as folder:
         given = read_session(session, probes=probe)
@@ -104,10 +107,15 @@ def flow(
         start = time.perf_counter()
         with progress_bar() as progress:
             report = _with_rate(progress, _instants(given))
-            found = measure_motion(given, settings=settings, progress=report)
+            found = measure_motion(given, method=chosen, pose=pose, progress=report)
             seconds = time.perf_counter() - start
-            context = _Context(folder, given, found, given.metres_per_unit, pictures)
-            figures = _write(context, settings, seconds, progress)
+            settings = {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)}
+            heading = {"session": given.name, "settings": settings}
+            with disk_errors(folder):
+                figures = _write(
+                    folder, given, found, progress, heading=heading, measuring=seconds,
+                    pictures=pictures,
+                )  # fmt: skip
     print_notes(note for note in found.notes if note not in given.notes)
     console = Console()
     console.print(flow_table(figures, found.rig))
@@ -116,97 +124,64 @@ def flow(
     return _NOT_OK if _complaints(figures) else 0
 
 
-def _settings(settings: MotionSettings, subset: int | None, step: int | None) -> MotionSettings:
-    """Settings with the window and the spacing that were asked for, for the chosen method."""
-    asked = {"subset": subset, "step": step}
-    changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
-    if settings.method == "joint":
-        return replace(settings, joint=replace(settings.joint, **changes))
-    return replace(settings, lang_pai=replace(settings.lang_pai, **changes))
-
-
 def _write(
-    context: _Context, settings: MotionSettings, seconds: float, progress: Progress
+    folder: Path,
+    session: Session,
+    found: SessionFlow,
+    progress: Progress,
+    *,
+    heading: dict[str, Any],
+    measuring: float,
+    pictures: bool,
 ) -> list[MotionFigures]:
-    """All files of the result."""
-    start = time.perf_counter()
-    with disk_errors(context.folder):
-        report = _with_rate(progress, len(context.found.motions))
-        figures, files = _write_motions(context, report)
-        heading = {
-            "session": context.session.name,
-            "settings": asdict(settings),
-            "csv_metres_per_unit": context.metres_per_unit,
-            "seconds": {"measuring": seconds, "writing": time.perf_counter() - start},
-            "notes": list(dict.fromkeys([*context.session.notes, *context.found.notes])),
-        }
-        path = context.folder / "flow.json"
-        write_flow_document(path, figures, files, context.found.rig, heading)
+    """All files of the result; figures of every motion, in order."""
+    start, count = time.perf_counter(), len(found.motions)
+    report = _with_rate(progress, count)
+    stems = file_stems([motion.name for motion in found.motions])
+    camera, mesh = found.rig.cameras[found.rig.reference], session.mesh
+    surfaces = {
+        (rows, columns): surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
+        for rows, columns in {motion.first.shape for motion in found.motions}
+    }
+    figures, files = [], []
+    for k, (motion, stem) in enumerate(zip(found.motions, stems, strict=True)):
+        report(f"writing {motion.name}, {k + 1} of {count}", k / count)
+        surface = surfaces[motion.first.shape]
+        seen = seen_vertices(surface, mesh)
+        figures.append(motion_figures(motion, found.rig, seen))
+        files.append(_write_motion(folder / stem, session, found.rig, motion, seen))
+        if pictures and motion.flow is not None:
+            view = make_flow_view(motion.first, camera, surface, mesh)
+            files[-1]["picture"], files[-1]["quality"] = write_flow_pictures(
+                folder, stem, motion.name, motion.flow, motion.vertices, view
+            )
+    heading |= {
+        "csv_metres_per_unit": session.metres_per_unit,
+        "seconds": {"measuring": measuring, "writing": time.perf_counter() - start},
+        "notes": list(dict.fromkeys([*session.notes, *found.notes])),
+    }
+    write_flow_document(folder / "flow.json", figures, files, found.rig, heading)
     return figures
 
 
-def _write_motions(
-    context: _Context, report: Progress
-) -> tuple[list[MotionFigures], list[dict[str, str]]]:
-    """Files and figures of every motion, in order."""
-    motions = context.found.motions
-    stems = file_stems([motion.name for motion in motions])
-    maps: dict[tuple[int, int], SurfaceMap] = {}
-    figures, files = [], []
-    for number, (motion, stem) in enumerate(zip(motions, stems, strict=True)):
-        report(f"writing {motion.name}, {number + 1} of {len(motions)}", number / len(motions))
-        shape = (motion.first.shape[0], motion.first.shape[1])
-        if shape not in maps:
-            maps[shape] = _surface(context, shape)
-        one, names = _write_motion(context, motion, maps[shape], stem)
-        figures.append(one)
-        files.append(names)
-    return figures, files
-
-
-def _surface(context: _Context, shape: tuple[int, int]) -> SurfaceMap:
-    """What the reference camera sees of the mesh."""
-    rig, mesh = context.found.rig, context.session.mesh
-    return surface_map(rig.cameras[rig.reference], shape, mesh.vertices, mesh.triangles)
-
-
 def _write_motion(
-    context: _Context, motion: MeasuredMotion, surface: SurfaceMap, stem: str
-) -> tuple[MotionFigures, dict[str, str]]:
-    """Figures of one motion, and the names of its files by what they are."""
-    folder, mesh, rig = context.folder, context.session.mesh, context.found.rig
+    stem: Path, session: Session, rig: Rig, motion: MeasuredMotion, seen: Flags
+) -> dict[str, str]:
+    """The files of one motion without its pictures: their names by what they are."""
     if motion.flow is None:
-        failed = failed_figures(motion.name, len(rig.cameras))
-        return _placed(failed, motion, motion.failure or "nothing was measured"), {}
-    camera, names = rig.cameras[rig.reference], [camera.name for camera in rig.cameras]
-    seen = seen_vertices(surface, mesh)
-    files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
-    write_flow_npz(
-        folder / files["range_flow"], motion.flow, name=motion.name, cameras=names,
-        dense=dense_maps(motion.flow),
-    )  # fmt: skip
-    write_flow_vtp(folder / files["points"], motion.flow, camera)
+        return {}
+    files = {"range_flow": f"{stem.name}_flow.npz", "points": f"{stem.name}_flow.vtp"}
+    names = [camera.name for camera in rig.cameras]
+    flow_file, points_file = (stem.with_name(name) for name in files.values())
+    write_flow_npz(flow_file, motion.flow, name=motion.name, cameras=names)
+    write_flow_vtp(points_file, motion.flow, rig.cameras[rig.reference])
     if motion.vertices is not None:
-        files["vertices"] = f"{stem}.csv"
+        files["vertices"] = f"{stem.name}.csv"
         write_vertices(
-            folder / files["vertices"],
-            mesh,
-            motion.vertices,
-            seen=seen,
-            metres_per_unit=context.metres_per_unit,
-        )
-    if context.pictures:
-        view = make_flow_view(motion.first, camera, surface, mesh)
-        files["picture"], files["quality"] = write_flow_pictures(
-            folder, stem, motion.name, motion.flow, motion.vertices, view
-        )
-    figures = motion_figures(motion.name, motion.flow, motion.vertices, seen=seen, camera=camera)
-    return _placed(figures, motion, motion.failure), files
-
-
-def _placed(figures: MotionFigures, motion: MeasuredMotion, failure: str | None) -> MotionFigures:
-    """Figures with the motion's place in the session."""
-    return replace(figures, probing=motion.probing, last=motion.last, failure=failure)
+            stem.with_name(files["vertices"]), session.mesh, motion.vertices, seen=seen,
+            metres_per_unit=session.metres_per_unit,
+        )  # fmt: skip
+    return files
 
 
 def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
@@ -226,18 +201,17 @@ def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
 
 def _complaints(figures: Sequence[MotionFigures]) -> int:
     """Say what failed, on stderr; how many motions did."""
-    count = 0
+    failures = {f.name: f.failure for f in figures if f.failure is not None}
     for f in figures:
-        said = f.failure
-        if said is None and f.measured == 0:
-            said = (
+        if f.measured == 0:
+            failures.setdefault(
+                f.name,
                 f"not one vertex could be followed ({f.valid} of {f.points} points valid);"
-                " the table and the pictures say why"
+                " the table and the pictures say why",
             )
-        if said is not None:
-            print(f"palpate: {f.name}: {said}", file=sys.stderr)
-            count += 1
-    return count
+    for name, failure in failures.items():
+        print(f"palpate: {name}: {failure}", file=sys.stderr)
+    return len(failures)
 
 
 def _instants(session: Session) -> int:

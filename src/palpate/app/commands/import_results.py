@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import Parameter
@@ -17,21 +17,29 @@ from palpate.pipeline import survey_field
 from palpate.records import (
     ImportedField,
     ImportItem,
-    SessionOutline,
+    Session,
     displacement_line,
+    import_kinds,
     import_plan,
+    kinds_text,
+    named_displacements,
     on_object,
     on_surface,
     placed_files,
     read_import_pose,
     read_measured,
-    read_session_outline,
+    read_session,
+    require_probings,
     result_folder,
     with_displacements,
     write_displacement,
 )
 
-_Kind = Literal["dice", "vic3d", "matchid", "pyvale", "opencorr", "multidic", "duodic", "vtu"]
+if TYPE_CHECKING:
+    _Kind = str
+else:
+    # The choices are those of the list of programs, which a type checker cannot know.
+    _Kind = Literal[tuple(import_kinds())]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +52,7 @@ class _Import:
 
 
 def import_displacements(
-    kind: _Kind,
+    kind: Annotated[_Kind, Parameter(help=f"The program: {kinds_text()}.")],
     files: Annotated[list[Path], Parameter(consume_multiple=True, negative="")],
     /,
     *,
@@ -64,9 +72,6 @@ def import_displacements(
 
     Parameters
     ----------
-    kind
-        The program: dice (.txt, .e), vic3d (.csv), matchid (.csv), pyvale (.csv, .dic3d),
-        opencorr (.csv), multidic or duodic (.mat), vtu.
     files
         Result files, and last the session: its folder, or a session file in it.
     probe
@@ -76,7 +81,7 @@ def import_displacements(
         TOML file with the place of the program's frame: length_unit, R and t (or T, 4 x 4), where
         x_object = R x_file + t. Default: both frames are the same.
     length_unit
-        Unit of the files, where they do not tell. Default: mm, but vtu must be told.
+        Unit of the files, where they do not say. Default: mm; vtu has no default.
     frame
         State to read from files that hold several, from 0; one for all, or one for each probing.
         Default: the last one.
@@ -87,20 +92,20 @@ def import_displacements(
     out
         Write the CSV files into this result folder instead, and leave the session as it is.
     """
-    outline, plan = _targets(files, probe, frame, replace=replace or out is not None)
+    session, plan = _targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
-    print_notes((*outline.notes, *notes))
+    print_notes((*session.notes, *notes))
     done = []
     for item in plan:
         measured = read_measured(kind, item.file, length_unit=length_unit, frame=item.frame)
         placed = on_object(measured, pose) if to_object is not None else measured
-        imported = on_surface(placed, outline.mesh, drop_off_surface=drop_off_surface)
-        done.append(_Import(item.probe.name, item.file, imported))
+        imported = on_surface(placed, session.mesh, drop_off_surface=drop_off_surface)
+        done.append(_Import(item.probe, item.file, imported))
     if out is None:
-        _write_into_session(outline, done, replace=replace)
+        _write_into_session(session, done, replace=replace)
     else:
-        _write_aside(outline, done, out)
-    _report(outline, done, out)
+        _write_aside(session, done, out)
+    _report(session, done, out)
     return 0
 
 
@@ -110,32 +115,39 @@ def _targets(
     frames: Sequence[int] | None,
     *,
     replace: bool,
-) -> tuple[SessionOutline, tuple[ImportItem, ...]]:
+) -> tuple[Session, tuple[ImportItem, ...]]:
     """The session and what goes where; refused before anything is read of the files."""
     if len(files) < 2:
         raise InputError(
             "give the result files and then the session, before the options:"
             " palpate import KIND FILE... SESSION"
         )
-    outline = read_session_outline(files[-1])
-    plan = import_plan(outline, files[:-1], probes=probes, frames=frames)
-    for target in (item.probe for item in plan):
-        if Path(target.name).name != target.name or target.name.startswith("."):
+    if not files[-1].is_dir() and files[-1].suffix.lower() != ".toml":
+        raise InputError(
+            f"{files[-1]}: is no session; name its folder, or its session.toml, after the files and"
+            " before the options"
+        )
+    session = read_session(files[-1], observations=False)
+    require_probings(session)
+    plan = import_plan(session, files[:-1], probes=probes, frames=frames)
+    named = named_displacements(session.path)
+    for name in (item.probe for item in plan):
+        if Path(name).name != name or name.startswith("."):
             raise InputError(
-                f"{outline.path}: the probing '{target.name}' cannot give a file its name;"
+                f"{session.path}: the probing '{name}' cannot give a file its name;"
                 " rename it: letters, digits, - and _"
             )
-        if target.displacement is not None and not replace:
+        if name in named and not replace:
             raise InputError(
-                f"{outline.path}: the probing '{target.name}' already has displacement ="
-                f' "{target.displacement}"; use --replace, or write elsewhere with --out'
+                f"{session.path}: the probing '{name}' already has displacement ="
+                f' "{named[name]}"; use --replace, or write elsewhere with --out'
             )
-    return outline, plan
+    return session, plan
 
 
-def _write_into_session(outline: SessionOutline, done: Sequence[_Import], *, replace: bool) -> None:
+def _write_into_session(session: Session, done: Sequence[_Import], *, replace: bool) -> None:
     """The CSV files and the session that names them, together or not at all."""
-    folder = outline.path.parent
+    folder = session.path.parent
     targets = [folder / _csv_name(item) for item in done]
     for target, item in zip(targets, done, strict=True):
         if target.exists() and target.samefile(item.file):
@@ -148,24 +160,24 @@ def _write_into_session(outline: SessionOutline, done: Sequence[_Import], *, rep
                 f"{target}: is there already; use --replace, or write elsewhere with --out"
             )
     # Bytes, so that line ends stay as they are.
-    text = outline.path.read_bytes().decode("utf-8")
+    text = session.path.read_bytes().decode("utf-8")
     mark = "\ufeff" if text.startswith("\ufeff") else ""
     names = {item.name: _csv_name(item) for item in done}
-    edited = mark + with_displacements(outline.path, text.removeprefix(mark), names)
-    with placed_files([*targets, outline.path]) as staged:
+    edited = mark + with_displacements(text.removeprefix(mark), names)
+    with placed_files([*targets, session.path]) as staged:
         for path, item in zip(staged, done, strict=False):
-            write_displacement(path, item.imported.field, metres_per_unit=outline.metres_per_unit)
+            write_displacement(path, item.imported.field, metres_per_unit=session.metres_per_unit)
         staged[-1].write_bytes(edited.encode("utf-8"))
 
 
-def _write_aside(outline: SessionOutline, done: Sequence[_Import], out: Path) -> None:
+def _write_aside(session: Session, done: Sequence[_Import], out: Path) -> None:
     """The CSV files in a result folder."""
     with result_folder(out) as folder:
         for item in done:
             write_displacement(
                 folder / _csv_name(item),
                 item.imported.field,
-                metres_per_unit=outline.metres_per_unit,
+                metres_per_unit=session.metres_per_unit,
             )
 
 
@@ -173,7 +185,7 @@ def _csv_name(item: _Import) -> str:
     return f"{item.name}.csv"
 
 
-def _report(outline: SessionOutline, done: Sequence[_Import], out: Path | None) -> None:
+def _report(session: Session, done: Sequence[_Import], out: Path | None) -> None:
     """What was read and where it went."""
     console = Console()
     console.print(_table(done))
@@ -182,9 +194,9 @@ def _report(outline: SessionOutline, done: Sequence[_Import], out: Path | None) 
     for item in done:
         name = _csv_name(item)
         if out is None:
-            line = f"{outline.path}, probing '{item.name}': {displacement_line(name)}"
+            line = f"{session.path}, probing '{item.name}': {displacement_line(name)}"
         else:
-            file = os.path.relpath(out / name, outline.path.parent)
+            file = os.path.relpath(out / name, session.path.parent)
             line = f"Add to probing '{item.name}': {displacement_line(Path(file).as_posix())}"
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -1,4 +1,4 @@
-"""`palpate lab plan`: what cameras will see and what a session will tell, before it is made."""
+"""`palpate lab plan`: what cameras will see and which precision to expect of a session."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def plan(
     """Say what to expect of a measurement: which precision, from which probings, in which view.
 
     Renders the object with a good speckle as each camera will see it, at rest and with the tool at
-    each contact, and tells the smallest standard deviations that cameras and force allow.
+    each contact, and gives the smallest standard deviations that cameras and force allow.
 
     Parameters
     ----------

@@ -52,6 +52,10 @@ def terminal_table(
     rows : iterable of sequences    as many cells as headings, shown as they are
     caption : str                   below the table
     total : bool                    the last row stands apart
+
+    Returns
+    -------
+    Table                           of rich
     """
     rows = [list(row) for row in rows]
     table = Table(
@@ -75,12 +79,31 @@ def terminal_table(
 
 
 def number_text(value: float | None, form: str) -> str:
-    """A number in a format such as `.3g`, or a dash where it is not known."""
+    """A number in a format such as `.3g`, or a dash where it is not known.
+
+    Parameters
+    ----------
+    value : float or None           NaN and infinity: not known, too
+    form : str                      such as `.3g`
+
+    Returns
+    -------
+    str
+    """
     return "-" if value is None or not math.isfinite(value) else f"{value:{form}}"
 
 
 def constants_table(estimate: Estimate) -> Table:
-    """The three constants with their intervals, and whether the data determine them."""
+    """The three constants with their intervals, and whether the data determine them.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    Table                           moduli in a unit of fitting size
+    """
     rows = []
     for name, label in _LABELS.items():
         constant = getattr(estimate, name)
@@ -92,7 +115,16 @@ def constants_table(estimate: Estimate) -> Table:
 
 
 def probes_table(estimate: Estimate) -> Table:
-    """Each probing alone: its constants, what was used of it, how well it was explained."""
+    """Each probing alone: its constants, what was used of it, how well it was explained.
+
+    Parameters
+    ----------
+    estimate : Estimate             with probings
+
+    Returns
+    -------
+    Table                           moduli in a unit of fitting size, residuals in mm
+    """
     factor, unit = modulus_unit(estimate.young_modulus.value)
     rows = [
         (
@@ -114,7 +146,17 @@ def probes_table(estimate: Estimate) -> Table:
 
 
 def flow_table(figures: Sequence[MotionFigures], rig: Rig) -> Table:
-    """A line for every motion: points, rejected by cause, sigma, noise, reprojection error."""
+    """A line for every motion: points, rejected by cause, sigma, noise, reprojection error.
+
+    Parameters
+    ----------
+    figures : sequence of MotionFigures
+    rig : Rig                       whose cameras are named below the table
+
+    Returns
+    -------
+    Table                           sigma in um or mm, reprojection error in px
+    """
     depths = [f.depth for f in figures if math.isfinite(f.depth)]
     factor, unit = length_unit(statistics.median(depths) if depths else math.nan)
     rows = [

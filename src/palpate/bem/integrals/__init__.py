@@ -1,26 +1,37 @@
-"""integrals."""
+"""Integrals of Kelvin's solution over the surface, for every collocation point and every node.
+
+Purpose    : turn a surface into the material-free matrices of the boundary element method.
+Takes      : a mesh and its held triangles, collocation points, the accuracy asked for.
+Gives      : `BoundarySurface`, `FieldBlocks`; the layout of a kernel's fields and their meaning.
+Depends on : geometry; errors, threads.
+Read first : `kelvin.py`, `assembly.py`.
+"""
 
 from palpate.bem.integrals.assembly import (
     Collocation as Collocation,
     FieldBlocks as FieldBlocks,
+    all_rules as all_rules,
     assemble as assemble,
+    lanes_of as lanes_of,
     with_rigid_body_sum as with_rigid_body_sum,
 )
-from palpate.bem.integrals.element_integrals import surface_point as surface_point
+from palpate.bem.integrals.element_integrals import (
+    next_part as next_part,
+    part_point as part_point,
+    whole_triangle as whole_triangle,
+)
 from palpate.bem.integrals.kelvin import (
-    DISPLACEMENT_FIELDS as DISPLACEMENT_FIELDS,
+    DISPLACEMENT as DISPLACEMENT,
     LANES as LANES,
-    TRACTION_FIELDS as TRACTION_FIELDS,
+    TRACTION as TRACTION,
+    add_point_fields as add_point_fields,
     check_material as check_material,
-    displacement_fields as displacement_fields,
+    displacement_parts as displacement_parts,
+    lane_fields as lane_fields,
+    traction_parts as traction_parts,
 )
 from palpate.bem.integrals.quadrature import (
-    ELEMENT_NODES as ELEMENT_NODES,
     Quadrature as Quadrature,
-    element_points as element_points,
-    element_spheres as element_spheres,
-    quadratic_shapes as quadratic_shapes,
-    quadratic_slopes as quadratic_slopes,
     triangle_rule as triangle_rule,
     unit_gauss as unit_gauss,
 )

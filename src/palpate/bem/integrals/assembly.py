@@ -6,6 +6,7 @@ adds its triangles in order: the result does not depend on the number of threads
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -17,20 +18,22 @@ from palpate.bem.integrals.element_integrals import (
     add_near,
     add_shape_moment,
     add_singular,
-    fields_at_points,
     shapes_at,
 )
-from palpate.bem.integrals.kelvin import LANES
-from palpate.bem.integrals.quadrature import (
-    Quadrature,
+from palpate.bem.integrals.kelvin import LANES, TRACTION, FieldLayout, lane_fields
+from palpate.bem.integrals.quadrature import Quadrature, triangle_rule, unit_gauss
+from palpate.bem.integrals.surface import BoundarySurface
+from palpate.geometry import (
+    QuadraticNodes,
     element_points,
     element_spheres,
+    interpolation_matrix,
+    morton_order,
     quadratic_shapes,
-    triangle_rule,
-    unit_gauss,
 )
-from palpate.geometry import QuadraticNodes, interpolation_matrix
 from palpate.threads import in_threads
+
+_N_TRACTION = TRACTION.count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +60,8 @@ class FieldBlocks:
 
     Attributes
     ----------
-    values : (blocks, n_nodes, fields, LANES) float     the order of the fields is that of
-                                                        `bem.kelvin`
+    values : (blocks, n_nodes, fields, LANES) float     the fields in the order of their
+                                                        `FieldLayout`
     rows : (blocks, LANES) int                          collocation point of each lane; the last
                                                         block repeats its last
     n_rows : int                                        number of collocation points
@@ -68,26 +71,82 @@ class FieldBlocks:
     rows: Int[np.ndarray, "blocks lanes"]
     n_rows: int
 
+    def by_row(self, node: int) -> Float[np.ndarray, "r fields"]:
+        """The fields against one node, one row a collocation point in the order of the blocks."""
+        fields = self.values[:, node].transpose(0, 2, 1)
+        return fields.reshape(-1, fields.shape[2])[: self.n_rows]
+
+
+class _Points(NamedTuple):
+    """Collocation points as the kernels see them: by lane, then one by one."""
+
+    lanes: np.ndarray
+    rows: np.ndarray
+    point: np.ndarray
+    vertex: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
+
+
+class _Elements(NamedTuple):
+    """Triangles with the quadrature points of every rule; `number` is where each node's integral
+    is gathered."""
+
+    triangle: np.ndarray
+    vertices: np.ndarray
+    nodes: np.ndarray
+    sources: np.ndarray
+    centre: np.ndarray
+    radius: np.ndarray
+    number: np.ndarray
+
+
+class Rules(NamedTuple):
+    """Quadrature rules one after the other.
+
+    Attributes
+    ----------
+    points : (q, 4) float     barycentric coordinates and weight
+    shapes : (6, q) float     shape functions there
+    start : (k + 1,) int      where each of the k rules starts
+    ratios : (k,) float       distance over radius from which each may be used
+    polar : (p, 3) float      `polar_rule`
+    """
+
+    points: np.ndarray
+    shapes: np.ndarray
+    start: np.ndarray
+    ratios: np.ndarray
+    polar: np.ndarray
+
+
+class _Midpoints(NamedTuple):
+    """Rows of a sparse matrix: what each midpoint's integral adds to that of the nodes."""
+
+    start: np.ndarray
+    node: np.ndarray
+    weight: np.ndarray
+
 
 def assemble(
+    surface: BoundarySurface,
     collocation: Collocation,
-    triangles: Int[np.ndarray, "m 3"],
-    element_nodes: Float[np.ndarray, "m 6 3"],
     nodes: QuadraticNodes,
+    kernel: FieldLayout,
     *,
-    n_fields: int,
-    quadrature: Quadrature,
+    triangles: Int[np.ndarray, " m"] | None = None,
+    quadrature: Quadrature = Quadrature(),
 ) -> FieldBlocks:
-    """Integrate the fields over all given elements, singular and near ones included.
+    """Integrate a kernel's fields over triangles of a surface, singular and near ones included.
 
     Parameters
     ----------
+    surface : BoundarySurface
     collocation : Collocation
-    triangles : (m, 3) int                vertices of each triangle, to know the singular ones
-    element_nodes : (m, 6, 3) float [m]   the surface
-    nodes : QuadraticNodes                of the field that the kernel multiplies, for the same m
+    nodes : QuadraticNodes                of the field that the kernel multiplies, on the same m
                                           triangles
-    n_fields : int                        9 for the traction kernel, 6 for the displacement kernel
+    kernel : FieldLayout                  `TRACTION` or `DISPLACEMENT`
+    triangles : (m,) int or None          the triangles to integrate over; None: all
     quadrature : Quadrature
 
     Returns
@@ -96,43 +155,40 @@ def assemble(
                                           point subtracted within the triangles that hold it;
                                           `with_rigid_body_sum` completes it
     """
-    rows, lanes = _blocks_of_neighbours(collocation.point)
-    rules = [triangle_rule(degree) for degree in quadrature.degrees]
-    barycentric = np.concatenate([rule.barycentric for rule in rules])
-    weight = np.concatenate([rule.weight for rule in rules])
-    sources = element_points(element_nodes, barycentric)
-    sources[:, :, 3:] *= weight[:, None]
-    start = np.cumsum([0] + [rule.weight.size for rule in rules])
-    centre, radius = element_spheres(element_nodes)
-    values = np.zeros((rows.shape[0], nodes.n_nodes * n_fields * LANES))
-    near = np.concatenate([barycentric, weight[:, None]], axis=1)
-    element, weights = _numbered_midpoints(nodes)
-    in_threads(
-        _integrate_blocks, rows.shape[0], lanes, rows, collocation.point, collocation.vertex,
-        collocation.triangle, collocation.barycentric, np.array(triangles), element_nodes, sources,
-        np.ascontiguousarray(quadratic_shapes(barycentric)), start, quadrature.ratios(),
-        centre, radius, near, _polar_rule(quadrature), element, nodes.n_nodes, n_fields,
-        weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data, values,
-    )  # fmt: skip
-    shape = (rows.shape[0], nodes.n_nodes, n_fields, LANES)
-    return FieldBlocks(values.reshape(shape), rows, collocation.point.shape[0])
-
-
-def _numbered_midpoints(nodes: QuadraticNodes) -> tuple[Int[np.ndarray, "m 6"], csr_array]:
-    """The elements' nodes with only the midpoints that they use, counted from n_nodes on; weights
-    of these."""
+    if triangles is None:
+        triangles = np.arange(len(surface.held))
+    points = _points_in_blocks(collocation)
+    rules = all_rules(quadrature)
+    element_nodes = surface.element_nodes[triangles]
+    sources = element_points(element_nodes, rules.points[:, :3])
+    sources[:, :, 3:] *= rules.points[:, 3:]
+    # Only the midpoints in use are gathered; they count from n_nodes on.
     dependent = nodes.element >= nodes.n_nodes
-    used, number = np.unique(nodes.element[dependent], return_inverse=True)
-    element = nodes.element.copy()
-    element[dependent] = nodes.n_nodes + number
-    return element, csr_array(nodes.weights[used - nodes.n_nodes])
+    used, used_number = np.unique(nodes.element[dependent], return_inverse=True)
+    number = nodes.element.copy()
+    number[dependent] = nodes.n_nodes + used_number
+    weights = csr_array(nodes.weights[used - nodes.n_nodes])
+    midpoints = _Midpoints(
+        weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data
+    )
+    elements = _Elements(
+        np.array(triangles), surface.mesh.triangles[triangles], element_nodes, sources,
+        *element_spheres(element_nodes), number,
+    )  # fmt: skip
+    n_blocks = points.rows.shape[0]
+    values = np.empty((n_blocks, nodes.n_nodes * kernel.count * LANES))
+    in_threads(
+        _integrate_blocks, n_blocks, kernel.count, points, elements, rules, midpoints, values
+    )
+    shape = (n_blocks, nodes.n_nodes, kernel.count, LANES)
+    return FieldBlocks(values.reshape(shape), points.rows, collocation.point.shape[0])
 
 
 def with_rigid_body_sum(
     blocks: FieldBlocks, collocation: Collocation, nodes: QuadraticNodes
 ) -> FieldBlocks:
     """Complete the traction kernel so that a rigid translation gives no traction, for each field
-    apart.
+    by itself.
 
     Parameters
     ----------
@@ -142,108 +198,117 @@ def with_rigid_body_sum(
 
     Returns
     -------
-    FieldBlocks                   free term and Cauchy principal value included (paper, eq. 4, C for
-                                  A and B apart)
+    FieldBlocks                   free term and Cauchy principal value included
+
+    Source
+    ------
+    Lang and Pai (2001), eq. 4: C, for A and B separately
     """
     total = blocks.values.sum(axis=1)
     vertex = collocation.vertex[blocks.rows]
     block, lane = np.nonzero(vertex >= 0)
     blocks.values[block, vertex[block, lane], :, lane] -= total[block, :, lane]
-    inside = np.flatnonzero(collocation.vertex < 0)
-    own = interpolation_matrix(nodes, collocation.triangle[inside], collocation.barycentric[inside])
-    place = np.full(collocation.point.shape[0], -1)
-    place[inside] = np.arange(inside.size)
     for b, i in zip(*np.nonzero(vertex < 0), strict=True):
-        row = place[blocks.rows[b, i]]
-        span = slice(own.indptr[row], own.indptr[row + 1])
-        share = own.data[span, None] * total[b, :, i]
-        blocks.values[b, own.indices[span], :, i] -= share
+        row = blocks.rows[b, i, None]
+        own = interpolation_matrix(nodes, collocation.triangle[row], collocation.barycentric[row])
+        blocks.values[b, own.indices, :, i] -= own.data[:, None] * total[b, :, i]
     return blocks
 
 
-def _polar_rule(quadrature: Quadrature) -> Float[np.ndarray, "p 3"]:
+def all_rules(quadrature: Quadrature) -> Rules:
+    """The rules of a quadrature as the kernels take them.
+
+    Parameters
+    ----------
+    quadrature : Quadrature
+
+    Returns
+    -------
+    Rules
+    """
+    rules = [triangle_rule(degree) for degree in quadrature.degrees]
+    points = np.concatenate([np.column_stack([rule.barycentric, rule.weight]) for rule in rules])
+    shapes = np.ascontiguousarray(quadratic_shapes(points[:, :3]))
+    start = np.cumsum([0] + [rule.weight.size for rule in rules])
+    return Rules(points, shapes, start, quadrature.ratios(), polar_rule(quadrature))
+
+
+def polar_rule(quadrature: Quadrature) -> Float[np.ndarray, "p 3"]:
+    """Points of the singular integrals.
+
+    Parameters
+    ----------
+    quadrature : Quadrature
+
+    Returns
+    -------
+    (p, 3) float [-]          radius and angle from 0 to 1, weight times radius
+    """
     (s, w_s), (t, w_t) = (unit_gauss(n) for n in quadrature.polar_points)
     s_grid, t_grid = np.meshgrid(s, t, indexing="ij")
-    weight = np.outer(w_s * s, w_t)
-    return np.stack([s_grid.ravel(), t_grid.ravel(), weight.ravel()], axis=1)
+    return np.stack([s_grid.ravel(), t_grid.ravel(), np.outer(w_s * s, w_t).ravel()], axis=1)
 
 
-def _blocks_of_neighbours(
-    point: Float[np.ndarray, "r 3"],
-) -> tuple[Int[np.ndarray, "b lanes"], Float[np.ndarray, "b width"]]:
-    """Rows grouped along a Morton curve, padded with the last one, and their coordinates by
-    lane."""
-    low = point.min(axis=0)
-    cell = ((point - low) / max(np.ptp(point, axis=0).max(), 1e-300) * 1023).astype(np.int64)
-    code = np.zeros(point.shape[0], dtype=np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    order = np.argsort(code, kind="stable")
-    padding = -order.size % LANES
-    rows = np.concatenate([order, np.repeat(order[-1:], padding)]).reshape(-1, LANES)
-    return rows, point[rows].transpose(0, 2, 1).reshape(rows.shape[0], 3 * LANES).copy()
+def lanes_of(point: Float[np.ndarray, "r 3"], rows: Int[np.ndarray, "b lanes"]) -> np.ndarray:
+    """Coordinates of the points of each block, coordinate-major, (b, 3 LANES) float [m]."""
+    return point[rows].transpose(0, 2, 1).reshape(rows.shape[0], 3 * LANES).copy()
+
+
+def _points_in_blocks(collocation: Collocation) -> _Points:
+    """Points grouped along a Morton curve, padded with the last one."""
+    order = morton_order(collocation.point)
+    rows = np.concatenate([order, np.repeat(order[-1:], -order.size % LANES)]).reshape(-1, LANES)
+    return _Points(
+        lanes_of(collocation.point, rows), rows, np.array(collocation.point), collocation.vertex,
+        collocation.triangle, collocation.barycentric,
+    )  # fmt: skip
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-def _integrate_blocks(
-    begin, end, lanes, rows, points, row_vertex, row_triangle, row_barycentric, triangles,
-    element_nodes, sources, shapes, start, ratios, centre, radius, near, polar, nodes, n_nodes,
-    n_fields, indptr, indices, data, out,
-):  # fmt: skip
+def _integrate_blocks(begin, end, n_fields, points, elements, rules, midpoints, out):
+    """Integrals of the blocks from begin to end, first at all nodes and midpoints."""
     width = n_fields * LANES
-    n_midpoints = indptr.size - 1
+    n_own = out.shape[1]
+    gathered = np.empty(n_own + (midpoints.start.size - 1) * width)
+    start = rules.start
+    buffer = np.empty((start[-1] - start[-2]) * width)
+    ratio = np.empty(LANES)
     for b in range(begin, end):
-        buffer = np.empty((start[-1] - start[-2]) * width)
-        middle = np.zeros(n_midpoints * width)
-        ratio = np.empty(LANES)
-        for e in range(triangles.shape[0]):
-            rule = _choose_rule(lanes[b], centre[e], radius[e], ratios, ratio)
-            own = ratio[0] < 0
+        gathered[:] = 0.0
+        for e in range(elements.nodes.shape[0]):
+            rule, nearest = _choose_rule(
+                points.lanes[b], elements.centre[e], elements.radius[e], rules.ratios, ratio
+            )
             first, last = start[rule], start[rule + 1]
-            block = buffer[: (last - first) * width]
-            fields_at_points(lanes[b], sources[e, first:last], n_fields, block)
-            if own:
-                _clear_near_lanes(ratio, ratios[-1], last - first, n_fields, block)
+            fields = buffer[: (last - first) * width]
+            lane_fields(n_fields, points.lanes[b], elements.sources[e, first:last], fields)
+            near = nearest < rules.ratios[-1]
+            if near:
+                _clear_near_lanes(ratio, rules.ratios[-1], fields)
             for a in range(SHAPES):
-                node = nodes[e, a]
-                if node < n_nodes:
-                    target = out[b, node * width : (node + 1) * width]
-                else:
-                    target = middle[(node - n_nodes) * width : (node - n_nodes + 1) * width]
-                add_shape_moment(block, shapes[a, first:last], target)
-            if own:
+                place = elements.number[e, a] * width
+                add_shape_moment(
+                    fields, rules.shapes[a, first:last], gathered[place : place + width]
+                )
+            if near:
                 for i in range(LANES):
-                    if -ratio[i] < ratios[-1]:
-                        row = rows[b, i]
-                        local = _single(
-                            points[row], row_vertex[row], row_triangle[row] == e,
-                            row_barycentric[row], triangles[e], element_nodes[e], near,
-                            start, ratios, polar, n_fields,
-                        )  # fmt: skip
-                        for a in range(SHAPES):
-                            node = nodes[e, a]
-                            for f in range(n_fields):
-                                if node < n_nodes:
-                                    out[b, node * width + f * LANES + i] += local[a, f]
-                                else:
-                                    place = (node - n_nodes) * width + f * LANES + i
-                                    middle[place] += local[a, f]
-        for t in range(n_midpoints):
-            source = middle[t * width : (t + 1) * width]
-            for p in range(indptr[t], indptr[t + 1]):
-                target = out[b, indices[p] * width : (indices[p] + 1) * width]
-                weight = data[p]
+                    if ratio[i] < rules.ratios[-1]:
+                        _add_near_lane(n_fields, points, b, i, elements, e, rules, gathered)
+        out[b] = gathered[:n_own]
+        for t in range(midpoints.start.size - 1):
+            source = gathered[n_own + t * width : n_own + (t + 1) * width]
+            for p in range(midpoints.start[t], midpoints.start[t + 1]):
+                node, weight = midpoints.node[p], midpoints.weight[p]
+                target = out[b, node * width : (node + 1) * width]
                 for i in range(width):
                     target[i] += weight * source[i]
 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
 def _choose_rule(lanes, centre, radius, ratios, ratio):
-    """Rule for a block of points; distance over radius of each lane, negative where any lane is
-    near."""
-    smallest = np.inf
-    nearest = np.inf
+    """Rule for a block of points, and the least distance over radius; fills in that of each
+    lane."""
+    smallest, nearest = np.inf, np.inf
     for i in range(LANES):
         x = lanes[i] - centre[0]
         y = lanes[LANES + i] - centre[1]
@@ -256,43 +321,45 @@ def _choose_rule(lanes, centre, radius, ratios, ratio):
     rule = 0
     while rule < ratios.size - 1 and smallest < ratios[rule]:
         rule += 1
-    if nearest < ratios[-1]:
-        for i in range(LANES):
-            ratio[i] = -ratio[i]
-    return rule
+    return rule, nearest
 
 
 @numba.njit(error_model="numpy", cache=True)
-def _clear_near_lanes(ratio, limit, n_points, n_fields, block):
+def _clear_near_lanes(ratio, limit, fields):
     for i in range(LANES):
-        if -ratio[i] < limit:
-            for k in range(n_points * n_fields):
-                block[k * LANES + i] = 0.0
+        if ratio[i] < limit:
+            for k in range(i, fields.size, LANES):
+                fields[k] = 0.0
 
 
 @numba.njit(error_model="numpy", cache=True)
-def _single(
-    point, vertex, inside, barycentric, triangle, nodes, near, start, ratios, polar, n_fields
-):  # fmt: skip
-    """Near or singular integrals of one load point over one triangle, (6, 9)."""
-    out = np.zeros((SHAPES, 9))
-    own = np.zeros(6)
-    corners = np.zeros((3, 3))
-    if inside:
-        shapes_at(barycentric[0], barycentric[1], barycentric[2], own)
-        for k in range(3):
-            for i in range(3):
-                corners[0, i] = barycentric[i]
-                corners[1, i] = 1.0 if i == k else 0.0
-                corners[2, i] = 1.0 if i == (k + 1) % 3 else 0.0
-            add_singular(point, nodes, corners, polar, own, n_fields, out)
-        return out
+def _add_near_lane(n_fields, points, b, i, elements, e, rules, gathered):
+    """Add the near or singular integrals of one load point over one triangle."""
+    row = points.rows[b, i]
+    point, nodes, vertices = points.point[row], elements.nodes[e], elements.vertices[e]
+    local, own, corners = np.zeros((SHAPES, n_fields)), np.zeros(SHAPES), np.zeros((3, 3))
+    corner = -1
     for k in range(3):
-        if triangle[k] == vertex:
-            own[k] = 1.0
-            for j in range(3):
-                corners[j, (k + j) % 3] = 1.0
-            add_singular(point, nodes, corners, polar, own, n_fields, out)
-            return out
-    add_near(point, nodes, near, start, ratios, n_fields, out)
-    return out
+        if vertices[k] == points.vertex[row]:
+            corner = k
+    if points.triangle[row] == elements.triangle[e]:
+        b0, b1, b2 = points.barycentric[row]
+        if n_fields == _N_TRACTION:
+            shapes_at(b0, b1, b2, own)
+        for k in range(3):
+            corners[:] = 0.0
+            corners[0] = points.barycentric[row]
+            corners[1, k] = corners[2, (k + 1) % 3] = 1.0
+            add_singular(n_fields, point, nodes, corners, rules.polar, own, local)
+    elif corner >= 0:
+        if n_fields == _N_TRACTION:
+            own[corner] = 1.0
+        for j in range(3):
+            corners[j, (corner + j) % 3] = 1.0
+        add_singular(n_fields, point, nodes, corners, rules.polar, own, local)
+    else:
+        add_near(n_fields, point, nodes, rules.points, rules.start, rules.ratios, local)
+    for a in range(SHAPES):
+        place = elements.number[e, a] * n_fields * LANES + i
+        for f in range(n_fields):
+            gathered[place + f * LANES] += local[a, f]

@@ -10,37 +10,15 @@ subtracted from the shape functions (the rest is the rigid-body sum of the assem
 import numba
 import numpy as np
 
-from palpate.bem.integrals.kelvin import (
-    LANES,
-    TRACTION_FIELDS,
-    displacement_fields,
-    traction_fields,
-)
+from palpate.bem.integrals.kelvin import add_point_fields
 
 SHAPES = 6
-MAX_PARTS = 256
-SMALLEST_PART = 1e-6
-WIDEST_PANEL = 2.0
-
-
-@numba.njit(fastmath=True, error_model="numpy", cache=True)
-def fields_at_points(lanes, sources, n_fields, out):
-    """Fields at each quadrature point of a triangle, one row a point.
-
-    Parameters
-    ----------
-    lanes : (3 LANES,) float [m]            load points, coordinate-major
-    sources : (q, 6) float                  positions and weighted normals
-    n_fields : int                          9 for traction, 6 for displacement
-    out : (q * n_fields * LANES,) float     overwritten
-    """
-    width = n_fields * LANES
-    for q in range(sources.shape[0]):
-        row = out[q * width : (q + 1) * width]
-        if n_fields == TRACTION_FIELDS:
-            traction_fields(lanes, sources[q], row)
-        else:
-            displacement_fields(lanes, sources[q], row)
+# A part of a triangle is divided no further below this share of its area: ten times in four.
+_SMALLEST_PART = 1e-6
+# Parts that wait while the first of them is divided: three a level, ten levels.
+_MOST_WAITING = 34
+# Width of a panel in the hyperbolic angle of the singular integrals, that 12 points resolve.
+_WIDEST_PANEL = 2.0
 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
@@ -82,6 +60,22 @@ def shapes_at(b0, b1, b2, shape):
 
 
 @numba.njit(error_model="numpy", cache=True)
+def _slopes_at(a, b0, b1, b2):
+    """Derivatives of one shape function along edges 01 and 02."""
+    if a == 0:
+        return 1 - 4 * b0, 1 - 4 * b0
+    if a == 1:
+        return 4 * b1 - 1, 0.0
+    if a == 2:
+        return 0.0, 4 * b2 - 1
+    if a == 3:
+        return 4 * (b0 - b1), -4 * b1
+    if a == 4:
+        return 4 * b2, 4 * b1
+    return -4 * b2, 4 * (b0 - b2)
+
+
+@numba.njit(error_model="numpy", cache=True)
 def surface_point(nodes, b0, b1, b2, shape, source):
     """Shape functions, position and area normal at one point of a six-node triangle.
 
@@ -94,24 +88,11 @@ def surface_point(nodes, b0, b1, b2, shape, source):
                                             reference area [m^2]
     """
     shapes_at(b0, b1, b2, shape)
-    c0, c1, c2 = 4 * b0 - 1, 4 * b1 - 1, 4 * b2 - 1
     u0 = u1 = u2 = v0 = v1 = v2 = 0.0
     for k in range(3):
         source[k] = 0.0
-    for a in range(6):
-        slope_b, slope_c = 0.0, 0.0
-        if a == 0:
-            slope_b, slope_c = -c0, -c0
-        elif a == 1:
-            slope_b = c1
-        elif a == 2:
-            slope_c = c2
-        elif a == 3:
-            slope_b, slope_c = 4 * (b0 - b1), -4 * b1
-        elif a == 4:
-            slope_b, slope_c = 4 * b2, 4 * b1
-        else:
-            slope_b, slope_c = -4 * b2, 4 * (b0 - b2)
+    for a in range(SHAPES):
+        slope_b, slope_c = _slopes_at(a, b0, b1, b2)
         x, y, z = nodes[a, 0], nodes[a, 1], nodes[a, 2]
         source[0] += shape[a] * x
         source[1] += shape[a] * y
@@ -128,55 +109,12 @@ def surface_point(nodes, b0, b1, b2, shape, source):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def add_point(point, source, weight, shape, own, n_fields, out):
-    """Add one quadrature point's share to the integrals of all six shape functions.
-
-    Parameters
-    ----------
-    point : (3,) float [m]                  load point
-    source : (6,) float                     position and area normal of the surface point
-    weight : float                          reference weight
-    shape, own : (6,) float                 shape functions there and at the load point (zero where
-                                            that is elsewhere)
-    n_fields : int                          9 for traction, 6 for displacement
-    out : (6, 9) float                      added to
-    """
-    rx, ry, rz = source[0] - point[0], source[1] - point[1], source[2] - point[2]
-    nx, ny, nz = source[3], source[4], source[5]
-    s = 1.0 / np.sqrt(rx * rx + ry * ry + rz * rz)
-    s3 = s * s * s * weight
-    if n_fields == TRACTION_FIELDS:
-        flux = 3.0 * (rx * nx + ry * ny + rz * nz) * s3 * s * s
-        for a in range(6):
-            w = shape[a] - own[a]
-            out[a, 0] += w * (ry * nz - rz * ny) * s3
-            out[a, 1] += w * (rz * nx - rx * nz) * s3
-            out[a, 2] += w * (rx * ny - ry * nx) * s3
-            w *= flux
-            out[a, 3] += w * rx * rx
-            out[a, 4] += w * ry * ry
-            out[a, 5] += w * rz * rz
-            out[a, 6] += w * ry * rz
-            out[a, 7] += w * rz * rx
-            out[a, 8] += w * rx * ry
-    else:
-        s3 *= np.sqrt(nx * nx + ny * ny + nz * nz)
-        for a in range(6):
-            w = shape[a] * s3
-            out[a, 0] += w * rx * rx
-            out[a, 1] += w * ry * ry
-            out[a, 2] += w * rz * rz
-            out[a, 3] += w * ry * rz
-            out[a, 4] += w * rz * rx
-            out[a, 5] += w * rx * ry
-
-
-@numba.njit(error_model="numpy", cache=True)
-def add_singular(point, nodes, corners, polar, own, n_fields, out):
+def add_singular(n_fields, point, nodes, corners, polar, own, out):
     """Add the integrals over the part of a triangle that has the load point as its first corner.
 
     Parameters
     ----------
+    n_fields : int                          which kernel (`kelvin.add_point_fields`)
     point : (3,) float [m]                  load point
     nodes : (6, 3) float [m]                six-node triangle
     corners : (3, 3) float                  barycentric coordinates of the part's corners, the load
@@ -184,11 +122,11 @@ def add_singular(point, nodes, corners, polar, own, n_fields, out):
     polar : (p, 3) float                    radius and hyperbolic angle, from 0 to 1, and weight
                                             times radius; the angle makes the integrand smooth
                                             however flat the part is
-    own : (6,) float                        shape functions at the load point
-    n_fields : int                          9 for traction, 6 for displacement
-    out : (6, 9) float                      added to
+    own : (6,) float                        subtracted from the shape functions: their values at the
+                                            load point where the kernel is strongly singular
+    out : (6, n_fields) float               added to
     """
-    shape, source = np.empty(6), np.empty(6)
+    shape, source = np.empty(SHAPES), np.empty(6)
     b = np.empty(3)
     scale = abs(
         corners[0, 0] * (corners[1, 1] * corners[2, 2] - corners[1, 2] * corners[2, 1])
@@ -198,7 +136,7 @@ def add_singular(point, nodes, corners, polar, own, n_fields, out):
     foot, height = _foot_and_height(nodes, corners)
     first = np.arcsinh(-foot / height)
     span = np.arcsinh((1 - foot) / height) - first
-    panels = max(1, int(np.ceil(span / WIDEST_PANEL)))
+    panels = max(1, int(np.ceil(span / _WIDEST_PANEL)))
     span /= panels
     for panel in range(panels):
         for p in range(polar.shape[0]):
@@ -209,23 +147,9 @@ def add_singular(point, nodes, corners, polar, own, n_fields, out):
             for k in range(3):
                 b[k] = (1 - s) * corners[0, k] + s * ((1 - t) * corners[1, k] + t * corners[2, k])
             surface_point(nodes, b[0], b[1], b[2], shape, source)
-            add_point(point, source, weight, shape, own, n_fields, out)
-
-
-@numba.njit(error_model="numpy", cache=True)
-def _slopes_at(a, b0, b1, b2):
-    """Derivatives of one shape function along edges 01 and 02."""
-    if a == 0:
-        return 1 - 4 * b0, 1 - 4 * b0
-    if a == 1:
-        return 4 * b1 - 1, 0.0
-    if a == 2:
-        return 0.0, 4 * b2 - 1
-    if a == 3:
-        return 4 * (b0 - b1), -4 * b1
-    if a == 4:
-        return 4 * b2, 4 * b1
-    return -4 * b2, 4 * (b0 - b2)
+            for a in range(SHAPES):
+                shape[a] -= own[a]
+            add_point_fields(n_fields, point, source, weight, shape, out)
 
 
 @numba.njit(error_model="numpy", cache=True)
@@ -255,7 +179,7 @@ def _foot_and_height(nodes, corners):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def add_near(point, nodes, rules, start, ratios, n_fields, out):
+def add_near(n_fields, point, nodes, rules, start, ratios, out):
     """Add the integrals over a triangle that does not hold the load point but is close to it.
 
     The triangle is divided into four, and these again, until the load point is far enough from each
@@ -263,38 +187,91 @@ def add_near(point, nodes, rules, start, ratios, n_fields, out):
 
     Parameters
     ----------
+    n_fields : int                          which kernel (`kelvin.add_point_fields`)
     point : (3,) float [m]                  load point
     nodes : (6, 3) float [m]                six-node triangle
     rules : (q, 4) float                    barycentric points and weights of all rules
     start : (k + 1,) int                    where each rule starts
     ratios : (k,) float                     distance over radius from which each may be used
-    n_fields : int                          9 for traction, 6 for displacement
-    out : (6, 9) float                      added to
+    out : (6, n_fields) float               added to
     """
-    shape, source, own = np.empty(6), np.empty(6), np.zeros(6)
-    stack = np.zeros((MAX_PARTS, 10))
-    for k in range(3):
-        stack[0, 4 * k] = 1.0
-    stack[0, 9] = 1.0
+    shape, source = np.empty(SHAPES), np.empty(6)
+    waiting, part = whole_triangle(), np.empty(10)
     top = 1
-    part = np.empty(10)
     while top > 0:
-        top -= 1
-        for k in range(10):
-            part[k] = stack[top, k]
-        ratio = _ratio(point, nodes, part)
-        if ratio < ratios[-1] and part[9] > SMALLEST_PART and top + 4 <= MAX_PARTS:
-            _divide(part, stack[top : top + 4])
-            top += 4
-            continue
-        rule = 0
-        while rule < ratios.size - 1 and ratio < ratios[rule]:
-            rule += 1
+        top, rule, _ = next_part(point, nodes, ratios, waiting, top, part)
         for q in range(start[rule], start[rule + 1]):
-            b0 = rules[q, 0] * part[0] + rules[q, 1] * part[3] + rules[q, 2] * part[6]
-            b1 = rules[q, 0] * part[1] + rules[q, 1] * part[4] + rules[q, 2] * part[7]
-            surface_point(nodes, b0, b1, 1 - b0 - b1, shape, source)
-            add_point(point, source, rules[q, 3] * part[9], shape, own, n_fields, out)
+            weight = part_point(nodes, rules[q], part, shape, source)
+            add_point_fields(n_fields, point, source, weight, shape, out)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def whole_triangle():
+    """Parts of a triangle that wait for `next_part`: so far the whole triangle, one part.
+
+    Returns
+    -------
+    (34, 10) float                          barycentric coordinates of the three corners, then the
+                                            share of the area
+    """
+    waiting = np.zeros((_MOST_WAITING, 10))
+    waiting[0, 0] = waiting[0, 4] = waiting[0, 8] = waiting[0, 9] = 1.0
+    return waiting
+
+
+@numba.njit(error_model="numpy", cache=True)
+def next_part(point, nodes, ratios, waiting, top, part):
+    """Take the last of the parts that wait, divided until it is far enough from a point.
+
+    Parameters
+    ----------
+    point : (3,) float [m]
+    nodes : (6, 3) float [m]                six-node triangle
+    ratios : (k,) float                     distance over radius from which each rule may be used
+    waiting : (34, 10) float                changed (`whole_triangle`)
+    top : int                               number of parts that wait, >= 1
+    part : (10,) float                      overwritten: the part
+
+    Returns
+    -------
+    int                                     number of parts that wait now
+    int                                     rule to be used on the part
+    float                                   distance of the point over the part's radius
+    """
+    while True:
+        top -= 1
+        part[:] = waiting[top]
+        ratio = _ratio(point, nodes, part)
+        # Not the other way round: of a point that is NaN nothing may be divided.
+        if not (ratio < ratios[-1] and part[9] > _SMALLEST_PART):
+            break
+        _divide(part, waiting[top : top + 4])
+        top += 4
+    rule = 0
+    while rule < ratios.size - 1 and ratio < ratios[rule]:
+        rule += 1
+    return top, rule, ratio
+
+
+@numba.njit(error_model="numpy", cache=True)
+def part_point(nodes, rule, part, shape, source):
+    """One quadrature point of a part of a triangle.
+
+    Parameters
+    ----------
+    nodes : (6, 3) float [m]                six-node triangle
+    rule : (4,) float                       barycentric coordinates in the part, weight
+    part : (10,) float                      from `next_part`
+    shape, source : (6,) float              overwritten as by `surface_point`
+
+    Returns
+    -------
+    float                                   weight of the point in the triangle
+    """
+    b0 = rule[0] * part[0] + rule[1] * part[3] + rule[2] * part[6]
+    b1 = rule[0] * part[1] + rule[1] * part[4] + rule[2] * part[7]
+    surface_point(nodes, b0, b1, 1 - b0 - b1, shape, source)
+    return rule[3] * part[9]
 
 
 @numba.njit(error_model="numpy", cache=True)

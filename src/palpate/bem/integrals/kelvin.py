@@ -7,13 +7,20 @@ the direction of the load and j the component, multiplied by 8 pi (1 - nu):
                                               B_ij = -3 r_i r_j (r.n) / r^5
     displacement  [(3 - 4 nu) delta_ij / r + r_i r_j / r^3] / (2 G)
 
-Only 15 scalars are independent: the vector r x n / r^3 and the symmetric 3 r_i r_j (r.n) / r^5 give
-A and B (the trace of the second is 3 r.n / r^3), the symmetric r_i r_j / r^3 gives the displacement
-(its trace is 1 / r).
+Only 15 scalars ("fields") are independent: the vector r x n / r^3 and the symmetric
+3 r_i r_j (r.n) / r^5 give A and B (the trace of the second is 3 r.n / r^3), the symmetric
+r_i r_j / r^3 gives the displacement (its trace is 1 / r).
+
+This file is the whole contract between a kernel and the assembly: the layout of its fields, their
+values at many load points (`lane_fields`) and at one (`add_point_fields`), and what they make up
+(`traction_parts`, `displacement_parts`). The kernel is chosen by its number of fields, because
+numba would compile anew in every process a function that takes another one as an argument.
 
 Source: Lang and Pai (2001), eq. 2 and 3; Brebbia, Telles and Wrobel, Boundary Element Techniques
 (1984), chapter 5.
 """
+
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -21,77 +28,47 @@ from jaxtyping import Float
 
 from palpate.errors import InputError
 
+# Load points that one instruction stream serves together.
 LANES = 32
-TRACTION_FIELDS = 9
-DISPLACEMENT_FIELDS = 6
 
 
-def kelvin_displacement(
-    r: Float[np.ndarray, "n 3"], shear_modulus: float, poisson_ratio: float
-) -> Float[np.ndarray, "n 3 3"]:
-    """Displacement at x per unit point force at y in unbounded elastic space.
+@dataclass(frozen=True, slots=True)
+class FieldLayout:
+    """The fields of a kernel in the order in which they are stored: a vector or none, then a
+    symmetric tensor.
 
-    Parameters
+    Attributes
     ----------
-    r : (n, 3) float [m]            x - y, non-zero
-    shear_modulus : float [Pa]      > 0
-    poisson_ratio : float [-]       -1 < nu <= 0.5
-
-    Returns
-    -------
-    (n, 3, 3) float [m/N]           entry [n, i, j]: force along i, component j; symmetric
-
-    Raises
-    ------
-    InputError                      modulus or ratio out of range
-
-    Source
-    ------
-    Lang and Pai (2001), eq. 3
+    names : tuple of str      components of the vector, then xx yy zz yz zx xy
     """
-    check_material(shear_modulus, poisson_ratio)
-    distance = np.linalg.norm(r, axis=1)[:, None, None]
-    outer = r[:, :, None] * r[:, None, :]
-    part = (3 - 4 * poisson_ratio) * np.eye(3) / distance + outer / distance**3
-    return part / (16 * np.pi * shear_modulus * (1 - poisson_ratio))
+
+    names: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of fields."""
+        return len(self.names)
+
+    @property
+    def tensor(self) -> slice:
+        """Where the symmetric tensor is stored."""
+        return slice(self.count - 6, self.count)
+
+    @property
+    def diagonal(self) -> slice:
+        """Where the diagonal of the symmetric tensor is stored."""
+        return slice(self.count - 6, self.count - 3)
 
 
-def kelvin_traction(
-    r: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], poisson_ratio: float
-) -> Float[np.ndarray, "n 3 3"]:
-    """Traction at x on a plane of given normal per unit point force at y in unbounded elastic
-    space.
-
-    Parameters
-    ----------
-    r : (n, 3) float [m]            x - y, non-zero
-    normal : (n, 3) float [-]       unit normals at x
-    poisson_ratio : float [-]       -1 < nu <= 0.5
-
-    Returns
-    -------
-    (n, 3, 3) float [1/m^2]         entry [n, i, j]: force along i, component j
-
-    Raises
-    ------
-    InputError                      ratio out of range
-
-    Source
-    ------
-    Lang and Pai (2001), eq. 2
-    """
-    check_material(1.0, poisson_ratio)
-    distance = np.linalg.norm(r, axis=1)[:, None, None]
-    outer = r[:, :, None] * r[:, None, :]
-    skew = r[:, :, None] * normal[:, None, :] - normal[:, :, None] * r[:, None, :]
-    flux = np.einsum("ni,ni->n", r, normal)[:, None, None]
-    a = (skew - np.eye(3) * flux) / distance**3
-    b = -3 * outer * flux / distance**5
-    return ((1 - 2 * poisson_ratio) * a + b) / (8 * np.pi * (1 - poisson_ratio))
+TRACTION = FieldLayout(("x", "y", "z", "xx", "yy", "zz", "yz", "zx", "xy"))
+DISPLACEMENT = FieldLayout(("xx", "yy", "zz", "yz", "zx", "xy"))
+# Index into the stored tensor of each of its entries.
+_ENTRY = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+_N_TRACTION = TRACTION.count
 
 
 def check_material(shear_modulus: float, poisson_ratio: float) -> None:
-    """Refuse constants that no isotropic elastic solid has.
+    """Refuse elastic constants that no stable material has.
 
     Parameters
     ----------
@@ -111,6 +88,136 @@ def check_material(shear_modulus: float, poisson_ratio: float) -> None:
         )
 
 
+def traction_parts(
+    fields: Float[np.ndarray, "9 ..."],
+) -> tuple[Float[np.ndarray, "3 3 ..."], Float[np.ndarray, "3 3 ..."]]:
+    """The tensors A and B of the traction kernel (1 - 2 nu) A + B from its fields.
+
+    Parameters
+    ----------
+    fields : (9, ...) float [1/m^2]     ordered as `TRACTION`, or their integrals
+
+    Returns
+    -------
+    (3, 3, ...), (3, 3, ...) float      entry [i, j]: load along i, component j; of the unit of
+                                        the fields
+
+    Source
+    ------
+    Lang and Pai (2001), eq. 2, split by powers of (1 - 2 nu)
+    """
+    x, y, z = fields[:3]
+    zero = np.zeros_like(x)
+    skew = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]])
+    flux = fields[TRACTION.diagonal].sum(axis=0) / 3
+    return skew - np.multiply.outer(np.eye(3), flux), -fields[TRACTION.tensor][_ENTRY]
+
+
+def displacement_parts(
+    fields: Float[np.ndarray, "6 ..."],
+) -> tuple[Float[np.ndarray, "3 3 ..."], Float[np.ndarray, "3 3 ..."]]:
+    """Constant and slope in Poisson's ratio of the displacement kernel, for a shear modulus of one.
+
+    Parameters
+    ----------
+    fields : (6, ...) float [1/m]       ordered as `DISPLACEMENT`, or their integrals
+
+    Returns
+    -------
+    (3, 3, ...), (3, 3, ...) float      symmetric, of the unit of the fields
+
+    Source
+    ------
+    Lang and Pai (2001), eq. 3
+    """
+    trace = np.multiply.outer(np.eye(3), fields[DISPLACEMENT.diagonal].sum(axis=0))
+    return 1.5 * trace + 0.5 * fields[_ENTRY], -2 * trace
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def lane_fields(n_fields, lanes, sources, out):
+    """Fields of a kernel from LANES load points to some surface points, one row a surface point.
+
+    Parameters
+    ----------
+    n_fields : int                          which kernel: `TRACTION.count` or `DISPLACEMENT.count`
+    lanes : (3 LANES,) float [m]            load points y, coordinate-major
+    sources : (q, 6) float                  surface points x [m], normals times weight [m^2]
+    out : (q * n_fields * LANES,) float     overwritten; fields times weight
+    """
+    width = n_fields * LANES
+    for q in range(sources.shape[0]):
+        row = out[q * width : (q + 1) * width]
+        if n_fields == _N_TRACTION:
+            _traction_lanes(lanes, sources[q], row)
+        else:
+            _displacement_lanes(lanes, sources[q], row)
+
+
+@numba.njit(error_model="numpy", cache=True)
+def add_point_fields(n_fields, point, source, weight, factor, out):
+    """Add the fields of a kernel from one load point to one surface point, times several factors.
+
+    Parameters
+    ----------
+    n_fields : int                          which kernel: `TRACTION.count` or `DISPLACEMENT.count`
+    point : (3,) float [m]                  load point y
+    source : (6,) float                     surface point x [m], normal times area [m^2]
+    weight : float                          > 0
+    factor : (a,) float                     shape functions, say
+    out : (a, n_fields) float               added to: factor times weight times fields
+    """
+    x, y, z = source[0] - point[0], source[1] - point[1], source[2] - point[2]
+    s = 1.0 / np.sqrt(x * x + y * y + z * z)
+    if n_fields == _N_TRACTION:
+        nx, ny, nz = weight * source[3], weight * source[4], weight * source[5]
+        traction = _traction_values(x, y, z, nx, ny, nz, s)
+        for a in range(factor.size):
+            for k in range(9):
+                out[a, k] += factor[a] * traction[k]
+    else:
+        displacement = _displacement_values(x, y, z, s * s * s * weight * _area(source))
+        for a in range(factor.size):
+            for k in range(6):
+                out[a, k] += factor[a] * displacement[k]
+
+
+@numba.njit(fastmath=True, error_model="numpy", inline="always")
+def _traction_values(x, y, z, nx, ny, nz, s):
+    """r x n / r^3 (x, y, z), then 3 r_i r_j r.n / r^5; s is 1 / r."""
+    s3 = s * s * s
+    flux = 3.0 * (x * nx + y * ny + z * nz) * s3 * s * s
+    return (
+        (y * nz - z * ny) * s3,
+        (z * nx - x * nz) * s3,
+        (x * ny - y * nx) * s3,
+        x * x * flux,
+        y * y * flux,
+        z * z * flux,
+        y * z * flux,
+        z * x * flux,
+        x * y * flux,
+    )
+
+
+@numba.njit(fastmath=True, error_model="numpy", inline="always")
+def _displacement_values(x, y, z, scale):
+    """r_i r_j / r^3; scale is area / r^3."""
+    return (
+        x * x * scale,
+        y * y * scale,
+        z * z * scale,
+        y * z * scale,
+        z * x * scale,
+        x * y * scale,
+    )
+
+
+@numba.njit(fastmath=True, error_model="numpy", inline="always")
+def _area(source):
+    return np.sqrt(source[3] * source[3] + source[4] * source[4] + source[5] * source[5])
+
+
 @numba.njit(fastmath=True, error_model="numpy", inline="always")
 def _reciprocal_root(square):
     # One Newton step from single precision: 5e-15 relative, at half the cost of a double square
@@ -120,57 +227,24 @@ def _reciprocal_root(square):
 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
-def traction_fields(points, source, out):
-    """The nine fields of the traction kernel, from LANES load points to one surface point.
-
-    Parameters
-    ----------
-    points : (3 LANES,) float [m]   load points y, coordinate-major
-    source : (6,) float             surface point x [m], normal times weight [m^2]
-    out : (9 LANES,) float          overwritten: r x n / r^3 (x, y, z), then 3 r_i r_j r.n / r^5 (xx
-                                    yy zz yz zx xy)
-    """
+def _traction_lanes(lanes, source, out):
     px, py, pz = source[0], source[1], source[2]
     nx, ny, nz = source[3], source[4], source[5]
     for i in range(LANES):
-        rx = px - points[i]
-        ry = py - points[LANES + i]
-        rz = pz - points[2 * LANES + i]
-        s = _reciprocal_root(rx * rx + ry * ry + rz * rz)
-        s3 = s * s * s
-        flux = 3.0 * (rx * nx + ry * ny + rz * nz) * s3 * s * s
-        out[i] = (ry * nz - rz * ny) * s3
-        out[LANES + i] = (rz * nx - rx * nz) * s3
-        out[2 * LANES + i] = (rx * ny - ry * nx) * s3
-        out[3 * LANES + i] = rx * rx * flux
-        out[4 * LANES + i] = ry * ry * flux
-        out[5 * LANES + i] = rz * rz * flux
-        out[6 * LANES + i] = ry * rz * flux
-        out[7 * LANES + i] = rz * rx * flux
-        out[8 * LANES + i] = rx * ry * flux
+        x, y, z = px - lanes[i], py - lanes[LANES + i], pz - lanes[2 * LANES + i]
+        s = _reciprocal_root(x * x + y * y + z * z)
+        values = _traction_values(x, y, z, nx, ny, nz, s)
+        for k in range(9):
+            out[k * LANES + i] = values[k]
 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
-def displacement_fields(points, source, out):
-    """The six fields of the displacement kernel, from LANES load points to one surface point.
-
-    Parameters
-    ----------
-    points : (3 LANES,) float [m]   load points y, coordinate-major
-    source : (6,) float             surface point x [m], normal times weight [m^2]
-    out : (6 LANES,) float          overwritten: area r_i r_j / r^3 (xx yy zz yz zx xy)
-    """
+def _displacement_lanes(lanes, source, out):
     px, py, pz = source[0], source[1], source[2]
-    area = np.sqrt(source[3] * source[3] + source[4] * source[4] + source[5] * source[5])
+    area = _area(source)
     for i in range(LANES):
-        rx = px - points[i]
-        ry = py - points[LANES + i]
-        rz = pz - points[2 * LANES + i]
-        s = _reciprocal_root(rx * rx + ry * ry + rz * rz)
-        s3 = s * s * s * area
-        out[i] = rx * rx * s3
-        out[LANES + i] = ry * ry * s3
-        out[2 * LANES + i] = rz * rz * s3
-        out[3 * LANES + i] = ry * rz * s3
-        out[4 * LANES + i] = rz * rx * s3
-        out[5 * LANES + i] = rx * ry * s3
+        x, y, z = px - lanes[i], py - lanes[LANES + i], pz - lanes[2 * LANES + i]
+        s = _reciprocal_root(x * x + y * y + z * z)
+        values = _displacement_values(x, y, z, s * s * s * area)
+        for k in range(6):
+            out[k * LANES + i] = values[k]

@@ -2,15 +2,10 @@
 near ones."""
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import roots_jacobi, roots_legendre
-
-ELEMENT_NODES = np.array(
-    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]]
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +53,6 @@ class Quadrature:
         return np.array([self.tolerance ** (-1.0 / (degree + 1)) for degree in self.degrees])
 
 
-@cache
 def triangle_rule(degree: int) -> TriangleRule:
     """A rule with positive weights that is exact up to at least the given degree.
 
@@ -116,7 +110,6 @@ def _conical(n: int) -> TriangleRule:
     return TriangleRule(2 * n - 1, barycentric, np.outer(w_s, w_t).ravel())
 
 
-@cache
 def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Gauss-Legendre points and weights on [0, 1].
 
@@ -129,83 +122,4 @@ def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]
     (n,) float, (n,) float    points; weights that sum to 1
     """
     x, w = roots_legendre(n)
-    points, weights = 0.5 * (x + 1), 0.5 * w
-    points.setflags(write=False)
-    weights.setflags(write=False)
-    return points, weights
-
-
-def quadratic_shapes(barycentric: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, "6 q"]:
-    """Shape functions of the six-node triangle.
-
-    Parameters
-    ----------
-    barycentric : (q, 3) float [-]
-
-    Returns
-    -------
-    (6, q) float [-]          corners 0, 1, 2, then midpoints of edges 01, 12, 20
-    """
-    a, b, c = barycentric.T
-    return np.stack(
-        [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a]
-    )
-
-
-def quadratic_slopes(
-    barycentric: Float[np.ndarray, "q 3"],
-) -> tuple[Float[np.ndarray, "6 q"], Float[np.ndarray, "6 q"]]:
-    """Derivatives of the six shape functions along edges 01 and 02.
-
-    Parameters
-    ----------
-    barycentric : (q, 3) float [-]
-
-    Returns
-    -------
-    (6, q), (6, q) float [-]  with respect to the second and to the third barycentric coordinate,
-                              the first following
-    """
-    a, b, c = barycentric.T
-    zero = np.zeros_like(a)
-    along_b = np.stack([1 - 4 * a, 4 * b - 1, zero, 4 * (a - b), 4 * c, -4 * c])
-    along_c = np.stack([1 - 4 * a, zero, 4 * c - 1, -4 * b, 4 * b, 4 * (a - c)])
-    return along_b, along_c
-
-
-def element_points(
-    nodes: Float[np.ndarray, "m 6 3"], barycentric: Float[np.ndarray, "q 3"]
-) -> Float[np.ndarray, "m q 6"]:
-    """Positions and area normals of six-node triangles at the same points of each.
-
-    Parameters
-    ----------
-    nodes : (m, 6, 3) float [m]
-    barycentric : (q, 3) float [-]
-
-    Returns
-    -------
-    (m, q, 6) float           position [m], then outward normal times area per reference area [m^2]
-    """
-    along_b, along_c = quadratic_slopes(barycentric)
-    position = np.einsum("aq,mai->mqi", quadratic_shapes(barycentric), nodes)
-    tangent_b = np.einsum("aq,mai->mqi", along_b, nodes)
-    tangent_c = np.einsum("aq,mai->mqi", along_c, nodes)
-    return np.concatenate([position, np.cross(tangent_b, tangent_c)], axis=2)
-
-
-def element_spheres(
-    nodes: Float[np.ndarray, "m 6 3"],
-) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
-    """Centre and radius of a sphere around each element.
-
-    Parameters
-    ----------
-    nodes : (m, 6, 3) float [m]
-
-    Returns
-    -------
-    (m, 3) float [m], (m,) float [m]
-    """
-    centre = nodes[:, :3].mean(axis=1)
-    return centre, np.linalg.norm(nodes - centre[:, None], axis=2).max(axis=1)
+    return 0.5 * (x + 1), 0.5 * w

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.bem.integrals.quadrature import element_points, quadratic_shapes, triangle_rule
+from palpate.bem.integrals.quadrature import triangle_rule
 from palpate.errors import InputError
 from palpate.geometry import (
     CREASE_ANGLE,
@@ -14,7 +14,9 @@ from palpate.geometry import (
     Sides,
     TriangleMesh,
     displacement_nodes,
+    element_points,
     linear_nodes,
+    quadratic_shapes,
     side_nodes,
     split_sides,
 )

@@ -8,28 +8,39 @@ refused.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from palpate.bem.elastic_map import ElasticMap, ElasticState, load_shape
-from palpate.bem.integrals import (
-    BoundarySurface,
-    Quadrature,
-    quadratic_shapes,
-    quadratic_slopes,
-    triangle_rule,
-)
-from palpate.bem.interior.somigliana import BoundaryFields, integrate_forces, integrate_surface
-from palpate.bem.loads import SurfaceLoad
+from palpate.bem.integrals import Quadrature, all_rules
+from palpate.bem.interior.somigliana import VALUES, sum_forces, sum_surface
+from palpate.bem.loads import LoadCells, SurfaceLoad, load_points
 from palpate.errors import InputError
 from palpate.geometry import QuadraticNodes
+from palpate.threads import in_threads
 
-SMALLEST_CLEARANCE = 0.05
-INTERIOR_QUADRATURE = Quadrature(tolerance=1e-8)
-LOAD_DEGREE = 7
-LOAD_RATIO = 4.0
-LOAD_LEVELS = (2, 5, 9)
+# Over the radius of a triangle: the integrals of closer points are not to be trusted.
+_MIN_CLEARANCE = 0.05
+_QUADRATURE = Quadrature(tolerance=1e-8)
+_LOAD_CELLS = LoadCells(degree=7, coarsest=2, finest_rim=5, finest=9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundaryFields:
+    """Displacement and traction of a closed surface, quadratic on each triangle.
+
+    The traction may jump between triangles.
+
+    Attributes
+    ----------
+    element_nodes : (m, 6, 3) float [m]   corners, then midpoints of edges 01, 12, 20
+    displacement : (m, 6, 3) float [m]    at these nodes
+    traction : (m, 6, 3) float [Pa]       at these nodes
+    """
+
+    element_nodes: Float[np.ndarray, "m 6 3"]
+    displacement: Float[np.ndarray, "m 6 3"]
+    traction: Float[np.ndarray, "m 6 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,8 +63,6 @@ def interior_state(
     load: SurfaceLoad,
     force: Float[np.ndarray, "3"],
     points: Float[np.ndarray, "n 3"],
-    *,
-    quadrature: Quadrature = INTERIOR_QUADRATURE,
 ) -> InteriorState:
     """Displacement and stress inside an object under one load.
 
@@ -65,7 +74,6 @@ def interior_state(
     load : SurfaceLoad
     force : (3,) float [N]            total force of the load on the object
     points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius from the surface
-    quadrature : Quadrature
 
     Returns
     -------
@@ -79,19 +87,16 @@ def interior_state(
     ------
     Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), eq. 5.4.5 and 5.6.6
     """
-    surface = elastic_map.system.surface
     (state,) = elastic_map.respond([load], force[None])
+    modulus, nu = elastic_map.shear_modulus, elastic_map.poisson_ratio
     fields = _solved_fields(elastic_map, state, load, force)
-    inside = interior_values(
-        fields, points, shear_modulus=elastic_map.shear_modulus,
-        poisson_ratio=elastic_map.poisson_ratio, quadrature=quadrature,
-    )  # fmt: skip
-    position, share = _load_points_near(surface, load, points)
-    displacement, stress = integrate_forces(
-        position, share[:, None] * force, points,
-        shear_modulus=elastic_map.shear_modulus, poisson_ratio=elastic_map.poisson_ratio,
-    )  # fmt: skip
-    return InteriorState(inside.displacement + displacement, inside.stress + stress)
+    inside = interior_values(fields, points, shear_modulus=modulus, poisson_ratio=nu)
+    pushed = load_points(elastic_map.system.surface, load, cells=_LOAD_CELLS, near=points)
+    forces = pushed.weight[:, None] * force
+    out = np.zeros((len(points), VALUES))
+    in_threads(sum_forces, len(points), np.array(points), pushed.position, forces, modulus, nu, out)
+    added = _as_state(out, nu)
+    return InteriorState(inside.displacement + added.displacement, inside.stress + added.stress)
 
 
 def interior_values(
@@ -100,7 +105,6 @@ def interior_values(
     *,
     shear_modulus: float,
     poisson_ratio: float,
-    quadrature: Quadrature = INTERIOR_QUADRATURE,
 ) -> InteriorState:
     """Displacement and stress inside a closed surface of known displacement and traction.
 
@@ -110,7 +114,6 @@ def interior_values(
     points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius from the surface
     shear_modulus : float [Pa]
     poisson_ratio : float [-]         -1 < nu <= 0.5
-    quadrature : Quadrature
 
     Returns
     -------
@@ -120,20 +123,28 @@ def interior_values(
     ------
     InputError                        a point is outside the object, or too close to its surface
     """
-    values = integrate_surface(
-        fields, points, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio,
-        quadrature=quadrature,
+    out, clearance = np.zeros((len(points), VALUES)), np.full(len(points), np.inf)
+    values = np.concatenate([fields.displacement, fields.traction], axis=2)
+    in_threads(
+        sum_surface, len(points), np.array(points), np.array(fields.element_nodes), values,
+        all_rules(_QUADRATURE), shear_modulus, poisson_ratio, out, clearance,
     )  # fmt: skip
-    close = values.clearance < SMALLEST_CLEARANCE
+    angle = out[:, 12] / (4 * np.pi)
     _refuse(
-        close, points, f"within {SMALLEST_CLEARANCE:.0%} of a triangle's radius of the surface",
+        clearance < _MIN_CLEARANCE, points,
+        f"within {_MIN_CLEARANCE:.0%} of a triangle's radius of the surface",
         "move them inward, refine the mesh there, or use the displacement of the surface itself",
     )  # fmt: skip
     _refuse(
-        ~(values.solid_angle > 0.5), points, "outside the object",
+        ~(angle > 0.5), points, "outside the object",
         "check their frame and that they are in metres",
     )  # fmt: skip
-    return InteriorState(values.displacement, values.stress)
+    return _as_state(out, poisson_ratio)
+
+
+def _as_state(out: Float[np.ndarray, "n 13"], poisson_ratio: float) -> InteriorState:
+    scaled = out / (8 * np.pi * (1 - poisson_ratio))
+    return InteriorState(scaled[:, :3].copy(), scaled[:, 3:12].reshape(-1, 3, 3).copy())
 
 
 def _refuse(
@@ -172,57 +183,3 @@ def _with_midpoints(
     nodes: QuadraticNodes, values: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "p 3"]:
     return np.concatenate([values, csr_array(nodes.weights) @ values])
-
-
-def _load_points_near(
-    surface: BoundarySurface, load: SurfaceLoad, points: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
-    """Places and shares of a load, in cells as small as the nearest point asks for."""
-    rule = triangle_rule(LOAD_DEGREE)
-    coarsest, rim_finest, finest = LOAD_LEVELS
-    tree = cKDTree(points)
-    triangle = np.asarray(load.triangles, dtype=np.int64)
-    corners = np.tile(np.eye(3), (triangle.size, 1, 1))
-    positions, weights = [], []
-    for level in range(finest + 1):
-        barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
-        position, area = _places(surface, triangle, barycentric)
-        density = load.density(
-            np.repeat(triangle, rule.weight.size),
-            barycentric.reshape(-1, 3),
-            position.reshape(-1, 3),
-        ).reshape(area.shape)
-        centre = position.mean(axis=1)
-        size = np.linalg.norm(position - centre[:, None], axis=2).max(axis=1)
-        rim = (density == 0).any(axis=1) & (level < rim_finest)
-        far = tree.query(centre)[0] >= LOAD_RATIO * size
-        done = ((level >= coarsest) & ~rim & far) | (level == finest)
-        weight = density[done] * area[done] * rule.weight * 0.25**level
-        kept = weight > 0
-        positions.append(position[done][kept])
-        weights.append(weight[kept])
-        divide = ~done & ((density > 0).any(axis=1) | (level < coarsest))
-        triangle, corners = _quarters(triangle[divide], corners[divide])
-    weight = np.concatenate(weights)
-    return np.concatenate(positions), weight / weight.sum()
-
-
-def _places(
-    surface: BoundarySurface,
-    triangle: Int[np.ndarray, " c"],
-    barycentric: Float[np.ndarray, "c q 3"],
-) -> tuple[Float[np.ndarray, "c q 3"], Float[np.ndarray, "c q"]]:
-    flat = barycentric.reshape(-1, 3)
-    parts = np.stack([quadratic_shapes(flat), *quadratic_slopes(flat)])
-    parts = parts.reshape(3, 6, *barycentric.shape[:2])
-    place, along_b, along_c = np.einsum("dacq,cai->dcqi", parts, surface.element_nodes[triangle])
-    return place, np.linalg.norm(np.cross(along_b, along_c), axis=2)
-
-
-def _quarters(
-    triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
-) -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, "d 3 3"]]:
-    a, b, c = corners.transpose(1, 0, 2)
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.tile(triangle, 4), np.concatenate([np.stack(part, axis=1) for part in parts])

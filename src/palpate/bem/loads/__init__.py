@@ -1,4 +1,11 @@
-"""loads."""
+"""Right-hand sides of the system.
+
+Purpose    : integrate contact pressures, given tractions, moved supports and gravity.
+Takes      : a `BoundarySystem` and a `SurfaceLoad`, a traction, a displacement or a force density.
+Gives      : `RightHand`, quadratic in Poisson's ratio; the dip under a contact.
+Depends on : bem's integrals and system; geometry; errors, threads.
+Read first : `right_hand.py`, `surface_load.py`.
+"""
 
 from palpate.bem.loads.body_force import (
     BodyForce as BodyForce,
@@ -19,7 +26,9 @@ from palpate.bem.loads.right_hand import (
     traction_column as traction_column,
 )
 from palpate.bem.loads.surface_load import (
+    LoadCells as LoadCells,
     SurfaceLoad as SurfaceLoad,
     integrate_load as integrate_load,
+    load_points as load_points,
     loaded_triangles as loaded_triangles,
 )

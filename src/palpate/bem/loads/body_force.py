@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals import ELEMENT_NODES, BoundarySurface, Quadrature, element_points
+from palpate.bem.integrals import BoundarySurface, Quadrature
 from palpate.bem.loads.right_hand import RightHand, joined, support_columns, traction_column
 from palpate.bem.system import BoundarySystem
+from palpate.geometry import ELEMENT_NODES, element_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,17 +13,18 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from palpate.bem.integrals import TRACTION_FIELDS, BoundarySurface, Quadrature, assemble
+from palpate.bem.integrals import TRACTION, BoundarySurface, Quadrature, assemble, traction_parts
 from palpate.bem.loads.half_space import PressureDisc, disc_displacement
 from palpate.bem.loads.right_hand import RightHand
-from palpate.bem.system import PAIRS, BoundarySystem, restrict_collocation
+from palpate.bem.system import BoundarySystem
 from palpate.geometry import QuadraticNodes, unit_normals
 
-REACH = 2.5
-SMALLEST_COSINE = 0.7
-NEGLIGIBLE = 2e-3
-SKEW = np.array([[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
-                 [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]])  # fmt: skip
+# A midpoint may differ from its fit within this many edges of the patch.
+_REACH_EDGES = 2.5
+# Triangles whose normal is turned further from that of the patch are not part of its half space.
+_MIN_COSINE = 0.7
+# Share of the largest dip below which what the fit misses is left out.
+_NEGLIGIBLE = 2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +62,8 @@ def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -
     middle = surface.element_nodes[:, 3:]
     edge = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], -1, axis=1)
     distance = np.linalg.norm(middle - disc.centre, axis=2)
-    reach = disc.radius + REACH * np.linalg.norm(edge, axis=2)
-    level = ~surface.held & (normals @ normal > SMALLEST_COSINE)
+    reach = disc.radius + _REACH_EDGES * np.linalg.norm(edge, axis=2)
+    level = ~surface.held & (normals @ normal > _MIN_COSINE)
     edge_level = np.ones(nodes.weights.shape[0], dtype=bool)
     row = nodes.element[:, 3:] - nodes.n_nodes
     edge_level[row[~level].ravel()] = False
@@ -75,7 +76,7 @@ def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -
     fitted = np.einsum("pv,svij->spij", weights[:, vertices].toarray(), at_vertices)
     dip = disc_displacement(disc, normal, position)
     missing = dip - fitted
-    counts = np.abs(missing).max(axis=(0, 2, 3)) > NEGLIGIBLE * np.abs(dip).max(initial=0.0)
+    counts = np.abs(missing).max(axis=(0, 2, 3)) > _NEGLIGIBLE * np.abs(dip).max(initial=0.0)
     return ContactShape(midpoints[counts], missing[:, counts])
 
 
@@ -99,22 +100,20 @@ def shape_columns(
     """
     surface = system.surface
     nodes, triangles = _shape_nodes(surface.displacement, shapes)
-    chosen = np.zeros(surface.held.size, dtype=bool)
-    chosen[triangles] = True
     blocks = assemble(
-        restrict_collocation(system.collocation, chosen), surface.mesh.triangles[triangles],
-        surface.element_nodes[triangles], nodes, n_fields=TRACTION_FIELDS, quadrature=quadrature,
-    )  # fmt: skip
-    fields = blocks.values.transpose(0, 3, 1, 2).reshape(-1, len(shapes), 2, 3, 3, 9)
-    fields = fields[: blocks.n_rows]
-    flux = fields[..., 3:6].sum(axis=-1) / 3
-    skew = np.einsum("rnsjck,ijk->isrnc", fields[..., :3], SKEW, optimize=True)
-    part_a = skew - flux.transpose(3, 2, 0, 1, 4)
-    part_b = -np.einsum("rnsjcij->isrnc", fields[..., 3 + np.array(PAIRS)])
-    zero, one = part_a + part_b, -2 * part_a
-    parts = (-zero[:, 0], -(zero[:, 1] + one[:, 0]), -one[:, 1])
-    balance = np.zeros((3, 3 * len(shapes)))
-    return RightHand(*(np.concatenate([p.reshape(-1, balance.shape[1]), balance]) for p in parts))
+        surface, system.collocation, nodes, TRACTION, triangles=triangles, quadrature=quadrature
+    )
+    n_rows = blocks.n_rows
+    fields = blocks.values.transpose(2, 0, 3, 1).reshape(TRACTION.count, -1, len(shapes), 2, 3, 3)
+    # Component j of the dip by its force c, constant and slope p; force and component i of the row.
+    scaled, constant = (
+        np.einsum("ijrspjc->pirsc", part).reshape(2, 3 * n_rows, -1)
+        for part in traction_parts(fields[:, :n_rows])
+    )
+    constant, slope = scaled + constant, -2 * scaled
+    terms = np.zeros((3, 3 * n_rows + 3, 3 * len(shapes)))
+    terms[:, :-3] = -constant[0], -(constant[1] + slope[0]), -slope[1]
+    return RightHand(terms)
 
 
 def _shape_nodes(

@@ -9,18 +9,16 @@ Source: Johnson, Contact Mechanics (1985), eq. 3.18, 3.19 and 3.77, at the surfa
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 
 from palpate.bem.integrals import unit_gauss
 
-FAR = 8.0
-GRID = 120
-ANGLES = 96
-RADII = 16
+# From this many radii on the patch is a point.
+_FAR = 8.0
+# Gauss points of the polar integrals, by angle and by radius, and of a profile's own integral.
+_ANGLES, _RADII, _PROFILE_POINTS = 96, 16, 64
 
 
 Profile = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
@@ -82,23 +80,14 @@ def disc_displacement(
 def _radial(disc: PressureDisc, s: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], ...]:
     """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle seen
     from radius s."""
-    near = _radial_table(disc.profile)(np.minimum(s, FAR))
-    far = (s > FAR)[:, None]
-    values = np.where(far, 1.0 / np.maximum(s, FAR)[:, None], near)
+    far = s > _FAR
+    values = np.repeat(1.0 / np.maximum(s, _FAR)[:, None], 3, axis=1)
+    values[~far] = _polar_integrals(disc.profile, s[~far])
     return values[:, 0], values[:, 1], values[:, 2]
 
 
-@cache
-def _radial_table(profile: Profile) -> CubicSpline:
-    """The same for s from 0 to `FAR`, computed once a profile."""
-    grid = FAR * (np.arange(GRID) / (GRID - 1)) ** 2
-    return CubicSpline(grid, np.stack(_polar_integrals(profile, grid), axis=1))
-
-
-def _polar_integrals(
-    profile: Profile, s: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " n"], ...]:
-    x, w = unit_gauss(ANGLES)
+def _polar_integrals(profile: Profile, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    x, w = unit_gauss(_ANGLES)
     widest = np.where(s > 1, np.arcsin(np.minimum(1.0, 1.0 / np.maximum(s, 1.0))), np.pi)
     # The square root at the tangents is smooth in this angle.
     angle = widest[:, None] * np.sin(0.5 * np.pi * x)
@@ -106,13 +95,13 @@ def _polar_integrals(
     half = np.sqrt(np.clip(1 - (s[:, None] * np.sin(angle)) ** 2, 0, None))
     middle = s[:, None] * np.cos(angle)
     first, last = np.maximum(middle - half, 0), np.maximum(middle + half, 0)
-    t, w_t = unit_gauss(RADII)
+    t, w_t = unit_gauss(_RADII)
     reach = first[:, :, None] + (last - first)[:, :, None] * t
     square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
     inside = np.sqrt(np.clip(square, 0, None))
     pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
     line = 2 * weight * ((last - first) * (pressure @ w_t))
-    r, w_r = unit_gauss(64)
+    r, w_r = unit_gauss(_PROFILE_POINTS)
     total = 2 * np.pi * np.sum(w_r * r * profile(r))
     cosine = np.cos(angle)
-    return tuple((line * cosine**k).sum(axis=1) / total for k in range(3))
+    return np.stack([(line * cosine**k).sum(axis=1) / total for k in range(3)], axis=1)

@@ -7,31 +7,28 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from palpate.bem.integrals import (
-    DISPLACEMENT_FIELDS,
+    DISPLACEMENT,
+    LANES,
     Quadrature,
     assemble,
-    element_points,
-    quadratic_shapes,
+    displacement_parts,
+    traction_parts,
     triangle_rule,
 )
-from palpate.bem.system import PAIRS, BoundarySystem, restrict_collocation
-from palpate.geometry import QuadraticNodes
+from palpate.bem.system import BoundarySystem
+from palpate.geometry import QuadraticNodes, element_points, quadratic_shapes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RightHand:
-    """Columns constant + nu * slope + nu^2 * curvature, for a shear modulus of one pascal.
+    """Columns for a shear modulus of one pascal, quadratic in Poisson's ratio.
 
     Attributes
     ----------
-    constant : (k, c) float
-    slope : (k, c) float
-    curvature : (k, c) float
+    terms : (3, k, c) float       constant, factor of nu, factor of nu^2
     """
 
-    constant: Float[np.ndarray, "k c"]
-    slope: Float[np.ndarray, "k c"]
-    curvature: Float[np.ndarray, "k c"]
+    terms: Float[np.ndarray, "3 k c"]
 
     def at(self, poisson_ratio: float) -> Float[np.ndarray, "k c"]:
         """The columns at one Poisson's ratio.
@@ -44,11 +41,12 @@ class RightHand:
         -------
         (k, c) float
         """
-        return self.constant + poisson_ratio * (self.slope + poisson_ratio * self.curvature)
+        constant, slope, curvature = self.terms
+        return constant + poisson_ratio * (slope + poisson_ratio * curvature)
 
     def __add__(self, other: "RightHand") -> "RightHand":
         """Sum of two sets of as many columns."""
-        return self.plus(other, np.arange(self.constant.shape[1]))
+        return self.plus(other, np.arange(self.terms.shape[2]))
 
     def plus(self, other: "RightHand", columns: Int[np.ndarray, " c"]) -> "RightHand":
         """These columns with others added to some of them.
@@ -62,12 +60,9 @@ class RightHand:
         -------
         RightHand
         """
-        parts = []
-        for name in ("constant", "slope", "curvature"):
-            part = getattr(self, name).copy()
-            part[:, columns] += getattr(other, name)
-            parts.append(part)
-        return RightHand(*parts)
+        terms = self.terms.copy()
+        terms[:, :, columns] += other.terms
+        return RightHand(terms)
 
 
 def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3 3"]) -> RightHand:
@@ -82,10 +77,12 @@ def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3
     -------
     RightHand                         3 r + 3 rows, 3 columns
     """
-    tensor = fields[:, np.array(PAIRS)]
-    trace = fields[:, :3].sum(axis=1)[:, None, None] * np.eye(3)
-    constant = _stacked(1.5 * trace + 0.5 * tensor, balance)
-    return RightHand(constant, _stacked(-2 * trace, np.zeros((3, 3))), np.zeros_like(constant))
+    constant, slope = displacement_parts(fields.T)
+    terms = np.zeros((3, 3 * len(fields) + 3, 3))
+    terms[0, :-3] = constant.transpose(0, 2, 1).reshape(-1, 3)
+    terms[0, -3:] = balance
+    terms[1, :-3] = slope.transpose(0, 2, 1).reshape(-1, 3)
+    return RightHand(terms)
 
 
 def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3"]) -> RightHand:
@@ -101,25 +98,18 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
     RightHand                         3 r + 3 rows, one column, for a shear modulus of one pascal
     """
     held = system.unknowns.held_vertices
-    u = displacement[held]
     blocks = system.traction_kernel
-    parts = []
-    for values in blocks.values:
-        f = values[held]
-        skew, flux = f[:, :3], f[:, 3:6].sum(axis=1) / 3
-        a = np.einsum("vkl,vj->lkj", skew, u)
-        turned = np.stack(
-            [a[:, 2, 1] - a[:, 1, 2], a[:, 0, 2] - a[:, 2, 0], a[:, 1, 0] - a[:, 0, 1]]
+    terms = np.zeros((3, 3 * blocks.n_rows + 3, 1))
+    equations = terms[:, :-3].reshape(3, 3, blocks.n_rows)
+    for b, values in enumerate(blocks.values):
+        rows = slice(b * LANES, min((b + 1) * LANES, blocks.n_rows))
+        fields = np.moveaxis(values[held][..., : rows.stop - rows.start], 1, 0)
+        scaled, constant = (
+            np.einsum("ijvl,vj->il", part, displacement[held]) for part in traction_parts(fields)
         )
-        part_a = turned - np.einsum("vl,vi->il", flux, u)
-        part_b = -np.einsum("vijl,vj->il", f[:, 3 + np.array(PAIRS)], u)
-        parts.append((part_a + part_b, -2 * part_a))
-    rows = blocks.n_rows
-    total = [
-        np.concatenate([np.concatenate(part, axis=1)[:, :rows].ravel(), np.zeros(3)])[:, None]
-        for part in zip(*parts, strict=True)
-    ]
-    return RightHand(-total[0], -total[1], np.zeros_like(total[0]))
+        equations[0, :, rows] = -(scaled + constant)
+        equations[1, :, rows] = 2 * scaled
+    return RightHand(terms)
 
 
 def traction_column(
@@ -148,22 +138,13 @@ def traction_column(
     # Three nodes, one an axis, whose shape functions are the components of the traction itself.
     element = 3 + np.arange(6 * triangles.size).reshape(-1, 6)
     nodes = QuadraticNodes(element, 3, csr_array(traction.reshape(-1, 3)))
-    chosen = np.zeros(surface.held.size, dtype=bool)
-    chosen[triangles] = True
     blocks = assemble(
-        restrict_collocation(system.collocation, chosen), surface.mesh.triangles[triangles],
-        surface.element_nodes[triangles], nodes, n_fields=DISPLACEMENT_FIELDS,
-        quadrature=quadrature,
-    )  # fmt: skip
+        surface, system.collocation, nodes, DISPLACEMENT, triangles=triangles, quadrature=quadrature
+    )
     total = total_traction(surface.element_nodes[triangles], traction)
-    balance = -total / system.traction_length
-    columns = []
-    for axis in range(3):
-        fields = blocks.values[:, axis].transpose(0, 2, 1).reshape(-1, DISPLACEMENT_FIELDS)
-        column = load_columns(fields[: blocks.n_rows], np.diag(balance))
-        columns.append((column.constant[:, axis], column.slope[:, axis]))
-    constant, slope = (np.sum(part, axis=0)[:, None] for part in zip(*columns, strict=True))
-    return RightHand(constant, slope, np.zeros_like(constant))
+    balance = np.diag(-total / system.traction_length)
+    columns = [load_columns(blocks.by_row(axis), balance).terms for axis in range(3)]
+    return RightHand(np.stack([columns[axis][:, :, axis] for axis in range(3)]).sum(0)[:, :, None])
 
 
 def joined(parts: list[RightHand]) -> RightHand:
@@ -177,11 +158,7 @@ def joined(parts: list[RightHand]) -> RightHand:
     -------
     RightHand
     """
-    return RightHand(
-        np.concatenate([part.constant for part in parts], axis=1),
-        np.concatenate([part.slope for part in parts], axis=1),
-        np.concatenate([part.curvature for part in parts], axis=1),
-    )
+    return RightHand(np.concatenate([part.terms for part in parts], axis=2))
 
 
 def total_traction(
@@ -202,10 +179,3 @@ def total_traction(
     area = np.linalg.norm(element_points(nodes, rule.barycentric)[:, :, 3:], axis=2)
     shape = quadratic_shapes(rule.barycentric)
     return np.einsum("q,kq,aq,kai->i", rule.weight, area, shape, traction)
-
-
-def _stacked(
-    tensor: Float[np.ndarray, "r 3 3"], last: Float[np.ndarray, "3 3"]
-) -> Float[np.ndarray, "k 3"]:
-    rows = np.concatenate([tensor.transpose(1, 0, 2).reshape(-1, 3), last])
-    return np.asfortranarray(rows)

@@ -12,21 +12,23 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from palpate.bem.integrals import (
-    DISPLACEMENT_FIELDS,
+    DISPLACEMENT,
     LANES,
     BoundarySurface,
     Collocation,
     FieldBlocks,
-    displacement_fields,
-    quadratic_shapes,
-    quadratic_slopes,
+    add_point_fields,
+    lane_fields,
+    lanes_of,
     triangle_rule,
     unit_gauss,
 )
 from palpate.bem.loads.half_space import PressureDisc
 from palpate.errors import InputError
+from palpate.geometry import element_points, quartered
 from palpate.threads import in_threads
 
 Density = Callable[
@@ -34,11 +36,11 @@ Density = Callable[
     Float[np.ndarray, " n"],
 ]
 
-MOST_LEVELS = 2
-RIM_LEVELS = 3
-CELL_DEGREE = 5
-POLAR_PANELS = 3
-POLAR_POINTS = 4
+_N_FIELDS = DISPLACEMENT.count
+# Triangles are divided in four up to so often, and so often more at the rim of the patch.
+_MOST_LEVELS, _RIM_LEVELS = 2, 3
+# Panels, and Gauss points of each, of the polar coordinates along and across.
+_POLAR_PANELS, _POLAR_POINTS = 3, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +62,27 @@ class SurfaceLoad:
     disc: PressureDisc | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class LoadCells:
+    """How finely the triangles under a load are divided; a level is a division in four.
+
+    Attributes
+    ----------
+    degree : int                  of the rule on each cell
+    coarsest : int                level of all cells
+    finest_rim : int              level of the cells that the rim of the load runs through
+    finest : int                  level at which division ends
+    ratio : float                 distance from the nearest point over the cell's size from which it
+                                  is fine enough for that point
+    """
+
+    degree: int
+    coarsest: int
+    finest_rim: int
+    finest: int
+    ratio: float = 4.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadPoints:
     """Quadrature points of a load.
@@ -79,13 +102,23 @@ class LoadPoints:
     total: float
 
 
-def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
+def load_points(
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    *,
+    cells: LoadCells | None = None,
+    near: Float[np.ndarray, "p 3"] | None = None,
+) -> LoadPoints:
     """Quadrature points that integrate smooth functions against a load.
 
     Parameters
     ----------
     surface : BoundarySurface
     load : SurfaceLoad
+    cells : LoadCells or None     how finely triangles are divided; None: into cells of at most a
+                                  quarter of the patch's radius, and finer at its rim
+    near : (p, 3) float [m]       points from which the load is seen: cells close to them are
+                                  divided further
 
     Returns
     -------
@@ -95,29 +128,31 @@ def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
     ------
     InputError                    the density vanishes on all its triangles
     """
-    nodes = surface.element_nodes
-    rule = triangle_rule(CELL_DEGREE)
+    cells = cells or _cells_of(surface, load)
+    rule = triangle_rule(cells.degree)
     corners = np.tile(np.eye(3), (load.triangles.size, 1, 1))
     triangle = np.asarray(load.triangles, dtype=np.int64)
-    for _ in range(_cell_level(surface, load)):
-        triangle, corners = _divided(triangle, corners)
+    for _ in range(cells.coarsest):
+        triangle, corners = quartered(triangle, corners)
+    tree = None if near is None else cKDTree(near)
     positions, weights, owners = [], [], []
-    for level in range(RIM_LEVELS + 1):
+    for level in range(cells.coarsest, cells.finest + 1):
         if not triangle.size:
             break
         barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
-        position, area = _points_of(nodes, triangle, barycentric)
-        size = np.abs(np.linalg.det(corners))
-        density = load.density(
-            np.repeat(triangle, rule.weight.size), barycentric.reshape(-1, 3), position
-        ).reshape(triangle.size, -1)
-        rim = (density == 0).any(axis=1) & (density > 0).any(axis=1) & (level < RIM_LEVELS)
-        weight = density * area.reshape(density.shape) * rule.weight * size[:, None]
-        keep = ((density > 0) & ~rim[:, None]).ravel()
-        positions.append(position[keep])
-        weights.append(weight.ravel()[keep])
-        owners.append(np.repeat(triangle, rule.weight.size)[keep])
-        triangle, corners = _divided(triangle[rim], corners[rim])
+        position, area, density = _load_at(surface, load, triangle, barycentric)
+        loaded = density > 0
+        touched = loaded.any(axis=1)
+        divide = touched & ~loaded.all(axis=1) & np.array(level < cells.finest_rim)
+        if tree is not None and level < cells.finest:
+            centre = position.mean(axis=1)
+            size = np.linalg.norm(position - centre[:, None], axis=2).max(axis=1)
+            divide |= touched & (tree.query(centre)[0] < cells.ratio * size)
+        kept = loaded & ~divide[:, None]
+        positions.append(position[kept])
+        weights.append((density * area * rule.weight)[kept] * 0.25**level)
+        owners.append(np.repeat(triangle, kept.sum(axis=1)))
+        triangle, corners = quartered(triangle[divide], corners[divide])
     weight = np.concatenate(weights)
     total = float(weight.sum())
     if not total > 0:
@@ -128,13 +163,31 @@ def load_points(surface: BoundarySurface, load: SurfaceLoad) -> LoadPoints:
     return LoadPoints(np.concatenate(positions), weight / total, np.concatenate(owners), total)
 
 
-def _cell_level(surface: BoundarySurface, load: SurfaceLoad) -> int:
-    """How often triangles are divided: cells of at most a quarter of the patch's radius."""
-    if load.disc is None:
-        return MOST_LEVELS
-    corner = surface.element_nodes[load.triangles, :3]
-    edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max()
-    return int(np.clip(np.ceil(np.log2(4 * edge / load.disc.radius)), 1, MOST_LEVELS))
+def _cells_of(surface: BoundarySurface, load: SurfaceLoad) -> LoadCells:
+    coarsest = _MOST_LEVELS
+    if load.disc is not None:
+        corner = surface.element_nodes[load.triangles, :3]
+        edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max()
+        coarsest = int(np.clip(np.ceil(np.log2(4 * edge / load.disc.radius)), 1, _MOST_LEVELS))
+    finest = coarsest + _RIM_LEVELS
+    return LoadCells(degree=5, coarsest=coarsest, finest_rim=finest, finest=finest)
+
+
+def _load_at(
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    triangle: Int[np.ndarray, " c"],
+    barycentric: Float[np.ndarray, "c q 3"],
+) -> tuple[Float[np.ndarray, "c q 3"], Float[np.ndarray, "c q"], Float[np.ndarray, "c q"]]:
+    """Positions, areas per reference area and densities at points of their own in each
+    triangle."""
+    points = element_points(surface.element_nodes[triangle], barycentric)
+    position = points[:, :, :3]
+    shape = barycentric.shape[:2]
+    density = load.density(
+        np.repeat(triangle, shape[1]), barycentric.reshape(-1, 3), position.reshape(-1, 3)
+    )
+    return position, np.linalg.norm(points[:, :, 3:], axis=2), density.reshape(shape)
 
 
 def loaded_triangles(surface: BoundarySurface, load: SurfaceLoad) -> Int[np.ndarray, " k"]:
@@ -149,13 +202,10 @@ def loaded_triangles(surface: BoundarySurface, load: SurfaceLoad) -> Int[np.ndar
     -------
     (k,) int
     """
-    rule = triangle_rule(7)
     triangle = np.asarray(load.triangles, dtype=np.int64)
-    barycentric = np.tile(rule.barycentric, (triangle.size, 1, 1))
-    position, _ = _points_of(surface.element_nodes, triangle, barycentric)
-    repeated = np.repeat(triangle, rule.weight.size)
-    density = load.density(repeated, barycentric.reshape(-1, 3), position)
-    return triangle[(density.reshape(triangle.size, -1) > 0).any(axis=1)]
+    barycentric = np.tile(triangle_rule(7).barycentric, (triangle.size, 1, 1))
+    _, _, density = _load_at(surface, load, triangle, barycentric)
+    return triangle[(density > 0).any(axis=1)]
 
 
 def integrate_load(
@@ -176,15 +226,22 @@ def integrate_load(
     """
     points = load_points(surface, load)
     rows = blocks.rows
-    lanes = collocation.point[rows].transpose(0, 2, 1).reshape(rows.shape[0], 3 * LANES).copy()
-    sources = np.zeros((points.weight.size, 6))
-    sources[:, :3], sources[:, 3] = points.position, points.weight
-    out = np.zeros((rows.shape[0], DISPLACEMENT_FIELDS * LANES))
-    in_threads(_sum_points, lanes.shape[0], lanes, sources, out)
-    fields = out.reshape(-1, DISPLACEMENT_FIELDS, LANES).transpose(0, 2, 1).reshape(-1, 6)
-    fields = fields[: blocks.n_rows].copy()
-    _mend_touching_rows(surface, load, points, collocation, rows.ravel()[: blocks.n_rows], fields)
+    order = rows.ravel()[: blocks.n_rows]
+    sources = _as_sources(points.position, points.weight)
+    out = np.zeros((rows.shape[0], DISPLACEMENT.count * LANES))
+    in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
+    fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
+    fields = fields.reshape(-1, DISPLACEMENT.count)[: blocks.n_rows].copy()
+    _mend_touching_rows(surface, load, points, collocation, order, fields)
     return fields
+
+
+def _as_sources(
+    position: Float[np.ndarray, "q 3"], weight: Float[np.ndarray, " q"]
+) -> Float[np.ndarray, "q 6"]:
+    """Points as the kernels take them: any normal does for the displacement, of the weight's
+    length."""
+    return np.column_stack([position, weight, np.zeros((weight.size, 2))])
 
 
 def _mend_touching_rows(
@@ -205,19 +262,20 @@ def _mend_touching_rows(
         "q,pj->pqj", t, corners[:, 2]
     )
     barycentric = np.einsum("q,pj->pqj", 1 - s, corners[:, 0]) + s[:, None] * far_side
-    position, area = _points_of(surface.element_nodes, triangle, barycentric)
-    repeated = np.repeat(triangle, s.size)
-    density = load.density(repeated, barycentric.reshape(-1, 3), position)
+    position, area, density = _load_at(surface, load, triangle, barycentric)
     scale = np.abs(np.linalg.det(corners))[:, None] * polar_weight / points.total
-    weight = density * area * scale.ravel()
-    centre = collocation.point[order[place]]
-    r = position.reshape(place.size, -1, 3) - centre[:, None]
-    share = _fields(r, weight.reshape(place.size, -1))
+    weight = density * area * scale
     for row in np.unique(place):
         mine = place == row
         away = ~np.isin(points.triangle, triangle[mine])
-        r = points.position[away] - collocation.point[order[row]]
-        fields[row] = share[mine].sum(axis=0) + _fields(r[None], points.weight[None, away])[0]
+        sources = np.concatenate(
+            [
+                _as_sources(position[mine].reshape(-1, 3), weight[mine].ravel()),
+                _as_sources(points.position[away], points.weight[away]),
+            ]
+        )
+        fields[row] = 0.0
+        _add_fields(collocation.point[order[row]], sources, fields[row : row + 1])
 
 
 def _touching_parts(
@@ -251,52 +309,25 @@ def _touching_parts(
 
 
 def _polar_panels() -> tuple[Float[np.ndarray, " p"], ...]:
-    x, w = unit_gauss(POLAR_POINTS)
-    start = np.arange(POLAR_PANELS)[:, None] / POLAR_PANELS
-    points, weights = (start + x / POLAR_PANELS).ravel(), np.tile(w / POLAR_PANELS, POLAR_PANELS)
+    x, w = unit_gauss(_POLAR_POINTS)
+    start = np.arange(_POLAR_PANELS)[:, None] / _POLAR_PANELS
+    points, weights = (start + x / _POLAR_PANELS).ravel(), np.tile(w / _POLAR_PANELS, _POLAR_PANELS)
     s, t = (grid.ravel() for grid in np.meshgrid(points, points, indexing="ij"))
     return s, t, np.outer(weights * points, weights).ravel()
 
 
-def _fields(
-    r: Float[np.ndarray, "p n 3"], weight: Float[np.ndarray, "p n"]
-) -> Float[np.ndarray, "p 6"]:
-    x, y, z = r[..., 0], r[..., 1], r[..., 2]
-    scaled = weight / (x * x + y * y + z * z) ** 1.5
-    pairs = (x * x, y * y, z * z, y * z, z * x, x * y)
-    return np.stack([np.einsum("pn,pn->p", scaled, pair) for pair in pairs], axis=1)
-
-
-def _points_of(
-    nodes: Float[np.ndarray, "m 6 3"],
-    triangle: Int[np.ndarray, " c"],
-    barycentric: Float[np.ndarray, "c q 3"],
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Positions and areas per reference area at points of their own in each triangle, flattened."""
-    flat = barycentric.reshape(-1, 3)
-    values = np.stack([quadratic_shapes(flat), *quadratic_slopes(flat)])
-    values = values.reshape(3, 6, triangle.size, -1).transpose(2, 0, 3, 1)
-    combined = values.reshape(triangle.size, -1, 6) @ nodes[triangle]
-    position, along_b, along_c = combined.reshape(triangle.size, 3, -1, 3).transpose(1, 0, 2, 3)
-    area = np.linalg.norm(np.cross(along_b, along_c), axis=2)
-    return position.reshape(-1, 3), area.ravel()
-
-
-def _divided(
-    triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
-) -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, "d 3 3"]]:
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.tile(triangle, 4), np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _sum_points(begin, end, lanes, sources, out):
+    """Displacement fields of some blocks of load points, summed over the sources."""
     for b in range(begin, end):
-        row = np.empty(DISPLACEMENT_FIELDS * LANES)
+        row = np.empty(_N_FIELDS * LANES)
         for q in range(sources.shape[0]):
-            displacement_fields(lanes[b], sources[q], row)
-            target = out[b]
-            for i in range(row.size):
-                target[i] += row[i]
+            lane_fields(_N_FIELDS, lanes[b], sources[q : q + 1], row)
+            out[b] += row
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _add_fields(point, sources, out):
+    """Add the displacement fields of one load point from all sources; out is (1, 6)."""
+    for q in range(sources.shape[0]):
+        add_point_fields(_N_FIELDS, point, sources[q], 1.0, np.ones(1), out)

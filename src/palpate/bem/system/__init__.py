@@ -1,18 +1,24 @@
-"""system."""
+"""The linear system of a held object.
+
+Purpose    : write the boundary integral equation for the unknowns of an object and solve it.
+Takes      : a `BoundarySurface`.
+Gives      : `BoundarySystem`, its factorisation, its derivative with respect to Poisson's ratio,
+             equations at single points; all of it kept on disk if asked.
+Depends on : bem's integrals; geometry; errors, threads.
+Read first : `system.py`, `boundary.py`.
+"""
 
 from palpate.bem.system.cache import cached_system as cached_system
-from palpate.bem.system.memory import check_memory as check_memory
 from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope
 from palpate.bem.system.surface_point import (
     PointEquations as PointEquations,
     point_equations as point_equations,
 )
 from palpate.bem.system.system import (
-    PAIRS as PAIRS,
     BoundarySystem as BoundarySystem,
     FactorisedSystem as FactorisedSystem,
     assemble_system as assemble_system,
+    check_memory as check_memory,
     factorise as factorise,
-    restrict_collocation as restrict_collocation,
     solve as solve,
 )

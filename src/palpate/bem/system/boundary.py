@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals import BoundarySurface, Collocation, quadratic_shapes
+from palpate.bem.integrals import BoundarySurface, Collocation
+from palpate.geometry import quadratic_shapes
 
-SHIFT = 0.1
+# How far a collocation point is moved off its vertex, as a barycentric coordinate.
+_SHIFT = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +89,6 @@ def _points_inside(
     first = np.searchsorted(corner.ravel()[order], sides)
     last = np.searchsorted(corner.ravel()[order], sides, side="right")
     chosen = order[(first + last) // 2]
-    barycentric = np.full((sides.size, 3), SHIFT)
-    barycentric[np.arange(sides.size), chosen % 3] = 1 - 2 * SHIFT
+    barycentric = np.full((sides.size, 3), _SHIFT)
+    barycentric[np.arange(sides.size), chosen % 3] = 1 - 2 * _SHIFT
     return chosen // 3, barycentric

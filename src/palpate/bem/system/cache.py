@@ -20,8 +20,8 @@ from palpate.bem.system.system import BoundarySystem, assemble_system
 from palpate.errors import InputError
 
 # Raised by whoever changes what is stored or how it is computed.
-FORMAT = 1
-KERNELS = ("traction", "displacement")
+_FORMAT = 1
+_KERNELS = ("traction", "displacement")
 
 
 def cached_system(
@@ -70,7 +70,7 @@ def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
     -------
     str
     """
-    parts = [np.array([FORMAT]), surface.mesh.triangles, surface.element_nodes, surface.held]
+    parts = [np.array([_FORMAT]), surface.mesh.triangles, surface.element_nodes, surface.held]
     for nodes in (surface.displacement, surface.traction):
         weights = nodes.weights
         parts += [nodes.element, weights.indptr, weights.indices, weights.data]
@@ -85,7 +85,7 @@ def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
     """The system in a file, or None where there is none that can be read."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            kernels = [(stored[f"{name}_values"], stored[f"{name}_rows"]) for name in KERNELS]
+            kernels = [(stored[f"{name}_values"], stored[f"{name}_rows"]) for name in _KERNELS]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
     unknowns = find_unknowns(surface)
@@ -100,7 +100,7 @@ def _write(path: Path, system: BoundarySystem) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     blocks = (system.traction_kernel, system.displacement_kernel)
     arrays: dict[str, Any] = {}
-    for name, kernel in zip(KERNELS, blocks, strict=True):
+    for name, kernel in zip(_KERNELS, blocks, strict=True):
         arrays |= {f"{name}_values": kernel.values, f"{name}_rows": kernel.rows}
     handle, partial = tempfile.mkstemp(dir=path.parent, suffix=".partial")
     try:

@@ -1,19 +1,17 @@
 """Derivative of the system's matrix with respect to Poisson's ratio, as an operator.
 
 The derivative needs four of the fifteen fields only: r x n and r.n of the traction kernel, and 1 /
-r of the displacement kernel. They are kept as plain matrices, so that its product with many vectors
+r of the displacement kernel. They are kept as plain matrices, so that the product with many vectors
 is a few large matrix products.
 """
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from palpate.bem.integrals import FieldBlocks
+from palpate.bem.integrals import DISPLACEMENT, TRACTION, FieldBlocks
 from palpate.bem.system.system import BoundarySystem
-from palpate.threads import in_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,15 +46,10 @@ class SystemSlope:
         q = unknowns[3 * n_free : -3].reshape(self.trace.shape[1], 3 * count)
         x, y, z = ((part @ u).reshape(n_rows, 3, count) for part in self.skew)
         along = (self.flux @ u + self.trace @ q).reshape(n_rows, 3, count)
-        balance = np.zeros((3, count))
-        return np.concatenate(
-            [
-                along[:, 0] - z[:, 1] + y[:, 2],
-                along[:, 1] - x[:, 2] + z[:, 0],
-                along[:, 2] - y[:, 0] + x[:, 1],
-                balance,
-            ]
-        )
+        along[:, 0] += y[:, 2] - z[:, 1]
+        along[:, 1] += z[:, 0] - x[:, 2]
+        along[:, 2] += x[:, 1] - y[:, 0]
+        return np.concatenate([*along.transpose(1, 0, 2), np.zeros((3, count))])
 
 
 def system_slope(system: BoundarySystem) -> SystemSlope:
@@ -72,31 +65,13 @@ def system_slope(system: BoundarySystem) -> SystemSlope:
     """
     free = system.unknowns.free_vertices
     traction, displacement = system.traction_kernel, system.displacement_kernel
-    sides = np.arange(displacement.values.shape[1])
-    skew = np.stack([_rows(traction, free, (k,), 2.0) for k in range(3)])
-    flux = _rows(traction, free, (3, 4, 5), 2.0 / 3)
-    trace = _rows(displacement, sides, (0, 1, 2), 2.0 / system.traction_length)
+    skew = 2.0 * np.stack([_rows(traction, slice(k, k + 1))[:, free] for k in range(3)])
+    flux = 2.0 / 3 * _rows(traction, TRACTION.diagonal)[:, free]
+    trace = 2.0 / system.traction_length * _rows(displacement, DISPLACEMENT.diagonal)
     return SystemSlope(skew, flux, trace)
 
 
-def _rows(
-    blocks: FieldBlocks, nodes: Int[np.ndarray, " n"], fields: tuple[int, ...], scale: float
-) -> Float[np.ndarray, "r n"]:
-    """Scaled sum of some fields against some nodes, one row a collocation point."""
-    lanes = blocks.rows.shape[1]
-    out = np.empty((blocks.values.shape[0] * lanes, nodes.size))
-    in_threads(_gather, blocks.values.shape[0], blocks.values, nodes, np.array(fields), scale, out)
-    return out[: blocks.n_rows]
-
-
-@numba.njit(nogil=True, cache=True)
-def _gather(begin, end, values, nodes, fields, scale, out):
-    lanes = values.shape[3]
-    for b in range(begin, end):
-        for i in range(lanes):
-            row = out[b * lanes + i]
-            for n in range(nodes.size):
-                total = 0.0
-                for k in fields:
-                    total += values[b, nodes[n], k, i]
-                row[n] = scale * total
+def _rows(blocks: FieldBlocks, fields: slice) -> Float[np.ndarray, "r n"]:
+    """Sum of some fields against every node, one row a collocation point."""
+    total = blocks.values[:, :, fields].sum(axis=2).transpose(0, 2, 1)
+    return total.reshape(-1, total.shape[2])[: blocks.n_rows]

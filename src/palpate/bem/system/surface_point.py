@@ -11,11 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals import BoundarySurface, Collocation, Quadrature, quadratic_shapes
-from palpate.bem.system.system import PAIRS, BoundarySystem, integral_equations, system_matrix
+from palpate.bem.integrals import TRACTION, BoundarySurface, Collocation, Quadrature, traction_parts
+from palpate.bem.system.system import BoundarySystem, integral_equations, system_matrix
+from palpate.geometry import quadratic_shapes
 
-AT_VERTEX = 1 - 1e-6
-FROM_EDGE = 0.02
+# A point with a barycentric coordinate above this is taken to be the vertex.
+_AT_VERTEX = 1 - 1e-6
+# Least distance from an edge, as a barycentric coordinate: the polar coordinates need it.
+_MIN_FROM_EDGE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,13 +77,12 @@ def point_equations(
         system.surface, system.unknowns, collocation, quadrature=quadrature
     )
     at_zero, at_one = (_sorted_rows(equations, system_matrix(equations, nu)) for nu in (0.0, 1.0))
-    total = equations.traction_kernel.values.sum(axis=1).transpose(0, 2, 1).reshape(-1, 9)
-    fields = np.empty((triangle.size, 9))
-    fields[equations.traction_kernel.rows.ravel()] = total
-    flux = fields[:, 3:6].sum(axis=1)[:, None, None] / 3 * np.eye(3)
-    x, y, z = fields[:, 0], fields[:, 1], fields[:, 2]
-    skew = np.stack([0 * x, z, -y, -z, 0 * x, x, y, -x, 0 * x], axis=1).reshape(-1, 3, 3)
-    a, b = skew - flux, -fields[:, 3 + np.array(PAIRS)]
+    total = (
+        equations.traction_kernel.values.sum(axis=1).transpose(1, 0, 2).reshape(TRACTION.count, -1)
+    )
+    fields = np.empty((TRACTION.count, triangle.size))
+    fields[:, equations.traction_kernel.rows.ravel()] = total
+    a, b = (part.transpose(2, 0, 1) for part in traction_parts(fields))
     return PointEquations(
         equations, np.stack([at_zero, at_one - at_zero]), np.stack([a + b, -2 * a])
     )
@@ -91,9 +93,9 @@ def _collocation_at(
     triangle: Int[np.ndarray, " p"],
     barycentric: Float[np.ndarray, "p 3"],
 ) -> Collocation:
-    at_vertex = barycentric.max(axis=1) > AT_VERTEX
+    at_vertex = barycentric.max(axis=1) > _AT_VERTEX
     corner = surface.mesh.triangles[triangle, barycentric.argmax(axis=1)]
-    inner = np.clip(barycentric, FROM_EDGE, None)
+    inner = np.clip(barycentric, _MIN_FROM_EDGE, None)
     inner /= inner.sum(axis=1)[:, None]
     point = np.einsum("ap,pai->pi", quadratic_shapes(inner), surface.element_nodes[triangle])
     point[at_vertex] = surface.mesh.vertices[corner[at_vertex]]

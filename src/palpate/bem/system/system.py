@@ -1,31 +1,36 @@
 """The linear system of a held object, linear in Poisson's ratio, and its factorisation."""
 
+import os
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.linalg import get_lapack_funcs, lu_factor, lu_solve
 
 from palpate.bem.integrals import (
-    DISPLACEMENT_FIELDS,
+    DISPLACEMENT,
     LANES,
-    TRACTION_FIELDS,
+    TRACTION,
     BoundarySurface,
     Collocation,
     FieldBlocks,
     Quadrature,
     assemble,
+    displacement_parts,
     integral_weights,
+    traction_parts,
     with_rigid_body_sum,
 )
 from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
-from palpate.errors import SingularSystemError
+from palpate.errors import InputError, SingularSystemError
 from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads
 
-PAIRS = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
 SMALLEST_RCOND = 1e-14
+# Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
+# slope.
+_DOUBLES_A_PAIR = 22
+_USABLE_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,37 +134,15 @@ def integral_equations(
     BoundarySystem                        as many rows as points; the traction kernel lacks the
                                           rigid-body sum
     """
-    triangles = surface.mesh.triangles
-    h = assemble(
-        collocation, triangles, surface.element_nodes, surface.displacement,
-        n_fields=TRACTION_FIELDS, quadrature=quadrature,
-    )  # fmt: skip
+    h = assemble(surface, collocation, surface.displacement, TRACTION, quadrature=quadrature)
     held = np.flatnonzero(surface.held)
     index = np.full(surface.traction.n_nodes, -1)
     index[unknowns.held_sides] = np.arange(unknowns.held_sides.size)
     g = assemble(
-        restrict_collocation(collocation, surface.held), triangles[held],
-        surface.element_nodes[held], restricted_nodes(surface.traction, held, index),
-        n_fields=DISPLACEMENT_FIELDS, quadrature=quadrature,
+        surface, collocation, restricted_nodes(surface.traction, held, index), DISPLACEMENT,
+        triangles=held, quadrature=quadrature,
     )  # fmt: skip
     return BoundarySystem(surface, unknowns, collocation, h, g)
-
-
-def restrict_collocation(collocation: Collocation, kept: Bool[np.ndarray, " m"]) -> Collocation:
-    """The same points, their triangles renumbered among the kept ones.
-
-    Parameters
-    ----------
-    collocation : Collocation
-    kept : (m,) bool
-
-    Returns
-    -------
-    Collocation
-    """
-    new = np.where(kept, np.cumsum(kept) - 1, -1)
-    triangle = np.where(collocation.triangle >= 0, new[collocation.triangle], -1)
-    return Collocation(collocation.point, collocation.vertex, triangle, collocation.barycentric)
 
 
 def restricted_nodes(
@@ -199,25 +182,40 @@ def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndar
                               order of the blocks; the last three are the balance of forces
     """
     n_rows = system.collocation.point.shape[0]
-    matrix = np.zeros((system.size, 3 * n_rows + 3))
     n_free = system.unknowns.free_vertices.size
-    column = np.full(system.surface.mesh.vertices.shape[0], -1)
-    column[system.unknowns.free_vertices] = np.arange(n_free)
-    in_threads(
-        _traction_columns, column.size,
-        system.traction_kernel.values, column, poisson_ratio, n_rows, matrix,
-    )  # fmt: skip
-    scale = -0.5 / system.traction_length
-    sides = system.displacement_kernel.values
-    in_threads(
-        _displacement_columns, sides.shape[1], sides, n_free, poisson_ratio, scale, n_rows, matrix
-    )
+    matrix = np.zeros((system.size, 3 * n_rows + 3))
+    # The transpose is filled: by node and component, then by component and collocation point.
+    entries = matrix[:-3, :-3].reshape(-1, 3, 3, n_rows)
+    n_blocks = len(system.traction_kernel.rows)
+    in_threads(_fill_rows, n_blocks, system, poisson_ratio, entries)
     weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
     share = weights[system.unknowns.held_sides] / system.traction_length**2
     for axis in range(3):
         matrix[3 * n_free + axis : -3 : 3, 3 * n_rows + axis] = share
         matrix[axis - 3, axis * n_rows : (axis + 1) * n_rows] = 8 * np.pi
     return matrix.T
+
+
+def _fill_rows(
+    begin: int,
+    end: int,
+    system: BoundarySystem,
+    poisson_ratio: float,
+    entries: Float[np.ndarray, "n 3 3 r"],
+) -> None:
+    """The integral equations of some blocks of collocation points."""
+    free = system.unknowns.free_vertices
+    for b in range(begin, end):
+        rows = slice(b * LANES, min((b + 1) * LANES, entries.shape[3]))
+        lanes = slice(0, rows.stop - rows.start)
+        h = np.moveaxis(system.traction_kernel.values[b, free][..., lanes], 1, 0)
+        scaled, constant = traction_parts(h)
+        traction = (1 - 2 * poisson_ratio) * scaled + constant
+        entries[: free.size, :, :, rows] = traction.transpose(2, 1, 0, 3)
+        g = np.moveaxis(system.displacement_kernel.values[b][..., lanes], 1, 0)
+        constant, slope = displacement_parts(g)
+        displacement = -(constant + poisson_ratio * slope) / system.traction_length
+        entries[free.size :, :, :, rows] = displacement.transpose(2, 1, 0, 3)
 
 
 def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
@@ -267,48 +265,32 @@ def solve(
     return lu_solve((factorised.lu, factorised.pivots), right, check_finite=False)
 
 
-@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-def _traction_columns(begin, end, values, column, nu, n_rows, matrix):
-    a = 1 - 2 * nu
-    for node in range(begin, end):
-        c = column[node]
-        if c < 0:
-            continue
-        for b in range(values.shape[0]):
-            first = b * LANES
-            for i in range(min(LANES, n_rows - first)):
-                f = values[b, node, :, i]
-                d = a * (f[3] + f[4] + f[5]) / 3
-                row = first + i
-                matrix[3 * c, row] = -d - f[3]
-                matrix[3 * c, n_rows + row] = -a * f[2] - f[8]
-                matrix[3 * c, 2 * n_rows + row] = a * f[1] - f[7]
-                matrix[3 * c + 1, row] = a * f[2] - f[8]
-                matrix[3 * c + 1, n_rows + row] = -d - f[4]
-                matrix[3 * c + 1, 2 * n_rows + row] = -a * f[0] - f[6]
-                matrix[3 * c + 2, row] = -a * f[1] - f[7]
-                matrix[3 * c + 2, n_rows + row] = a * f[0] - f[6]
-                matrix[3 * c + 2, 2 * n_rows + row] = -d - f[5]
+def check_memory(n_vertices: int, *, available: float | None = None) -> None:
+    """Refuse a mesh whose dense matrices do not fit.
+
+    Parameters
+    ----------
+    n_vertices : int
+    available : float [byte]          memory of the machine; None: asked of the system, unlimited
+                                      where it does not tell
+
+    Raises
+    ------
+    InputError                        more memory is needed than there is
+    """
+    needed = 8.0 * _DOUBLES_A_PAIR * n_vertices**2
+    usable = _USABLE_SHARE * (_physical_memory() if available is None else available)
+    if needed > usable:
+        most = int((usable / (8.0 * _DOUBLES_A_PAIR)) ** 0.5) // 100 * 100
+        raise InputError(
+            f"the mesh has {n_vertices} vertices, whose model needs {needed / 1e9:.0f} GB of "
+            f"memory; {usable / 1e9:.1f} GB can be used here: simplify the surface to at most "
+            f"{most} vertices (1000 to 3000 serve most objects)"
+        )
 
 
-@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-def _displacement_columns(begin, end, values, first_column, nu, scale, n_rows, matrix):
-    for node in range(begin, end):
-        c = first_column + node
-        for b in range(values.shape[0]):
-            first = b * LANES
-            for i in range(min(LANES, n_rows - first)):
-                f = values[b, node, :, i]
-                xx, yy, zz = f[0] * scale, f[1] * scale, f[2] * scale
-                yz, zx, xy = f[3] * scale, f[4] * scale, f[5] * scale
-                d = (3 - 4 * nu) * (xx + yy + zz)
-                row = first + i
-                matrix[3 * c, row] = d + xx
-                matrix[3 * c, n_rows + row] = xy
-                matrix[3 * c, 2 * n_rows + row] = zx
-                matrix[3 * c + 1, row] = xy
-                matrix[3 * c + 1, n_rows + row] = d + yy
-                matrix[3 * c + 1, 2 * n_rows + row] = yz
-                matrix[3 * c + 2, row] = zx
-                matrix[3 * c + 2, n_rows + row] = yz
-                matrix[3 * c + 2, 2 * n_rows + row] = d + zz
+def _physical_memory() -> float:
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):
+        return float("inf")

@@ -102,9 +102,10 @@ def make_reduced_model(
     factorised = factorise(system, CENTRE)
     matrix_slope = system_slope(system)
     terms = [solve(factorised, right.at(CENTRE))]
-    slope = right.slope + 2 * CENTRE * right.curvature
+    _, slope, curvature = right.terms
+    slope = slope + 2 * CENTRE * curvature
     terms.append(solve(factorised, slope - matrix_slope.apply(terms[0])))
-    terms.append(solve(factorised, right.curvature - matrix_slope.apply(terms[1])))
+    terms.append(solve(factorised, curvature - matrix_slope.apply(terms[1])))
     residual = np.inf
     while len(terms) <= MOST_DIRECTIONS:
         terms.append(solve(factorised, -matrix_slope.apply(terms[-1])))

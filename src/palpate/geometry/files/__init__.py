@@ -1,4 +1,11 @@
-"""files."""
+"""Mesh files.
+
+Purpose    : read the surface of an object from the usual formats, and write it.
+Takes      : PLY, OBJ, STL, OFF, MSH, VTU and VTP files.
+Gives      : `TriangleMesh` in metres with coinciding vertices welded.
+Depends on : geometry's triangle mesh; errors, optional_imports, shapes.
+Read first : `mesh_files.py`.
+"""
 
 from palpate.geometry.files.mesh_files import (
     MESH_SUFFIXES as MESH_SUFFIXES,

@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry.files.vtp_file import read_vtp
-from palpate.geometry.triangle_mesh import TriangleMesh
+from palpate.geometry.triangle_mesh import TriangleMesh, connected_groups
 from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
 
@@ -104,9 +102,7 @@ def welded(mesh: TriangleMesh) -> TriangleMesh:
     span = float(np.ptp(vertices, axis=0).max())
     near = max(1e-7 * span, 4.0 * float(np.finfo(np.float32).eps) * float(abs(vertices).max()))
     pairs = cKDTree(vertices).query_pairs(near, output_type="ndarray")
-    n = len(vertices)
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, group = connected_components(links, directed=False)
+    _, group = connected_groups(pairs, len(vertices))
     _, first = np.unique(group, return_index=True)
     triangles = first[group][mesh.triangles]
     used, compact = np.unique(triangles, return_inverse=True)

@@ -4,24 +4,13 @@ import base64
 import xml.etree.ElementTree as ElementTree
 import zlib
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from palpate.errors import MeshError
 from palpate.shapes import Triangles, Vertices
 
-_TYPES = {
-    "Float32": "f4",
-    "Float64": "f8",
-    "Int8": "i1",
-    "UInt8": "u1",
-    "Int16": "i2",
-    "UInt16": "u2",
-    "Int32": "i4",
-    "UInt32": "u4",
-    "Int64": "i8",
-    "UInt64": "u8",
-}
 _MARKER = b"<AppendedData"
 
 
@@ -96,49 +85,48 @@ def _array(
     """Numbers of one DataArray, in whichever of the four ways they are stored."""
     if node is None:
         raise ValueError("an array of points or polygons is missing")
-    order = "<" if root.get("byte_order", "LittleEndian") == "LittleEndian" else ">"
-    kind = np.dtype(order + _TYPES[node.attrib["type"]])
+    order: Literal["<", ">"] = "<"
+    if root.get("byte_order", "LittleEndian") != "LittleEndian":
+        order = ">"
+    kind = np.dtype(node.attrib["type"].lower()).newbyteorder(order)
     if node.get("format", "ascii") == "ascii":
         return np.array((node.text or "").split(), dtype=kind)
-    header = np.dtype(order + _TYPES[root.get("header_type", "UInt32")])
-    zipped = root.get("compressor") is not None
-    if zipped and root.get("compressor") != "vtkZLibDataCompressor":
-        raise ValueError(f"compressor {root.get('compressor')} is not read")
+    header = np.dtype(root.get("header_type", "UInt32").lower()).newbyteorder(order)
+    compressor = root.get("compressor")
+    if compressor not in (None, "vtkZLibDataCompressor"):
+        raise ValueError(f"compressor {compressor} is not read")
     block = root.find("AppendedData")
-    if node.get("format") == "binary":
-        raw = _from_base64((node.text or "").strip().encode(), header, zipped=zipped)
-    elif block is not None and block.get("encoding") == "base64":
-        raw = _from_base64(appended[int(node.attrib["offset"]) :], header, zipped=zipped)
-    else:
-        raw = _from_raw(appended[int(node.attrib["offset"]) :], header, zipped=zipped)
-    return np.frombuffer(raw, dtype=kind)
+    inline = node.get("format") == "binary"
+    stored = (node.text or "").strip().encode()
+    if not inline:
+        stored = appended[int(node.attrib["offset"]) :]
+    if inline or (block is not None and block.get("encoding") == "base64"):
+        stored = _from_base64(stored, header, zipped=compressor is not None)
+    return np.frombuffer(_payload(stored, header, zipped=compressor is not None), dtype=kind)
 
 
-def _from_raw(block: bytes, header: np.dtype, *, zipped: bool) -> bytes:
+def _payload(block: bytes, header: np.dtype, *, zipped: bool) -> bytes:
     """Bytes of an array behind its header: the size, or the table of compressed blocks."""
     first = int(np.frombuffer(block, header, 1)[0])
     if not zipped:
         return block[header.itemsize : header.itemsize + first]
     sizes = np.frombuffer(block, header, first, offset=3 * header.itemsize).astype(np.int64)
-    start = (3 + first) * header.itemsize
-    ends = start + np.cumsum(sizes)
+    ends = (3 + first) * header.itemsize + np.cumsum(sizes)
     return b"".join(
         zlib.decompress(block[end - size : end]) for end, size in zip(ends, sizes, strict=True)
     )
 
 
 def _from_base64(text: bytes, header: np.dtype, *, zipped: bool) -> bytes:
-    """As `_from_raw`, from base64; a compressed array encodes its header apart from its data."""
+    """Header and data as `_payload` takes them; a compressed array encodes them separately."""
 
     def decoded(begin: int, size: int) -> bytes:
-        length = 4 * -(-size // 3)
-        return base64.b64decode(text[begin : begin + length])[:size]
+        return base64.b64decode(text[begin : begin + 4 * -(-size // 3)])[:size]
 
     count = int(np.frombuffer(decoded(0, header.itemsize), header, 1)[0])
     if not zipped:
-        return decoded(0, header.itemsize + count)[header.itemsize :]
+        return decoded(0, header.itemsize + count)
     size = (3 + count) * header.itemsize
     head = decoded(0, size)
     sizes = np.frombuffer(head, header, count, offset=3 * header.itemsize)
-    body = decoded(4 * -(-size // 3), int(sizes.sum()))
-    return _from_raw(head + body, header, zipped=True)
+    return head + decoded(4 * -(-size // 3), int(sizes.sum()))

@@ -1,4 +1,11 @@
-"""registration."""
+"""Pose of an object from points measured on its surface.
+
+Purpose    : bring measured points onto a mesh, and say which motions its shape does not determine.
+Takes      : points with their covariances, a mesh, a guess of the pose.
+Gives      : `Registration` with the covariance of the pose.
+Depends on : geometry's triangle mesh, closest points and sides; arrays, errors, shapes.
+Read first : `registration.py`, `surface_fit.py`.
+"""
 
 from palpate.geometry.registration.registration import (
     Registration as Registration,

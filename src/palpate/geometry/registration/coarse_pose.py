@@ -9,10 +9,10 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from palpate.geometry.closest_point import closest_points
+from palpate.geometry.closest_point import SurfaceSearch, small_pieces
 from palpate.geometry.registration.surface_fit import Pose, motion_pose, motion_scale, placed
 from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors, bounding_diagonal
-from palpate.shapes import Indices, PointIndices, Points, Vector3
+from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
 
 # Spacing of the surface samples as a share of the mesh's diagonal: finer than what a start must
 # resolve, the width of the fit's own basin.
@@ -90,13 +90,13 @@ def facing_surface(mesh: TriangleMesh, eye: Vector3, *, angle: float) -> Triangl
 
 
 def coarse_pose(
-    mesh: TriangleMesh, points: Points, start: Pose, *, angle: float, distance: float
+    search: SurfaceSearch, points: Points, start: Pose, *, angle: float, distance: float
 ) -> Pose:
     """Pose of points on a surface from a rough guess.
 
     Parameters
     ----------
-    mesh : TriangleMesh             the part of the surface that may have been seen
+    search : SurfaceSearch          of the part of the surface that may have been seen
     points : (n, 3) float [m]       a few hundred, not on one line
     start : (4, 4) float            the guess
     angle : float [rad]             how far it may be turned from the truth
@@ -112,41 +112,35 @@ def coarse_pose(
     Chen and Medioni, Object modelling by registration of multiple range images (1992), for the
     distance from tangent planes; the robust weight is Geman and McClure's.
     """
-    spacing = _SPACING * bounding_diagonal(mesh)
-    if distance + 0.5 * angle * bounding_diagonal(mesh) < spacing:
+    diagonal = bounding_diagonal(search.mesh)
+    spacing = _SPACING * diagonal
+    if distance + 0.5 * angle * diagonal < spacing:
         return start
-    sample, normal = _surface_samples(mesh, spacing)
+    sample, normal = _surface_samples(search.mesh, spacing)
     tree = cKDTree(sample)
     first = placed(start, points)
     centre = first.mean(axis=0)
     tries = _spread_starts(first - centre, 0.6 * angle, 0.6 * distance)
-    place = np.stack([placed(motion_pose(one, centre), first) for one in tries])
+    place = np.stack([placed(motion_pose(motion, centre), first) for motion in tries])
     width = distance
     for _ in range(_ITERATIONS):
         place = _stepped(place, tree, sample, normal, width)
         width = max(_SHRINK * width, spacing)
-    best = _nearest_of_the_best(mesh, place, first)
+    best = _nearest_of_the_best(search, place, first)
     return _rigid(points, place[best])
 
 
 def _surface_samples(mesh: TriangleMesh, spacing: float) -> tuple[Points, Points]:
     """Points of the surface about `spacing` apart, and the normals there."""
-    corner = mesh.vertices[mesh.triangles]
+
+    def is_large(corner: Float[np.ndarray, "k 3 3"]) -> Flags:
+        length = np.linalg.norm(corner[:, [1, 2, 0]] - corner, axis=2)
+        return length.max(axis=1) > 1.5 * spacing
+
+    pieces, owner = small_pieces(mesh.vertices[mesh.triangles], is_large)
     area = area_vectors(mesh)
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
-    done: list[tuple[np.ndarray, np.ndarray]] = []
-    while len(corner):
-        edge = corner[:, [1, 2, 0]] - corner
-        length = np.linalg.norm(edge, axis=2)
-        long = length.max(axis=1) > 1.5 * spacing
-        done.append((corner[~long].mean(axis=1), normal[~long]))
-        corner, normal = corner[long], normal[long]
-        row, k = np.arange(len(corner)), length[long].argmax(axis=1)
-        a, b, c = (corner[row, (k + j) % 3] for j in range(3))
-        middle = 0.5 * (a + b)
-        corner = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
-        normal = np.concatenate([normal, normal])
-    return np.concatenate([one[0] for one in done]), np.concatenate([one[1] for one in done])
+    return pieces.mean(axis=1), normal[owner]
 
 
 def _spread_starts(offset: Points, angle: float, distance: float) -> Float[np.ndarray, "s 6"]:
@@ -177,7 +171,7 @@ def _stepped(
     row = np.concatenate([np.cross(offset, n), n], axis=2) @ scale
     weighted = (weight[..., None] * row).swapaxes(1, 2)
     matrix = weighted @ row
-    # A little damping, so that what the shape does not tell stays where it is.
+    # A little damping, so that a motion that the shape does not determine stays where it is.
     damping = 1e-3 * np.einsum("sii->s", matrix) / 6.0
     matrix = matrix + damping[:, None, None] * np.eye(6)
     step = -np.linalg.solve(matrix, weighted @ residual[..., None])[..., 0] @ scale.T
@@ -186,15 +180,15 @@ def _stepped(
 
 
 def _nearest_of_the_best(
-    mesh: TriangleMesh, place: Float[np.ndarray, "s n 3"], first: Points
+    search: SurfaceSearch, place: Float[np.ndarray, "s n 3"], first: Points
 ) -> int:
     """Index of the try whose points lie nearest to the surface, by a truncated square.
 
     Tries within a few per cent of the least cost are as good; of them the least moved is taken.
     """
-    distance = closest_points(mesh, place.reshape(-1, 3)).distance.reshape(place.shape[:2])
+    distance = search.closest(place.reshape(-1, 3)).distance.reshape(place.shape[:2])
     typical = float(np.median(distance, axis=1).min())
-    width = max(4.0 * typical, 1e-4 * bounding_diagonal(mesh))
+    width = max(4.0 * typical, 1e-4 * bounding_diagonal(search.mesh))
     cost = np.minimum((distance / width) ** 2, 1.0).mean(axis=1)
     moved = np.sqrt(((place - first) ** 2).sum(axis=2).mean(axis=1))
     good = cost <= _AS_GOOD * cost.min()

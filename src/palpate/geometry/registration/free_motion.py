@@ -1,8 +1,9 @@
-"""Motions of an object that points on its surface cannot tell, found and named.
+"""Motions of an object that points on its surface do not determine, found and named.
 
-What the points know about a motion is how far it moves them across the surface. A mesh of flat
-facets pretends to know more: a ball's facets, turned, no longer lie where they were. How much they
-pretend follows from the angles between neighbouring facets and is taken off, several times over.
+The information that points hold about a motion is how far it moves them across the surface. Flat
+facets add information that the object does not have: a ball's facets, turned, no longer lie where
+they were. How much they add follows from the angles between neighbouring facets and is taken off,
+several times over.
 """
 
 from dataclasses import dataclass
@@ -13,11 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from palpate.geometry.registration.surface_fit import Linearised, Pose, motion_pose, placed
 from palpate.geometry.sides import CREASE_ANGLE
-from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal, unit_normals
+from palpate.geometry.triangle_mesh import (
+    TriangleMesh,
+    bounding_diagonal,
+    half_edges,
+    unit_normals,
+)
 from palpate.shapes import Flags, Points, PointScalars, TriangleScalars, Vector3
 
-# Below this share of the points' motion a part of a motion is not worth a word.
-_NAMED = 0.1
+# Below this share of the points' motion a part of a motion is not mentioned.
+_MIN_NAMED = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,26 +54,20 @@ def facets_of(mesh: TriangleMesh) -> Facets:
     # Vertices at one place are one: finer triangles of a surface may come unjoined.
     grain = 1e-9 * bounding_diagonal(mesh)
     _, vertex = np.unique(np.round(mesh.vertices / grain), axis=0, return_inverse=True)
-    corner = vertex.ravel()[mesh.triangles]
-    sides = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2)
-    ends = np.sort(sides.reshape(-1, 2), axis=1)
-    _, number, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(number.ravel(), kind="stable")
-    first = np.cumsum(count) - count
-    shared = count == 2
-    one, other = order[first[shared]], order[first[shared] + 1]
-    normal = unit_normals(mesh)
-    a, b = normal[one // 3], normal[other // 3]
+    halves = half_edges(vertex.ravel()[mesh.triangles])
+    pairs = halves.pairs()
+    a, b = unit_normals(mesh)[pairs.T // 3]
     turn = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ea,ea->e", a, b))
     smooth = turn < CREASE_ANGLE
-    square, inner = np.zeros(len(ends)), np.zeros(len(ends), dtype=bool)
-    for half in (one[smooth], other[smooth]):
-        square[half], inner[half] = turn[smooth] ** 2, True
+    square, inner = np.zeros(len(halves.tail)), np.zeros(len(halves.tail), dtype=bool)
+    square[pairs[smooth]] = turn[smooth, None] ** 2
+    inner[pairs[smooth]] = True
     joined = inner.reshape(-1, 3)
     total, edges = square.reshape(-1, 3).sum(axis=1), joined.sum(axis=1)
     at_edge = np.zeros(len(mesh.vertices), dtype=bool)
-    at_edge[ends.reshape(-1, 3, 2)[~joined]] = True
-    return Facets(0.25 * total / np.maximum(edges, 1), ~joined, at_edge[corner])
+    at_edge[halves.ends[halves.edge[~inner]]] = True
+    at_corner = at_edge[halves.tail].reshape(-1, 3)
+    return Facets(0.25 * total / np.maximum(edges, 1), ~joined, at_corner)
 
 
 def near_edges(mesh: TriangleMesh, at: Linearised, facets: Facets, reach: PointScalars) -> Flags:
@@ -99,10 +99,10 @@ def near_edges(mesh: TriangleMesh, at: Linearised, facets: Facets, reach: PointS
     return close.any(axis=1)
 
 
-def pretended_information(
+def facet_information(
     at: Linearised, tilt: PointScalars, weight: PointScalars
 ) -> Float[np.ndarray, "6 6"]:
-    """What facets pretend to know about the scaled motions.
+    """Information about the scaled motions that is an effect of flat facets alone.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def motion_texts(free: Float[np.ndarray, "k 6"], centre: Vector3, size: float) -
         texts = [f"sliding across {_vector(np.cross(*shifts))}"]
     if len(turns) == 3:
         pivot, gap = _pivot(turns, centre)
-        if gap < _NAMED * size:
+        if gap < _MIN_NAMED * size:
             return (*texts, f"turning about any axis through {_place(pivot)}")
     return (*texts, *(_turn_text(turn, centre, size) for turn in turns))
 
@@ -206,7 +206,7 @@ def _separated(
     mix, strength, _ = np.linalg.svd(basis[:, :3] * size, full_matrices=True)
     strength = np.concatenate([strength, np.zeros(len(basis) - len(strength))])
     own = mix.T @ basis
-    turning = strength > _NAMED
+    turning = strength > _MIN_NAMED
     shifts = own[~turning, 3:]
     shifts = shifts / np.linalg.norm(shifts, axis=1)[:, None]
     turns = own[turning] / strength[turning, None]
@@ -231,7 +231,7 @@ def _turn_text(turn: Float[np.ndarray, "6"], centre: Vector3, size: float) -> st
     pitch = float(axis @ turn[3:] / np.linalg.norm(turn[:3]))
     # The point of the axis nearest to the origin of the frame, in which the mesh is known.
     place = place - axis * (axis @ place)
-    how = "turning" if abs(pitch) < _NAMED * size else "turning and sliding along"
+    how = "turning" if abs(pitch) < _MIN_NAMED * size else "turning and sliding along"
     about = "about the axis" if how == "turning" else "the axis"
     return f"{how} {about} {_vector(axis)} through {_place(place)}"
 

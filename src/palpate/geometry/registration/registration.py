@@ -1,9 +1,9 @@
 """Pose of an object from points measured on its surface.
 
 Robust iterative closest points: the distance from the surface is brought to its least in a robust
-norm, from a rough start. Motions that the shape cannot tell (of a ball about its centre, of a plate
-within its plane) are found from what the points know about each motion, less what the facets of the
-mesh pretend to know; they stay as they were at the start.
+norm, from a rough start. Motions that the shape does not determine (of a ball about its centre, of
+a plate within its plane) are found from the information that the points hold about each motion,
+less what is an effect of the flat facets alone; they stay as they were at the start.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import CalibrationError, InputError
+from palpate.geometry.closest_point import SurfaceSearch, surface_search
 from palpate.geometry.registration.coarse_pose import (
     coarse_pose,
     compact_groups,
@@ -21,36 +22,36 @@ from palpate.geometry.registration.coarse_pose import (
 )
 from palpate.geometry.registration.free_motion import (
     Facets,
+    facet_information,
     facets_of,
     holding,
     motion_texts,
     near_edges,
     nearest_pose,
-    pretended_information,
 )
 from palpate.geometry.registration.surface_fit import (
-    TUKEY,
     Linearised,
     MeasuredPoints,
+    RobustResiduals,
     fit_pose,
     linearised,
     placed,
-    robust_weight,
+    robust_residuals,
     unheld_basis,
 )
 from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import Flags, Points, PointScalars, Vector3
 
 # A pose has six unknowns; fewer than four times as many points leave no say to a robust norm.
-_FEWEST = 24
+_MIN_POINTS = 24
 # Points that search, and that bring the fit near, where there are more.
-_SEARCHING, _NEARING = 256, 1024
+_SEARCH_POINTS, _NEAR_POINTS = 256, 1024
 # Residuals are taken to be correlated within so many compact groups at most: enough of them to
 # estimate a variance to a fifth, and few enough to be wider than a window of stereo matching.
-_GROUPS = 64
-# Facets' pretended information is taken off so many times: twice their angle.
-_PRETENCE = 4.0
-_STEPS = 60
+_MAX_GROUPS = 64
+# How often the facets' own information is taken off: as if their angles were twice as large.
+_FACET_ALLOWANCE = 4.0
+_MAX_STEPS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +82,8 @@ class RegistrationSettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{name} is {value:g}; must be positive")
-        if self.most_points < _FEWEST:
-            raise InputError(f"most_points is {self.most_points}; must be {_FEWEST} or more")
+        if self.most_points < _MIN_POINTS:
+            raise InputError(f"most_points is {self.most_points}; must be {_MIN_POINTS} or more")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,15 +192,16 @@ def register(
     surface = mesh
     if eye is not None:
         surface = facing_surface(mesh, placed(guess, eye[None])[0], angle=settings.angle)
-    few = chosen.chosen(even_sample(chosen.point, _SEARCHING))
-    pose = coarse_pose(surface, few.point, guess, angle=settings.angle, distance=settings.distance)
-    some = chosen.chosen(even_sample(chosen.point, _NEARING))
-    near = fit_pose(surface, some, pose, held=np.zeros((0, 6)), iterations=_STEPS)
+    search = surface_search(surface)
+    few = chosen.chosen(even_sample(chosen.point, _SEARCH_POINTS))
+    pose = coarse_pose(search, few.point, guess, angle=settings.angle, distance=settings.distance)
+    some = chosen.chosen(even_sample(chosen.point, _NEAR_POINTS))
+    near = fit_pose(search, some, pose, held=np.zeros((0, 6)), iterations=_MAX_STEPS)
     facets = facets_of(surface)
-    known = _knowledge(surface, chosen, near.pose, facets, settings.blur)
+    known = _knowledge(search, chosen, near.pose, facets, settings.blur)
     pose = nearest_pose(near.pose, guess, chosen.point, known.free, known.at.centre)
-    last = fit_pose(surface, chosen, pose, held=known.held, iterations=_STEPS)
-    known = _knowledge(surface, chosen, last.pose, facets, settings.blur)
+    last = fit_pose(search, chosen, pose, held=known.held, iterations=_MAX_STEPS)
+    known = _knowledge(search, chosen, last.pose, facets, settings.blur)
     return _registration(mesh, known, last.pose, near.iterations + last.iterations, last.converged)
 
 
@@ -240,8 +242,8 @@ def _measured(
     """Checked points with a covariance each."""
     points = fixed_array(points, name="points", shape=(None, 3))
     n = len(points)
-    if n < _FEWEST:
-        raise InputError(f"there are {n} points; a pose needs {_FEWEST} or more")
+    if n < _MIN_POINTS:
+        raise InputError(f"there are {n} points; a pose needs {_MIN_POINTS} or more")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not spread[1] > 1e-6 * spread[0]:
         raise InputError("the points lie on one line; a pose needs points spread over a surface")
@@ -260,20 +262,20 @@ def _measured(
 
 
 def _knowledge(
-    mesh: TriangleMesh, points: MeasuredPoints, pose: np.ndarray, facets: Facets, blur: float
+    search: SurfaceSearch, points: MeasuredPoints, pose: np.ndarray, facets: Facets, blur: float
 ) -> _Knowledge:
     """Split the motions into those that the points fix and the free ones."""
-    at = linearised(mesh, points, pose)
-    weight, scale = robust_weight(at)
-    inlier = weight > 0.0
-    used = inlier & ~near_edges(mesh, at, facets, TUKEY * scale * at.sigma)
-    information, correlation = _information(at, scale, used)
+    mesh, at = search.mesh, linearised(search, points, pose)
+    robust = robust_residuals(at)
+    inlier = robust.weight() > 0.0
+    used = inlier & ~near_edges(mesh, at, facets, robust.width * at.sigma)
+    information, correlation = _information(at, robust, used)
     share = used / at.sigma**2
     plain = at.row.T @ (share[:, None] * at.row)
-    pretended = pretended_information(at, facets.tilt[at.triangle], share)
+    of_facets = facet_information(at, facets.tilt[at.triangle], share)
     # Into units of the real information, which knows the residuals' scale and correlation.
-    pretended *= np.trace(information) / max(float(np.trace(plain)), np.finfo(float).tiny)
-    values, vectors = np.linalg.eigh(information - _PRETENCE * pretended)
+    of_facets *= np.trace(information) / max(float(np.trace(plain)), np.finfo(float).tiny)
+    values, vectors = np.linalg.eigh(information - _FACET_ALLOWANCE * of_facets)
     fixed = values >= (blur * bounding_diagonal(mesh)) ** -2
     motions = (at.scale @ vectors).T
     held = holding(motions[~fixed], _size(at))
@@ -297,26 +299,24 @@ def _size(at: Linearised) -> float:
 
 
 def _information(
-    at: Linearised, scale: float, used: Flags
+    at: Linearised, robust: RobustResiduals, used: Flags
 ) -> tuple[Float[np.ndarray, "6 6"], float]:
     """Inverse covariance of the scaled motions, and the factor for correlated residuals."""
-    if scale <= 0.0:
-        share = used * at.sigma**-2
-        return at.row.T @ (share[:, None] * at.row), 1.0
-    if used.sum() <= 6:
-        return np.zeros((6, 6)), 1.0
-    unit = np.where(used, at.residual / (at.sigma * scale * TUKEY), 1.0)
-    # Tukey's function and its derivative.
-    pull = unit * (1.0 - unit**2) ** 2
-    slope = (1.0 - unit**2) * (1.0 - 5.0 * unit**2)
     row = at.row[used] / at.sigma[used, None]
-    pull, slope = pull[used], slope[used]
+    if robust.width <= 0.0:
+        return row.T @ row, 1.0
+    if len(row) <= 6:
+        return np.zeros((6, 6)), 1.0
+    # Tukey's function and its derivative.
+    square = robust.unit[used] ** 2
+    pull = robust.unit[used] * (1.0 - square) ** 2
+    slope = (1.0 - square) * (1.0 - 5.0 * square)
     count = len(row)
     variance = (pull @ pull) / max(count - 6, 1) / (slope.sum() / count) ** 2
-    variance *= (TUKEY * scale) ** 2
+    variance *= robust.width**2
     score = row * pull[:, None]
     alone = score.T @ score
-    label = compact_groups(at.offset[used], _GROUPS)
+    label = compact_groups(at.offset[used], _MAX_GROUPS)
     sums = np.stack([np.bincount(label, score[:, i]) for i in range(6)], axis=1)
     groups = len(sums)
     together = sums.T @ sums * groups / max(groups - 1, 1)

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from palpate.geometry.closest_point import closest_points
-from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal, unit_normals
+from palpate.geometry.closest_point import SurfaceSearch
+from palpate.geometry.triangle_mesh import bounding_diagonal, unit_normals
 from palpate.shapes import Indices, PointIndices, Points, PointScalars, Vector3
 
 # Tukey's constant for 95 % efficiency with normal errors; what is farther out has no say.
-TUKEY = 4.685
+_TUKEY = 4.685
 # Median of the absolute value of a normal variable, inverted.
 _PER_MEDIAN = 1.4826
 # A step that would move the fit by less than this share of its standard deviation ends it.
@@ -112,7 +112,7 @@ def motion_scale(offset: Points) -> Matrix6:
     return scale
 
 
-def linearised(mesh: TriangleMesh, points: MeasuredPoints, pose: Pose) -> Linearised:
+def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Linearised:
     """Distances from the surface at a pose, and their derivatives.
 
     At the inside of a triangle the distance is that from its plane; at an edge or a corner it is
@@ -120,7 +120,7 @@ def linearised(mesh: TriangleMesh, points: MeasuredPoints, pose: Pose) -> Linear
 
     Parameters
     ----------
-    mesh : TriangleMesh
+    search : SurfaceSearch          of the surface
     points : MeasuredPoints         n points, not on one line
     pose : (4, 4) float [m]
 
@@ -129,7 +129,8 @@ def linearised(mesh: TriangleMesh, points: MeasuredPoints, pose: Pose) -> Linear
     Linearised
     """
     place = placed(pose, points.point)
-    found = closest_points(mesh, place)
+    mesh = search.mesh
+    found = search.closest(place)
     away = place - found.position
     normal = unit_normals(mesh)[found.triangle]
     beyond = (found.barycentric <= 0.0).any(axis=1)
@@ -165,17 +166,46 @@ def _sigma(residual: PointScalars, variance: PointScalars, least: float) -> Poin
     return np.sqrt(np.maximum(variance + surface, least**2))
 
 
-def robust_weight(at: Linearised) -> tuple[PointScalars, float]:
-    """Tukey's weight of every residual, and the scale of the residuals in units of `sigma`."""
-    unit = at.residual / at.sigma
-    scale = _PER_MEDIAN * float(np.median(np.abs(unit)))
-    if scale <= 0.0:
-        return np.ones(len(unit)), 0.0
-    return np.maximum(1.0 - (unit / (TUKEY * scale)) ** 2, 0.0) ** 2, scale
+@dataclass(frozen=True, slots=True, eq=False)
+class RobustResiduals:
+    """Residuals in units of the width beyond which Tukey's function takes no notice of them.
+
+    Attributes
+    ----------
+    unit : (n,) float [-]       zero where all residuals are
+    width : float [-]           in units of `sigma`, zero where most residuals are
+    """
+
+    unit: PointScalars
+    width: float
+
+    def weight(self) -> PointScalars:
+        """Tukey's weight of every residual, 0 to 1."""
+        return np.maximum(1.0 - self.unit**2, 0.0) ** 2
+
+
+def robust_residuals(at: Linearised) -> RobustResiduals:
+    """Residuals scaled by their own spread.
+
+    Parameters
+    ----------
+    at : Linearised
+
+    Returns
+    -------
+    RobustResiduals
+
+    Source
+    ------
+    Huber, Robust Statistics (1981): the scale from the median, Tukey's constant for 95 % efficiency
+    """
+    share = at.residual / at.sigma
+    width = _TUKEY * _PER_MEDIAN * float(np.median(np.abs(share)))
+    return RobustResiduals(share / width if width > 0.0 else np.zeros(len(share)), width)
 
 
 def fit_pose(
-    mesh: TriangleMesh,
+    search: SurfaceSearch,
     points: MeasuredPoints,
     pose: Pose,
     *,
@@ -188,7 +218,7 @@ def fit_pose(
 
     Parameters
     ----------
-    mesh : TriangleMesh
+    search : SurfaceSearch          of the surface
     points : MeasuredPoints
     pose : (4, 4) float             start
     held : (k, 6) float             combinations of a step's turn and shift that must be zero
@@ -198,11 +228,10 @@ def fit_pose(
     -------
     Fit
     """
-    diagonal = bounding_diagonal(mesh)
+    diagonal = bounding_diagonal(search.mesh)
     for done in range(1, iterations + 1):
-        at = linearised(mesh, points, pose)
-        weight, _ = robust_weight(at)
-        weight = weight / at.sigma**2
+        at = linearised(search, points, pose)
+        weight = robust_residuals(at).weight() / at.sigma**2
         free = unheld_basis(held @ at.scale)
         row = at.row @ free
         matrix = row.T @ (weight[:, None] * row)

@@ -12,7 +12,7 @@ from palpate.geometry import closest_points
 from palpate.lab.bench.arm import Pressed
 from palpate.lab.bench.readings import read_sensor, sensor_std
 from palpate.lab.config import LabConfig, Probe
-from palpate.records import SESSION_FORMAT, ContactProfile
+from palpate.records import SESSION_FORMAT
 
 Table = Mapping[str, Any]
 
@@ -23,6 +23,10 @@ def toml_value(value: Any) -> str:
     Parameters
     ----------
     value : str, bool, int, float, sequence, array or mapping of these
+
+    Returns
+    -------
+    str                             what stands behind "key = "
 
     Raises
     ------
@@ -43,6 +47,14 @@ def toml_table(header: str, values: Mapping[str, Any]) -> str:
     ----------
     header : str                    as "[object]", or empty for the root
     values : mapping
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    TypeError                       a value that TOML does not know
     """
     lines = [header] if header else []
     lines += [f"{key} = {toml_value(value)}" for key, value in values.items() if value is not None]
@@ -50,7 +62,17 @@ def toml_table(header: str, values: Mapping[str, Any]) -> str:
 
 
 def instant_name(probe: Probe, number: int) -> str:
-    """Name of a probing's pictures: the last instant has the probing's own."""
+    """Name of a probing's pictures at an instant.
+
+    Parameters
+    ----------
+    probe : Probe
+    number : int                    1 to `probe.steps`
+
+    Returns
+    -------
+    str                             the last instant has the probing's own name
+    """
     return probe.name if number == probe.steps else f"{probe.name}_{number}"
 
 
@@ -61,6 +83,16 @@ def probe_tables(
 
     The contact is what a person at the bench would write down: for a sphere Hertz's pressure over
     the touched circle, for a punch an even one over its face.
+
+    Parameters
+    ----------
+    config : LabConfig              its sensors
+    done : Pressed
+    rng : Generator                 of the readings
+
+    Returns
+    -------
+    session, truth : mapping        one table for each file, in SI units
     """
     probe, tip, last = done.probe, done.tip, done.states[-1]
     travel = last.depth * tip.direction
@@ -68,8 +100,8 @@ def probe_tables(
         "name": probe.name,
         "contact": {
             "point": probe.point,
-            "radius": tip.radius if tip.profile is ContactProfile.UNIFORM else last.radius,
-            "profile": tip.profile.value,
+            "radius": tip.radius if tip.profile == "uniform" else last.radius,
+            "profile": tip.profile,
         },
         "force": read_sensor(last.force, config.force_sensor, rng=rng),
         "force_std": sensor_std(last.force, config.force_sensor) or None,
@@ -99,7 +131,19 @@ def probe_tables(
 def step_tables(
     config: LabConfig, name: str, motion: Float[np.ndarray, "4 4"], *, rng: np.random.Generator
 ) -> tuple[Table, Table]:
-    """A step of a stage as the bench knows it; and its true motion, with the encoder's reading."""
+    """A step of a stage as the bench knows it; and its true motion, with the encoder's reading.
+
+    Parameters
+    ----------
+    config : LabConfig              its position sensor
+    name : str                      of the step
+    motion : (4, 4) float [m]       from the first instant, object frame
+    rng : Generator                 of the reading
+
+    Returns
+    -------
+    session, truth : mapping        one table for each file
+    """
     turn, shift = motion[:3, :3], motion[:3, 3]
     encoder = read_sensor(shift, config.position_sensor, rng=rng)
     session = {"name": name, "images": f"images/{name}_{{camera}}.png"}

@@ -63,6 +63,11 @@ class _Candidates:
 def touch(solid: Solid, tip: Tip) -> float:
     """How far along its axis from `tip.point` the tip first touches the body at rest.
 
+    Parameters
+    ----------
+    solid : Solid
+    tip : Tip
+
     Returns
     -------
     float [m]                       of the sphere's centre, or of the punch's face
@@ -135,6 +140,10 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
     body : Body
     tip : Tip
     force : float [N]               > 0
+
+    Returns
+    -------
+    Press                           its depth is found to 1e-10 of itself
 
     Raises
     ------

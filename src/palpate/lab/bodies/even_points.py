@@ -131,6 +131,15 @@ def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[
 def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     """Which points lie inside a closed surface with outward normals.
 
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, outward
+    points : (n, 3) float [m]
+
+    Returns
+    -------
+    (n,) bool
+
     Source
     ------
     Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal (2005):

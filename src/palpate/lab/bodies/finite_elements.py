@@ -148,7 +148,21 @@ def quadratic_basis(solid: Solid) -> Any:
 
 
 def hooke_moduli(shear_modulus: float, poisson_ratio: float) -> Float[np.ndarray, "3 3 3 3"]:
-    """Derivative of the stress component aA by the displacement gradient bB [Pa]."""
+    """Derivative of the stress component aA by the displacement gradient bB.
+
+    Parameters
+    ----------
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu < 0.5
+
+    Returns
+    -------
+    (3, 3, 3, 3) float [Pa]         indices a, A, b, B
+
+    Source
+    ------
+    Hooke's law: lambda delta_aA delta_bB + mu (delta_ab delta_AB + delta_aB delta_bA).
+    """
     lame = 2.0 * shear_modulus * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
     unit = np.eye(3)
     return lame * np.einsum("aA,bB->aAbB", unit, unit) + shear_modulus * (
@@ -192,7 +206,17 @@ def _form(moduli: Float[np.ndarray, "3 3 *quadrature"]) -> Any:
 
 
 def free_part(stiffness: csr_array, held: Bool[np.ndarray, " n"]) -> csr_array:
-    """Rows and columns of the nodes that can move."""
+    """Rows and columns of the nodes that can move.
+
+    Parameters
+    ----------
+    stiffness : (3 n, 3 n) sparse   three unknowns a node, node by node
+    held : (n,) bool
+
+    Returns
+    -------
+    (3 f, 3 f) sparse               of the f free nodes, in their order
+    """
     free = np.repeat(~held, 3)
     return stiffness[free][:, free]
 
@@ -216,7 +240,16 @@ def solve_load(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, 
 
 
 def triangle_shapes(barycentric: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
-    """Shape functions of a six-node triangle (corners, then the middles of edges 01, 12, 20)."""
+    """Shape functions of a six-node triangle: corners, then the middles of edges 01, 12, 20.
+
+    Parameters
+    ----------
+    barycentric : (n, 3) float [-]  rows add up to 1
+
+    Returns
+    -------
+    (n, 6) float [-]                rows add up to 1
+    """
     a, b, c = barycentric.T
     return np.stack(
         [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a], axis=1

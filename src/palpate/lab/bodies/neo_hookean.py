@@ -64,7 +64,22 @@ def solve_finite(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
 
 
 def energy(body: Body, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> float:
-    """Stored energy [J]; infinite where an element is turned over."""
+    """Energy that a deformed body stores.
+
+    Parameters
+    ----------
+    body : Body                     its constants
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    float [J]                       infinite where an element is turned over
+
+    Source
+    ------
+    Bonet and Wood (2008), section 6.4.3.
+    """
     mu, lame = body.lame
     gradient = deformation_gradient(basis, displacement)
     volume = _determinant(gradient)
@@ -79,7 +94,22 @@ def energy(body: Body, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> fl
 def inner_forces(
     body: Body, basis: Any, displacement: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Derivative of the stored energy by the nodes' displacement [N]."""
+    """Derivative of the stored energy by the nodes' displacement.
+
+    Parameters
+    ----------
+    body : Body                     its constants
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    (n, 3) float [N]                NaN where an element is turned over
+
+    Raises
+    ------
+    InputError                      scikit-fem is not installed
+    """
     mu, lame = body.lame
     gradient = deformation_gradient(basis, displacement)
     log = np.log(_determinant(gradient))
@@ -92,9 +122,19 @@ def inner_forces(
 def tangent_moduli(
     body: Body, basis: Any, displacement: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "3 3 3 3 m q"]:
-    """Derivative of the stress component aA by the displacement gradient bB [Pa].
+    """Derivative of the stress component aA by the displacement gradient bB.
 
     With H = F^-T: mu delta_ab delta_AB + (mu - lambda ln J) H_aB H_bA + lambda H_aA H_bB.
+
+    Parameters
+    ----------
+    body : Body                     its constants
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    (3, 3, 3, 3, m, q) float [Pa]   indices a, A, b, B, element, quadrature point
     """
     mu, lame = body.lame
     gradient = deformation_gradient(basis, displacement)
@@ -110,7 +150,17 @@ def tangent_moduli(
 def deformation_gradient(
     basis: Any, displacement: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "3 3 m q"]:
-    """F = I + du/dX at every quadrature point."""
+    """F = I + du/dX at every quadrature point.
+
+    Parameters
+    ----------
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    (3, 3, m, q) float [-]          row: component of the place now; column: direction at rest
+    """
     slopes = np.stack([basis.interpolate(component).grad for component in displacement.T])
     return np.eye(3)[:, :, None, None] + slopes
 

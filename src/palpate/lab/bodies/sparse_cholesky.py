@@ -41,7 +41,16 @@ class Cholesky:
     fronts: tuple[_Front, ...]
 
     def solve(self, right: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Solution for `k` right-hand sides at once."""
+        """Solution for several right-hand sides at once.
+
+        Parameters
+        ----------
+        right : (n, k) float
+
+        Returns
+        -------
+        (n, k) float
+        """
         x = self.half_solve(right)
         for front in reversed(self.fronts):
             own = x[front.own] - front.coupling @ x[front.later]
@@ -51,7 +60,16 @@ class Cholesky:
         return x
 
     def half_solve(self, right: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """L^-1 times right-hand sides; A^-1 between two of them is the product of their halves."""
+        """L^-1 times right-hand sides; A^-1 between two of them is the product of their halves.
+
+        Parameters
+        ----------
+        right : (n, k) float
+
+        Returns
+        -------
+        (n, k) float                    in the order of the unknowns, not of their elimination
+        """
         x = np.array(right, dtype=np.float64)
         for front in self.fronts:
             # Forces on a few nodes concern few fronts.

@@ -138,6 +138,10 @@ def quadratic_solid(
     mesh : TriangleMesh               the surface they fill
     largest : float [m]               allowed distance between outer faces and surface
 
+    Returns
+    -------
+    Solid
+
     Raises
     ------
     MeshError                         a tetrahedron without volume, or faces farther off
@@ -163,7 +167,17 @@ def quadratic_solid(
 
 
 def skin(nodes: Points, facets: Int[np.ndarray, "f 6"]) -> TriangleMesh:
-    """Outer faces as plain triangles over all their nodes: four a facet, in its order."""
+    """Outer faces as plain triangles over all their nodes.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float [m]
+    facets : (f, 6) int               as in `Solid`
+
+    Returns
+    -------
+    TriangleMesh                      four triangles a facet, in its order
+    """
     return TriangleMesh(nodes, facets[:, QUARTERS].reshape(-1, 3))
 
 

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
-from palpate.records import ContactProfile
 from palpate.shapes import Points, PointScalars, Vector3
 
 TipName = Literal["sphere", "punch"]
@@ -37,7 +36,7 @@ class Tip(ABC):
     radius: float
     point: Vector3
     direction: Vector3
-    profile: ClassVar[ContactProfile]
+    profile: ClassVar[str]
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.radius) and self.radius > 0.0):
@@ -50,8 +49,16 @@ class Tip(ABC):
         object.__setattr__(self, "direction", unit)
 
     def travel(self, points: Points) -> PointScalars:
-        """How far from `point` the tip goes until it touches each point [m]; infinite where it
-        passes."""
+        """How far from `point` the tip goes until it touches each point, were it alone.
+
+        Parameters
+        ----------
+        points : (n, 3) float [m]
+
+        Returns
+        -------
+        (n,) float [m]                  infinite where it passes
+        """
         offset = points - self.point
         along = offset @ self.direction
         beside = np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
@@ -59,36 +66,81 @@ class Tip(ABC):
 
     @property
     def max_depth(self) -> float:
-        """Depth that it must stay below [m]."""
+        """Depth that it must stay below [m]; infinite for a tip that may go as deep as it likes."""
         return np.inf
 
     @abstractmethod
     def lead(self, beside: PointScalars) -> PointScalars:
-        """How far its surface is ahead of its place, by the distance from its axis [m]; -inf
-        beside it."""
+        """How far its surface is ahead of its place.
+
+        Parameters
+        ----------
+        beside : (n,) float [m]         distance from its axis
+
+        Returns
+        -------
+        (n,) float [m]                  -inf where the tip does not reach
+        """
 
     @abstractmethod
     def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
-        """Distance of points from its surface, negative inside [m], and its normal there [-]."""
+        """Distance of points from its surface.
+
+        Parameters
+        ----------
+        travel : float [m]              how far the tip went from `point`
+        points : (n, 3) float [m]
+
+        Returns
+        -------
+        distance : (n,) float [m]       negative inside
+        normal : (n, 3) float [-]       outward, of the surface nearest to each point
+        """
 
     @abstractmethod
     def half_space_depth(self, force: float, modulus: float) -> float:
-        """How deep a force [N] presses it into a half space of E / (1 - nu^2) [Pa]; [m]."""
+        """How deep a force presses it into a half space.
+
+        Parameters
+        ----------
+        force : float [N]
+        modulus : float [Pa]            E / (1 - nu^2) of the half space
+
+        Returns
+        -------
+        float [m]
+        """
 
     @abstractmethod
     def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
-        """Radius of the circle that it touches there, at a depth or under a force [m]."""
+        """Radius of the circle that it touches on a half space, at a depth or under a force.
+
+        Parameters
+        ----------
+        depth : float [m] or None
+        force : float [N] or None       where there is no depth
+        modulus : float [Pa]            E / (1 - nu^2) of the half space
+
+        Returns
+        -------
+        float [m]                       at most the tip's
+        """
 
     @abstractmethod
     def outline(self) -> Float[np.ndarray, "k 2"]:
-        """Radius and height over its place of the rod's end, from the axis to the shaft [m]."""
+        """The rod's end, from its axis to the shaft.
+
+        Returns
+        -------
+        (k, 2) float [m]                radius, and height over the tip's place
+        """
 
 
 class Sphere(Tip):
     """A ball on a shaft of at most 4 mm radius."""
 
     __slots__ = ()
-    profile = ContactProfile.HERTZ
+    profile = "hertz"
 
     @property
     def max_depth(self) -> float:
@@ -131,7 +183,7 @@ class Punch(Tip):
     """A flat round face, perpendicular to its motion, as wide as its shaft."""
 
     __slots__ = ()
-    profile = ContactProfile.UNIFORM
+    profile = "uniform"
 
     def lead(self, beside: PointScalars) -> PointScalars:
         """Level up to its rim."""

@@ -62,7 +62,17 @@ def grey_picture(
 
 
 def counting_noise(settings: Pictures, grey: float) -> float:
-    """Standard deviation of the number of electrons at a grey level, in grey levels."""
+    """Standard deviation of the number of electrons, in grey levels.
+
+    Parameters
+    ----------
+    settings : Pictures             its full well
+    grey : float                    grey level, 0 to 255
+
+    Returns
+    -------
+    float                           0 for a chip without counting noise
+    """
     return 0.0 if settings.full_well is None else float(np.sqrt(grey * _WHITE / settings.full_well))
 
 

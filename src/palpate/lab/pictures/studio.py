@@ -134,7 +134,17 @@ def photograph(
 
 
 def exposure(config: LabConfig, before: Vertices, after: Vertices) -> list[Vertices]:
-    """Vertices within an exposure that ends at `after`; one instant where nothing blurs."""
+    """Instants within an exposure.
+
+    Parameters
+    ----------
+    config : LabConfig              its motion blur
+    before, after : (v, 3) float [m]    vertices; the exposure ends at `after`
+
+    Returns
+    -------
+    list of (v, 3) float [m]        one instant where nothing blurs
+    """
     share = config.pictures.motion_blur
     if share == 0.0:
         return [after]

@@ -1,5 +1,18 @@
-"""files."""
+"""Palpate's own files: session.toml, displacement CSV, rig.toml, estimate.json, result folders.
 
+Purpose    : each format in one file, read with messages that name file, table and key.
+Takes      : paths, and records to write.
+Gives      : records in SI units; files and folders that appear whole or not at all.
+Depends on : `records.text`, `records.programs`, `geometry`, `shapes`, `errors`.
+Read first : `session.py`, then `atomic.py`.
+"""
+
+from palpate.records.files.atomic import (
+    default_folder as default_folder,
+    disk_errors as disk_errors,
+    placed_files as placed_files,
+    result_folder as result_folder,
+)
 from palpate.records.files.displacement import (
     read_displacement as read_displacement,
     write_displacement as write_displacement,
@@ -9,12 +22,7 @@ from palpate.records.files.estimate import (
     read_estimate as read_estimate,
     write_estimate as write_estimate,
 )
-from palpate.records.files.placed import placed_files as placed_files
-from palpate.records.files.result_folder import (
-    default_folder as default_folder,
-    disk_errors as disk_errors,
-    result_folder as result_folder,
-)
+from palpate.records.files.import_pose import read_import_pose as read_import_pose
 from palpate.records.files.rig import (
     read_rig as read_rig,
     rig_to_toml as rig_to_toml,
@@ -24,13 +32,11 @@ from palpate.records.files.session import (
     SESSION_FORMAT as SESSION_FORMAT,
     read_session as read_session,
 )
-from palpate.records.files.session_edit import (
+from palpate.records.files.session_import import (
+    ImportItem as ImportItem,
     displacement_line as displacement_line,
+    import_plan as import_plan,
+    named_displacements as named_displacements,
     with_displacements as with_displacements,
 )
-from palpate.records.files.session_outline import (
-    ImportItem as ImportItem,
-    SessionOutline as SessionOutline,
-    import_plan as import_plan,
-    read_session_outline as read_session_outline,
-)
+from palpate.records.files.support import read_support as read_support

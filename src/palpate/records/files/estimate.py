@@ -8,12 +8,18 @@ from typing import Any
 
 from palpate.errors import RecordError
 from palpate.records.estimate import CONSTANT_NAMES, Constant, Estimate, ProbeEstimate, Status
+from palpate.records.text import json_text, read_text, write_text
 
 ESTIMATE_FORMAT = "palpate-estimate/1"
 
 
 def write_estimate(path: Path | str, estimate: Estimate) -> None:
     """Write an estimate as JSON; what is not known (NaN, infinity) becomes null.
+
+    Parameters
+    ----------
+    path : path
+    estimate : Estimate
 
     Raises
     ------
@@ -33,26 +39,23 @@ def write_estimate(path: Path | str, estimate: Estimate) -> None:
         "settings": dict(estimate.settings),
         "notes": list(estimate.notes),
     }
-    text = json.dumps(_plain(content), indent=1, allow_nan=False)
-    try:
-        Path(path).write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+    write_text(path, json_text(content))
 
 
 def read_estimate(path: Path | str) -> Estimate:
     """Read an estimate back; null becomes NaN, and infinity at the ends of an interval.
 
+    Parameters
+    ----------
+    path : path
+
     Raises
     ------
     RecordError                     not there, not JSON, another format, a key missing
     """
-    path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
+        content = json.loads(read_text(Path(path)))
+    except json.JSONDecodeError as error:
         raise RecordError(f"{path}: is not valid JSON: {error}") from error
     found = content.get("format") if isinstance(content, dict) else None
     if found != ESTIMATE_FORMAT:
@@ -79,28 +82,10 @@ def _constant(constant: Constant) -> dict[str, Any]:
 
 
 def _probe(probe: ProbeEstimate) -> dict[str, Any]:
+    counts = ("observed", "missing", "rejected", "rms_residual", "prediction_error")
     content: dict[str, Any] = {"name": probe.name}
     content |= {name: _constant(getattr(probe, name)) for name in CONSTANT_NAMES}
-    return content | {
-        "observed": probe.observed,
-        "missing": probe.missing,
-        "rejected": probe.rejected,
-        "rms_residual": probe.rms_residual,
-        "prediction_error": probe.prediction_error,
-    }
-
-
-def _plain(value: Any) -> Any:
-    """JSON's own types; NumPy scalars and arrays become numbers and lists, NaN becomes null."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (bool, str, int)) or value is None:
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return _plain(value.tolist()) if hasattr(value, "tolist") else str(value)
+    return content | {name: getattr(probe, name) for name in counts}
 
 
 def _number(value: float | None, unknown: float = math.nan) -> float:

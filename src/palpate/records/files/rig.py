@@ -1,22 +1,16 @@
 """Rigs from files, and into the format `rig.toml`."""
 
-import json
 from pathlib import Path
 
 import numpy as np
+import tomlkit
 
 from palpate.errors import CalibrationError, RecordError
-from palpate.records.programs import (
-    METRES_PER_UNIT,
-    make_camera,
-    make_pose,
-    make_rig,
-    metres_per_unit,
-    numbers,
-    read_calibration,
-)
+from palpate.records.program import CalibrationFile, make_pose
+from palpate.records.programs import read_calibration
+from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import TomlTable, nearest_word, read_toml
+from palpate.records.text import TomlTable, nearest_word, read_toml, write_text
 
 _FILE = "rig.toml"
 _ROOT_KEYS = ("length_unit", "reference", "camera")
@@ -57,33 +51,47 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
 
 
 def rig_to_toml(rig: Rig) -> str:
-    """Text of rig.toml for a rig, in metres, every digit kept."""
-    lines = ['length_unit = "m"', f"reference = {json.dumps(rig.cameras[rig.reference].name)}"]
+    """Text of rig.toml for a rig, in metres, every digit kept.
+
+    Parameters
+    ----------
+    rig : Rig
+
+    Returns
+    -------
+    str                             TOML; lengths in metres, matrices by rows
+    """
+    cameras = []
     for camera in rig.cameras:
         pose = camera.T_camera_object
-        lines += ["", "[[camera]]", f"name = {json.dumps(camera.name)}"]
-        if camera.size is not None:
-            lines.append(f"size = [{camera.size[0]}, {camera.size[1]}]")
-        lines += [
-            f"K = {camera.matrix.tolist()}",
-            f"distortion = {camera.distortion.tolist()}",
-            f"R = {pose[:3, :3].tolist()}",
-            f"t = {pose[:3, 3].tolist()}",
-        ]
-    return "\n".join(lines) + "\n"
+        size = {} if camera.size is None else {"size": list(camera.size)}
+        cameras.append(
+            {"name": camera.name}
+            | size
+            | {
+                "K": camera.matrix.tolist(),
+                "distortion": camera.distortion.tolist(),
+                "R": pose[:3, :3].tolist(),
+                "t": pose[:3, 3].tolist(),
+            }
+        )
+    reference = rig.cameras[rig.reference].name
+    return tomlkit.dumps({"length_unit": "m", "reference": reference, "camera": cameras})
 
 
 def write_rig(path: Path | str, rig: Rig) -> None:
     """Write a rig as rig.toml; reading it again gives the same numbers.
 
+    Parameters
+    ----------
+    path : path
+    rig : Rig
+
     Raises
     ------
     RecordError                     the file cannot be written
     """
-    try:
-        Path(path).write_text(rig_to_toml(rig), encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+    write_text(path, rig_to_toml(rig))
 
 
 def _read_toml_rig(path: Path, length_unit: str | None) -> Rig:
@@ -91,30 +99,30 @@ def _read_toml_rig(path: Path, length_unit: str | None) -> Rig:
     root = read_toml(path)
     root.check_keys(_ROOT_KEYS)
     if "length_unit" in root.values or length_unit is None:
-        length_unit = root.choice("length_unit", tuple(METRES_PER_UNIT))
-    metres = metres_per_unit(path, length_unit, usual=None)
+        length_unit = root.choice("length_unit", tuple(FILE_LENGTH_UNITS))
+    file = CalibrationFile(path, None, length_unit)
+    metres = file.metres(usual=None)
     cameras = []
     for number, table in enumerate(root.tables("camera", "[[camera]]"), start=1):
         named = TomlTable(path, f"[[camera]] number {number}", table.values)
-        cameras.append(_camera(named, metres))
+        cameras.append(_camera(file, named, metres))
     names = [camera.name for camera in cameras]
     reference = 0
     if "reference" in root.values:
         reference = names.index(root.choice("reference", names))
-    return make_rig(path, cameras, reference=reference)
+    return file.rig(cameras, reference=reference)
 
 
-def _camera(table: TomlTable, metres: float) -> Camera:
+def _camera(file: CalibrationFile, table: TomlTable, metres: float) -> Camera:
     table.check_keys(_CAMERA_KEYS)
     name = table.text("name")
     where = f"[[camera]] '{name}'"
 
     def array(key: str, shape: tuple[int, ...] | None) -> np.ndarray:
-        return numbers(table.file, f"{where} {key}", table.get(key), shape)
+        return file.numbers(f"{where} {key}", table.get(key), shape)
 
     rotation, translation = array("R", (3, 3)), array("t", (3,))
-    return make_camera(
-        table.file,
+    return file.camera(
         name,
         size=_size(table, where),
         matrix=array("K", (3, 3)),

@@ -5,26 +5,22 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.errors import InputError, MeshError, RecordError
+from palpate.errors import MeshError, RecordError
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
+from palpate.records.contact import Contact, contact_profiles
 from palpate.records.files.displacement import read_displacement
-from palpate.records.probing import Contact, ContactProfile, DisplacementField, Images, Probing
-from palpate.records.session import Session
+from palpate.records.files.support import read_support
+from palpate.records.probing import DisplacementField, Images, Probing
+from palpate.records.quantities import FILE_LENGTH_UNITS
+from palpate.records.session import Session, Step
 from palpate.records.session_checks import check_contact, check_observed_points, plausibility_notes
-from palpate.records.step import Step
-from palpate.records.support import read_support
 from palpate.records.text import TomlTable, nearest_word, read_toml
-from palpate.shapes import Indices, Vector3
+from palpate.shapes import Indices
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
-_METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _ROOT_KEYS = ("format", "name", "object", "support", "gravity", "rig", "probe", "step")
 _STEP_KEYS = ("name", "images")
-_NO_RIG = (
-    "the pictures need their cameras: add a [rig] table with the camera file, e.g."
-    ' cameras = "rig.toml"'
-)
 _PROBE_KEYS = (
     "name",
     "contact",
@@ -37,13 +33,17 @@ _PROBE_KEYS = (
 )
 
 
-def read_session(path: Path | str, *, probes: Sequence[str] | None = None) -> Session:
+def read_session(
+    path: Path | str, *, probes: Sequence[str] | None = None, observations: bool = True
+) -> Session:
     """Read and check a whole session; everything is in SI units afterwards.
 
     Parameters
     ----------
     path : path                     the session's folder (with a session.toml), or a session file
     probes : names or None          read these probings only; None: all
+    observations : bool             False: leave out the displacements and pictures of the probings,
+                                    which may still be missing
 
     Returns
     -------
@@ -57,37 +57,38 @@ def read_session(path: Path | str, *, probes: Sequence[str] | None = None) -> Se
     MeshError                       a mesh that cannot be read or is not closed
     """
     root = read_toml(_session_file(Path(path)))
-    _check_root(root)
-    body = root.table("object", "[object]")
+    root.check_keys(_ROOT_KEYS)
+    found = root.get("format")
+    if found != SESSION_FORMAT:
+        root.fail("format", f"is {found!r}; this version reads '{SESSION_FORMAT}'")
+    body = root.table("object")
     body.check_keys(("mesh", "length_unit", "density"))
-    metres_per_unit = _METRES[body.choice("length_unit", tuple(_METRES))]
-    mesh, notes = _mesh(body, metres_per_unit)
-    density = _density(body)
-    rig = _rig(root)
+    metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
+    mesh, notes = _mesh(body, metres)
     held: Indices = np.zeros(0, dtype=np.int64)
     if "support" in root.values or root.values.get("probe"):
-        support = root.table("support", "[support]")
-        held = read_support(support, mesh, metres_per_unit=metres_per_unit)
+        held = read_support(root.table("support"), mesh, metres_per_unit=metres)
     probings: list[Probing] = []
     for table in _chosen(root, probes):
-        probing, probing_notes = _probing(table, mesh, held, metres_per_unit)
-        if probing.displacement is None and rig is None:
-            table.fail("images", _NO_RIG)
+        probing, probing_notes = _probing(table, mesh, held, metres, observations=observations)
         probings.append(probing)
         notes += probing_notes
-    return Session(
-        name=root.text("name") if "name" in root.values else root.file.parent.name,
-        path=root.file,
-        mesh=mesh,
-        held_triangles=held,
-        probings=tuple(probings),
-        density=density,
-        gravity=_gravity(root, density),
-        rig=rig,
-        notes=notes + plausibility_notes(mesh, tuple(probings)),
-        steps=_steps(root, rig),
-        metres_per_unit=metres_per_unit,
-    )
+    gravity = _only_key(root, "gravity", "acceleration")
+    rig = _only_key(root, "rig", "cameras")
+    with root.blamed():
+        return Session(
+            name=root.optional("name", root.text) or root.file.parent.name,
+            path=root.file,
+            mesh=mesh,
+            held_triangles=held,
+            probings=tuple(probings),
+            density=body.optional("density", body.number),
+            gravity=gravity.vector("acceleration") if gravity else None,
+            rig=rig.existing_file("cameras") if rig else None,
+            notes=notes + plausibility_notes(mesh, tuple(probings)),
+            steps=_steps(root),
+            metres_per_unit=metres,
+        )
 
 
 def _session_file(path: Path) -> Path:
@@ -108,193 +109,103 @@ def _session_file(path: Path) -> Path:
     return path
 
 
-def _check_root(root: TomlTable) -> None:
-    """Refuse another format, unknown tables, and sessions of nothing or of two kinds."""
-    root.check_keys(_ROOT_KEYS)
-    found = root.get("format")
-    if found != SESSION_FORMAT:
-        root.fail("format", f"is {found!r}; this version reads '{SESSION_FORMAT}'")
-    if root.values.get("probe") and root.values.get("step"):
-        root.fail(
-            "",
-            "has [[probe]] and [[step]] tables; a session is either of probings or a rigid-motion"
-            " sequence: make two files of it (both may use the same mesh, rig and images)",
-        )
-    if not (root.values.get("probe") or root.values.get("step")):
-        root.fail(
-            "",
-            "has no [[probe]] table; at least one probing is needed (or two [[step]] tables of a"
-            " rigid motion)",
-        )
-
-
-def _mesh(body: TomlTable, metres_per_unit: float) -> tuple[TriangleMesh, tuple[str, ...]]:
+def _mesh(body: TomlTable, metres: float) -> tuple[TriangleMesh, tuple[str, ...]]:
     """The object's surface in metres, checked."""
     path = body.existing_file("mesh")
     try:
-        mesh, notes = checked_mesh(read_mesh(path, metres_per_unit=metres_per_unit))
+        mesh, notes = checked_mesh(read_mesh(path, metres_per_unit=metres))
     except MeshError as error:
         text = str(error)
         raise MeshError(text if text.startswith(str(path)) else f"{path}: {text}") from error
     return mesh, tuple(f"{path.name}: {note}" for note in notes)
 
 
-def _density(body: TomlTable) -> float | None:
-    if "density" not in body.values:
-        return None
-    density = body.number("density")
-    if density <= 0.0:
-        body.fail("density", f"is {density}; must be positive, in kg/m^3")
-    return density
-
-
-def _gravity(root: TomlTable, density: float | None) -> Vector3 | None:
-    if "gravity" not in root.values:
-        return None
-    table = root.table("gravity", "[gravity]")
-    table.check_keys(("acceleration",))
-    acceleration = table.vector("acceleration")
-    if density is None:
-        table.fail(
-            "acceleration",
-            "gravity needs the object's density: add density (kg/m^3) to [object]; or leave"
-            " [gravity] out if the rest state was measured under gravity too",
-        )
-    return acceleration
-
-
-def _rig(root: TomlTable) -> Path | None:
-    if "rig" not in root.values:
-        return None
-    table = root.table("rig", "[rig]")
-    table.check_keys(("cameras",))
-    return table.existing_file("cameras")
+def _only_key(root: TomlTable, name: str, key: str) -> TomlTable | None:
+    """A table of one key that may be missing."""
+    table = root.optional(name, root.table)
+    if table is not None:
+        table.check_keys((key,))
+    return table
 
 
 def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
-    """The probe tables that were asked for, under distinct names; none in a session of steps."""
-    tables, names = _named_tables(root, "probe", "probing", _PROBE_KEYS)
-    if probes is None:
-        return tables
-    if not names:
-        root.fail("[[step]]", f"a rigid-motion sequence has no probings; asked for: {list(probes)}")
-    for name in probes:
+    """The probe tables that were asked for."""
+    tables = _named_tables(root, "probe", _PROBE_KEYS)
+    names = [table.text("name") for table in tables]
+    for name in probes or ():
         if name not in names:
+            there = ", ".join(names) or "none, it is a rigid-motion sequence"
+            near = nearest_word(name, names)
             raise RecordError(
-                f"{root.file}: there is no probing '{name}'{nearest_word(name, names)}"
-                f" (there are: {', '.join(names)})"
+                f"{root.file}: there is no probing '{name}'{near} (there are: {there})"
             )
-    return [table for table, name in zip(tables, names, strict=True) if name in probes]
+    return [t for t, name in zip(tables, names, strict=True) if probes is None or name in probes]
 
 
-def _named_tables(
-    root: TomlTable, key: str, kind: str, allowed: Sequence[str]
-) -> tuple[list[TomlTable], list[str]]:
-    """Tables of one kind, known to the reader by their distinct names."""
-    tables: list[TomlTable] = []
-    names: list[str] = []
-    if key not in root.values:
-        return tables, names
-    for number, table in enumerate(root.tables(key, f"[[{key}]]"), start=1):
+def _named_tables(root: TomlTable, key: str, allowed: Sequence[str]) -> list[TomlTable]:
+    """Tables of one kind, known to the reader by their names."""
+    tables = []
+    for number, table in enumerate(root.optional(key, root.tables) or (), start=1):
         plain = TomlTable(table.file, f"[[{key}]] number {number}", table.values)
         plain.check_keys(allowed)
-        name = plain.text("name")
-        if name in names:
-            plain.fail("name", f"'{name}' is taken by an earlier {kind}; names must be distinct")
-        names.append(name)
-        tables.append(TomlTable(table.file, f"[[{key}]] '{name}'", table.values))
-    return tables, names
+        tables.append(TomlTable(table.file, f"[[{key}]] '{plain.text('name')}'", table.values))
+    return tables
 
 
-def _steps(root: TomlTable, rig: Path | None) -> tuple[Step, ...]:
+def _steps(root: TomlTable) -> tuple[Step, ...]:
     """The steps of a rigid-motion sequence, if it is one."""
-    tables, names = _named_tables(root, "step", "step", _STEP_KEYS)
-    if not tables:
-        return ()
-    if rig is None:
-        root.fail("[[step]]", _NO_RIG)
-    if len(tables) == 1:
-        tables[0].fail("", "is the only step; motion needs at least two, the first is the initial")
     patterns: list[str] = []
-    for table in tables:
+    steps = []
+    for table in _named_tables(root, "step", _STEP_KEYS):
         patterns.append(_pattern(table, "images", patterns))
-    return tuple(Step(name, pattern) for name, pattern in zip(names, patterns, strict=True))
+        steps.append(Step(table.text("name"), patterns[-1]))
+    return tuple(steps)
 
 
 def _probing(
-    table: TomlTable, mesh: TriangleMesh, held: Indices, metres_per_unit: float
+    table: TomlTable, mesh: TriangleMesh, held: Indices, metres: float, *, observations: bool
 ) -> tuple[Probing, tuple[str, ...]]:
     """One probing, in SI units, checked against the surface and the support."""
-    images = _images(table)
-    field, notes = _displacement(table, images, mesh, metres_per_unit)
-    tip = _scaled(table, "tip_displacement", metres_per_unit)
-    tip_std = _positive(table, "tip_displacement_std", metres_per_unit)
-    if tip is None and tip_std is not None:
-        table.fail("tip_displacement_std", "is given without tip_displacement; give both or none")
-    try:
+    images = _images(table) if observations else None
+    field: DisplacementField | None = None
+    notes: tuple[str, ...] = ()
+    if observations and "displacement" in table.values:
+        file = table.existing_file("displacement")
+        field, notes = read_displacement(file, mesh, metres_per_unit=metres)
+    elif observations and images is None:
+        table.fail(
+            "displacement",
+            "the key is missing: give the measured displacements as a CSV file, or the pictures"
+            " they are to come from as images",
+        )
+    tip = table.optional("tip_displacement", table.vector)
+    tip_std = table.optional("tip_displacement_std", table.number_or_vector)
+    with table.blamed():
         probing = Probing(
             name=table.text("name"),
-            contact=_contact(table, metres_per_unit),
+            contact=_contact(table, metres),
             force=table.vector("force"),
-            force_std=_positive(table, "force_std", 1.0, zero_allowed=True),
-            tip_displacement=tip,
-            tip_displacement_std=tip_std,
+            force_std=table.optional("force_std", table.number_or_vector),
+            tip_displacement=None if tip is None else metres * tip,
+            tip_displacement_std=None if tip_std is None else metres * tip_std,
             displacement=field,
             images=images,
         )
         check_contact(mesh, held, probing.contact)
         if field is not None:
             check_observed_points(mesh, held, field)
-    except RecordError:
-        raise
-    except InputError as error:
-        raise RecordError(f"{table.file}: {table.name}: {error}") from error
     return probing, notes
 
 
-def _displacement(
-    table: TomlTable, images: Images | None, mesh: TriangleMesh, metres_per_unit: float
-) -> tuple[DisplacementField | None, tuple[str, ...]]:
-    """What was measured of the surface; None where pictures are to tell it."""
-    if "displacement" in table.values:
-        file = table.existing_file("displacement")
-        return read_displacement(file, mesh, metres_per_unit=metres_per_unit)
-    if images is None:
-        table.fail(
-            "displacement",
-            "the key is missing: give the measured displacements as a CSV file, or the pictures"
-            " they are to come from as images",
-        )
-    return None, ()
-
-
-def _contact(table: TomlTable, metres_per_unit: float) -> Contact:
+def _contact(table: TomlTable, metres: float) -> Contact:
     contact = table.table("contact", f"{table.name} contact")
     contact.check_keys(("point", "radius", "profile"))
-    profile = contact.choice("profile", tuple(member.value for member in ContactProfile))
-    radius = metres_per_unit * contact.number("radius") if "radius" in contact.values else None
+    radius = contact.optional("radius", contact.number)
     return Contact(
-        point=metres_per_unit * contact.vector("point"),
-        radius=radius,
-        profile=ContactProfile(profile),
+        point=metres * contact.vector("point"),
+        radius=None if radius is None else metres * radius,
+        profile=contact.choice("profile", contact_profiles()),
     )
-
-
-def _scaled(table: TomlTable, key: str, factor: float) -> Vector3 | None:
-    return factor * table.vector(key) if key in table.values else None
-
-
-def _positive(
-    table: TomlTable, key: str, factor: float, *, zero_allowed: bool = False
-) -> Vector3 | None:
-    """A standard deviation, one number or three."""
-    if key not in table.values:
-        return None
-    value = table.number_or_vector(key)
-    if np.any(value < 0.0) or (not zero_allowed and np.any(value == 0.0)):
-        least = "must not be negative" if zero_allowed else "must be positive"
-        table.fail(key, f"is {table.values[key]!r}; {least}")
-    return factor * value
 
 
 def _images(table: TomlTable) -> Images | None:
@@ -306,8 +217,8 @@ def _images(table: TomlTable) -> Images | None:
     if not (isinstance(loaded, list) and loaded and all(isinstance(x, str) for x in loaded)):
         images.fail("loaded", f"is {loaded!r}; must be a list of file patterns in quotes")
     patterns = [_pattern(images, "rest", ())]
-    for number in range(len(loaded)):
-        single = TomlTable(images.file, images.name, {"loaded": loaded[number]})
+    for pattern in loaded:
+        single = TomlTable(images.file, images.name, {"loaded": pattern})
         patterns.append(_pattern(single, "loaded", patterns))
     return Images(rest=patterns[0], loaded=tuple(patterns[1:]))
 

@@ -1,8 +1,8 @@
-"""Stereo results of DICe from text and Exodus files."""
+"""Calibrations and stereo results of DICe."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import h5py
 import numpy as np
@@ -10,27 +10,38 @@ from jaxtyping import Float
 from scipy.io import netcdf_file
 
 from palpate.errors import RecordError
-from palpate.records.programs.measured_points import (
-    MeasuredPoints,
+from palpate.records.program import (
+    CalibrationFile,
+    Program,
     ProgramPoints,
+    camera_matrix,
     chosen_frame,
-    from_program,
-    metres_per_unit,
+    make_pose,
+    rotation_from_angles,
 )
-from palpate.records.text import read_text_table
+from palpate.records.rig import Camera, Rig
+from palpate.records.text import read_bytes, read_text_table
 
-_PROGRAM = "DICe"
 _PLACE = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
 _MATCH, _SIGMA = "MATCH", "SIGMA"
+_USED = (*_PLACE, *_MOVE, _MATCH, _SIGMA)
 _EXODUS_SUFFIXES = (".e", ".exo", ".ex2", ".exodus")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
+# DICe's names of lens models whose radial terms act as OpenCV's. Of VIC3D the numbers are VIC-3D's.
+_LENSES = (
+    "OPENCV_LENS_DISTORTION",
+    "K1R3_K2R5_K3R7",
+    "VIC3D_LENS_DISTORTION",
+    "NO_LENS_DISTORTION",
+)
+_LENS_TERMS = ("K1", "K2", "P1", "P2", *(f"K{i}" for i in range(3, 7)), "S1", "S2", "S3", "S4")
+
+Columns = dict[str, Float[np.ndarray, " n"]]
 
 
-def read_dice(
-    path: Path, *, length_unit: str | None = None, frame: int | None = None
-) -> MeasuredPoints:
+def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a stereo result of DICe: a text file per state, or one Exodus file of all states.
 
     Read are MODEL_COORDINATES (at rest) and MODEL_DISPLACEMENT. A point failed where MATCH is not
@@ -40,7 +51,6 @@ def read_dice(
     Parameters
     ----------
     path : Path                     suffix .e .exo .ex2 .exodus: Exodus; anything else: text
-    length_unit : str or None       of the calibration; mm is usual
     frame : int or None             state of an Exodus file, from 0; None: the last one
 
     Raises
@@ -58,127 +68,206 @@ def read_dice(
     if path.suffix.lower() in _EXODUS_SUFFIXES:
         columns, notes = _exodus_columns(path, frame)
     else:
-        chosen_frame(path, frame, 1)
+        chosen_frame(path, frame)
         columns, notes = _text_columns(path), ()
-    if missing := [name for name in _PLACE + _MOVE if name not in columns]:
-        raise RecordError(f"{path}: has no {missing[0]}; {_why(columns)}")
-    metres, unit_notes = metres_per_unit(path, found=None, given=length_unit, usual="mm")
-    notes += unit_notes
-    place = np.stack([columns[name] for name in _PLACE], axis=1)
-    failed = np.zeros(len(place), dtype=bool)
+    failed = np.zeros(len(columns[_PLACE[0]]), dtype=bool)
     if _MATCH in columns:
         failed |= columns[_MATCH] != 0.0
     if _SIGMA in columns:
         failed |= columns[_SIGMA] < 0.0
     if not {_MATCH, _SIGMA} & set(columns):
-        notes += ("It has no MATCH and no SIGMA, so failed points cannot be told.",)
+        notes += ("It has no MATCH and no SIGMA, so failed points cannot be recognised.",)
+    place = np.stack([columns[name] for name in _PLACE], axis=1)
     moved = np.stack([columns[name] for name in _MOVE], axis=1)
-    given = ProgramPoints(place, moved, failed)
-    return from_program(given, kind="dice", source=path, metres=metres, notes=notes)
+    return ProgramPoints(place, moved, failed, notes=notes)
 
 
-def _why(columns: Mapping[str, object]) -> str:
-    """Why the columns of a stereo result may be missing."""
-    shown = ", ".join(list(columns)[:12]) + (", ..." if len(columns) > 12 else "")
-    return (
-        "it is a 2-D result, or one whose [output_spec] leaves the lengths out: add"
-        " MODEL_COORDINATES_X, _Y, _Z, MODEL_DISPLACEMENT_X, _Y, _Z and MATCH to output_spec, or"
-        f" give the Exodus file (.e) of a stereo evaluation; it has: {shown}"
-    )
+def _check_names(path: Path, names: list[str]) -> None:
+    """Refuse a result without the lengths of a stereo evaluation."""
+    if missing := [name for name in _PLACE + _MOVE if name not in names]:
+        shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        raise RecordError(
+            f"{path}: has no {missing[0]}; it is a 2-D result, or one whose [output_spec] leaves"
+            " the lengths out: add MODEL_COORDINATES_X, _Y, _Z, MODEL_DISPLACEMENT_X, _Y, _Z and"
+            " MATCH to output_spec, or give the Exodus file (.e) of a stereo evaluation; it has:"
+            f" {shown}"
+        )
 
 
-def _text_columns(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
-    """Columns of a text file; those that are not used as None would be are left empty."""
-    table = read_text_table(path, program=_PROGRAM)
-    for line in table.preamble:
-        if "incremental correlation: true" in line.lower():
-            raise RecordError(
-                f"{path}: its displacements are from picture to picture (incremental correlation);"
-                " evaluate against the reference, use_incremental_formulation false"
-            )
-    wanted = [c for c in table.columns if c.name in (*_PLACE, *_MOVE, _MATCH, _SIGMA)]
-    if {*_PLACE, *_MOVE} - {column.name for column in wanted}:
-        return {column.name: np.zeros(0) for column in table.columns}
+def _text_columns(path: Path) -> Columns:
+    """The columns of a text file that are used."""
+    table = read_text_table(path, cure="export the points from DICe again, as text")
+    if any("incremental correlation: true" in line.lower() for line in table.preamble):
+        raise RecordError(
+            f"{path}: its displacements are from picture to picture (incremental correlation);"
+            " evaluate against the reference, use_incremental_formulation false"
+        )
+    _check_names(path, [column.name for column in table.columns])
+    wanted = [column for column in table.columns if column.name in _USED]
     values = table.values(wanted)
     return {column.name: values[:, k] for k, column in enumerate(wanted)}
 
 
-@dataclass(frozen=True, slots=True)
-class _Exodus:
-    """What is needed of an Exodus file: names and values of the nodal variables."""
-
-    names: tuple[str, ...]
-    values: Mapping[str, Float[np.ndarray, "t n"]]
-
-
-def _exodus_columns(
-    path: Path, frame: int | None
-) -> tuple[dict[str, Float[np.ndarray, " n"]], tuple[str, ...]]:
+def _exodus_columns(path: Path, frame: int | None) -> tuple[Columns, tuple[str, ...]]:
     """Nodal variables of one state."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(8)
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
-    if start == _HDF5:
-        exodus = _from_hdf5(path)
-    elif start[:4] in _CLASSIC:
-        exodus = _from_classic(path)
-    else:
+    start = read_bytes(path, 8)
+    if start != _HDF5 and start[:4] not in _CLASSIC:
         raise RecordError(
             f"{path}: is not an Exodus file in NetCDF's classic, 64-bit offset or HDF5 form;"
             " write it again, or give DICe's text files"
         )
-    if not {*_PLACE, *_MOVE} <= set(exodus.names):
-        return {name: np.zeros(0) for name in exodus.names}, ()
-    count = len(exodus.values[_MOVE[0]])
+    try:
+        names, values = _nodal(_hdf5_arrays(path) if start == _HDF5 else _classic_arrays(path))
+    except (
+        OSError, ValueError, TypeError, LookupError, AssertionError, EOFError, RuntimeError
+    ) as error:  # fmt: skip
+        raise RecordError(
+            f"{path}: is damaged or cut off ({error}); write it again, or give DICe's text files"
+        ) from error
+    _check_names(path, names)
+    count = len(values[_MOVE[0]])
     if count == 0:
         raise RecordError(f"{path}: holds no state; was the evaluation broken off? Run it again")
     state, notes = chosen_frame(path, frame, count)
-    return {name: values[state] for name, values in exodus.values.items()}, notes
+    return {name: states[state] for name, states in values.items()}, notes
 
 
-def _from_classic(path: Path) -> _Exodus:
-    """Nodal variables of an Exodus file in NetCDF's classic or 64-bit offset form."""
-    try:
-        with netcdf_file(path, "r", mmap=False) as file:
-            return _nodal({name: file.variables[name].data for name in file.variables})
-    except (OSError, ValueError, TypeError, LookupError, AssertionError, EOFError) as error:
-        raise RecordError(_broken(path, error)) from error
+def _classic_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an Exodus file in NetCDF's classic or 64-bit offset form."""
+    with netcdf_file(path, "r", mmap=False) as file:
+        return {name: file.variables[name].data for name in file.variables}
 
 
-def _from_hdf5(path: Path) -> _Exodus:
-    """Nodal variables of an Exodus file in NetCDF-4, that is HDF5."""
-    try:
-        with h5py.File(path) as file:
-            arrays = {
-                name: np.asarray(item)
-                for name, item in file.items()
-                if isinstance(item, h5py.Dataset) and name.startswith(("name_nod", "vals_nod"))
-            }
-        return _nodal(arrays)
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
-        raise RecordError(_broken(path, error)) from error
+def _hdf5_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an Exodus file in NetCDF-4, that is HDF5."""
+    with h5py.File(path) as file:
+        return {
+            name: np.asarray(item)
+            for name, item in file.items()
+            if isinstance(item, h5py.Dataset) and name.startswith(("name_nod", "vals_nod"))
+        }
 
 
-def _nodal(arrays: Mapping[str, np.ndarray]) -> _Exodus:
-    """The wanted variables, from one array each or from one for all."""
-    letters = np.asarray(arrays["name_nod_var"]) if "name_nod_var" in arrays else np.zeros((0, 0))
-    names = tuple(
+def _nodal(
+    arrays: Mapping[str, np.ndarray],
+) -> tuple[list[str], dict[str, Float[np.ndarray, "t n"]]]:
+    """Names of all nodal variables; values of those used, from one array each or one for all."""
+    names = [
         b"".join(bytes(letter) for letter in row).split(b"\0")[0].decode("latin-1").strip()
-        for row in letters
-    )
+        for row in arrays.get("name_nod_var", ())
+    ]
     values = {}
     for number, name in enumerate(names, start=1):
-        if name not in (*_PLACE, *_MOVE, _MATCH, _SIGMA):
-            continue
-        if "vals_nod_var" in arrays:
-            found = arrays["vals_nod_var"][:, number - 1]
-        else:
-            found = arrays[f"vals_nod_var{number}"]
-        values[name] = np.array(found, dtype=np.float64)
-    return _Exodus(names, values)
+        if name in _USED:
+            together = "vals_nod_var" in arrays
+            found = arrays["vals_nod_var" if together else f"vals_nod_var{number}"]
+            values[name] = np.array(found[:, number - 1] if together else found, dtype=np.float64)
+    return names, values
 
 
-def _broken(path: Path, error: Exception) -> str:
-    return f"{path}: is damaged or cut off ({error}); write it again, or give DICe's text files"
+def _holds_rig(file: CalibrationFile) -> bool:
+    """True for a camera system file; DICe's other files are parameter lists too."""
+    is_list = isinstance(file.content, Element) and file.content.tag == "ParameterList"
+    return is_list and bool(_lists(file.content, "CAMERA "))
+
+
+def read_dice_rig(file: CalibrationFile) -> Rig:
+    """Rig of a DICe camera system file (XML); lengths are in mm where the caller says nothing.
+
+    Parameters
+    ----------
+    file : CalibrationFile          a parsed camera system file
+
+    Returns
+    -------
+    Rig                             in the frame that the first camera's extrinsics refer to (its
+                                    own where it has none); cameras are named by CAMERA_ID, or by
+                                    their number where that is blank
+
+    Raises
+    ------
+    CalibrationError                a value that is missing, a lens model or a transformation that
+                                    is not known, contradictions as `Camera` and `Rig` say
+    """
+    metres, root = file.metres(usual="mm"), file.content
+    for name in (node.get("name", "") for node in root):
+        if name.startswith("user_") and "transform" in name:
+            file.fail(
+                f"has a '{name}', which would move the object frame; take it out, the frame is then"
+                " that of the cameras' extrinsics"
+            )
+    chained = _values(root).get("extrinsics_relative_camera_to_camera", "false").lower() == "true"
+    cameras: list[Camera] = []
+    for number, node in enumerate(_lists(root, "CAMERA ")):
+        pose = _pose(file, node, metres)
+        if chained and cameras:
+            pose = pose @ cameras[0].T_camera_object
+        cameras.append(_camera(file, node, number, pose))
+    return file.rig(cameras)
+
+
+def _camera(
+    file: CalibrationFile, node: Element, number: int, pose: Float[np.ndarray, "4 4"]
+) -> Camera:
+    values = _values(node)
+    name = values.get("CAMERA_ID", "").strip() or str(number)
+    where = f"camera '{name}'"
+    model = values.get("LENS_DISTORTION_MODEL", _LENSES[-1]).upper()
+    if model not in _LENSES:
+        file.fail(f"{where} has the lens model {model}; known are {', '.join(_LENSES)}")
+    skew = file.number(values, "FS", where, missing=0.0)
+    if skew != 0.0 and model != "VIC3D_LENS_DISTORTION":
+        file.fail(f"{where} has FS {skew:g}, which DICe passes over with {model}; take it out")
+    lens = [file.number(values, key, where, missing=0.0) for key in (*_LENS_TERMS, "T1", "T2")]
+    if model == "NO_LENS_DISTORTION" and any(lens):
+        file.fail(
+            f"{where} has lens terms but LENS_DISTORTION_MODEL is NO_LENS_DISTORTION or missing;"
+            " name the model or take the terms out"
+        )
+    size = None
+    if "IMAGE_HEIGHT_WIDTH" in values:
+        size = file.size(_row(values["IMAGE_HEIGHT_WIDTH"])[::-1])
+    inner = [file.number(values, key, where) for key in ("FX", "FY", "CX", "CY")]
+    matrix = camera_matrix(inner, skew)
+    return file.camera(name, size=size, matrix=matrix, distortion=lens, pose=pose)
+
+
+def _pose(file: CalibrationFile, node: Element, metres: float) -> Float[np.ndarray, "4 4"]:
+    """x_camera from x_world, or from x of the first camera where the file is chained."""
+    values, where = _values(node), node.get("name", "")
+    shift = [file.number(values, key, where, missing=0.0) for key in ("TX", "TY", "TZ")]
+    angles = [file.number(values, key, where, missing=0.0) for key in ("ALPHA", "BETA", "GAMMA")]
+    rotation = rotation_from_angles(angles)
+    for table in _lists(node, "rotation_3x3_matrix"):
+        place = f"{where}: rotation_3x3_matrix"
+        rows = [_row(file.entry(_values(table), f"ROW {i}", place)) for i in range(3)]
+        rotation = np.stack([file.numbers(place, row, (3,)) for row in rows])
+    return make_pose(rotation, metres * np.array(shift))
+
+
+def _lists(node: Element, start: str) -> list[Element]:
+    """Sublists whose name begins so, in the order of their names' numbers."""
+    found = [child for child in node if child.tag == "ParameterList"]
+    found = [child for child in found if child.get("name", "").startswith(start)]
+    return sorted(found, key=lambda child: (len(child.get("name", "")), child.get("name", "")))
+
+
+def _values(node: Element) -> dict[str, str]:
+    parameters = (child for child in node if child.tag == "Parameter")
+    return {child.get("name", ""): child.get("value", "") for child in parameters}
+
+
+def _row(text: str) -> list[str]:
+    """Words in the form { 1.0, 0.0, 0.0 }."""
+    return text.strip().strip("{}").split(",")
+
+
+DICE = Program(
+    kinds=("dice",),
+    results=".txt, .e",
+    read_points=read_dice_points,
+    usual_unit="mm",
+    calibrations="DICe (XML)",
+    holds_rig=_holds_rig,
+    read_rig=read_dice_rig,
+)

@@ -1,22 +1,25 @@
-"""Stereo results of MatchID from CSV files."""
+"""Calibrations and stereo results of MatchID."""
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from palpate.errors import RecordError
-from palpate.records.programs.measured_points import (
-    MeasuredPoints,
+from palpate.records.program import (
+    CalibrationFile,
+    Program,
     ProgramPoints,
+    camera_matrix,
     chosen_frame,
-    from_program,
-    metres_per_unit,
+    make_pose,
+    rotation_from_angles,
 )
-from palpate.records.text import Column, TextTable, read_text_table
+from palpate.records.rig import Camera, Rig
+from palpate.records.text import missing_depth, read_text_table
 
-_PROGRAM = "MatchID"
 # Long names without their category and unit, and the short ones of version 2023.
-_NAMES = {
+_COLUMNS = {
     "X": ("x",),
     "Y": ("y",),
     "Z": ("z",),
@@ -24,11 +27,11 @@ _NAMES = {
     "V": ("vertical displacement v", "v"),
     "W": ("out-of-plane: w", "out-of-plane w", "out-of-plane displacement w", "w"),
 }
+_LINE = re.compile(r"\s*([^;:\[\]]+?)\s*(?:\[\s*([^\]]*?)\s*\])?\s*[;:]\s*(.*?)\s*$")
+_WHOLE = "the calibration"
 
 
-def read_matchid(
-    path: Path, *, length_unit: str | None = None, frame: int | None = None
-) -> MeasuredPoints:
+def read_matchid_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of one time step that MatchID exported as CSV, one row per point.
 
     Read are coor.X [mm], coor.Y, coor.Z, disp.Horizontal Displacement U [mm], disp.Vertical
@@ -39,13 +42,11 @@ def read_matchid(
     Parameters
     ----------
     path : Path
-    length_unit : str or None       where the header names none; mm is usual
     frame : int or None             a file holds one state: only 0 or None
 
     Raises
     ------
-    RecordError                     a column is missing (2-D results have no Z and W), lengths in
-                                    pixels, text, no rows
+    RecordError                     a column is missing (2-D results have no Z and W), text, no rows
 
     Source
     ------
@@ -53,34 +54,91 @@ def read_matchid(
     DuoDIC (lib_DuoDIC/ReadMatchIDFile.m: header "[Category].[Long variable name].[units]") and of
     pyvale's forerunner mt2py list them. That coor.X is the place at rest is taken from their use.
     """
-    chosen_frame(path, frame, 1)
-    table = read_text_table(path, program=_PROGRAM)
-    wanted = _columns(table)
-    metres, notes = metres_per_unit(path, found=table.unit(wanted), given=length_unit, usual="mm")
-    values = table.values(wanted)
+    chosen_frame(path, frame)
+    table = read_text_table(path, cure="export the points from MatchID again, as text")
+    wanted = table.require(_COLUMNS, spelled=_plain, why=_why)
+    notes: tuple[str, ...] = ()
     if table.find(["sigma"], spelled=_plain):
-        notes += ("The column Sigma was left out: it does not say whose error it is.",)
-    given = ProgramPoints(values[:, :3], values[:, 3:], np.zeros(len(values), dtype=bool))
-    return from_program(given, kind="matchid", source=path, metres=metres, notes=notes)
+        notes = ("The column Sigma was left out: it does not say whose error it is.",)
+    values = table.values(wanted)
+    return ProgramPoints(values[:, :3], values[:, 3:], unit=table.unit(wanted), notes=notes)
 
 
-def _columns(table: TextTable) -> list[Column]:
-    """X, Y, Z, U, V, W of the table."""
-    found = {name: table.find(words, spelled=_plain) for name, words in _NAMES.items()}
-    if missing := [name for name, column in found.items() if column is None]:
-        flat = {"Z", "W"} & set(missing) and not {"X", "Y", "U", "V"} & set(missing)
-        why = (
-            "it is a 2-D result, and depth is needed: export a stereo result"
-            if flat
-            else "export all variables of a time step in one table, header [Category].[Long"
-            " variable name].[units]"
-        )
-        raise RecordError(
-            f"{table.path}: the column '{missing[0]}' is missing; {why}; it has: {table.names()}"
-        )
-    return [column for column in found.values() if column]
+def _why(missing: list[str]) -> str:
+    return missing_depth(missing) or (
+        "export all variables of a time step in one table, header [Category].[Long variable"
+        " name].[units]"
+    )
 
 
 def _plain(name: str) -> str:
     """Name without its category, in small letters: 'coor.X' is 'x'."""
     return name.rpartition(".")[2].strip().lower()
+
+
+def _lines(file: CalibrationFile) -> list[str]:
+    """Lines of a .caldat file, or of pyvale's YAML of the same keys."""
+    if isinstance(file.content, dict):
+        return [f"{key};{value}" for key, value in file.content.items()]
+    return file.content.splitlines() if isinstance(file.content, str) else []
+
+
+def _holds_rig(file: CalibrationFile) -> bool:
+    return any(line.lower().startswith("cam0_fx") for line in _lines(file))
+
+
+def read_matchid_rig(file: CalibrationFile) -> Rig:
+    """Rig of two cameras in the frame of the first, from lines `Cam0_Fx [pixels];6673.3`.
+
+    The second camera is at x_1 = Rz(Psi) Ry(Phi) Rx(Theta) x_0 + T.
+
+    Parameters
+    ----------
+    file : CalibrationFile          a .caldat file, or YAML of the same keys
+
+    Returns
+    -------
+    Rig                             cameras '0' and '1', sizes not known
+
+    Raises
+    ------
+    CalibrationError                a key missing or no number, contradictions as `Camera` says
+
+    Source
+    ------
+    Checked with a picture pair and MatchID's calibration of it: 0.09 px.
+    """
+    values, units = {}, {}
+    for line in _lines(file):
+        if match := _LINE.match(line):
+            values[match[1].lower()], units[match[1].lower()] = match[3], match[2]
+    angles = [file.number(values, name, _WHOLE) for name in ("theta", "phi", "psi")]
+    if (units["theta"] or "deg").lower().startswith("rad"):
+        angles = [float(np.rad2deg(angle)) for angle in angles]
+    shift = [file.number(values, name, _WHOLE) for name in ("tx", "ty", "tz")]
+    metres = file.metres(stated=units["tx"], usual="mm")
+    second = make_pose(rotation_from_angles(angles), metres * np.array(shift))
+    return file.rig([_camera(file, values, i, pose) for i, pose in enumerate((np.eye(4), second))])
+
+
+def _camera(
+    file: CalibrationFile, values: Mapping[str, str], index: int, pose: np.ndarray
+) -> Camera:
+    def number(key: str, missing: float | None = None) -> float:
+        return file.number(values, f"cam{index}_{key}", _WHOLE, missing=missing)
+
+    inner = [number(key) for key in ("fx", "fy", "cx", "cy")]
+    lens = [number(key, missing=0.0) for key in ("kappa 1", "kappa 2", "p1", "p2", "kappa 3")]
+    matrix = camera_matrix(inner, number("fs", missing=0.0))
+    return file.camera(str(index), matrix=matrix, distortion=lens, pose=pose)
+
+
+MATCHID = Program(
+    kinds=("matchid",),
+    results=".csv",
+    read_points=read_matchid_points,
+    usual_unit="mm",
+    calibrations="MatchID (.caldat)",
+    holds_rig=_holds_rig,
+    read_rig=read_matchid_rig,
+)

@@ -1,21 +1,28 @@
-"""Stereo results of MultiDIC and DuoDIC from MATLAB files."""
+"""Calibrations and stereo results of MultiDIC and DuoDIC, from MATLAB's files."""
 
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+from jaxtyping import Float
 from scipy.io import loadmat, whosmat
+from scipy.linalg import rq
 
 from palpate.errors import RecordError
-from palpate.records.programs.measured_points import (
-    MeasuredPoints,
+from palpate.records.program import (
+    CalibrationFile,
+    Program,
     ProgramPoints,
     chosen_frame,
-    from_program,
-    metres_per_unit,
+    make_pose,
 )
+from palpate.records.rig import Camera, Rig
+from palpate.records.text import read_bytes
+from palpate.shapes import Points
 
 _PLACES = "Points3D"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -23,11 +30,11 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DAMAGE = (OSError, ValueError, TypeError, LookupError, RuntimeError, EOFError, zlib.error)
 _MARK = b"MATLAB 5.0 MAT-file"
 _MARK_HDF5 = b"MATLAB 7.3 MAT-file"
+_PATTERN = "DLTstruct_cam_*.mat"
+_PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
 
 
-def read_multidic(
-    path: Path, *, length_unit: str | None = None, frame: int | None = None
-) -> MeasuredPoints:
+def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a 3-D reconstruction by MultiDIC or DuoDIC.
 
     The file holds a struct (DIC3D, DIC3Dcombined, DIC3DPPresults, DIC3DpairResults, ...) with
@@ -38,7 +45,6 @@ def read_multidic(
     Parameters
     ----------
     path : Path                     .mat, version 5 to 7.3
-    length_unit : str or None       of the calibration; mm is usual
     frame : int or None             state, from 0 (the rest); None: the last one
 
     Raises
@@ -65,27 +71,17 @@ def read_multidic(
             " results of step 3 or 4"
         )
     state, notes = chosen_frame(path, frame, len(states))
-    metres, unit_notes = metres_per_unit(path, found=None, given=length_unit, usual="mm")
-    given = ProgramPoints(
-        states[0], states[state] - states[0], np.zeros(len(states[0]), dtype=bool)
-    )
-    return from_program(
-        given, kind="multidic", source=path, metres=metres, notes=notes + unit_notes
-    )
+    return ProgramPoints(states[0], states[state] - states[0], notes=notes)
 
 
 def _states(path: Path) -> list[np.ndarray]:
     """The arrays of Points3D, in time."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(520)
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+    start = read_bytes(path, 520)
     try:
         if start.startswith(_MARK_HDF5) or _HDF5 in (start[:8], start[512:520]):
-            return _from_hdf5(path)
+            return _states_from_hdf5(path)
         if start.startswith(_MARK):
-            return _from_version_5(path)
+            return _states_from_version_5(path)
     except RecordError:
         raise
     except _DAMAGE as error:
@@ -95,35 +91,31 @@ def _states(path: Path) -> list[np.ndarray]:
     raise RecordError(f"{path}: is not a MATLAB file of version 5 to 7.3; save it again in MATLAB")
 
 
-def _from_hdf5(path: Path) -> list[np.ndarray]:
+def _states_from_hdf5(path: Path) -> list[np.ndarray]:
     """Points3D of a file of version 7.3, which is HDF5: arrays are transposed, cells are links."""
     with h5py.File(path) as file:
-        names = [
-            name
-            for name, item in file.items()
-            if isinstance(item, h5py.Group) and not name.startswith("#") and _PLACES in item
-        ]
-        _check_names(path, names, [name for name in file if not name.startswith("#")])
-        cell = file[names[0]][_PLACES]
-        links = np.asarray(cell).ravel(order="F")
+        present = [name for name in file if not name.startswith("#")]
+        groups = [name for name in present if isinstance(file[name], h5py.Group)]
+        name = _only_struct(path, [name for name in groups if _PLACES in file[name]], present)
+        links = np.asarray(file[name][_PLACES]).ravel(order="F")
         return [np.asarray(file[link], dtype=np.float64).T for link in links]
 
 
-def _from_version_5(path: Path) -> list[np.ndarray]:
+def _states_from_version_5(path: Path) -> list[np.ndarray]:
     """Points3D of a file of version 5 to 7."""
-    present = [name for name, _, kind in whosmat(path) if kind == "struct"]
-    content = loadmat(path, variable_names=present, simplify_cells=True)
-    names = [name for name in present if isinstance(content[name], dict)]
-    names = [name for name in names if _PLACES in content[name]]
-    _check_names(path, names, [name for name, _, _ in whosmat(path) if not name.startswith("__")])
-    cell = np.asarray(content[names[0]][_PLACES])
+    kinds = {name: kind for name, _, kind in whosmat(path) if not name.startswith("__")}
+    structs = [name for name, kind in kinds.items() if kind == "struct"]
+    content = loadmat(path, variable_names=structs, simplify_cells=True)
+    found = [name for name in structs if isinstance(content[name], dict)]
+    name = _only_struct(path, [name for name in found if _PLACES in content[name]], list(kinds))
+    cell = np.asarray(content[name][_PLACES])
     # A cell of one state comes as that state.
     states = cell.ravel() if cell.dtype == object else [cell]
     return [np.asarray(state, dtype=np.float64) for state in states]
 
 
-def _check_names(path: Path, names: Sequence[str], present: Sequence[str]) -> None:
-    """Refuse a file without a 3-D result, or with several."""
+def _only_struct(path: Path, names: Sequence[str], present: Sequence[str]) -> str:
+    """The struct with a 3-D result; a file with none or with several is refused."""
     if len(names) > 1:
         raise RecordError(
             f"{path}: holds several structs with Points3D ({', '.join(names)}); save one of them"
@@ -139,3 +131,158 @@ def _check_names(path: Path, names: Sequence[str], present: Sequence[str]) -> No
             f"{path}: has no struct with Points3D: {why}; give the file of the 3-D reconstruction"
             f" (DIC3D..., step 3 or 4); it has: {', '.join(present)}"
         )
+    return names[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlPoints:
+    """Points of a calibration object and where one camera sees them.
+
+    Attributes
+    ----------
+    camera : str                    its name
+    points : (n, 3) float [m]
+    pixels : (n, 2) float [px]      column and row, the first pixel's centre is (0, 0)
+    """
+
+    camera: str
+    points: Points
+    pixels: Float[np.ndarray, "n 2"]
+
+
+def _holds_rig(file: CalibrationFile) -> bool:
+    return file.path.suffix.lower() == ".mat" or any(file.path.glob(_PATTERN))
+
+
+def read_multidic_rig(file: CalibrationFile) -> Rig:
+    """Rig of all direct linear transformations in a folder, in the frame of the calibration object.
+
+    column = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), row with L5 to L8, X in mm,
+    pixels counted from 1 as in MATLAB. Eleven numbers, as many as a pinhole camera with skew has:
+    nothing is lost, but there is no lens.
+
+    Parameters
+    ----------
+    file : CalibrationFile          the folder, or any of its files DLTstruct_cam_*.mat
+
+    Returns
+    -------
+    Rig                             cameras named by their number, sizes not known, no lens
+
+    Raises
+    ------
+    RecordError                     a file that cannot be read as such
+    CalibrationError                numbers of no camera, or one that looks away from the object
+    """
+    metres = file.metres(usual="mm")
+    files = [CalibrationFile(path, _content(path)) for path in _files(file.path)]
+    return file.rig([_camera(camera, metres) for camera in files])
+
+
+def read_control_points(
+    path: Path | str, *, length_unit: str | None = None
+) -> tuple[ControlPoints, ...]:
+    """What the transformations were computed from, so that the lens can be found too.
+
+    Parameters
+    ----------
+    path : path                     the folder, or any of its files DLTstruct_cam_*.mat
+    length_unit : str or None       None: mm
+
+    Returns
+    -------
+    tuple of ControlPoints          one per camera, in the order of the rig
+
+    Raises
+    ------
+    RecordError, CalibrationError   as `read_multidic_rig`
+    """
+    metres = CalibrationFile(Path(path), None, length_unit).metres(usual="mm")
+    found = []
+    for file in (CalibrationFile(p, _content(p)) for p in _files(Path(path))):
+        points, pixels = _control(file)
+        found.append(ControlPoints(str(file.content["indCam"]), metres * points, pixels))
+    return tuple(found)
+
+
+def _files(path: Path) -> Sequence[Path]:
+    folder = path if path.is_dir() else path.parent
+    files = sorted(folder.glob(_PATTERN), key=lambda file: (len(file.name), file.name))
+    if not path.is_dir() and path not in files:
+        raise RecordError(
+            f"{path}: is not a camera's transformation of MultiDIC; {_PAIRS_HINT} (in"
+            " DLTstructPairs.mat the lens is a MATLAB object, which only MATLAB can read)"
+        )
+    return files
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Fields of the one structure in a MATLAB file."""
+    read_bytes(path, 1)
+    try:
+        variables = loadmat(path, squeeze_me=True, simplify_cells=True)
+    except (ValueError, TypeError, NotImplementedError) as error:
+        raise RecordError(
+            f"{path}: is no MATLAB file of version 5 to 7.2 ({error}); save it with '-v7'"
+        ) from error
+    for value in variables.values():
+        if isinstance(value, dict) and "DLTparams" in value and "indCam" in value:
+            return value
+    names = [name for name in variables if not name.startswith("__")]
+    raise RecordError(
+        f"{path}: holds no transformation (DLTparams, indCam) but {', '.join(names) or 'nothing'};"
+        f" {_PAIRS_HINT}"
+    )
+
+
+def _camera(file: CalibrationFile, metres: float) -> Camera:
+    terms = file.numbers("DLTparams", file.content["DLTparams"], (11,))
+    projection = np.append(terms, 1.0).reshape(3, 4)
+    # Of the two signs the one for which the rotation is one.
+    projection *= np.sign(np.linalg.det(projection[:, :3])) or 1.0
+    if np.linalg.matrix_rank(projection[:, :3]) < 3:
+        file.fail(f"DLTparams {terms.tolist()} are of no camera (rank below 3)")
+    matrix, rotation = rq(projection[:, :3])
+    signs = np.diag(np.sign(np.diag(matrix)))
+    matrix, rotation = matrix @ signs, signs @ rotation
+    translation = np.linalg.solve(matrix, projection[:, 3])
+    if "C3Dtrue" in file.content:
+        points, _ = _control(file)
+        behind = int(np.sum(points @ rotation[2] + translation[2] <= 0.0))
+        if behind:
+            file.fail(
+                f"{behind} of {len(points)} points of the calibration object are behind the"
+                " camera: its coordinates are left-handed, or the picture is mirrored"
+            )
+    matrix /= matrix[2, 2]
+    # Rounding; K is triangular by construction.
+    matrix[np.tril_indices(3, -1)] = 0.0
+    matrix[:2, 2] -= 1.0
+    pose = make_pose(rotation, metres * translation)
+    return file.camera(str(file.content["indCam"]), matrix=matrix, distortion=(), pose=pose)
+
+
+def _control(file: CalibrationFile) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
+    """Points of the columns that the camera saw, in the file's unit, and their pixels from 0."""
+    where = "MultiDIC's transformation"
+    table = np.asarray(file.entry(file.content, "C3Dtrue", where), dtype=np.float64)
+    columns = np.atleast_1d(file.entry(file.content, "columns", where)).astype(np.int64) - 1
+    pixels = np.asarray(file.entry(file.content, "imageCentroids", where), dtype=np.float64)
+    fits = table.ndim == 3 and columns.min() >= 0 and columns.max() < table.shape[1]
+    if not fits or pixels.shape != (table.shape[0] * len(columns), 2):
+        file.fail(
+            f"imageCentroids {pixels.shape} do not belong to the {len(columns)} columns of C3Dtrue"
+            f" {table.shape}"
+        )
+    return table[:, columns].transpose(1, 0, 2).reshape(-1, 3), pixels - 1.0
+
+
+MULTIDIC = Program(
+    kinds=("multidic", "duodic"),
+    results=".mat",
+    read_points=read_multidic_points,
+    usual_unit="mm",
+    calibrations=f"MultiDIC ({_PATTERN})",
+    holds_rig=_holds_rig,
+    read_rig=read_multidic_rig,
+)

@@ -1,21 +1,15 @@
-"""Cameras from files that OpenCV's FileStorage wrote (YAML, JSON or XML)."""
+"""Calibrations that OpenCV's FileStorage wrote, or that are written like them (YAML, JSON, XML)."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from palpate.errors import CalibrationError
-from palpate.records.programs.calibration_parts import (
-    make_camera,
-    make_pose,
-    make_rig,
-    metres_per_unit,
-    numbers,
-)
+from palpate.records.program import CalibrationFile, Program, make_pose
 from palpate.records.rig import Camera, Rig
 
 # The letter or word of a quantity, then the number or side of its camera. Beside R and T the
@@ -30,112 +24,70 @@ _SHAPES = frozenset({"rows", "sizes"})
 _COUNTERPART = {"intrinsic": "extrinsic", "extrinsic": "intrinsic"}
 
 
-def opencv_entries(root: Mapping[str, Any] | Element) -> dict[str, Any]:
-    """Entries of a file by name; of matrices the numbers, by rows, the rest as it is.
-
-    Parameters
-    ----------
-    root : dict or Element          of the YAML or JSON, or <opencv_storage>
-
-    Returns
-    -------
-    dict
-    """
-    if isinstance(root, Element):
-        return {child.tag: _xml_value(child) for child in root}
-    return {str(key): _plain(value) for key, value in root.items()}
+def _holds_rig(file: CalibrationFile) -> bool:
+    """True where a file, or one of a folder's, has a camera matrix, or a rotation and a shift."""
+    if file.path.is_dir():
+        return any(_holds_rig(other) for other in file.beside())
+    entries = _entries(file)
+    return any(_MATRIX.match(name) for name in entries) or {"R", "T"} <= set(entries)
 
 
-def is_opencv(entries: Mapping[str, Any]) -> bool:
-    """True where a file holds a camera matrix, or a rotation and a translation."""
-    pair = ("R" in entries, "T" in entries)
-    return any(_MATRIX.match(name) for name in entries) or all(pair)
-
-
-def read_opencv(
-    path: Path,
-    entries: Mapping[str, Any],
-    *,
-    beside: Mapping[str, Any] | None,
-    length_unit: str | None,
-) -> Rig:
-    """Rig of a stereo calibration, or of several cameras with a pose each in one file.
+def read_opencv_rig(file: CalibrationFile) -> Rig:
+    """Rig of a stereo calibration, of several cameras in one file, or of a folder of such files.
 
     K1 D1 K2 D2 R T, or M1, cameraMatrix1, camera_matrix_left and the like: the object frame is that
     of the first camera. K1 D1 R1 T1 (or rvec1 tvec1), K2 ... without R and T: each has its pose.
+    In a folder each file has one camera with its matrix, lens and pose. The unit of length must be
+    said, by the caller or in an entry `length_unit`.
 
     Parameters
     ----------
-    path : Path
-    entries : dict                  of `opencv_entries`
-    beside : dict or None           entries of the other file, where intrinsics and extrinsics are
-                                    kept apart
-    length_unit : str or None       None: the file must say it in an entry `length_unit`
+    file : CalibrationFile          a file, or a folder with a file per camera
 
     Returns
     -------
     Rig                             cameras named by their number or side: '1', '2' or 'left',
-                                    'right'
+                                    'right'; in a folder by their file's name without suffix
 
     Raises
     ------
     CalibrationError                a part missing, the unit not known, contradictions as `Camera`
                                     and `Rig` say
     """
-    entries = {**(beside or {}), **entries}
+    if file.path.is_dir():
+        cameras = [other for other in file.beside() if _holds_rig(other)]
+        return file.rig([_only_camera(camera) for camera in cameras])
+    entries = _entries(file)
+    if other := _counterpart(file.path):
+        entries = {**_entries(CalibrationFile.read(other)), **entries}
     matrices = _numbered(entries, _MATRIX)
     names = sorted((name for name in matrices if name), key=lambda name: (len(name), name))
     if "R" in entries and "T" in entries:
         if len(names) != 2:
-            raise CalibrationError(
-                f"{path}: has R and T, which tie two cameras, but {len(names)} camera matrices"
-                f" (known names: K1, M1, cameraMatrix1, ...; found: {', '.join(entries)}); put"
+            file.fail(
+                f"has R and T, which tie two cameras, but {len(names)} camera matrices (known"
+                f" names: K1, M1, cameraMatrix1, ...; found: {', '.join(entries)}); put"
                 " intrinsics.yml and extrinsics.yml side by side, or all into one file"
             )
-        step = _pose(path, entries["R"], entries["T"], entries, length_unit)
-        poses = [np.eye(4), step]
+        poses = [np.eye(4), _pose(file, entries["R"], entries["T"], entries)]
     else:
-        poses = [_own_pose(path, entries, name, length_unit) for name in names]
-    cameras = [
-        _camera(path, entries, name, matrices[name], pose)
-        for name, pose in zip(names, poses, strict=True)
-    ]
-    return make_rig(path, cameras)
+        poses = [_own_pose(file, entries, name) for name in names]
+    return file.rig([_camera(file, entries, *both) for both in zip(names, poses, strict=True)])
 
 
-def read_opencv_cameras(
-    folder: Path, files: Sequence[tuple[Path, Mapping[str, Any]]], *, length_unit: str | None
-) -> Rig:
-    """Rig of one file per camera, each with its matrix, lens and pose.
-
-    Parameters
-    ----------
-    folder : Path
-    files : sequence of (path, entries)     entries of `opencv_entries`
-    length_unit : str or None       None: each file must say it in an entry `length_unit`
-
-    Returns
-    -------
-    Rig                             cameras named by their file's name without suffix
-
-    Raises
-    ------
-    CalibrationError                as `read_opencv`
-    """
-    cameras = []
-    for path, entries in files:
-        matrices = _numbered(entries, _MATRIX)
-        if list(matrices) != [""]:
-            raise CalibrationError(
-                f"{path}: has {len(matrices)} camera matrices ({', '.join(entries)}); in a folder"
-                " of cameras each file has one, e.g. camera_matrix"
-            )
-        pose = _own_pose(path, entries, "", length_unit)
-        cameras.append(_camera(path, entries, "", matrices[""], pose, title=path.stem))
-    return make_rig(folder, cameras)
+def _only_camera(file: CalibrationFile) -> Camera:
+    """The one camera of a file in a folder."""
+    entries = _entries(file)
+    matrices = _numbered(entries, _MATRIX)
+    if list(matrices) != [""]:
+        file.fail(
+            f"has {len(matrices)} camera matrices ({', '.join(entries)}); in a folder of cameras"
+            " each file has one, e.g. camera_matrix"
+        )
+    return _camera(file, entries, "", _own_pose(file, entries, ""))
 
 
-def counterpart(path: Path) -> Path | None:
+def _counterpart(path: Path) -> Path | None:
     """The extrinsics file beside an intrinsics file, or the other way round, if there is one."""
     for word, other in _COUNTERPART.items():
         if word in path.name:
@@ -144,70 +96,56 @@ def counterpart(path: Path) -> Path | None:
     return None
 
 
+def _entries(file: CalibrationFile) -> dict[str, Any]:
+    """Entries of a file by name; of matrices the numbers, by rows, the rest as it is."""
+    if isinstance(file.content, Element):
+        return {child.tag: _xml_value(child) for child in file.content}
+    content = file.content if isinstance(file.content, dict) else {}
+    return {str(key): _plain(value) for key, value in content.items()}
+
+
 def _camera(
-    path: Path,
-    entries: Mapping[str, Any],
-    name: str,
-    matrix: Any,
-    pose: np.ndarray,
-    *,
-    title: str | None = None,
+    file: CalibrationFile, entries: Mapping[str, Any], name: str, pose: np.ndarray
 ) -> Camera:
+    matrix = _numbered(entries, _MATRIX)[name]
     lens = _numbered(entries, _LENS).get(name, [])
-    return make_camera(
-        path,
-        title or name,
-        size=_size(path, entries, name),
-        matrix=numbers(path, f"camera matrix {name}".strip(), matrix, (3, 3)),
-        distortion=numbers(path, f"distortion {name}".strip(), lens, None),
+    return file.camera(
+        name or file.path.stem,
+        size=_size(file, entries, name),
+        matrix=file.numbers(f"camera matrix {name}".strip(), matrix, (3, 3)),
+        distortion=file.numbers(f"distortion {name}".strip(), lens, None),
         pose=pose,
     )
 
 
-def _own_pose(
-    path: Path, entries: Mapping[str, Any], name: str, length_unit: str | None
-) -> np.ndarray:
+def _own_pose(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> np.ndarray:
     turn, shift = _numbered(entries, _TURN).get(name), _numbered(entries, _SHIFT).get(name)
     if turn is None or shift is None:
-        raise CalibrationError(
-            f"{path}: camera '{name or path.stem}' has no pose: give R and T between two cameras,"
-            f" or a rotation and a translation for each (found: {', '.join(entries)})"
+        file.fail(
+            f"camera '{name or file.path.stem}' has no pose: give R and T between two cameras, or"
+            f" a rotation and a translation for each (found: {', '.join(entries)})"
         )
-    return _pose(path, turn, shift, entries, length_unit)
+    return _pose(file, turn, shift, entries)
 
 
-def _pose(
-    path: Path, turn: Any, shift: Any, entries: Mapping[str, Any], length_unit: str | None
-) -> np.ndarray:
+def _pose(file: CalibrationFile, turn: Any, shift: Any, entries: Mapping[str, Any]) -> np.ndarray:
     stated = entries.get("length_unit")
-    metres = metres_per_unit(path, str(stated) if stated else length_unit, usual=None)
-    rotation = numbers(path, "rotation", turn, None)
+    metres = file.metres(stated=str(stated) if stated else None, usual=None)
+    rotation = file.numbers("rotation", turn, None)
     if rotation.size == 3:
-        rotation = _rotation_from_vector(rotation)
-    rotation = numbers(path, "rotation", rotation, (3, 3))
-    return make_pose(rotation, metres * numbers(path, "translation", shift, (3,)))
+        # A rotation vector: the direction is the axis, the length the angle in radians.
+        rotation = Rotation.from_rotvec(rotation).as_matrix()
+    rotation = file.numbers("rotation", rotation, (3, 3))
+    return make_pose(rotation, metres * file.numbers("translation", shift, (3,)))
 
 
-def _rotation_from_vector(vector: np.ndarray) -> np.ndarray:
-    """Rodrigues' formula: the direction is the axis, the length the angle in radians."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-
-
-def _size(path: Path, entries: Mapping[str, Any], name: str) -> tuple[int, int] | None:
+def _size(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> tuple[int, int] | None:
     """Columns and rows, where the file says them."""
     sizes = _numbered(entries, _SIZE)
     given = sizes.get(name, sizes.get(""))
     if given is None and "image_width" in entries and "image_height" in entries:
         given = [entries["image_width"], entries["image_height"]]
-    if given is None:
-        return None
-    columns, rows = numbers(path, "image size", given, (2,))
-    return int(columns), int(rows)
+    return file.size(given)
 
 
 def _numbered(entries: Mapping[str, Any], pattern: re.Pattern[str]) -> dict[str, Any]:
@@ -232,3 +170,8 @@ def _xml_value(node: Element) -> Any:
         return parts["data"].split()
     words = (node.text or "").strip().strip('"').split()
     return words if len(words) > 1 else "".join(words)
+
+
+OPENCV = Program(
+    calibrations="OpenCV (YAML, JSON, XML)", holds_rig=_holds_rig, read_rig=read_opencv_rig
+)

@@ -1,28 +1,28 @@
-"""Stereo results of VIC-3D (Correlated Solutions) from CSV files."""
+"""Calibrations and stereo results of VIC-3D (Correlated Solutions)."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from palpate.errors import RecordError
-from palpate.records.programs.measured_points import (
-    MeasuredPoints,
+from palpate.records.program import (
+    CalibrationFile,
+    Program,
     ProgramPoints,
+    camera_matrix,
     chosen_frame,
-    from_program,
-    metres_per_unit,
+    make_pose,
+    rotation_from_angles,
 )
-from palpate.records.text import Column, TextTable, read_text_table
+from palpate.records.rig import Camera, Rig
+from palpate.records.text import missing_depth, read_text_table
 
-_PROGRAM = "VIC-3D"
-_PLACE = ("X", "Y", "Z")
-_MOVE = ("U", "V", "W")
+_COLUMNS = {name: (name,) for name in "XYZUVW"}
 _STD = ("sigma_x", "sigma_y", "sigma_z")
 
 
-def read_vic3d(
-    path: Path, *, length_unit: str | None = None, frame: int | None = None
-) -> MeasuredPoints:
+def read_vic3d_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of one data file that VIC-3D exported as CSV.
 
     Columns X, Y, Z (at rest) and U, V, W, with or without a unit ("X [mm]"); small letters are
@@ -33,7 +33,6 @@ def read_vic3d(
     Parameters
     ----------
     path : Path
-    length_unit : str or None       where the header names none; mm is usual
     frame : int or None             a file holds one state: only 0 or None
 
     Raises
@@ -47,37 +46,108 @@ def read_vic3d(
     under load. Sigma_X [mm] as VicPy's SIGMA_X; that it is one standard deviation of the place
     is taken from its name and unit, no manual was found that says so.
     """
-    chosen_frame(path, frame, 1)
-    table = read_text_table(path, program=_PROGRAM)
-    wanted = _columns(table)
+    chosen_frame(path, frame)
+    table = read_text_table(path, cure="export the points from VIC-3D again, as text")
+    # Capitals: small letters are pixels.
+    wanted = table.require(_COLUMNS, spelled=str, why=_why)
     deviations = [c for name in _STD if (c := table.find([name], spelled=str.lower))]
-    unit = table.unit([*wanted, *deviations])
-    metres, notes = metres_per_unit(path, found=unit, given=length_unit, usual="mm")
     values = table.values(wanted)
-    failed = np.zeros(len(values), dtype=bool)
+    failed, std = None, None
+    notes: tuple[str, ...] = ()
     if sigma := table.find(["sigma"], spelled=str.lower):
         failed = table.values([sigma])[:, 0] < 0.0
     else:
-        notes += ("It has no column sigma, so failed points cannot be told.",)
-    std = None
+        notes += ("It has no column sigma, so failed points cannot be recognised.",)
     if len(deviations) == 3:
         std = np.sqrt(2.0) * table.values(deviations)
         notes += ("The sigma of a displacement is taken as sqrt(2) of Sigma_X, Sigma_Y, Sigma_Z.",)
-    given = ProgramPoints(values[:, :3], values[:, 3:], failed, std)
-    return from_program(given, kind="vic3d", source=path, metres=metres, notes=notes)
+    unit = table.unit([*wanted, *deviations])
+    return ProgramPoints(values[:, :3], values[:, 3:], failed, std, unit, notes)
 
 
-def _columns(table: TextTable) -> list[Column]:
-    """X, Y, Z, U, V, W; capitals, as small letters are pixels."""
-    found = {name: table.find([name], spelled=str) for name in _PLACE + _MOVE}
-    if missing := [name for name, column in found.items() if column is None]:
-        flat = {"Z", "W"} & set(missing) and not {"X", "Y", "U", "V"} & set(missing)
-        why = (
-            "it is a 2-D result, and depth is needed: export a stereo result"
-            if flat
-            else "export X, Y, Z, U, V, W and sigma (capitals: lengths; small letters are pixels)"
+def _why(missing: list[str]) -> str:
+    return missing_depth(missing) or (
+        "export X, Y, Z, U, V, W and sigma (capitals: lengths; small letters are pixels)"
+    )
+
+
+def _holds_rig(file: CalibrationFile) -> bool:
+    return (
+        isinstance(file.content, Element) and file.content.find(".//camera/orientation") is not None
+    )
+
+
+def read_vic3d_rig(file: CalibrationFile) -> Rig:
+    """Rig of a VIC-3D project (XML).
+
+    A camera is `cx cy fx fy skew k1 k2 k3`, all in pixels but the radial terms, which act as
+    OpenCV's; `orientation` is the angles about x, y, z in degrees and the translation in mm of
+    x_camera = Rz Ry Rx x_world + t. The world frame has its z axis towards the cameras and its
+    x axis along the baseline; DICe writes its model coordinates in it too.
+
+    Parameters
+    ----------
+    file : CalibrationFile          a parsed project; lengths in mm if nothing is said
+
+    Returns
+    -------
+    Rig                             in the file's world frame; cameras are named by their `id`; the
+                                    size is known of cameras whose pictures carry a mask
+
+    Raises
+    ------
+    CalibrationError                numbers missing, or contradictory as `Camera` and `Rig` say
+
+    Source
+    ------
+    Found with the picture pairs and the matches that such files hold: the residual distance from
+    epipolar lines is 0.05 px.
+    """
+    metres, sizes = file.metres(usual="mm"), _sizes(file.content)
+    return file.rig([_camera(file, node, metres, sizes) for node in file.content.iter("camera")])
+
+
+def _camera(
+    file: CalibrationFile, node: Element, metres: float, sizes: Mapping[str, tuple[int, int]]
+) -> Camera:
+    name = node.get("id", "")
+    inner = file.numbers(f'<camera id="{name}">', (node.text or "").split(), (8,))
+    turn = node.find("orientation")
+    if turn is None:
+        file.fail(
+            f"camera '{name}' has no <orientation>; save the project after the stereo calibration"
         )
-        raise RecordError(
-            f"{table.path}: the column '{missing[0]}' is missing; {why}; it has: {table.names()}"
-        )
-    return [column for column in found.values() if column]
+    outer = file.numbers(f"<orientation> of camera '{name}'", (turn.text or "").split(), (6,))
+    cx, cy, fx, fy, skew, k1, k2, k3 = inner
+    return file.camera(
+        name,
+        size=sizes.get(name),
+        matrix=camera_matrix((fx, fy, cx, cy), skew),
+        distortion=(k1, k2, 0.0, 0.0, k3),
+        pose=make_pose(rotation_from_angles(outer[:3]), metres * outer[3:]),
+    )
+
+
+def _sizes(root: Element) -> dict[str, tuple[int, int]]:
+    """Size (columns, rows) of pictures with a mask, by the camera's id: pictures end in _id."""
+    sizes: dict[str, tuple[int, int]] = {}
+    for area in root.iter("aoinode"):
+        mask = area.find("polygonmask")
+        if mask is None:
+            continue
+        width, height = mask.get("width", ""), mask.get("height", "")
+        name = Path(area.get("img", "")).stem.rpartition("_")[2]
+        if width.isdigit() and height.isdigit():
+            sizes[name] = (int(width), int(height))
+    return sizes
+
+
+VIC3D = Program(
+    kinds=("vic3d",),
+    results=".csv",
+    read_points=read_vic3d_points,
+    usual_unit="mm",
+    calibrations="VIC-3D (XML)",
+    holds_rig=_holds_rig,
+    read_rig=read_vic3d_rig,
+)

@@ -8,13 +8,7 @@ import numpy as np
 
 from palpate.errors import RecordError
 from palpate.optional_imports import late_import
-from palpate.records.programs.measured_points import (
-    MeasuredPoints,
-    ProgramPoints,
-    chosen_frame,
-    from_program,
-    metres_per_unit,
-)
+from palpate.records.program import Program, ProgramPoints, chosen_frame
 from palpate.records.text import nearest_word
 from palpate.shapes import Points
 
@@ -25,25 +19,22 @@ _STD = ("displacement_std", "displacement_sigma", "std", "sigma")
 _SURFACE_CELLS = ("vertex", "line", "triangle", "quad", "polygon")
 
 
-def read_vtu(
-    path: Path, *, length_unit: str | None = None, frame: int | None = None
-) -> MeasuredPoints:
+def read_vtu_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a grid with a displacement at each, through meshio.
 
     The points are the places at rest. The displacement is the point data `displacement`,
     `Displacement`, `U`, `u` or `disp` with three components, or `ux`, `uy`, `uz`; its standard
     deviation, if any, `displacement_std`, `std` or `sigma` with three components or one. NaN
-    marks points that were not measured.
+    marks points that were not measured. The format names no unit.
 
     Parameters
     ----------
     path : Path                     suffix .vtu or .vtk
-    length_unit : str or None       must be said: the format names none
     frame : int or None             a file holds one state: only 0 or None
 
     Raises
     ------
-    RecordError                     no such data, a 2-D vector, solid cells, unreadable, no unit
+    RecordError                     no such data, a 2-D vector, solid cells, unreadable
     InputError                      the optional package meshio is missing
 
     Source
@@ -51,7 +42,7 @@ def read_vtu(
     VTK file formats, "XML file formats", https://docs.vtk.org; the names are a habit (ParaView,
     FEniCS, pyvista), not a standard.
     """
-    chosen_frame(path, frame, 1)
+    chosen_frame(path, frame)
     content = _content(path)
     data = {name.lower(): np.asarray(values) for name, values in content.point_data.items()}
     solid = [block.type for block in content.cells if not block.type.startswith(_SURFACE_CELLS)]
@@ -60,12 +51,10 @@ def read_vtu(
             f"{path}: holds solid cells ({solid[0]}), whose inner points were not observed;"
             " extract the surface first (ParaView: Extract Surface, then Merge to .vtu)"
         )
-    metres, notes = metres_per_unit(path, found=None, given=length_unit, usual=None)
     moved = _displacement(path, data)
     points = np.zeros((len(moved), 3))
     points[:, : content.points.shape[1]] = content.points
-    given = ProgramPoints(points, moved, np.zeros(len(moved), dtype=bool), _std(path, data))
-    return from_program(given, kind="vtu", source=path, metres=metres, notes=notes)
+    return ProgramPoints(points, moved, std=_std(path, data))
 
 
 def _content(path: Path) -> Any:
@@ -121,3 +110,6 @@ def _std(path: Path, data: Mapping[str, np.ndarray]) -> Points | None:
                 )
             return np.broadcast_to(values, (len(values), 3)).copy()
     return None
+
+
+VTU = Program(kinds=("vtu",), results=".vtu, .vtk", read_points=read_vtu_points)

@@ -1,9 +1,26 @@
-"""text."""
+"""Text files: TOML with messages that name the key, tables of numbers in any locale, JSON.
+
+Purpose    : one reader for each kind of text, whoever wrote it.
+Takes      : paths.
+Gives      : `TomlTable`, `TextTable`, whole files as bytes or text.
+Depends on : `shapes`, `errors`.
+Read first : `toml_table.py`, then `csv_table.py`.
+"""
 
 from palpate.records.text.csv_table import (
     Column as Column,
     TextTable as TextTable,
+    make_table as make_table,
+    missing_depth as missing_depth,
     read_text_table as read_text_table,
+    split_cells as split_cells,
+    text_lines as text_lines,
+)
+from palpate.records.text.text_file import (
+    json_text as json_text,
+    read_bytes as read_bytes,
+    read_text as read_text,
+    write_text as write_text,
 )
 from palpate.records.text.toml_table import (
     TomlTable as TomlTable,

@@ -2,7 +2,8 @@
 
 import csv
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
+from palpate.records.text.text_file import read_bytes
 
 _UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
 # How programs and the number formats of .NET and of Visual C++ write "no number".
@@ -26,9 +28,8 @@ _NO_NUMBER = {
     "non un numero reale",
     "\u975e\u6570\u5b57",
     "\u221e",
-    "infinity",
 }
-_NO_NUMBER_START = ("nan", "inf", "1.#")
+_NO_NUMBER_START = ("nan", "1.#")
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -38,14 +39,24 @@ class Column:
 
     Parameters
     ----------
-    name : str                      without quotes and unit
-    unit : str or None              what stood in brackets
+    heading : str                   as it stands in the file, without quotes
     index : int                     from 0
     """
 
-    name: str
-    unit: str | None
+    heading: str
     index: int
+
+    @property
+    def name(self) -> str:
+        """The heading without its unit."""
+        match = _UNIT.match(self.heading)
+        return match["name"].strip() if match else self.heading
+
+    @property
+    def unit(self) -> str | None:
+        """What stands in square brackets behind the name."""
+        match = _UNIT.match(self.heading)
+        return match["unit"].strip() if match else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +70,7 @@ class TextTable:
     columns : tuple of Column
     numbers : tuple of int          line of each row in the file, from 1
     rows : tuple of str
-    preamble : tuple of str         lines above the header
+    preamble : tuple of str         lines above the rows, the header among them
     """
 
     path: Path
@@ -88,13 +99,41 @@ class TextTable:
             )
         return found[0] if found else None
 
-    def names(self) -> str:
-        """The names of the first columns, for messages."""
-        shown = [column.name for column in self.columns[:12]]
-        return ", ".join(shown) + (", ..." if len(self.columns) > len(shown) else "")
+    def require(
+        self,
+        wanted: Mapping[str, Collection[str]],
+        *,
+        spelled: Callable[[str], str],
+        why: Callable[[list[str]], str],
+    ) -> list[Column]:
+        """Columns that must be there, in the order of `wanted`.
+
+        Parameters
+        ----------
+        wanted : mapping            name for messages -> words, as in `find`
+        spelled : callable          what of a column's name is compared with them
+        why : callable              names of the missing ones -> what the file is instead, or a cure
+
+        Raises
+        ------
+        RecordError                 one is missing, or there twice
+        """
+        found = {name: self.find(words, spelled=spelled) for name, words in wanted.items()}
+        if missing := [name for name, column in found.items() if column is None]:
+            shown = ", ".join(column.name for column in self.columns[:12])
+            more = ", ..." if len(self.columns) > 12 else ""
+            raise RecordError(
+                f"{self.path}: the column '{missing[0]}' is missing; {why(missing)}; it has:"
+                f" {shown}{more}"
+            )
+        return [column for column in found.values() if column]
 
     def unit(self, wanted: Sequence[Column]) -> str | None:
         """The one unit of some columns, or None where none is named.
+
+        Parameters
+        ----------
+        wanted : sequence of Column     of this table, at least one
 
         Raises
         ------
@@ -102,14 +141,24 @@ class TextTable:
         """
         units = {column.unit or None for column in wanted}
         if len(units) > 1:
-            told = ", ".join(f"{column.name} [{column.unit or '?'}]" for column in wanted)
+            each = ", ".join(f"{column.name} [{column.unit or '?'}]" for column in wanted)
             raise RecordError(
-                f"{self.path}: its columns have different units ({told}); export all in one"
+                f"{self.path}: its columns have different units ({each}); export all in one"
             )
         return units.pop()
 
     def values(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
         """Numbers of some columns; NaN where a cell is empty or says that it is no number.
+
+        Infinity stays: whether it is a failure or a mistake is for the caller to judge.
+
+        Parameters
+        ----------
+        wanted : sequence of Column     of this table
+
+        Returns
+        -------
+        (n, k) float                    a row per row of the table, in its units
 
         Raises
         ------
@@ -120,13 +169,10 @@ class TextTable:
         if self.delimiter != " " and all(
             row.count(self.delimiter) == count - 1 for row in self.rows
         ):
-            try:
-                found = np.loadtxt(
+            with suppress(ValueError):
+                return np.loadtxt(
                     self.rows, delimiter=self.delimiter, usecols=use, ndmin=2, comments=None
                 )
-            except ValueError:
-                return self._values_slowly(wanted)
-            return np.where(np.isinf(found), np.nan, found)
         return self._values_slowly(wanted)
 
     def _values_slowly(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
@@ -134,10 +180,8 @@ class TextTable:
         count = len(self.columns)
         found = np.full((len(self.rows), len(wanted)), np.nan)
         for i, (number, row) in enumerate(zip(self.numbers, self.rows, strict=True)):
-            cells = _cells(row, self.delimiter)
-            if len(cells) == count + 1 and not cells[-1].strip():
-                cells = cells[:-1]
-            if len(cells) != count:
+            cells = split_cells(row, self.delimiter)
+            if len(cells) < count or any(cell.strip() for cell in cells[count:]):
                 raise RecordError(
                     f"{self.path}: line {number}: has {len(cells)} cells; the header has {count}"
                     " columns: was the file cut off? Export it again"
@@ -151,16 +195,35 @@ class TextTable:
         bare = word.lower().lstrip("+-")
         if word.lower() in _NO_NUMBER or bare in _NO_NUMBER or bare.startswith(_NO_NUMBER_START):
             return np.nan
+        if bare.startswith("inf"):
+            return np.inf
         try:
             return float(word)
         except ValueError as error:
+            name = column.name or column.index + 1
             raise RecordError(
-                f"{self.path}: line {line}: column '{column.name}' holds '{word}'; must be a number"
-                " (NaN or nothing where a point was not measured)"
+                f"{self.path}: line {line}: column '{name}' holds '{word}'; must be a number"
+                " (NaN, or nothing, where it was not measured)"
             ) from error
 
 
-def read_text_table(path: Path, *, program: str) -> TextTable:
+def missing_depth(missing: Collection[str]) -> str | None:
+    """What to say where of X, Y, Z, U, V, W only those of depth are missing; None otherwise.
+
+    Parameters
+    ----------
+    missing : collection of str     names among X, Y, Z, U, V, W
+
+    Returns
+    -------
+    str or None
+    """
+    if not {"Z", "W"} & set(missing) or {"X", "Y", "U", "V"} & set(missing):
+        return None
+    return "it is a 2-D result, and depth is needed: export a stereo result"
+
+
+def read_text_table(path: Path, *, cure: str) -> TextTable:
     """Header and rows of a file, with the separator it uses; decimal commas become points.
 
     Lines on top that start with '*' or '#' and a line 'sep=;' are passed over, blank lines and
@@ -169,33 +232,60 @@ def read_text_table(path: Path, *, program: str) -> TextTable:
     Parameters
     ----------
     path : Path
-    program : str                   who wrote it, for messages
+    cure : str                      what to do about a file without a table, for messages
 
     Raises
     ------
     RecordError                     not there, not text, no header, no rows
     """
-    lines = _text(path, program).splitlines()
+    lines = text_lines(path, cure=cure)
     top = next((i for i, line in enumerate(lines) if _is_header(line)), None)
     if top is None:
-        raise RecordError(f"{path}: is empty; export the points from {program} again")
-    head = lines[top]
-    delimiter = next((mark for mark in ";\t," if mark in head), " ")
-    words = [word.strip().strip('"').strip() for word in _cells(head, delimiter)]
-    while words and not words[-1]:
-        words.pop()
+        raise RecordError(f"{path}: is empty; {cure}")
+    delimiter = next((mark for mark in ";\t," if mark in lines[top]), " ")
+    headings = [word.strip().strip('"').strip() for word in split_cells(lines[top], delimiter)]
+    while headings and not headings[-1]:
+        headings.pop()
+    return make_table(path, lines, headings, first=top + 1, delimiter=delimiter, cure=cure)
+
+
+def make_table(
+    path: Path,
+    lines: Sequence[str],
+    headings: Sequence[str],
+    *,
+    first: int,
+    delimiter: str,
+    cure: str,
+) -> TextTable:
+    """The table that begins at a line of a text; blank lines and further headers are left out.
+
+    Parameters
+    ----------
+    path : Path
+    lines : sequence of str         of the whole file
+    headings : sequence of str      one for each column; blank where it has no name
+    first : int                     line of the first row, from 0; the preamble is what is above
+    delimiter : str                 one character; a blank stands for any run of blanks
+    cure : str                      what to do about a file without rows, for the message
+
+    Raises
+    ------
+    RecordError                     no rows
+    """
+    head = lines[first - 1].strip() if first else ""
     kept = [
         (number, line)
-        for number, line in enumerate(lines[top + 1 :], start=top + 2)
-        if line.strip() and line.strip() != head.strip()
+        for number, line in enumerate(lines[first:], start=first + 1)
+        if line.strip() and line.strip() != head
     ]
     if not kept:
-        raise RecordError(f"{path}: has a header and no rows; export the points again")
+        raise RecordError(f"{path}: has a header and no rows; {cure}")
     numbers, rows = zip(*kept, strict=True)
     if delimiter != "," and any("," in row for row in rows):
         rows = tuple(row.replace(",", ".") for row in rows)
-    columns = tuple(map(_column, words, range(len(words))))
-    return TextTable(path, delimiter, columns, numbers, rows, tuple(lines[:top]))
+    columns = tuple(map(Column, headings, range(len(headings))))
+    return TextTable(path, delimiter, columns, numbers, rows, tuple(lines[:first]))
 
 
 def _is_header(line: str) -> bool:
@@ -203,30 +293,39 @@ def _is_header(line: str) -> bool:
     return bool(word) and word[0] not in "*#" and not re.fullmatch(r'"?sep=.?"?', word)
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Cells of one line; a blank as delimiter stands for any run of blanks.
+
+    Parameters
+    ----------
+    line : str
+    delimiter : str                 one character
+
+    Returns
+    -------
+    list of str                     quotes are taken off
+    """
     return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
 
 
-def _column(word: str, index: int) -> Column:
-    if match := _UNIT.match(word):
-        return Column(match["name"].strip(), match["unit"].strip(), index)
-    return Column(word, None, index)
+def text_lines(path: Path, *, cure: str) -> list[str]:
+    """Lines of a text in UTF-8, UTF-16 with a mark, or the Western code page of Windows.
 
+    Parameters
+    ----------
+    path : Path
+    cure : str                      what to do about a file that is no text, for the message
 
-def _text(path: Path, program: str) -> str:
-    """Content of a text file in UTF-8, UTF-16 with a mark, or the Western code page of Windows."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+    Raises
+    ------
+    RecordError                     not there, not readable, not text
+    """
+    content = read_bytes(path)
     if content[:2] in _BYTE_ORDER_MARKS:
-        return content.decode("utf-16", errors="replace")
+        return content.decode("utf-16", errors="replace").splitlines()
     if b"\0" in content:
-        raise RecordError(
-            f"{path}: is not a text file; export the points from {program} as text, or name another"
-            " KIND"
-        )
+        raise RecordError(f"{path}: is not a text file; {cure}")
     try:
-        return content.decode("utf-8-sig")
+        return content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace")
+        return content.decode("cp1252", errors="replace").splitlines()

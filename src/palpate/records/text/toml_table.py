@@ -2,20 +2,34 @@
 
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from palpate.errors import RecordError
+from palpate.errors import InputError, RecordError
+from palpate.records.text.text_file import read_text
 from palpate.shapes import Vector3
+
+T = TypeVar("T")
 
 
 def nearest_word(word: str, allowed: Sequence[str]) -> str:
-    """Sentence part that offers the nearest allowed word, or nothing."""
+    """Sentence part that offers the nearest allowed word, or nothing.
+
+    Parameters
+    ----------
+    word : str                      as it was written
+    allowed : sequence of str
+
+    Returns
+    -------
+    str                             e.g. "; did you mean 'force'?", or empty
+    """
     near = get_close_matches(word.lower(), allowed, n=1, cutoff=0.6)
     return f"; did you mean '{near[0]}'?" if near else ""
 
@@ -36,32 +50,109 @@ class TomlTable:
     values: dict[str, Any]
 
     def fail(self, key: str, what: str) -> NoReturn:
-        """Raise a `RecordError` about one key."""
+        """Raise a `RecordError` about one key.
+
+        Parameters
+        ----------
+        key : str                       empty: the table itself
+        what : str                      what is wrong with it, and what is allowed
+
+        Raises
+        ------
+        RecordError                     always
+        """
         place = f"{self.name} {key}".strip()
         raise RecordError(f"{self.file}: {place}: {what}")
 
     def check_keys(self, allowed: Sequence[str]) -> None:
-        """Refuse keys that are not of the format, with the nearest one that is."""
+        """Refuse keys that are not of the format, with the nearest one that is.
+
+        Parameters
+        ----------
+        allowed : sequence of str
+
+        Raises
+        ------
+        RecordError                     one is not
+        """
         for key in self.values:
             if key not in allowed:
                 near = nearest_word(key, allowed)
                 self.fail("", f"unknown key '{key}'{near} (allowed: {', '.join(allowed)})")
 
     def get(self, key: str) -> Any:
-        """Value of a key that must be there."""
+        """Value of a key that must be there.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     the key is missing
+        """
         if key not in self.values:
             self.fail("", f"the key '{key}' is missing")
         return self.values[key]
 
+    def optional(self, key: str, read: Callable[[str], T]) -> T | None:
+        """What a method of this table reads at a key, or None where the key is missing.
+
+        Parameters
+        ----------
+        key : str
+        read : callable                 of a key, e.g. `self.number`
+
+        Raises
+        ------
+        RecordError                     as `read`
+        """
+        return read(key) if key in self.values else None
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Name this table in the complaints of the records that are made within the block.
+
+        Raises
+        ------
+        RecordError                 in place of an `InputError`
+        """
+        try:
+            yield
+        except RecordError:
+            raise
+        except InputError as error:
+            place = f"{self.file}: {self.name}" if self.name else f"{self.file}"
+            raise RecordError(f"{place}: {error}") from error
+
     def text(self, key: str) -> str:
-        """A non-empty string."""
+        """A non-empty string.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, no text, or blank
+        """
         value = self.get(key)
         if not isinstance(value, str) or not value.strip():
             self.fail(key, f"is {value!r}; must be a text in quotes")
         return value
 
     def choice(self, key: str, allowed: Sequence[str]) -> str:
-        """One of some words."""
+        """One of some words.
+
+        Parameters
+        ----------
+        key : str
+        allowed : sequence of str
+
+        Raises
+        ------
+        RecordError                     missing, or none of them; the text offers the nearest
+        """
         value = self.text(key)
         if value not in allowed:
             near = nearest_word(value, allowed)
@@ -69,21 +160,60 @@ class TomlTable:
         return value
 
     def number(self, key: str) -> float:
-        """A finite number."""
+        """A finite number.
+
+        Parameters
+        ----------
+        key : str
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        RecordError                     missing, no number, or not finite
+        """
         value = self.get(key)
         if not _is_number(value):
             self.fail(key, f"is {value!r}; must be a finite number")
         return float(value)
 
     def vector(self, key: str) -> Vector3:
-        """Three finite numbers."""
+        """Three finite numbers.
+
+        Parameters
+        ----------
+        key : str
+
+        Returns
+        -------
+        (3,) float
+
+        Raises
+        ------
+        RecordError                     missing, or not three finite numbers
+        """
         value = self.get(key)
         if not (isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))):
             self.fail(key, f"is {value!r}; must be three finite numbers, e.g. [0, 0, -1.2]")
         return np.array(value, dtype=np.float64)
 
     def number_or_vector(self, key: str) -> Vector3:
-        """Three finite numbers, or one that stands for all three."""
+        """Three finite numbers, or one that stands for all three.
+
+        Parameters
+        ----------
+        key : str
+
+        Returns
+        -------
+        (3,) float
+
+        Raises
+        ------
+        RecordError                     missing, or neither
+        """
         value = self.get(key)
         if _is_number(value):
             return np.full(3, float(value))
@@ -91,23 +221,52 @@ class TomlTable:
             self.fail(key, f"is {value!r}; must be a finite number, or three of them in brackets")
         return self.vector(key)
 
-    def table(self, key: str, name: str) -> "TomlTable":
-        """A table inside this one, known to the reader under `name`."""
+    def table(self, key: str, name: str | None = None) -> "TomlTable":
+        """A table inside this one, known to the reader as `[key]` or under `name`.
+
+        Parameters
+        ----------
+        key : str
+        name : str or None              for messages
+
+        Raises
+        ------
+        RecordError                     missing, or no table
+        """
         value = self.get(key)
         if not isinstance(value, dict):
             self.fail(key, f"is {value!r}; must be a table")
-        return TomlTable(self.file, name, value)
+        return TomlTable(self.file, name or f"[{key}]", value)
 
-    def tables(self, key: str, name: str) -> "tuple[TomlTable, ...]":
-        """An array of tables; one table alone counts as an array of one."""
+    def tables(self, key: str, name: str | None = None) -> "tuple[TomlTable, ...]":
+        """An array of tables, known as `[[key]]` or `name`; one alone counts as an array of one.
+
+        Parameters
+        ----------
+        key : str
+        name : str or None              for messages
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
         value = self.get(key)
         items = value if isinstance(value, list) else [value]
         if not all(isinstance(item, dict) for item in items):
             self.fail(key, f"is {value!r}; must be a table or a list of tables")
-        return tuple(TomlTable(self.file, name, item) for item in items)
+        return tuple(TomlTable(self.file, name or f"[[{key}]]", item) for item in items)
 
     def existing_file(self, key: str) -> Path:
-        """Path of a file that is there, relative to the file this table stands in."""
+        """Path of a file that is there, relative to the file this table stands in.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or no such file; the text offers the nearest name
+        """
         path = self.file.parent / self.text(key)
         if not path.is_file():
             beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
@@ -118,18 +277,20 @@ class TomlTable:
 def read_toml(path: Path) -> TomlTable:
     """Root table of a TOML file.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    TomlTable                       without a name
+
     Raises
     ------
     RecordError                     not there, not readable, not TOML (with line and column)
     """
     try:
-        content = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordError(f"{path}: is not a text file in UTF-8; save it as such") from error
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
-    try:
-        return TomlTable(path, "", tomllib.loads(content))
+        return TomlTable(path, "", tomllib.loads(read_text(path)))
     except tomllib.TOMLDecodeError as error:
         raise RecordError(f"{path}: is not valid TOML: {error}") from error
 

@@ -92,7 +92,17 @@ def _pinhole_kernel(c, x, y, z):
 
 @njit(cache=True, error_model="numpy")
 def project_kernel(c, x, y, z):
-    """Pixel (column, row) [px] of an object point (x, y, z) [m] that the camera sees."""
+    """Pixel of an object point that the camera sees.
+
+    Parameters
+    ----------
+    c : (25,) float                 `packed_camera`
+    x, y, z : float [m]             object frame; before the camera, within the lens's reach
+
+    Returns
+    -------
+    column, row : float [px]        without meaning for a point that the camera does not see
+    """
     a, b, _ = _pinhole_kernel(c, x, y, z)
     xd, yd, _, _, _ = _distort_kernel(c, a, b)
     return c[0] * xd + c[4] * yd + c[2], c[1] * yd + c[3]
@@ -100,10 +110,21 @@ def project_kernel(c, x, y, z):
 
 @njit(cache=True, error_model="numpy")
 def jacobian_kernel(c, x, y, z, out):
-    """Pixel of an object point [m]; the pixel's derivative [px/m] goes into `out` (2, 3).
+    """Pixel of an object point, its derivative by the point, and whether the camera can see it.
 
-    Returns column and row [px], depth [m], squared distance from the axis in the plane z = 1 [-],
-    and the determinant of the distortion's derivative there [-].
+    Parameters
+    ----------
+    c : (25,) float                 `packed_camera`
+    x, y, z : float [m]             object frame
+    out : (2, 3) float [px/m]       filled with the derivative of column and row
+
+    Returns
+    -------
+    column, row : float [px]
+    depth : float [m]               above 0 before the camera
+    square : float [-]              squared distance from the axis in the plane z = 1: below that of
+                                    `lens_reach` on the lens's branch that holds the axis
+    area : float [-]                determinant of the distortion's derivative: above 0 there
     """
     a, b, zc = _pinhole_kernel(c, x, y, z)
     xd, yd, xa, xb, yb = _distort_kernel(c, a, b)
@@ -120,10 +141,16 @@ def jacobian_kernel(c, x, y, z, out):
 
 @njit(cache=True, error_model="numpy")
 def jacobians_kernel(c, reach, points, pixels, jacobians):
-    """Pixels (n, 2) [px] of points (n, 3) [m] and their derivatives (n, 2, 3) [px/m].
+    """Pixels of points and their derivatives, NaN where the camera does not see the point.
 
-    `reach` of `lens_reach`. NaN for points behind the camera and off the lens's branch that holds
-    the axis.
+    Parameters
+    ----------
+    c : (25,) float                 `packed_camera`
+    reach : float [-]               `lens_reach`
+    points : (n, 3) float [m]       object frame
+    pixels : (n, 2) float [px]      filled; NaN behind the camera and off the lens's branch that
+                                    holds the axis
+    jacobians : (n, 2, 3) float [px/m]  filled likewise
     """
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -177,7 +204,16 @@ def _newton_kernel(c, reach, x, y, a, b):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def normalised_kernel(begin, end, c, reach, pixels, out):
-    """x / z and y / z (n, 2) of the rays that reach pixels (n, 2) [px]; NaN where none does."""
+    """x / z and y / z of the rays that reach pixels.
+
+    Parameters
+    ----------
+    begin, end : int                rows of `pixels` to do
+    c : (25,) float                 `packed_camera`
+    reach : float [-]               `lens_reach`
+    pixels : (n, 2) float [px]
+    out : (n, 2) float [-]          filled; NaN where no ray reaches the pixel
+    """
     for i in range(begin, end):
         y = (pixels[i, 1] - c[3]) / c[1]
         x = (pixels[i, 0] - c[2] - c[4] * y) / c[0]

@@ -83,7 +83,8 @@ def surface_map(
     inverse_depth, triangle = np.zeros(shape), np.full(shape, -1)
     bounds = np.stack([_tiled(np.fmin, grid), _tiled(np.fmax, grid)])
     in_threads(_hit_bands, bounds.shape[2], grid, bounds, corner, boxes, inverse_depth, triangle)
-    depth = np.where(triangle >= 0, 1.0 / np.where(triangle >= 0, inverse_depth, 1.0), np.nan)
+    with np.errstate(divide="ignore"):
+        depth = np.where(triangle >= 0, 1.0 / inverse_depth, np.nan)
     hit = np.stack([grid[0] * depth, grid[1] * depth, depth], axis=-1)
     return SurfaceMap((hit - pose[:3, 3]) @ pose[:3, :3], triangle)
 

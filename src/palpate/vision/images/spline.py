@@ -147,9 +147,16 @@ def _weights_kernel(t):
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def sample_kernel(coefficients, column, row):
-    """Grey level of the spline at a place of the picture, clamped to the padded coefficients.
+    """Grey level of the spline at a place of the picture.
 
-    `coefficients` (rows + 8, columns + 8) float32 of a `SplinePicture`; column, row float32 [px].
+    Parameters
+    ----------
+    coefficients : (rows + 8, columns + 8) float32 [grey levels]    of a `SplinePicture`
+    column, row : float32 [px]      clamped to the padded coefficients
+
+    Returns
+    -------
+    float32 [grey levels]
     """
     # Shifted to be positive, so that truncation is floor.
     zero, lead = np.float32(0.0), np.float32(PADDING - 1)
@@ -173,7 +180,14 @@ def sample_kernel(coefficients, column, row):
 def noise_share_kernel(column, row):
     """Share of white noise's variance that is left after interpolation at a place.
 
-    Column, row float32 [px]; the share is 1 at pixel centres and 0.57 in the middle of four.
+    Parameters
+    ----------
+    column, row : float32 [px]
+
+    Returns
+    -------
+    float32 [-]                     1 at pixel centres, 0.57 in the middle of four; within 0.009 of
+                                    the spline's own
     """
     one = np.float32(1.0)
     drop = np.float32(16.0 * (1.0 - _SHARE_HALF_WAY))

@@ -1,29 +1,38 @@
 """Which points of a match are believed, and how well their displacement is known."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from palpate.vision.cameras import project_jacobian
 from palpate.vision.images import smoothing_gain
-from palpate.vision.joint.match import Match, bad_cameras, mean_over, neighbourhood
-from palpate.vision.joint.scene import Scene, jacobians, pixel_size
-from palpate.vision.joint.settings import JointSettings
-from palpate.vision.matching import median_around, predicted
+from palpate.vision.joint.match import (
+    changed_cameras,
+    mean_over,
+    neighbourhood,
+    predicted_motion,
+    used_cameras,
+)
+from palpate.vision.joint.refinement import Match
+from palpate.vision.joint.scene import Scene, pixel_sizes
+from palpate.vision.matching import median_around
 from palpate.vision.range_flow import Outcome, RangeFlow
 
 # A displacement that noise leaves no better known than this is not known; the usual match is ten
 # times better [px]. A rig that is a little wrong has nothing to do with the texture.
-_TEXTURE_LIMIT = 0.1
+_MAX_NOISE_PX = 0.1
 # A window's contrast in units of the noise; with less, noise is a tenth of the gradients that it is
 # matched by, and more.
-_LEAST_CONTRAST = 3.0
+_MIN_CONTRAST = 3.0
+# A point is dropped where the cameras or the neighbours contradict it by more than this many
+# standard deviations.
+_MAX_DISAGREEMENT = 5.0
+# Systematic error of one camera's match that no residual shows (interpolation, response of the
+# pixels), part of every covariance.
+_MATCHING_BIAS_PX = 0.005
 
 
-def judged(
-    scene: Scene, match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
-) -> RangeFlow:
+def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) -> RangeFlow:
     """Range flow with every point accepted or rejected for one reason.
 
     Parameters
@@ -31,18 +40,17 @@ def judged(
     scene : Scene
     match : Match
     noise : (c,) float [grey levels]    standard deviation that a match leaves in each camera
-    settings : JointSettings
 
     Returns
     -------
     RangeFlow
     """
-    settings = replace(settings, bias=_matching_bias(match, settings))
-    bias = _bias_covariance(scene, match.use, settings.bias)
+    used = used_cameras(match)
+    bias_px = _matching_bias(match, used)
+    bias = _bias_covariance(scene, match.use, bias_px)
     by_noise = _noise_covariance(scene, match)
     covariance = by_noise + bias
-    outcome = _outcome(scene, match, by_noise, noise, settings)
-    used = match.use & np.isfinite(match.left)
+    outcome = _outcome(scene, match, by_noise, noise, bias_px)
     valid = outcome == Outcome.VALID
     score = np.where(used, match.score, np.inf).min(axis=1)
     return RangeFlow(
@@ -50,7 +58,9 @@ def judged(
         point=scene.point,
         tangent=scene.tangent,
         displacement=np.where(valid[:, None], match.motion[:, 0], np.nan),
-        gradient=np.where(valid[:, None, None], _gradient(scene, match), np.nan),
+        gradient=np.where(
+            valid[:, None, None], match.motion[:, 1:3] / scene.extent[:, None, None], np.nan
+        ),
         covariance=np.where(valid[:, None, None], covariance, np.nan),
         bias=np.where(valid[:, None, None], bias, np.nan),
         score=np.where(np.isfinite(score), score, np.nan),
@@ -59,30 +69,29 @@ def judged(
         outcome=outcome.astype(np.int64),
         through_last=np.zeros(len(outcome), dtype=bool),
         drift=np.nan,
-        noise=noise / (np.sqrt(2.0) * smoothing_gain(settings.smoothing)),
-        subset=settings.subset,
-        step=settings.step,
+        noise=noise / (np.sqrt(2.0) * smoothing_gain(scene.smoothing)),
+        subset=scene.subset,
+        step=scene.step,
         shape=scene.pictures[scene.rig.reference].grey.shape,
     )
 
 
-def _matching_bias(match: Match, settings: JointSettings) -> float:
-    """Systematic error of one camera's match [px]: the setting, or more where the cameras say so.
+def _matching_bias(match: Match, used: Bool[np.ndarray, "n c"]) -> float:
+    """Systematic error of one camera's match [px]: the usual, or more where the cameras show more.
 
     A rig that is a little wrong makes the cameras contradict each other everywhere, by more than
     noise does. That is no reason to reject a point, and it is part of every point's error.
     """
-    used = match.use & np.isfinite(match.left)
     count = used.sum(axis=1, keepdims=True)
     some = used & (count >= 2) & (match.outcome == Outcome.VALID)[:, None]
     if not some.any():
-        return settings.bias
+        return _MATCHING_BIAS_PX
     # Of two components a camera, three in all are taken up by the common displacement.
     share = np.broadcast_to(1.0 - 1.5 / np.maximum(count, 2), used.shape)
     square = (match.own**2).mean(axis=2)[some] / share[some]
     # Median of a chi square of two, less what noise explains.
     extra = np.median(square) / np.log(2.0) - np.median(match.own_variance[some])
-    return float(max(settings.bias, np.sqrt(max(extra, 0.0))))
+    return float(max(_MATCHING_BIAS_PX, np.sqrt(max(extra, 0.0))))
 
 
 def _outcome(
@@ -90,40 +99,33 @@ def _outcome(
     match: Match,
     by_noise: Float[np.ndarray, "n 3 3"],
     noise: Float[np.ndarray, " c"],
-    settings: JointSettings,
+    bias_px: float,
 ) -> Int[np.ndarray, " n"]:
     """What became of each point; the first reason that applies."""
     outcome = match.outcome.copy()
-    poor = _contrast(scene, settings) < _LEAST_CONTRAST * noise[scene.rig.reference] / np.sqrt(2.0)
+    poor = _contrast(scene) < _MIN_CONTRAST * noise[scene.rig.reference] / np.sqrt(2.0)
     outcome[poor & (outcome != Outcome.HIDDEN)] = Outcome.TEXTURE
-    changed = bad_cameras(match, noise, settings.excess).any(axis=1)
+    changed = changed_cameras(match, noise).any(axis=1)
     outcome[(outcome == Outcome.VALID) & changed] = Outcome.SCORE
-    used = match.use & np.isfinite(match.left)
-    limit = settings.disagreement * np.sqrt(match.own_variance + settings.bias**2)
+    used = used_cameras(match)
+    limit = _MAX_DISAGREEMENT * np.sqrt(match.own_variance + bias_px**2)
     with np.errstate(invalid="ignore"):
         apart = (used & (np.abs(match.own).max(axis=2) > limit)).any(axis=1)
         outcome[(outcome == Outcome.VALID) & apart] = Outcome.REPROJECTION
-        blurred = _lateral(scene, by_noise) > _TEXTURE_LIMIT * pixel_size(scene)
+        blurred = _lateral(scene, by_noise) > _MAX_NOISE_PX * _pixel_sizes(scene)
         outcome[(outcome == Outcome.VALID) & blurred] = Outcome.TEXTURE
         ok = outcome == Outcome.VALID
-        around = predicted(
-            scene.point,
-            scene.tangent,
-            match.motion[:, 0],
-            _gradient(scene, match),
-            ok,
-            reach=neighbourhood(scene),
-        )
+        around = predicted_motion(scene, match, ok)
         away = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
         sigma = np.sqrt(np.trace(by_noise, axis1=1, axis2=2))
-        alone = away > settings.disagreement * np.hypot(around.scatter, sigma)
+        alone = away > _MAX_DISAGREEMENT * np.hypot(around.scatter, sigma)
     outcome[ok & alone] = Outcome.NEIGHBOURS
     return outcome
 
 
-def _gradient(scene: Scene, match: Match) -> Float[np.ndarray, "n 2 3"]:
-    """Derivative of the displacement along the two tangents."""
-    return match.motion[:, 1:3] / scene.extent[:, None, None]
+def _pixel_sizes(scene: Scene) -> Float[np.ndarray, " n"]:
+    """Side of the reference camera's pixel at each point [m]."""
+    return pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point)
 
 
 def _noise_covariance(scene: Scene, match: Match) -> Float[np.ndarray, "n 3 3"]:
@@ -135,10 +137,10 @@ def _noise_covariance(scene: Scene, match: Match) -> Float[np.ndarray, "n 3 3"]:
         return match.covariance * np.maximum(rough, 1.0)[:, None, None]
 
 
-def _contrast(scene: Scene, settings: JointSettings) -> Float[np.ndarray, " n"]:
+def _contrast(scene: Scene) -> Float[np.ndarray, " n"]:
     """Standard deviation of the reference camera's window around each point [grey levels]."""
     grey = scene.pictures[scene.rig.reference].grey.astype(np.float64)
-    size = (settings.subset, settings.subset)
+    size = (scene.subset, scene.subset)
     mean = cv2.blur(grey, size, borderType=cv2.BORDER_REFLECT_101)
     square = cv2.blur(grey * grey, size, borderType=cv2.BORDER_REFLECT_101)
     column, row = scene.pixel.astype(np.int64).T
@@ -160,7 +162,7 @@ def _bias_covariance(
     Half of the errors differ from camera to camera; the other half are the same in all of them, for
     cameras that look the same way see the same fraction of a pixel, and move the point sideways.
     """
-    slope = jacobians(scene.rig, scene.point)
+    slope = np.stack([project_jacobian(c, scene.point)[1] for c in scene.rig.cameras])
     information = np.einsum("nc,cnai,cnaj->nij", use.astype(np.float64), slope, slope)
     few = use.sum(axis=1) < 2
     information[few] = np.eye(3)
@@ -168,7 +170,7 @@ def _bias_covariance(
     ray = scene.point + pose[:3, :3].T @ pose[:3, 3]
     ray /= np.linalg.norm(ray, axis=1)[:, None]
     sideways = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-    common = pixel_size(scene)[:, None, None] ** 2 * sideways
+    common = _pixel_sizes(scene)[:, None, None] ** 2 * sideways
     covariance = bias**2 * (np.linalg.inv(information) + common)
     covariance[few] = np.nan
     return covariance

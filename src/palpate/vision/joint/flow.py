@@ -1,169 +1,336 @@
 """Range flow by matching the windows of all cameras jointly: the method `joint`.
 
-Every later instant is matched with the first one, so nothing accumulates; the motion found last is
-where the search starts. Where the first picture has become too different, the way through the
-instant before is taken instead.
+Every later instant is matched with the first one, so that errors do not accumulate; the search
+starts from the motion found last. Where the first picture has become too different, the motion
+through the instant before is taken instead: a surface that has moved far or lost its light may no
+longer resemble its first picture, but always resembles the last one. Such motions add up errors, so
+the drift is measured on points that were followed both ways.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
+from palpate.arrays import with_rows
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, refined_surface
+from palpate.records import Rig
+from palpate.shapes import Flags, Points, Triangles, Vertices
+from palpate.vision.cameras import project, triangulate
 from palpate.vision.images import spline_pictures
-from palpate.vision.joint.acceptance import judged
+from palpate.vision.joint.acceptance import accepted_flow
 from palpate.vision.joint.match import match_scene
-from palpate.vision.joint.scene import Scene, scene_rows
-from palpate.vision.joint.settings import JointSettings
-from palpate.vision.joint.start import flow_start
-from palpate.vision.joint.tracking import advanced_scene, composed_motion
-from palpate.vision.range_flow import RangeFlow, is_valid
+from palpate.vision.joint.scene import Scene, advanced_scene, make_scene, scene_rows
+from palpate.vision.joint.vertices import vertex_displacement
+from palpate.vision.matching import Scatter, dense_start, local_field
+from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
-# Of the points that need no way through the instant before, one in so many takes it all the same:
-# they measure the drift.
+# Median derivative of the motion above which pictures are matched unsmoothed: the low-pass is tied
+# to the pixels and does not turn and stretch with the surface. A turn of 1.7 degrees.
+_MAX_SMOOTHED_GRADIENT = 0.03
+# Of the points that need no motion through the instant before, one in so many is followed that way
+# all the same, to measure the drift.
 _DRIFT_SAMPLE = 8
+# The dense start is good to about half a pixel; cameras that contradict each other by more than
+# four times that were misled.
+_START_ERROR_PX = 0.5
+_MAX_START_RESIDUAL_PX = 2.0
+# The field that carries starts over gaps is smoothed over so many half windows.
+_START_REACH = 3.0
 
 
-def joint_flow(
-    scene: Scene,
-    later: Iterable[Sequence[Float[np.ndarray, "_ _"]]],
-    *,
-    settings: JointSettings = JointSettings(),
-) -> Iterator[RangeFlow]:
-    """Range flow from the first instant to each later one, as the pictures come.
+@dataclass(frozen=True, slots=True, eq=False)
+class JointState:
+    """What the method `joint` remembers from instant to instant.
 
-    Parameters
+    Attributes
     ----------
     scene : Scene                       the first instant
-    later : iterable of pictures        of all cameras [grey levels], in time
-    settings : JointSettings
-
-    Yields
-    ------
-    RangeFlow                           for each later instant, against the first
+    grey : tuple of c (rows, columns) float [grey levels]   pictures of the last instant
+    motion : (n, 6, 3) float [m]        from the first instant to the last; NaN where not known
+    flow : RangeFlow or None            the same as measured; None at the first instant
     """
-    before = scene.grey
-    motion = np.zeros((len(scene.point), 6, 3))
-    last: RangeFlow | None = None
-    for pictures in later:
-        now = tuple(pictures)
-        start = flow_start(scene, motion, before, now)
-        first, used = _smoothed_as_fits(scene, start, settings)
-        match, noise = match_scene(
-            first, spline_pictures(now, used.smoothing), start, settings=used
-        )
-        flow = judged(first, match, noise, used)
-        motion = np.where(is_valid(flow)[:, None, None], match.motion, start)
-        if last is not None:
-            flow, motion = _through_last(scene, flow, motion, last, before, now, start, settings)
-        yield flow
-        before, last = now, flow
+
+    scene: Scene
+    grey: tuple[Float[np.ndarray, "_ _"], ...]
+    motion: Float[np.ndarray, "n 6 3"]
+    flow: RangeFlow | None
 
 
-def _smoothed_as_fits(
-    scene: Scene, start: Float[np.ndarray, "n 6 3"], settings: JointSettings
-) -> tuple[Scene, JointSettings]:
-    """The scene with its pictures unsmoothed where the surface turns or stretches much."""
-    gradient = np.linalg.norm(start[:, 1:3] / scene.extent[:, None, None], axis=(1, 2))
-    gradient = gradient[np.isfinite(gradient)]
-    if len(gradient) == 0 or np.median(gradient) <= settings.turning:
-        return scene, settings
-    return replace(scene, pictures=spline_pictures(scene.grey, 0.0)), replace(
-        settings, smoothing=0.0
-    )
-
-
-def _through_last(
-    scene: Scene,
-    direct: RangeFlow,
-    motion: Float[np.ndarray, "n 6 3"],
-    last: RangeFlow,
-    before: tuple[Float[np.ndarray, "_ _"], ...],
-    now: tuple[Float[np.ndarray, "_ _"], ...],
-    start: Float[np.ndarray, "n 6 3"],
-    settings: JointSettings,
-) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
-    """The direct flow, with the way through the last instant where that is better known.
+@dataclass(frozen=True, slots=True)
+class JointFlow:
+    """The method `joint`, a `FlowMethod`: all cameras matched at once, to a hundredth of a pixel.
 
     Parameters
     ----------
-    scene : Scene
-    direct, last : RangeFlow            from the first instant to now, and to the last instant
-    motion, start : (n, 6, 3) float [m] found directly, and where the search began
-    before, now : tuples of c (rows, columns) float     pictures of the last instant, and of now
+    subset : int [px]               side of the window, odd, at least 5; more is less noise and less
+                                    detail
+    step : int [px]                 spacing of the points in the reference camera, at least 1
+    shape : "shift", "affine" or "quadratic"    what a window itself determines of its motion; the
+                                    derivatives beyond that are taken from its neighbours, so that a
+                                    window has no bias where the surface stretches, turns or bends
+    smoothing : float [px]          Gaussian low-pass of every picture before it is matched, against
+                                    the bias of structure finer than the pixels
 
-    Returns
-    -------
-    flow : RangeFlow
-    motion : (n, 6, 3) float [m]
+    Raises
+    ------
+    InputError                      an even or tiny subset, a step below one pixel
     """
-    was, found_now = is_valid(last), is_valid(direct)
-    sample = np.zeros(len(was), dtype=bool)
-    sample[::_DRIFT_SAMPLE] = True
-    rows = np.flatnonzero(was & (~found_now | sample))
-    if not (was & ~found_now).any():
-        return direct, motion
-    earlier = _motion_of(last, scene)
-    there = advanced_scene(scene, before, earlier, was, settings=settings)
-    part = scene_rows(there, rows)
-    ahead = np.zeros((len(rows), 6, 3))
-    ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
-    moved = spline_pictures(now, settings.smoothing)
-    match, noise = match_scene(part, moved, ahead, settings=settings)
-    found = judged(part, match, noise, settings)
-    return _merged(scene, direct, motion, last, found, match.motion, there, rows)
+
+    subset: int = 21
+    step: int = 5
+    shape: Literal["shift", "affine", "quadratic"] = "affine"
+    smoothing: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.subset < 5 or self.subset % 2 == 0:
+            raise InputError(f"subset is {self.subset}; must be an odd number of pixels, 5 or more")
+        if self.step < 1:
+            raise InputError(f"step is {self.step}; must be 1 pixel or more")
+
+    def start(
+        self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
+    ) -> JointState:
+        """The first instant, as `FlowMethod.start` says.
+
+        The points lie on the smooth surface that the estimate takes the mesh for, not its facets.
+
+        Parameters
+        ----------
+        rig : Rig
+        pictures : sequence of c (rows, columns) float [grey levels]    in the rig's order
+        surface : TriangleMesh
+
+        Returns
+        -------
+        JointState
+        """
+        return self.start_on(rig, pictures, *refined_surface(surface))
+
+    def start_on(
+        self,
+        rig: Rig,
+        pictures: Sequence[Float[np.ndarray, "_ _"]],
+        vertices: Vertices,
+        triangles: Triangles,
+    ) -> JointState:
+        """The first instant of a surface taken as it is, open or closed.
+
+        Parameters
+        ----------
+        rig : Rig
+        pictures : sequence of c (rows, columns) float [grey levels]    in the rig's order
+        vertices, triangles : (v, 3) float [m], (m, 3) int
+
+        Returns
+        -------
+        JointState
+        """
+        scene = make_scene(
+            rig, pictures, vertices, triangles, subset=self.subset, step=self.step,
+            smoothing=self.smoothing,
+        )  # fmt: skip
+        return JointState(scene, scene.grey, np.zeros((len(scene.point), 6, 3)), None)
+
+    def follow(
+        self, state: JointState, pictures: Sequence[Float[np.ndarray, "_ _"]]
+    ) -> tuple[JointState, RangeFlow]:
+        """Match the first instant with the next one, as `FlowMethod.follow` says.
+
+        Parameters
+        ----------
+        state : JointState              of the instant before
+        pictures : sequence of c (rows, columns) float [grey levels]
+
+        Returns
+        -------
+        state : JointState
+        flow : RangeFlow                from the first instant
+        """
+        scene, now = state.scene, tuple(pictures)
+        start = _flow_start(state, now)
+        flow, matched = self._flow(_unsmoothed_where_turned(scene, start), now, start)
+        motion = np.where(is_valid(flow)[:, None, None], matched, start)
+        if state.flow is not None and (is_valid(state.flow) & ~is_valid(flow)).any():
+            flow, motion = self._through_last(
+                scene, state.flow, state.grey, now, start, flow, motion
+            )
+        return JointState(scene, now, motion, flow), flow
+
+    def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
+        """Displacement of the mesh's vertices by robust local quadratics.
+
+        Parameters
+        ----------
+        flow : RangeFlow
+        rig : Rig
+        surface : TriangleMesh          of v vertices
+
+        Returns
+        -------
+        VertexDisplacement              NaN where `vertex_displacement` has too little around
+        """
+        camera = rig.cameras[rig.reference]
+        return vertex_displacement(flow, camera, surface.vertices, surface.triangles)
+
+    def _flow(
+        self,
+        scene: Scene,
+        now: tuple[Float[np.ndarray, "_ _"], ...],
+        start: Float[np.ndarray, "n 6 3"],
+    ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
+        """Range flow of a scene to later pictures, and the motion of every window."""
+        match, noise = match_scene(
+            scene, spline_pictures(now, scene.smoothing), start, shape=self.shape
+        )
+        return accepted_flow(scene, match, noise), match.motion
+
+    def _through_last(
+        self,
+        scene: Scene,
+        last: RangeFlow,
+        before: tuple[Float[np.ndarray, "_ _"], ...],
+        now: tuple[Float[np.ndarray, "_ _"], ...],
+        start: Float[np.ndarray, "n 6 3"],
+        direct: RangeFlow,
+        motion: Float[np.ndarray, "n 6 3"],
+    ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
+        """The direct flow and motion, through the last instant where there is no direct one."""
+        followed, missing = is_valid(last), ~is_valid(direct)
+        sample = np.arange(len(missing)) % _DRIFT_SAMPLE == 0
+        rows = np.flatnonzero(followed & (missing | sample))
+        earlier = np.zeros_like(motion)
+        earlier[:, 0] = last.displacement
+        earlier[:, 1:3] = last.gradient * scene.extent[:, None, None]
+        there = scene_rows(advanced_scene(scene, before, earlier, followed), rows)
+        ahead = np.zeros((len(rows), 6, 3))
+        ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
+        further, after = self._flow(there, now, ahead)
+        extent = scene.extent[rows]
+        whole = composed_motion(earlier[rows], after, scene.tangent[rows], there.tangent, extent)
+        return _completed(direct, motion, last, further, whole, extent, rows)
 
 
-def _merged(
-    scene: Scene,
+def _flow_start(
+    state: JointState, now: tuple[Float[np.ndarray, "_ _"], ...]
+) -> Float[np.ndarray, "n 6 3"]:
+    """Motion of every point from the first instant to now, good to a pixel or so.
+
+    From the motion to the last instant and a dense search between its pictures and those of now;
+    NaN where nothing is known around a point either.
+    """
+    scene = state.scene
+    if len(scene.point) == 0:
+        return state.motion
+    was = scene.point + state.motion[:, 0]
+    known = np.isfinite(was).all(axis=1)
+    place = np.where(known[:, None], was, scene.point)
+    old = np.stack([project(camera, place) for camera in scene.rig.cameras])
+    target = np.full(old.shape, np.nan)
+    for c, (first, second) in enumerate(zip(state.grey, now, strict=True)):
+        dense = dense_start(np.asarray(first), np.asarray(second))
+        at = old[c].astype(np.float32)[None]
+        step = cv2.remap(dense.flow, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+        trust = cv2.remap(dense.trusted.astype(np.float32), at, None, cv2.INTER_LINEAR)[0]
+        sure = scene.seen[:, c] & known & (trust > 0.5)
+        target[c, sure] = old[c, sure] + step[sure]
+    found = triangulate(scene.rig, target, _START_ERROR_PX)
+    good = (found.cameras >= 2) & (found.residual < _MAX_START_RESIDUAL_PX)
+    return _smooth_start(scene, found.point - scene.point, found.covariance, good)
+
+
+def _smooth_start(
+    scene: Scene, displacement: Points, covariance: Float[np.ndarray, "n 3 3"], good: Flags
+) -> Float[np.ndarray, "n 6 3"]:
+    """The start with its gradient, from a local plane through what is known around."""
+    result = np.full((len(displacement), 6, 3), np.nan)
+    if not good.any():
+        return result
+    reach = _START_REACH * float(np.median(scene.extent))
+    spread = covariance[good]
+    scatter = Scatter(
+        scene.point[good], scene.pixel[good], displacement[good], spread, 0.0 * spread, 1
+    )
+    field = local_field(scatter, scene.point, scene.tangent, reach=reach, order=1)
+    result[:, 0] = field.displacement
+    result[:, 1:3] = field.gradient * scene.extent[:, None, None]
+    result[np.isfinite(field.displacement).all(axis=1), 3:] = 0.0
+    return result
+
+
+def _unsmoothed_where_turned(scene: Scene, start: Float[np.ndarray, "n 6 3"]) -> Scene:
+    """The scene, with its pictures unsmoothed where the surface turns or stretches much."""
+    gradient = np.linalg.norm(start[:, 1:3] / scene.extent[:, None, None], axis=(1, 2))
+    gradient = gradient[np.isfinite(gradient)]
+    if len(gradient) == 0 or np.median(gradient) <= _MAX_SMOOTHED_GRADIENT:
+        return scene
+    return replace(scene, pictures=spline_pictures(scene.grey, 0.0), smoothing=0.0)
+
+
+def _completed(
     direct: RangeFlow,
     motion: Float[np.ndarray, "n 6 3"],
     last: RangeFlow,
-    found: RangeFlow,
-    step: Float[np.ndarray, "k 6 3"],
-    there: Scene,
+    further: RangeFlow,
+    whole: Float[np.ndarray, "k 6 3"],
+    extent: Float[np.ndarray, " k"],
     rows: Int[np.ndarray, " k"],
 ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
-    """Take the sum of two motions where the direct one is missing; measure the drift."""
-    whole = composed_motion(
-        _motion_of(last, scene)[rows], step, scene.tangent[rows], there.tangent[rows],
-        scene.extent[rows],
-    )  # fmt: skip
-    covariance = last.covariance[rows] + found.covariance
-    good = is_valid(found)
-    both = good & is_valid(direct)[rows]
+    """The direct flow and motion, with the motion through the last instant where they are missing.
+
+    `whole` is that motion for some `rows`, the sum of `last` and of the flow `further` from there.
+    """
+    found, directly = is_valid(further), is_valid(direct)[rows]
+    both, take = found & directly, found & ~directly
     drift = np.nan
     if both.any():
         apart = whole[both, 0] - direct.displacement[rows[both]]
         drift = float(np.sqrt((apart**2).sum(axis=1).mean()))
-    new = rows[good & ~is_valid(direct)[rows]]
-    take = good & ~is_valid(direct)[rows]
-    changed = {
-        "displacement": (whole[:, 0], direct.displacement),
-        "gradient": (whole[:, 1:3] / scene.extent[rows, None, None], direct.gradient),
-        "covariance": (covariance, direct.covariance),
-        "bias": (last.bias[rows] + found.bias, direct.bias),
-        "score": (found.score, direct.score),
-        "reprojection": (found.reprojection, direct.reprojection),
-        "cameras": (found.cameras, direct.cameras),
-        "outcome": (found.outcome, direct.outcome),
+    values = {
+        "displacement": whole[:, 0],
+        "gradient": whole[:, 1:3] / extent[:, None, None],
+        "covariance": last.covariance[rows] + further.covariance,
+        "bias": last.bias[rows] + further.bias,
+        "score": further.score,
+        "reprojection": further.reprojection,
+        "cameras": further.cameras,
+        "outcome": further.outcome,
+        "through_last": found,
     }
-    arrays: dict[str, Any] = {}
-    for name, (value, old) in changed.items():
-        arrays[name] = old.copy()
-        arrays[name][new] = value[take]
-    motion = motion.copy()
-    motion[new] = whole[take]
-    through = direct.through_last.copy()
-    through[new] = True
-    return replace(direct, **arrays, through_last=through, drift=drift), motion
+    arrays: dict[str, Any] = {
+        name: with_rows(getattr(direct, name), rows[take], value[take])
+        for name, value in values.items()
+    }
+    return replace(direct, **arrays, drift=drift), with_rows(motion, rows[take], whole[take])
 
 
-def _motion_of(flow: RangeFlow, scene: Scene) -> Float[np.ndarray, "n 6 3"]:
-    """Displacement and gradient of a range flow the way the refinement takes them."""
-    motion = np.zeros((len(flow.point), 6, 3))
-    motion[:, 0] = flow.displacement
-    motion[:, 1:3] = flow.gradient * scene.extent[:, None, None]
-    return motion
+def composed_motion(
+    before: Float[np.ndarray, "k 6 3"],
+    after: Float[np.ndarray, "k 6 3"],
+    first: Float[np.ndarray, "k 2 3"],
+    second: Float[np.ndarray, "k 2 3"],
+    extent: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, "k 6 3"]:
+    """One motion after another, with its first derivatives.
+
+    Parameters
+    ----------
+    before, after : (k, 6, 3) float [m]     see `refine_joint`
+    first, second : (k, 2, 3) float         tangents that their derivatives are taken along
+    extent : (k,) float [m]
+
+    Returns
+    -------
+    (k, 6, 3) float [m]                     second-order terms are zero
+    """
+    images = first + before[:, 1:3] / extent[:, None, None]
+    # Each image is a sum of the second tangents and a small normal part, which turns along.
+    share = np.einsum("kai,kbi->kab", images, second)
+    result = np.zeros_like(before)
+    result[:, 0] = before[:, 0] + after[:, 0]
+    result[:, 1:3] = before[:, 1:3] + np.einsum("kab,kbi->kai", share, after[:, 1:3])
+    return result

@@ -6,77 +6,30 @@ from the neighbours, so that a window sees no bias where the surface bends and l
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from palpate.arrays import with_rows
 from palpate.vision.images import SplinePicture
-from palpate.vision.joint.refinement import (
-    CONVERGED,
-    FEW_CAMERAS,
-    LEFT,
-    NO_TEXTURE,
-    NOT_CONVERGED,
-    First,
-    Limits,
-    Points,
-    refine_joint,
-)
-from palpate.vision.joint.scene import Scene, pixel_size
-from palpate.vision.joint.settings import JointSettings
-from palpate.vision.matching import Scatter, local_field, predicted
+from palpate.vision.joint.refinement import Limits, Match, refine_joint
+from palpate.vision.joint.scene import Scene, pixel_sizes
+from palpate.vision.matching import BASES, Prediction, Scatter, local_field, predicted
 from palpate.vision.range_flow import Outcome
 
-_OUTCOMES = {
-    CONVERGED: Outcome.VALID,
-    FEW_CAMERAS: Outcome.HIDDEN,
-    NO_TEXTURE: Outcome.TEXTURE,
-    LEFT: Outcome.OUTSIDE,
-    NOT_CONVERGED: Outcome.LOST,
-}
 # Rounds of second tries: the front of found points moves a few windows each.
 _RETRIES = 2
 # A second try starts from a good guess or is hopeless: twice the steps that a usual match takes.
-_PATIENCE = 10
-# Unknowns of a window for each component of the motion.
-_BASES = {"shift": 1, "affine": 3, "quadratic": 6}
-# Neighbours within this many half windows have a say; their windows overlap but are not the same.
-AROUND = 2.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Match:
-    """Raw result of the joint refinement of n points.
-
-    Attributes
-    ----------
-    motion : (n, 6, 3) float [m]        see `refine_joint`
-    covariance : (n, 3, 3) float [m^2]
-    score, left, own_variance : (n, c)
-    own : (n, c, 2) float [px]
-    rough : (n,) float [-]              covariance of what is left over that of white noise
-    use : (n, c) bool                   cameras that took part
-    outcome : (n,) int
-    """
-
-    motion: Float[np.ndarray, "n 6 3"]
-    covariance: Float[np.ndarray, "n 3 3"]
-    score: Float[np.ndarray, "n c"]
-    left: Float[np.ndarray, "n c"]
-    own: Float[np.ndarray, "n c 2"]
-    own_variance: Float[np.ndarray, "n c"]
-    rough: Float[np.ndarray, " n"]
-    use: Bool[np.ndarray, "n c"]
-    outcome: Int[np.ndarray, " n"]
+_RETRY_ITERATIONS = 10
+# Neighbours within this many half windows are asked; their windows overlap but are not the same.
+_NEIGHBOURHOOD = 2.0
+# A camera is dropped, then the point, where what is left after the match is more than this many
+# times what it is elsewhere.
+_MAX_EXCESS = 2.0
 
 
 def match_scene(
-    scene: Scene,
-    moved: Sequence[SplinePicture],
-    start: Float[np.ndarray, "n 6 3"],
-    *,
-    settings: JointSettings,
+    scene: Scene, moved: Sequence[SplinePicture], start: Float[np.ndarray, "n 6 3"], *, shape: str
 ) -> tuple[Match, Float[np.ndarray, " c"]]:
     """Follow all points of a scene into later pictures.
 
@@ -85,95 +38,77 @@ def match_scene(
     scene : Scene
     moved : sequence of c SplinePicture
     start : (n, 6, 3) float [m]         motion to start from; NaN where there is none
-    settings : JointSettings
+    shape : "shift", "affine" or "quadratic"    what windows determine of their motion themselves
 
     Returns
     -------
     match : Match
     noise : (c,) float [grey levels]    standard deviation that a match leaves in each camera
     """
-    whole = np.arange(len(scene.point))
+    every = np.arange(len(scene.point))
+    limits = Limits(scene.subset // 2)
+    quick = limits._replace(iterations=_RETRY_ITERATIONS)
     noise = np.ones(len(moved))
-    match = _refined(scene, moved, start, scene.seen, whole, noise, settings)
+    match = _refined(scene, every, moved, start, scene.seen, noise, limits)
     noise = _noise(match)
-    quick = replace(settings, iterations=min(settings.iterations, _PATIENCE))
-    match = _without_one_camera(scene, moved, match, start, noise, quick)
+    match = _without_one_camera(scene, every, moved, match, start, noise, quick)
     for _ in range(_RETRIES):
-        again, restart = _second_tries(scene, match, noise, settings)
+        again, restart = _second_tries(scene, match, noise)
         if len(again) == 0:
             break
-        tried = _refined(scene, moved, restart, scene.seen[again], again, noise, quick)
-        tried = _without_one_camera(scene, moved, tried, restart, noise, quick, rows=again)
-        match = replaced(match, tried, again)
-    known = _with_derivatives(scene, match, settings)
+        tried = _refined(scene, again, moved, restart, scene.seen[again], noise, quick)
+        tried = _without_one_camera(scene, again, moved, tried, restart, noise, quick)
+        match = _replaced(match, tried, again)
+    known = _with_derivatives(scene, match)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
-    last = _refined(
-        scene, moved, known[rows], match.use[rows], rows, noise, settings, shape=settings.shape
-    )
-    match = replaced(match, last, rows)
+    final = limits._replace(bases=BASES[shape])
+    last = _refined(scene, rows, moved, known[rows], match.use[rows], noise, final)
+    match = _replaced(match, last, rows)
     return match, _noise(match)
 
 
 def _refined(
     scene: Scene,
+    rows: Int[np.ndarray, " k"],
     moved: Sequence[SplinePicture],
     start: Float[np.ndarray, "k 6 3"],
     use: Bool[np.ndarray, "k c"],
-    rows: Int[np.ndarray, " k"],
     noise: Float[np.ndarray, " c"],
-    settings: JointSettings,
-    *,
-    shape: str = "affine",
+    limits: Limits,
 ) -> Match:
-    """Joint refinement of some points of the scene from given motions."""
-    pictures = scene.pictures
-    motion, covariance, score, left, own, own_variance, rough, state = refine_joint(
-        First(
-            scene.packed,
-            tuple(picture.grey for picture in pictures),
-            tuple(picture.along_column for picture in pictures),
-            tuple(picture.along_row for picture in pictures),
-            scene.surface,
-            scene.inner,
-        ),
-        tuple(picture.coefficients for picture in moved),
-        Points(scene.point[rows], scene.tangent[rows], scene.extent[rows]),
-        np.ascontiguousarray(use),
-        np.ascontiguousarray(start),
-        noise,
-        Limits(
-            settings.subset // 2,
-            _BASES[shape],
-            settings.tolerance,
-            settings.reach,
-            settings.iterations,
-            settings.least_share,
-            settings.shading,
-        ),
-    )
+    """`refine_joint`, with the covariance that goes with what each match leaves."""
+    found = refine_joint(scene, rows, moved, start, use, noise, limits)
     # The noise is that of the whole picture; a window with more of it knows its motion less.
-    excess = mean_over(left / noise**2, use & np.isfinite(left))
-    outcome = np.array([_OUTCOMES[code] for code in range(len(_OUTCOMES))])[state]
-    return Match(
-        motion,
-        covariance * excess[:, None, None],
-        score,
-        left,
-        own,
-        own_variance,
-        rough,
-        use,
-        outcome,
-    )
+    return found._replace(covariance=found.covariance * _excess(found, noise)[:, None, None])
+
+
+def used_cameras(match: Match) -> Bool[np.ndarray, "n c"]:
+    """True for cameras that took part in a match and found the window, (n, c) bool."""
+    return match.use & np.isfinite(match.left)
 
 
 def mean_over(
     value: Float[np.ndarray, "n c"], used: Bool[np.ndarray, "n c"]
 ) -> Float[np.ndarray, " n"]:
-    """Mean over the cameras used, NaN where there are none."""
+    """Mean of a quantity over the cameras used.
+
+    Parameters
+    ----------
+    value : (n, c) float            of any unit; NaN where not used
+    used : (n, c) bool
+
+    Returns
+    -------
+    (n,) float                      NaN where no camera is used
+    """
     total = np.where(used, value, 0.0).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return total / used.sum(axis=1)
+
+
+def _excess(match: Match, noise: Float[np.ndarray, " c"]) -> Float[np.ndarray, " n"]:
+    """Variance that each match leaves over that of the noise, the mean over its cameras."""
+    return mean_over(match.left / noise**2, used_cameras(match))
 
 
 def _noise(match: Match) -> Float[np.ndarray, " c"]:
@@ -188,31 +123,43 @@ def _noise(match: Match) -> Float[np.ndarray, " c"]:
     return noise
 
 
-def bad_cameras(
-    match: Match, noise: Float[np.ndarray, " c"], excess: float
-) -> Bool[np.ndarray, "n c"]:
-    """Cameras whose window looks different when loaded: covered, shadowed, a highlight."""
+def changed_cameras(match: Match, noise: Float[np.ndarray, " c"]) -> Bool[np.ndarray, "n c"]:
+    """Cameras whose window looks different when loaded: covered, shadowed, a highlight.
+
+    Parameters
+    ----------
+    match : Match                   of n points in c cameras
+    noise : (c,) float [grey levels]    standard deviation that a match usually leaves
+
+    Returns
+    -------
+    (n, c) bool                     True where twice the noise and more is left
+    """
     with np.errstate(invalid="ignore"):
-        return match.use & (match.left > (excess * noise) ** 2)
+        return match.use & (match.left > (_MAX_EXCESS * noise) ** 2)
+
+
+def _fits(match: Match, noise: Float[np.ndarray, " c"]) -> Bool[np.ndarray, " n"]:
+    """Points that were found and whose cameras all show the same surface as at first."""
+    return (match.outcome == Outcome.VALID) & ~changed_cameras(match, noise).any(axis=1)
 
 
 def _without_one_camera(
     scene: Scene,
+    rows: Int[np.ndarray, " n"],
     moved: Sequence[SplinePicture],
     match: Match,
     start: Float[np.ndarray, "n 6 3"],
     noise: Float[np.ndarray, " c"],
-    settings: JointSettings,
-    *,
-    rows: Int[np.ndarray, " n"] | None = None,
+    limits: Limits,
 ) -> Match:
     """Try the points that do not fit without each of their cameras in turn, where two are left.
 
-    A camera whose view is covered drags the common motion along until no camera fits, so it cannot
-    be told by what it leaves; the others fit when it is the one that is left out.
+    A camera whose view is covered drags the common motion along until no camera fits, so that what
+    it leaves does not identify it; the others fit when it is the one that is left out.
     """
     own_use = match.use
-    again = np.flatnonzero(~_fits(match, noise, settings) & (own_use.sum(axis=1) >= 3))
+    again = np.flatnonzero(~_fits(match, noise) & (own_use.sum(axis=1) >= 3))
     best = np.full(len(own_use), np.inf)
     for c in range(own_use.shape[1]):
         some = again[own_use[again, c]]
@@ -220,65 +167,34 @@ def _without_one_camera(
             continue
         use = own_use[some].copy()
         use[:, c] = False
-        whole = some if rows is None else rows[some]
-        tried = _refined(scene, moved, start[some], use, whole, noise, settings)
-        excess = mean_over(tried.left / noise**2, use & np.isfinite(tried.left))
+        tried = _refined(scene, rows[some], moved, start[some], use, noise, limits)
+        excess = _excess(tried, noise)
         with np.errstate(invalid="ignore"):
-            better = _fits(tried, noise, settings) & (excess < best[some])
+            better = _fits(tried, noise) & (excess < best[some])
         best[some[better]] = excess[better]
-        tried.outcome[~better] = Outcome.LOST
-        match = replaced(match, tried, some)
+        match = _replaced(match, tried._replace(outcome=np.where(better, 0, Outcome.LOST)), some)
     return match
 
 
-def replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
+def _replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
     """A match whose rows are replaced where the other one found something."""
     good = other.outcome == Outcome.VALID
-    arrays = {}
-    for name in (
-        "motion",
-        "covariance",
-        "score",
-        "left",
-        "own",
-        "own_variance",
-        "rough",
-        "use",
-        "outcome",
-    ):
-        value = getattr(match, name).copy()
-        value[rows[good]] = getattr(other, name)[good]
-        arrays[name] = value
-    return Match(**arrays)
-
-
-def _fits(
-    match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
-) -> Bool[np.ndarray, " n"]:
-    """Points that were found and whose cameras all show the same surface as at first."""
-    bad = bad_cameras(match, noise, settings.excess).any(axis=1)
-    return (match.outcome == Outcome.VALID) & ~bad
+    pairs = zip(match, other, strict=True)
+    return Match(*(with_rows(old, rows[good], new[good]) for old, new in pairs))
 
 
 def _second_tries(
-    scene: Scene, match: Match, noise: Float[np.ndarray, " c"], settings: JointSettings
+    scene: Scene, match: Match, noise: Float[np.ndarray, " c"]
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 6 3"]]:
     """Points that were lost or fit badly, with their neighbours' motion to start from."""
-    fits = _fits(match, noise, settings)
-    reach = neighbourhood(scene)
-    guess = predicted(
-        scene.point,
-        scene.tangent,
-        match.motion[:, 0],
-        match.motion[:, 1:3] / scene.extent[:, None, None],
-        fits,
-        reach=reach,
-    )
+    fits = _fits(match, noise)
+    guess = predicted_motion(scene, match, fits)
     may = np.isin(match.outcome, (Outcome.LOST, Outcome.VALID, Outcome.OUTSIDE))
     known = np.isfinite(guess.displacement).all(axis=1)
+    size = pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point)
     with np.errstate(invalid="ignore"):
         away = np.linalg.norm(match.motion[:, 0] - guess.displacement, axis=1)
-        far = ~(away < pixel_size(scene))
+        far = ~(away < size)
     rows = np.flatnonzero(may & ~fits & known & far)
     restart = np.zeros((len(rows), 6, 3))
     restart[:, 0] = guess.displacement[rows]
@@ -286,9 +202,31 @@ def _second_tries(
     return rows, restart
 
 
-def _with_derivatives(
-    scene: Scene, match: Match, settings: JointSettings
-) -> Float[np.ndarray, "n 6 3"]:
+def predicted_motion(scene: Scene, match: Match, valid: Bool[np.ndarray, " n"]) -> Prediction:
+    """Motion of each point as its valid neighbours predict it; see `predicted`.
+
+    Parameters
+    ----------
+    scene : Scene                   of n points
+    match : Match                   of the same points
+    valid : (n,) bool               points that may predict
+
+    Returns
+    -------
+    Prediction                      NaN where fewer than three neighbours are valid
+    """
+    gradient = match.motion[:, 1:3] / scene.extent[:, None, None]
+    return predicted(
+        scene.point,
+        scene.tangent,
+        match.motion[:, 0],
+        gradient,
+        valid,
+        reach=neighbourhood(scene),
+    )
+
+
+def _with_derivatives(scene: Scene, match: Match) -> Float[np.ndarray, "n 6 3"]:
     """The motion found, with derivatives from the motion around each point; NaN without those."""
     good = match.outcome == Outcome.VALID
     motion = np.full(match.motion.shape, np.nan)
@@ -301,7 +239,7 @@ def _with_derivatives(
             match.motion[good, 0],
             match.covariance[good],
             np.zeros((int(good.sum()), 3, 3)),
-            settings.subset,
+            scene.subset,
         ),
         scene.point,
         scene.tangent,
@@ -315,5 +253,5 @@ def _with_derivatives(
 
 
 def neighbourhood(scene: Scene) -> float:
-    """Radius within which points have a say about each other [m]."""
-    return AROUND * float(np.median(scene.extent)) if len(scene.extent) else 1.0
+    """Radius within which points are compared with each other [m]."""
+    return _NEIGHBOURHOOD * float(np.median(scene.extent)) if len(scene.extent) else 1.0

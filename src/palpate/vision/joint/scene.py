@@ -1,4 +1,4 @@
-"""The first instant: what each camera sees of the surface, and the points to be followed."""
+"""One instant as the cameras see it: pictures, surface, and the points to be followed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,23 +9,16 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
-from palpate.vision.cameras import (
-    SurfaceMap,
-    packed_rig,
-    project,
-    project_jacobian,
-    surface_map,
-    visible,
-)
+from palpate.vision.cameras import SurfaceMap, packed_rig, surface_map, visible
 from palpate.vision.images import SplinePicture, spline_pictures
-from palpate.vision.joint.settings import JointSettings
+from palpate.vision.range_flow import grid_points, grid_triangles
 
 # A pixel this close to an outline mixes object and ground: its response, and the spline's, reach so
 # far.
-_RIM = 2
+_RIM_PX = 2
 # Neighbouring pixels whose depths differ by more than this many pixel sides lie on two parts of the
 # object, one before the other, or on one seen at less than 12 degrees.
-_JUMP = 5.0
+_MAX_DEPTH_JUMP_PX = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +38,9 @@ class Scene:
     tangent : (n, 2, 3) float           two orthonormal tangents there
     extent : (n,) float [m]             half side of a window on the surface
     seen : (n, c) bool                  which cameras see the point
+    subset : int [px]                   side of a window
+    step : int [px]                     spacing of the points in the reference camera
+    smoothing : float [px]              Gaussian low-pass of `pictures`
     """
 
     rig: Rig
@@ -58,6 +54,9 @@ class Scene:
     tangent: Float[np.ndarray, "n 2 3"]
     extent: PointScalars
     seen: Bool[np.ndarray, "n c"]
+    subset: int
+    step: int
+    smoothing: float
 
 
 def make_scene(
@@ -66,7 +65,9 @@ def make_scene(
     vertices: Vertices,
     triangles: Triangles,
     *,
-    settings: JointSettings = JointSettings(),
+    subset: int,
+    step: int,
+    smoothing: float,
 ) -> Scene:
     """Cut a surface into points on the reference camera's grid.
 
@@ -75,91 +76,121 @@ def make_scene(
     rig : Rig
     pictures : sequence of c (rows, columns) float [grey levels]
     vertices, triangles : (v, 3) float [m], (m, 3) int      the surface, open or closed
-    settings : JointSettings
+    subset, step : int [px]         side of a window, spacing of the points
+    smoothing : float [px]          low-pass of the pictures that are matched
 
     Returns
     -------
     Scene                           without points where the reference camera sees none
     """
-    maps = tuple(
-        surface_map(camera, picture.shape, vertices, triangles)
-        for camera, picture in zip(rig.cameras, pictures, strict=True)
-    )
-    inner = tuple(inner_pixels(one, camera) for one, camera in zip(maps, rig.cameras, strict=True))
-    first = maps[rig.reference]
-    start = settings.step // 2
-    row, column = np.nonzero(inner[rig.reference][start :: settings.step, start :: settings.step])
-    row, column = start + settings.step * row, start + settings.step * column
-    point = np.ascontiguousarray(first.point[row, column], dtype=np.float64)
-    corner = vertices[triangles[first.triangle[row, column]]]
-    tangent = _tangents(corner)
-    extent = window_extent(rig, point, settings.subset)
+    maps = _surface_maps(rig, pictures, vertices, triangles)
+    inner = _inner_pictures(rig, maps)
+    shown = inner[rig.reference] > 0.0
+    pixel, point, tangent = grid_points(maps[rig.reference], shown, vertices, triangles, step)
+    extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], point)
     # Behind the surface by more than half a window means behind another part of it.
     tolerance = float(np.median(extent)) if len(extent) else 0.0
-    seen = np.stack(
-        [
-            visible(one, camera, point, tolerance=tolerance)
-            for one, camera in zip(maps, rig.cameras, strict=True)
-        ],
-        axis=1,
-    )
     return Scene(
         rig=rig,
         packed=packed_rig(rig),
         grey=tuple(pictures),
-        pictures=spline_pictures(pictures, settings.smoothing),
-        surface=tuple(np.ascontiguousarray(one.point, dtype=np.float32) for one in maps),
+        pictures=spline_pictures(pictures, smoothing),
+        surface=_surface_points(maps),
         inner=inner,
-        pixel=np.stack([column, row], axis=1).astype(np.float64),
+        pixel=pixel.astype(np.float64),
         point=point,
         tangent=tangent,
         extent=extent,
-        seen=seen,
+        seen=_seen(rig, maps, point, tolerance),
+        subset=subset,
+        step=step,
+        smoothing=smoothing,
     )
 
 
-def window_extent(rig: Rig, point: Points, subset: int) -> PointScalars:
-    """Half side of a window at points of the surface, seen face on by the reference camera [m]."""
-    camera = rig.cameras[rig.reference]
-    pose = camera.T_camera_object
-    depth = point @ pose[2, :3] + pose[2, 3]
-    return (subset // 2) * depth / camera.matrix[0, 0]
+def advanced_scene(
+    scene: Scene,
+    grey: tuple[Float[np.ndarray, "_ _"], ...],
+    motion: Float[np.ndarray, "n 6 3"],
+    valid: Bool[np.ndarray, " n"],
+) -> Scene:
+    """The scene at a later instant, its surface where it has moved to.
 
+    Parameters
+    ----------
+    scene : Scene                   the first instant
+    grey : tuple of c (rows, columns) float     pictures of the later instant
+    motion : (n, 6, 3) float [m]    from the first instant, used where valid
+    valid : (n,) bool
 
-def pixel_size(scene: Scene) -> Float[np.ndarray, " n"]:
-    """Side of a pixel of the reference camera on the surface [m]."""
-    camera = scene.rig.cameras[scene.rig.reference]
-    pose = camera.T_camera_object
-    return (scene.point @ pose[2, :3] + pose[2, 3]) / camera.matrix[0, 0]
+    Returns
+    -------
+    Scene                           of the same n points; those not valid are seen by no camera
+    """
+    moved = scene.point + np.where(valid[:, None], motion[:, 0], 0.0)
+    rows = np.flatnonzero(valid)
+    triangles = grid_triangles(scene.pixel[rows], scene.step)
+    maps = _surface_maps(scene.rig, grey, moved[rows], triangles)
+    seen = _seen(scene.rig, maps, moved, float(np.median(scene.extent)))
+    return replace(
+        scene,
+        grey=grey,
+        pictures=spline_pictures(grey, scene.smoothing),
+        surface=_surface_points(maps),
+        inner=_inner_pictures(scene.rig, maps),
+        point=moved,
+        tangent=_moved_tangents(scene, motion, valid),
+        seen=seen & scene.seen & valid[:, None],
+    )
 
 
 def scene_rows(scene: Scene, rows: Int[np.ndarray, " k"]) -> Scene:
-    """The scene with some of its points."""
-    return replace(
-        scene,
-        pixel=scene.pixel[rows],
-        point=scene.point[rows],
-        tangent=scene.tangent[rows],
-        extent=scene.extent[rows],
-        seen=scene.seen[rows],
-    )
+    """The scene with some of its points only.
+
+    Parameters
+    ----------
+    scene : Scene                   of n points
+    rows : (k,) int                 0 to n - 1
+
+    Returns
+    -------
+    Scene                           of k points; pictures and surfaces are shared
+    """
+    names = ("pixel", "point", "tangent", "extent", "seen")
+    return replace(scene, **{name: getattr(scene, name)[rows] for name in names})
 
 
-def jacobians(rig: Rig, point: Points) -> Float[np.ndarray, "c n 2 3"]:
-    """Derivative of every camera's pixel by the point [px/m]."""
-    return np.stack([project_jacobian(camera, point)[1] for camera in rig.cameras])
+def pixel_sizes(camera: Camera, point: Points) -> PointScalars:
+    """Side of a camera's pixel on a surface that faces it.
 
+    Parameters
+    ----------
+    camera : Camera
+    point : (n, 3) float [m]        object frame, before the camera
 
-def pixels(rig: Rig, point: Points) -> Float[np.ndarray, "c n 2"]:
-    """Where every camera sees points [px]."""
-    return np.stack([project(camera, point) for camera in rig.cameras])
+    Returns
+    -------
+    (n,) float [m]                  depth over focal length
+    """
+    pose = camera.T_camera_object
+    return (point @ pose[2, :3] + pose[2, 3]) / camera.matrix[0, 0]
 
 
 def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows columns"]:
-    """1 where one unbroken part of the surface is seen at a pixel and all around it, else 0."""
+    """1 where one unbroken part of the surface is seen at a pixel and two pixels around, else 0.
+
+    Parameters
+    ----------
+    surface : SurfaceMap            (rows, columns), of that camera
+    camera : Camera
+
+    Returns
+    -------
+    (rows, columns) float32         weights of the pixels in a window
+    """
     pose = camera.T_camera_object
     depth = surface.point @ pose[2, :3] + pose[2, 3]
-    allowed = _JUMP * depth / camera.matrix[0, 0]
+    allowed = _MAX_DEPTH_JUMP_PX * depth / camera.matrix[0, 0]
     there = (surface.triangle >= 0).astype(np.uint8)
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
@@ -168,15 +199,55 @@ def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows
         near[axis], far[axis] = slice(None, -1), slice(1, None)
         there[tuple(near)][apart] = 0
         there[tuple(far)][apart] = 0
-    around = np.ones((2 * _RIM + 1, 2 * _RIM + 1), dtype=np.uint8)
+    around = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), dtype=np.uint8)
     kept = cv2.erode(there, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return kept.astype(np.float32)
 
 
-def _tangents(corner: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 2 3"]:
-    """Two orthonormal tangents of triangles given by their corners."""
-    first = corner[:, 1] - corner[:, 0]
-    first = first / np.linalg.norm(first, axis=1)[:, None]
-    normal = np.cross(first, corner[:, 2] - corner[:, 0])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    return np.stack([first, np.cross(normal, first)], axis=1)
+def _surface_maps(
+    rig: Rig,
+    pictures: Sequence[Float[np.ndarray, "_ _"]],
+    vertices: Vertices,
+    triangles: Triangles,
+) -> list[SurfaceMap]:
+    """What each camera sees of a surface."""
+    return [
+        surface_map(camera, picture.shape, vertices, triangles)
+        for camera, picture in zip(rig.cameras, pictures, strict=True)
+    ]
+
+
+def _surface_points(maps: Sequence[SurfaceMap]) -> tuple[Float[np.ndarray, "_ _ 3"], ...]:
+    """Points behind the pixels of each camera, in single precision for the kernels."""
+    return tuple(np.ascontiguousarray(seen.point, dtype=np.float32) for seen in maps)
+
+
+def _inner_pictures(
+    rig: Rig, maps: Sequence[SurfaceMap]
+) -> tuple[Float[np.ndarray, "rows columns"], ...]:
+    """`inner_pixels` of each camera."""
+    return tuple(inner_pixels(seen, camera) for seen, camera in zip(maps, rig.cameras, strict=True))
+
+
+def _seen(
+    rig: Rig, maps: Sequence[SurfaceMap], point: Points, tolerance: float
+) -> Bool[np.ndarray, "n c"]:
+    """Which cameras see which points."""
+    seen = [
+        visible(surface, camera, point, tolerance=tolerance)
+        for surface, camera in zip(maps, rig.cameras, strict=True)
+    ]
+    return np.stack(seen, axis=1)
+
+
+def _moved_tangents(
+    scene: Scene, motion: Float[np.ndarray, "n 6 3"], valid: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 2 3"]:
+    """Orthonormal tangents of the moved surface."""
+    gradient = np.where(valid[:, None, None], motion[:, 1:3], 0.0) / scene.extent[:, None, None]
+    image = scene.tangent + gradient
+    first = image[:, 0] / np.linalg.norm(image[:, 0], axis=1)[:, None]
+    along = np.einsum("ni,ni->n", image[:, 1], first)
+    second = image[:, 1] - along[:, None] * first
+    second /= np.linalg.norm(second, axis=1)[:, None]
+    return np.stack([first, second], axis=1)

@@ -7,13 +7,22 @@ from palpate.vision.cameras import project_kernel
 from palpate.vision.images import noise_share_kernel, sample_kernel
 from palpate.vision.matching import load_window_kernel
 
+# The spline reaches this far beyond a place, and its coefficients are padded by as much [px].
+_SPLINE_MARGIN_PX = 8
+
 
 @njit(cache=True, error_model="numpy")
 def load_camera_kernel(
     camera, grey, along_column, along_row, surface, inner, point, tangent, extent, half,
-    least_share, shading, window, place, centre, ones,
+    least_share, shading, window, place, centre, contents,
 ):  # fmt: skip
-    """Window of one camera with its pixels' surface points; False where it sees too little."""
+    """Window of one camera with its pixels' surface points; False where it sees too little.
+
+    `window` (6, side, side) as in `load_window_kernel`; `place` (3, side, side): coordinates of
+    each pixel's point along the two tangents and the normal, in extents; `centre` (2,) int [px]
+    column and row; `contents` (3,): pixels inside, their mean, sum of squares about it;
+    `tangent` (2, 3) is orthonormal, `extent` [m] half a window's side, `least_share` 0 to 1.
+    """
     x, y = project_kernel(camera, point[0], point[1], point[2])
     rows, columns = grey.shape
     if not (half <= x < columns - half - 1 and half <= y < rows - half - 1):
@@ -54,15 +63,19 @@ def load_camera_kernel(
     inside, mean, square = load_window_kernel(
         grey, along_column, along_row, column, row, half, shading, window
     )
-    ones[0] = inside
-    ones[1] = mean
-    ones[2] = square
+    contents[0] = inside
+    contents[1] = mean
+    contents[2] = square
     return square > 0.0
 
 
 @njit(cache=True, error_model="numpy")
 def jacobian_kernel(camera, point, jacobian):
-    """Derivative of the pixel by the point, central differences (the projection is smooth)."""
+    """Derivative of the pixel by the point, (2, 3) [px/m], written into `jacobian`.
+
+    `camera` (25,) packed, `point` (3,) [m] in the object frame. Central differences over 2e-4 of
+    the depth: the projection is smooth, what they leave out is the square of that.
+    """
     depth = camera[19] * point[0] + camera[20] * point[1] + camera[21] * point[2] + camera[24]
     h = 1e-4 * depth
     for a in range(3):
@@ -77,7 +90,7 @@ def jacobian_kernel(camera, point, jacobian):
 
 @njit(cache=True, error_model="numpy")
 def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian, mapping):
-    """From the surface's motion to the window's polynomial in pixels, (2 bases, 3 bases).
+    """From the surface's motion to the window's polynomial in pixels, (2 bases, 3 bases) [px/m].
 
     Within the window the surface coordinates are taken as linear in the pixel; this shapes the
     steps and the weights, not the solution.
@@ -126,7 +139,11 @@ def _product_kernel(first, second, out):
 
 @njit(cache=True, error_model="numpy")
 def deformed_frame_kernel(q, tangent, extent, frame):
-    """Deformed tangents and unit normal, as rows; the tangents are the images of the unit ones."""
+    """Deformed tangents and unit normal as rows, (3, 3), written into `frame`.
+
+    The tangents are the images of the orthonormal ones, `tangent` (2, 3), under the motion `q`
+    (6, 3) [m] with its derivatives times `extent` [m]; a stretched surface has longer ones.
+    """
     for a in range(3):
         frame[0, a] = tangent[0, a] + q[1, a] / extent
         frame[1, a] = tangent[1, a] + q[2, a] / extent
@@ -140,7 +157,13 @@ def deformed_frame_kernel(q, tangent, extent, frame):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent, half, sampled):
-    """Later picture where the moved surface points are seen; mean share of noise that is left."""
+    """Later picture where the moved surface points are seen; mean share of noise that is left.
+
+    `moved` spline coefficients, `place` and `weight` of the window's pixels, `point` (3,) [m], `q`
+    (6, 3) [m] the motion, `frame` (3, 3) deformed tangents and normal; `sampled` (side, side)
+    [grey levels] is filled. In single precision: 1e-7 of a picture is 1e-4 px. The lens is that of
+    `project`, written out here for speed.
+    """
     c = np.empty((8, 3), dtype=np.float32)
     for a in range(3):
         i = 13 + 3 * a
@@ -169,7 +192,7 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
         np.float32(camera[8]), np.float32(camera[9]),
     )  # fmt: skip
     k4, k5, k6 = np.float32(camera[10]), np.float32(camera[11]), np.float32(camera[12])
-    one = np.float32(1.0)
+    unit = np.float32(1.0)
     two = np.float32(2.0)
     shares = np.float32(0.0)
     inside = np.float32(0.0)
@@ -187,12 +210,12 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
             z = p02 + xi * p12 + eta * p22 + zeta * p32 + xx * p42 + xy * p52 + yy * p62
             x = p00 + xi * p10 + eta * p20 + zeta * p30 + xx * p40 + xy * p50 + yy * p60
             y = p01 + xi * p11 + eta * p21 + zeta * p31 + xx * p41 + xy * p51 + yy * p61
-            inverse = one / z
+            inverse = unit / z
             a = x * inverse
             b = y * inverse
             r2 = a * a + b * b
-            radial = (one + r2 * (k1 + r2 * (k2 + r2 * k3))) / (
-                one + r2 * (k4 + r2 * (k5 + r2 * k6))
+            radial = (unit + r2 * (k1 + r2 * (k2 + r2 * k3))) / (
+                unit + r2 * (k4 + r2 * (k5 + r2 * k6))
             )
             ab = two * a * b
             xd = a * radial + t1 * ab + t2 * (r2 + two * a * a)
@@ -203,3 +226,76 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
             shares += inner[k] * noise_share_kernel(column, row)
             inside += inner[k]
     return shares / inside
+
+
+@njit(cache=True, error_model="numpy")
+def update_kernel(q, frame, tangent, step, bases):
+    """Compose the motion with the inverse of the step: u - F step, F the surface's deformation.
+
+    `q` (6, 3) [m] is changed; `frame` (3, 3) deformed tangents and normal, `tangent` (2, 3) at
+    rest, `step` (3 bases,) [m]: coefficients of each component after one another.
+    """
+    t, s = tangent[0], tangent[1]
+    normal = (
+        t[1] * s[2] - t[2] * s[1],
+        t[2] * s[0] - t[0] * s[2],
+        t[0] * s[1] - t[1] * s[0],
+    )
+    for k in range(bases):
+        d0, d1, d2 = step[k], step[bases + k], step[2 * bases + k]
+        along = d0 * t[0] + d1 * t[1] + d2 * t[2]
+        across = d0 * s[0] + d1 * s[1] + d2 * s[2]
+        out = d0 * normal[0] + d1 * normal[1] + d2 * normal[2]
+        for a in range(3):
+            q[k, a] -= along * frame[0, a] + across * frame[1, a] + out * frame[2, a]
+
+
+@njit(cache=True, error_model="numpy")
+def pixel_lengths_kernel(cameras, point, active, step, q, start):
+    """Lengths of the last step and of the move from the start, the longest of all cameras [px].
+
+    `cameras` (c, 25) packed, `point` (3,) [m], `active` (c,) bool, `step` (3 bases,) [m], `q` and
+    `start` (6, 3) [m].
+    """
+    bases = len(step) // 3
+    longest = 0.0
+    farthest = 0.0
+    for c in range(len(active)):
+        if not active[c]:
+            continue
+        x, y = project_kernel(
+            cameras[c], point[0] + q[0, 0], point[1] + q[0, 1], point[2] + q[0, 2]
+        )
+        x1, y1 = project_kernel(
+            cameras[c],
+            point[0] + q[0, 0] + step[0],
+            point[1] + q[0, 1] + step[bases],
+            point[2] + q[0, 2] + step[2 * bases],
+        )
+        x0, y0 = project_kernel(
+            cameras[c], point[0] + start[0, 0], point[1] + start[0, 1], point[2] + start[0, 2]
+        )
+        longest = max(longest, np.hypot(x1 - x, y1 - y))
+        farthest = max(farthest, np.hypot(x0 - x, y0 - y))
+    return longest, farthest
+
+
+@njit(cache=True, error_model="numpy")
+def in_picture_kernel(cameras, moved, point, q, active, half):
+    """True where the moved windows lie within the later pictures of all cameras in use.
+
+    `cameras` (c, 25) packed, `moved` tuple of c spline coefficients, `point` (3,) [m], `q` (6, 3)
+    [m], `active` (c,) bool, `half` a window's side [px].
+    """
+    for c in range(len(active)):
+        if active[c]:
+            x, y = project_kernel(
+                cameras[c], point[0] + q[0, 0], point[1] + q[0, 1], point[2] + q[0, 2]
+            )
+            rows, columns = moved[c].shape
+            if not (
+                half <= x < columns - _SPLINE_MARGIN_PX - half
+                and half <= y < rows - _SPLINE_MARGIN_PX - half
+            ):
+                return False
+    return True

@@ -1,5 +1,12 @@
-"""lang_pai."""
+"""The paper's method as written: stereo, whole-pixel correlation, and a vote of the cameras.
 
-from palpate.vision.lang_pai.flow import lang_pai_flow as lang_pai_flow
-from palpate.vision.lang_pai.settings import LangPaiSettings as LangPaiSettings
+Purpose    : the range flow and the vertices' displacement of Lang and Pai (2001), section 4, as the
+             baseline that `joint` is compared with.
+Takes      : a `Rig`, the pictures of its cameras instant by instant, a triangle mesh.
+Gives      : `LangPaiFlow`, a `FlowMethod`.
+Depends on : `vision.cameras`, `geometry`, `records`.
+Read first : `flow.py`, then `voting.py`, then `vertices.py`.
+"""
+
+from palpate.vision.lang_pai.flow import LangPaiFlow as LangPaiFlow
 from palpate.vision.lang_pai.vertices import lang_pai_vertices as lang_pai_vertices

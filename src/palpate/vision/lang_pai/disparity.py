@@ -4,28 +4,38 @@ For each trial disparity, the windows of all other cameras are correlated with t
 the correlations added; the best sum is refined by a parabola. A pixel without texture, without an
 inner maximum, with a second maximum nearly as high, or whose partner in another camera belongs to a
 better match of another pixel has no disparity.
+
+This stands for the commercial stereo library of the source, which is not described there.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
-from jaxtyping import Float, Int
-from numba import njit, prange
+from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
-from palpate.vision.lang_pai.correlation import ROWS
+from palpate.threads import in_threads
 
-# NaN marks what no picture shows, so it must stay NaN.
-_FAST = {"contract", "reassoc", "arcp", "nsz"}
-# Rows that are matched together: a band and its trial disparities stay in the processor's cache.
-_BAND = 16
+# Along which axis of the picture a camera is shifted.
+COLUMNS = 0
+ROWS = 1
+# Side of the window [px].
+WINDOW = 7
+# Least standard deviation in a window [grey levels]: the noise of an 8-bit camera is 1 to 2, and
+# below it noise is matched with noise.
+MIN_CONTRAST = 2.0
+# A second maximum higher than this share of the best one leaves the match in doubt.
+_MAX_RIVAL = 0.95
 # Trial disparities beside the best one that belong to the same maximum: texture is matched within
 # about its own size, and a parabola takes one on either side.
-_SAME = 2
-# Sum of squares of a window that is all alike, with rounding [grey levels^2]: greys to 1e3 in
-# double precision leave 1e-8, contrast of a hundredth of a grey level 5e-3.
-_ALIKE = 1e-6
+_SAME_MAXIMUM = 2
+# Rows that are matched together: a band and its trial disparities stay in the processor's cache.
+_BAND = 32
+# Sum of squares of a window without contrast, with rounding [grey levels^2]: greys to 1e3 in double
+# precision leave 1e-8, contrast of a hundredth of a grey level 5e-3.
+_MIN_SQUARES = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,40 +58,24 @@ class Views:
     offset: Float[np.ndarray, " c"]
 
 
-@dataclass(frozen=True, slots=True)
-class DisparitySettings:
-    """How windows are matched between the cameras.
+@dataclass(frozen=True, slots=True, eq=False)
+class Instant:
+    """Rectified pictures of one instant, and the disparity of the reference's pixels.
 
-    Parameters
+    Attributes
     ----------
-    window : int [px]               side, odd
-    contrast : float [grey levels]  least standard deviation in a window; the noise of an 8-bit
-                                    camera is 1 to 2, and below it noise is matched with noise
-    uniqueness : float [-]          a second maximum higher than this share of the best one leaves
-                                    the match in doubt
-
-    Raises
-    ------
-    InputError                      an even or tiny window
+    pictures : (c, rows, columns) float32 [grey levels]     the reference first; NaN: nothing known
+    disparity : (rows, columns) float [px]                  NaN where there is none
     """
 
-    window: int = 7
-    contrast: float = 2.0
-    uniqueness: float = 0.95
-
-    def __post_init__(self) -> None:
-        if self.window < 3 or self.window % 2 == 0:
-            raise InputError(
-                f"stereo window is {self.window}; must be an odd number of pixels, 3 or more"
-            )
+    pictures: Float[np.ndarray, "c rows columns"]
+    disparity: Float[np.ndarray, "rows columns"]
 
 
 def disparity_map(
     pictures: Sequence[Float[np.ndarray, "rows columns"]],
     views: Views,
     limits: tuple[float, float],
-    *,
-    settings: DisparitySettings = DisparitySettings(),
 ) -> Float[np.ndarray, "rows columns"]:
     """Match every pixel of the reference in all other cameras.
 
@@ -91,7 +85,6 @@ def disparity_map(
                                     NaN where a camera sees nothing
     views : Views                   of the c cameras
     limits : (least, greatest) [px] disparities to try
-    settings : DisparitySettings
 
     Returns
     -------
@@ -107,20 +100,13 @@ def disparity_map(
         )
     if not limits[1] > limits[0]:
         raise InputError(f"disparities from {limits[0]:g} to {limits[1]:g}; must be rising")
-    trials = _trials(views, limits)
     stack = np.stack([np.asarray(picture, dtype=np.float64) for picture in pictures])
     # Sums of squares are exact to more digits around zero.
     stack -= np.nanmean(stack)
-    disparity, score = _matched(
-        stack,
-        views.along,
-        views.ratio,
-        views.offset,
-        trials,
-        settings.window // 2,
-        settings.contrast**2,
-        settings.uniqueness,
-    )
+    disparity, score = np.full((2, *stack.shape[1:]), np.nan)
+    rows = stack.shape[1] - WINDOW + 1
+    trials = _trials(views, limits)
+    in_threads(_match_rows, rows, stack, views, trials, disparity, score, fewest=_BAND)
     kept = np.isfinite(disparity)
     for i in range(1, len(pictures)):
         shift = views.offset[i] + views.ratio[i] * disparity
@@ -137,155 +123,117 @@ def _trials(views: Views, limits: tuple[float, float]) -> Float[np.ndarray, " t"
     return np.arange(low - 1.0, high + 1.5) - beyond
 
 
-@njit(cache=True, parallel=True, fastmath=_FAST, error_model="numpy")
-def _matched(pictures, along, ratio, offset, trials, half, least_square, uniqueness):
-    """Disparity and sum of correlations of every pixel, NaN without a maximum that is alone."""
-    rows, columns = pictures.shape[1:]
-    disparity = np.full((rows, columns), np.nan)
-    best = np.full((rows, columns), np.nan)
-    for band in prange((rows + _BAND - 1) // _BAND):
-        top = band * _BAND
-        height = min(_BAND, rows - top)
-        mean, inverse = _statistics(pictures[0], top, height, half, least_square)
-        score = np.zeros((len(trials), height, columns))
-        other = np.empty((height + 2 * half, columns))
-        for t in range(len(trials)):
-            for i in range(1, len(pictures)):
-                shift = offset[i] + ratio[i] * trials[t]
-                _shifted(pictures[i], top - half, shift, along[i], other)
-                _add_correlation(pictures[0], top, other, mean, inverse, half, score[t])
-        for y in range(height):
-            for x in range(columns):
-                t = _lone_maximum(score[:, y, x], uniqueness)
-                if t > 0:
-                    before, peak, after = score[t - 1, y, x], score[t, y, x], score[t + 1, y, x]
-                    vertex = 0.5 * (before - after) / (before - 2.0 * peak + after)
-                    disparity[top + y, x] = trials[t] + vertex
-                    best[top + y, x] = peak
-    return disparity, best
+def _match_rows(
+    begin: int,
+    end: int,
+    pictures: Float[np.ndarray, "c rows columns"],
+    views: Views,
+    trials: Float[np.ndarray, " t"],
+    disparity: Float[np.ndarray, "rows columns"],
+    best: Float[np.ndarray, "rows columns"],
+) -> None:
+    """Write disparity and sum of correlations of the windows whose first row is in a range."""
+    half = WINDOW // 2
+    for top in range(begin, end, _BAND):
+        rows = np.arange(top, min(top + _BAND, end) + 2 * half)
+        score = _scores(pictures, views, trials, rows)
+        y, x, t = _lone_maxima(score)
+        before, peak, after = (score[t + k, y, x] for k in (-1, 0, 1))
+        place = (top + half + y, half + x)
+        disparity[place] = trials[t] + 0.5 * (before - after) / (before - 2.0 * peak + after)
+        best[place] = peak
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _statistics(grey, top, height, half, least_square):
-    """Mean and inverse norm of the windows of a band; NaN without texture or outside."""
-    rows, columns = grey.shape
-    mean = np.full((height, columns), np.nan)
-    inverse = np.full((height, columns), np.nan)
-    many = (2 * half + 1) ** 2
-    for y in range(height):
-        if top + y < half or top + y + half >= rows:
-            continue
-        for x in range(half, columns - half):
-            total = 0.0
-            square = 0.0
-            for k in range(-half, half + 1):
-                for m in range(-half, half + 1):
-                    value = grey[top + y + k, x + m]
-                    total += value
-                    square += value * value
-            square -= total * total / many
-            if square > least_square * many:
-                mean[y, x] = total / many
-                inverse[y, x] = 1.0 / np.sqrt(square)
-    return mean, inverse
+def _scores(
+    pictures: Float[np.ndarray, "c rows columns"],
+    views: Views,
+    trials: Float[np.ndarray, " t"],
+    rows: Int[np.ndarray, " k"],
+) -> Float[np.ndarray, "t h w"]:
+    """Sum over the other cameras of the correlations of the windows within some rows."""
+    many = WINDOW * WINDOW
+    here = pictures[0][rows]
+    mean = _window_sums(here) / many
+    spread = _window_sums(here * here) - many * mean * mean
+    norm = np.sqrt(np.where(spread > MIN_CONTRAST**2 * many, spread, np.nan))
+    score = np.zeros((len(trials), *norm.shape))
+    for t, trial in enumerate(trials):
+        for i in range(1, len(pictures)):
+            shift = views.offset[i] + views.ratio[i] * trial
+            there = _shifted(pictures[i], rows, shift, int(views.along[i]))
+            total = _window_sums(there)
+            spread = _window_sums(there * there) - total * total / many
+            spread[spread < _MIN_SQUARES] = np.nan
+            score[t] += (_window_sums(here * there) - mean * total) / (norm * np.sqrt(spread))
+    return score
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _shifted(grey, top, shift, along, result):
-    """Grey levels at a shift from every pixel, linear between pixels, NaN beyond the picture."""
-    rows, columns = grey.shape
+def _window_sums(values: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "h w"]:
+    """Sums over the windows that lie within an array."""
+    high, wide = len(values) - WINDOW + 1, values.shape[1] - WINDOW + 1
+    down = reduce(np.add, (values[k : k + high] for k in range(WINDOW)))
+    return reduce(np.add, (down[:, k : k + wide] for k in range(WINDOW)))
+
+
+def _shifted(
+    grey: Float[np.ndarray, "rows columns"], rows: Int[np.ndarray, " k"], shift: float, along: int
+) -> Float[np.ndarray, "k columns"]:
+    """Grey levels at a shift from some rows, linear between pixels, NaN beyond the picture."""
     whole = int(np.floor(shift))
     part = shift - whole
-    rest = 1.0 - part
-    right = 0 if along == ROWS else whole
-    down = whole if along == ROWS else 0
-    next_x = 0 if along == ROWS or part == 0.0 else 1
-    next_y = 1 if along == ROWS and part > 0.0 else 0
-    result[:] = np.nan
-    for k in range(len(result)):
-        i = top + k + down
-        if i < 0 or i + next_y >= rows:
-            continue
-        for x in range(max(0, -right), min(columns, columns - right - next_x)):
-            j = x + right
-            result[k, x] = rest * grey[i, j] + part * grey[i + next_y, j + next_x]
+    near = _taken(grey, rows, whole, along)
+    return (
+        near if part == 0.0 else (1.0 - part) * near + part * _taken(grey, rows, whole + 1, along)
+    )
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _add_correlation(grey, top, other, mean, inverse, half, score):
-    """Add the correlation of every window of a band with the other camera's to its score."""
-    height, columns = score.shape
-    rows = len(grey)
-    side = 2 * half + 1
-    many = side * side
-    sums = np.zeros((3, columns))
-    for y in range(height):
-        sums[:] = 0.0
-        if top + y < half or top + y + half >= rows:
-            score[y] = np.nan
-            continue
-        for k in range(side):
-            i = top + y + k - half
-            for x in range(columns):
-                value = other[y + k, x]
-                sums[0, x] += value
-                sums[1, x] += value * value
-                sums[2, x] += value * grey[i, x]
-        score[y, :half] = np.nan
-        score[y, columns - half :] = np.nan
-        for x in range(half, columns - half):
-            total = 0.0
-            square = 0.0
-            product = 0.0
-            for m in range(-half, half + 1):
-                total += sums[0, x + m]
-                square += sums[1, x + m]
-                product += sums[2, x + m]
-            spread = square - total * total / many
-            if spread < _ALIKE:
-                score[y, x] = np.nan
-            score[y, x] += (product - mean[y, x] * total) * inverse[y, x] / np.sqrt(spread)
+def _taken(
+    grey: Float[np.ndarray, "rows columns"], rows: Int[np.ndarray, " k"], shift: int, along: int
+) -> Float[np.ndarray, "k columns"]:
+    """Grey levels a whole number of pixels from some rows, NaN beyond the picture."""
+    row = rows + shift * along
+    column = np.arange(grey.shape[1]) + shift * (1 - along)
+    down = (row >= 0) & (row < grey.shape[0])
+    right = (column >= 0) & (column < grey.shape[1])
+    result = np.full((len(row), len(column)), np.nan)
+    result[np.ix_(down, right)] = grey[np.ix_(row[down], column[right])]
+    return result
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _lone_maximum(score, uniqueness):
-    """Index of the highest inner maximum, or -1 where there is none or another comes close."""
-    top = -1
-    for t in range(1, len(score) - 1):
-        # Comparisons with NaN are false.
-        inner = score[t] > score[t - 1] and score[t] >= score[t + 1] and score[t] > 0.0
-        if inner and (top < 0 or score[t] > score[top]):
-            top = t
-    if top < 0:
-        return -1
-    for t in range(len(score)):
-        if score[t] > score[top] and (t == 0 or t == len(score) - 1):
-            return -1
-        if abs(t - top) > _SAME and score[t] > uniqueness * score[top]:
-            return -1
-    return top
+def _lone_maxima(
+    score: Float[np.ndarray, "t h w"],
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Row, column and trial of each pixel's highest inner maximum, where no other comes close."""
+    middle = score[1:-1]
+    # Comparisons with NaN are false.
+    inner = (middle > score[:-2]) & (middle >= score[2:]) & (middle > 0.0)
+    height = np.where(inner, middle, -np.inf)
+    top, best = height.argmax(axis=0) + 1, height.max(axis=0)
+    apart = np.abs(np.arange(len(score))[:, None, None] - top) > _SAME_MAXIMUM
+    doubt = (apart & (score > _MAX_RIVAL * best)).any(axis=0)
+    doubt |= (score[0] > best) | (score[-1] > best)
+    y, x = np.nonzero(np.isfinite(best) & ~doubt)
+    return y, x, top[y, x]
 
 
-@njit(cache=True, error_model="numpy")
-def _is_mutual(disparity, score, shift, along, ratio):
+def _is_mutual(
+    disparity: Float[np.ndarray, "rows columns"],
+    score: Float[np.ndarray, "rows columns"],
+    shift: Float[np.ndarray, "rows columns"],
+    along: int,
+    ratio: float,
+) -> Bool[np.ndarray, "rows columns"]:
     """True where no better match of another disparity claims the same pixel of the other camera."""
-    rows, columns = disparity.shape
-    owner = np.full((rows, columns), np.nan)
-    held = np.full((rows, columns), -np.inf)
-    mutual = np.zeros((rows, columns), dtype=np.bool_)
-    for claim in (True, False):
-        for y in range(rows):
-            for x in range(columns):
-                if not np.isfinite(shift[y, x]):
-                    continue
-                away = int(np.floor(shift[y, x] + 0.5))
-                i = y + away * along
-                j = x + away * (1 - along)
-                if not (0 <= i < rows and 0 <= j < columns):
-                    continue
-                if not claim:
-                    mutual[y, x] = abs(owner[i, j] - disparity[y, x]) * ratio <= 1.0
-                elif score[y, x] > held[i, j]:
-                    held[i, j] = score[y, x]
-                    owner[i, j] = disparity[y, x]
+    y, x = np.nonzero(np.isfinite(shift))
+    # The best match comes last and overwrites the others' claims.
+    order = np.argsort(score[y, x], kind="stable")
+    y, x = y[order], x[order]
+    away = np.floor(shift[y, x] + 0.5).astype(np.int64)
+    i, j = y + away * along, x + away * (1 - along)
+    inside = (i >= 0) & (i < shift.shape[0]) & (j >= 0) & (j < shift.shape[1])
+    y, x, i, j = y[inside], x[inside], i[inside], j[inside]
+    owner = np.full(shift.shape, np.nan)
+    owner[i, j] = disparity[y, x]
+    mutual = np.zeros(shift.shape, dtype=bool)
+    mutual[y, x] = np.abs(owner[i, j] - disparity[y, x]) * ratio <= 1.0
     return mutual

@@ -13,36 +13,43 @@ Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
+from palpate.arrays import with_rows
 from palpate.errors import InputError
-from palpate.progress import Progress, silent
+from palpate.geometry import TriangleMesh
 from palpate.records import Camera, Rig
-from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
+from palpate.shapes import Points, PointScalars
 from palpate.vision.cameras import project, surface_map
+from palpate.vision.lang_pai.disparity import MIN_CONTRAST, WINDOW, Instant
 from palpate.vision.lang_pai.rectified_head import (
     StereoHead,
-    common_shape,
     head_disparity,
     head_points,
     make_head,
     make_instant,
 )
-from palpate.vision.lang_pai.settings import LangPaiSettings
-from palpate.vision.lang_pai.voting import Instant, VoteSettings, vote
-from palpate.vision.range_flow import Outcome, RangeFlow
+from palpate.vision.lang_pai.vertices import lang_pai_vertices
+from palpate.vision.lang_pai.voting import Vote, vote
+from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, grid_points
 
+# Disparity by which a pixel may miss that of the mesh and still show it [px]: matching by whole
+# pixels errs by less than one.
+_MAX_SURFACE_MISS_PX = 1.0
+# Share of the mesh's bounding diagonal by which the surface may come nearer or go farther, for the
+# range of disparities.
+_TRAVEL = 0.5
 # Standard deviation of normal errors over the median of their sizes.
 _FROM_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What the rectified reference sees of the mesh, at the pixels that are looked at.
+    """What the rectified reference sees of the mesh, at the pixels that are followed.
 
     `pixel` (n, 2) column and row, `point` (n, 3) [m], `tangent` (n, 2, 3), and the disparities of
     the mesh there [px].
@@ -55,235 +62,261 @@ class _Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Rest:
-    """What all flows of a sequence share.
+class LangPaiState:
+    """What the method `lang-pai` remembers from instant to instant.
 
-    `pixel` (n, 2) in the reference camera as it took the picture, `point` (n, 3) [m] by stereo
-    where tracking began, else of the mesh; `rounding` and `noise` (n, 3, 3) [m^2]: covariances of
-    one rounding to whole pixels, and of the disparities of both instants.
+    Attributes
+    ----------
+    rig : Rig
+    head : StereoHead
+    limits : (least, greatest) [px]     disparities that are tried
+    point : (n, 3) float [m]            at the first instant: by stereo where tracking began, else
+                                        of the mesh
+    tangent : (n, 2, 3) float
+    rounding : (n, 3, 3) float [m^2]    covariance of one rounding to whole pixels
+    noise : (n, 3, 3) float [m^2]       covariance that goes with the disparities of both instants
+    instant : Instant                   the last one
+    track : Vote                        where the pixels have come to
+    steps : int                         instants since the first
     """
 
     rig: Rig
     head: StereoHead
-    pixel: Float[np.ndarray, "n 2"]
+    limits: tuple[float, float]
     point: Points
     tangent: Float[np.ndarray, "n 2 3"]
     rounding: Float[np.ndarray, "n 3 3"]
     noise: Float[np.ndarray, "n 3 3"]
-    shape: tuple[int, int]
+    instant: Instant
+    track: Vote
+    steps: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Track:
-    """Where the pixels have come to: column and row now, and what is known of the last vote."""
+@dataclass(frozen=True, slots=True)
+class LangPaiFlow:
+    """The method `lang-pai`, a `FlowMethod`: the paper's, with its own figures where it gives them.
 
-    pixel: Int[np.ndarray, "n 2"]
-    score: PointScalars
-    apart: PointScalars
-    agreed: PointIndices
-    outcome: PointIndices
-
-
-def lang_pai_flow(
-    rig: Rig,
-    pictures: Sequence[Sequence[Float[np.ndarray, "_ _"]]],
-    vertices: Vertices,
-    triangles: Triangles,
-    *,
-    settings: LangPaiSettings = LangPaiSettings(),
-    progress: Progress | None = None,
-) -> list[RangeFlow]:
-    """Range flow of an object from its first instant to each later one.
+    Of its flow, `gradient`, `noise` and `drift` are NaN: the method measures none. `through_last`
+    is False, although every point goes through all instants: there is nothing else to fall back
+    from. `bias` is the rounding to whole pixels, taken to be the same in every step since the first
+    instant; `covariance` adds the scatter of the first disparities about the mesh.
 
     Parameters
     ----------
-    rig : Rig                       two cameras, or more with two that make an L with the reference
-    pictures : sequence over time of tuples of (rows, columns) float [grey levels]  of all cameras,
-                                    in the rig's order
-    vertices, triangles : (v, 3) float [m], (m, 3) int      the surface at the first instant
-    settings : LangPaiSettings
-    progress : callable             told what is done (text) and how far it is (0 to 1)
-
-    Returns
-    -------
-    list of RangeFlow               one a later instant, at the pixels of the rectified reference
-                                    that see the mesh. `gradient`, `noise` and `drift` are NaN: the
-                                    method knows none. `through_last` is False, although every point
-                                    goes through all instants: it never falls back. `bias` is the
-                                    rounding to whole pixels, taken to be the same in every step
-                                    since the first instant; `covariance` adds the scatter of the
-                                    first disparities about the mesh
+    subset : int [px]               side of the window of the optical flow, odd, at least 3; the
+                                    paper's 7
+    search : int [px]               side of the square that is searched at the next instant, odd, at
+                                    least 3; the paper's 13, for motions of up to 6 px
+    step : int [px]                 spacing of the points in the reference camera, at least 1; the
+                                    paper tracks every pixel
 
     Raises
     ------
-    InputError                      fewer than two instants, a tuple that is not of the rig's
-                                    cameras, pictures of several sizes
-    CalibrationError                cameras that cannot be rectified, a mesh not in front of them
+    InputError                      a size or spacing that makes no sense
 
     Source
     ------
     Lang and Pai (2001), section 4.
     """
-    _check_pictures(rig, pictures)
-    say = progress or silent
-    head = make_head(rig, common_shape(pictures))
-    seen = _seen_mesh(head, vertices, triangles, settings.step)
-    limits = _disparity_limits(head, vertices, triangles, settings.travel)
-    say("instant 0: stereo", 0.0)
-    first = make_instant(head, pictures[0], limits, settings=settings.stereo)
-    track = _begun(first, seen, settings)
-    rest = _rest(rig, head, first, seen, track)
-    before, flows = first, []
-    for k in range(1, len(pictures)):
-        say(f"instant {k}: stereo and flow", k / len(pictures))
-        after = make_instant(head, pictures[k], limits, settings=settings.stereo)
-        track = _followed(head, before, after, track, settings)
-        flows.append(_range_flow(rest, after, track, k, settings))
-        before = after
-    return flows
+
+    subset: int = 7
+    search: int = 13
+    step: int = 1
+
+    def __post_init__(self) -> None:
+        for name, value in (("subset", self.subset), ("search", self.search)):
+            if value < 3 or value % 2 == 0:
+                raise InputError(f"{name} is {value}; must be an odd number of pixels, 3 or more")
+        if self.step < 1:
+            raise InputError(f"step is {self.step}; must be 1 or more")
+
+    def start(
+        self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
+    ) -> LangPaiState:
+        """Stereo of the first instant, as `FlowMethod.start` says.
+
+        The points are the pixels of the rectified reference that see the mesh.
+
+        Parameters
+        ----------
+        rig : Rig                       two cameras, or more with two that make an L with the
+                                        reference
+        pictures : sequence of c (rows, columns) float [grey levels]    of one size
+        surface : TriangleMesh
+
+        Returns
+        -------
+        LangPaiState
+
+        Raises
+        ------
+        InputError                      pictures that are not of the rig's cameras, or of two sizes
+        CalibrationError                cameras that cannot be rectified, a mesh not before them
+        """
+        _check_pictures(rig, pictures)
+        shape = pictures[0].shape
+        head = make_head(rig, (shape[0], shape[1]))
+        seen = _seen_mesh(head, surface, self.step)
+        limits = _disparity_limits(head, surface)
+        first = make_instant(head, pictures, limits)
+        track = _begun(first, seen)
+        begun = track.outcome == Outcome.VALID
+        disparity = first.disparity[seen.pixel[:, 1], seen.pixel[:, 0]]
+        point = seen.point.copy()
+        point[begun] = head_points(head, seen.pixel[begun], disparity[begun])
+        slide, away = _pixel_footprints(head.rectified.cameras[0], seen, head.parallax)
+        off = np.abs(disparity - seen.disparity)[begun]
+        scatter = _FROM_MEDIAN * float(np.median(off)) if len(off) else 0.0
+        # Errors of rounding are spread evenly over a pixel.
+        rounding = np.einsum("nki,nkj->nij", slide, slide) / 12.0
+        noise = 2.0 * scatter**2 * np.einsum("ni,nj->nij", away, away)
+        return LangPaiState(
+            rig, head, limits, point, seen.tangent, rounding, noise, first, track, 0
+        )
+
+    def follow(
+        self, state: LangPaiState, pictures: Sequence[Float[np.ndarray, "_ _"]]
+    ) -> tuple[LangPaiState, RangeFlow]:
+        """Stereo of the next instant and the vote on each pixel, as `FlowMethod.follow` says.
+
+        Pixels that were rejected once are not taken up again.
+
+        Parameters
+        ----------
+        state : LangPaiState            of the instant before
+        pictures : sequence of c (rows, columns) float [grey levels]
+
+        Returns
+        -------
+        state : LangPaiState
+        flow : RangeFlow                from the first instant
+
+        Raises
+        ------
+        InputError                      pictures not of the rig's cameras, or of another size
+        """
+        _check_pictures(state.rig, pictures, state.head.shape)
+        after = make_instant(state.head, pictures, state.limits)
+        rows = np.flatnonzero(state.track.outcome == Outcome.VALID)
+        found = vote(
+            state.instant, after, state.head.views, state.track.pixel[rows],
+            subset=self.subset, search=self.search,
+        )  # fmt: skip
+        names = [field.name for field in fields(Vote)]
+        track = Vote(*(with_rows(getattr(state.track, k), rows, getattr(found, k)) for k in names))
+        state = replace(state, instant=after, track=track, steps=state.steps + 1)
+        return state, self._flow(state)
+
+    def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
+        """Displacement of the mesh's vertices by `lang_pai_vertices`.
+
+        Parameters
+        ----------
+        flow : RangeFlow
+        rig : Rig                       not needed
+        surface : TriangleMesh          of v vertices
+
+        Returns
+        -------
+        VertexDisplacement              NaN where fewer than four motions agree
+        """
+        return lang_pai_vertices(flow, surface.vertices, surface.triangles)
+
+    def _flow(self, state: LangPaiState) -> RangeFlow:
+        """Displacement since the first instant."""
+        head, track = state.head, state.track
+        valid = track.outcome == Outcome.VALID
+        displacement = np.full_like(state.point, np.nan)
+        column, row = track.pixel[valid].T
+        now = head_points(head, track.pixel[valid], state.instant.disparity[row, column])
+        displacement[valid] = now - state.point[valid]
+        bias = state.steps**2 * state.rounding + np.where(valid, 0.0, np.nan)[:, None, None]
+        return RangeFlow(
+            pixel=project(state.rig.cameras[state.rig.reference], state.point),
+            point=state.point,
+            tangent=state.tangent,
+            displacement=displacement,
+            gradient=np.full(state.tangent.shape, np.nan),
+            covariance=bias + state.noise,
+            bias=bias,
+            score=track.score,
+            reprojection=track.apart,
+            cameras=track.agreed,
+            outcome=track.outcome,
+            through_last=np.zeros(len(state.point), dtype=bool),
+            drift=np.nan,
+            noise=np.full(len(state.rig.cameras), np.nan),
+            subset=self.subset,
+            step=self.step,
+            shape=head.shape,
+        )
 
 
-def _check_pictures(rig: Rig, pictures: Sequence[Sequence[Float[np.ndarray, "_ _"]]]) -> None:
-    if len(pictures) < 2:
-        raise InputError(f"there are {len(pictures)} instants; motion needs two or more")
-    for k, instant in enumerate(pictures):
-        if len(instant) != len(rig.cameras):
-            raise InputError(
-                f"instant {k} has {len(instant)} pictures; must be one of each camera:"
-                f" {', '.join(camera.name for camera in rig.cameras)}"
-            )
+def _check_pictures(
+    rig: Rig,
+    pictures: Sequence[Float[np.ndarray, "_ _"]],
+    shape: tuple[int, int] | None = None,
+) -> None:
+    """Refuse an instant that is not of the rig's cameras, or whose pictures differ in size."""
+    if len(pictures) != len(rig.cameras):
+        raise InputError(
+            f"an instant has {len(pictures)} pictures; must be one of each camera:"
+            f" {', '.join(camera.name for camera in rig.cameras)}"
+        )
+    shapes = {picture.shape for picture in pictures} | ({shape} if shape else set())
+    if len(shapes) != 1:
+        raise InputError(
+            f"pictures are of {len(shapes)} sizes (rows x columns):"
+            f" {', '.join(f'{a} x {b}' for a, b in sorted(shapes))}; the method lang-pai rectifies"
+            " pictures of one size; take the method joint for mixed cameras"
+        )
 
 
-def _disparity_limits(
-    head: StereoHead, vertices: Vertices, triangles: Triangles, travel: float
-) -> tuple[float, float]:
+def _disparity_limits(head: StereoHead, surface: TriangleMesh) -> tuple[float, float]:
     """Least and greatest disparity of the mesh, moved by a share of its size [px]."""
-    used = vertices[triangles].reshape(-1, 3)
+    used = surface.vertices[surface.triangles].reshape(-1, 3)
     pose = head.rectified.cameras[0].T_camera_object
     depth = used @ pose[2, :3] + pose[2, 3]
-    room = travel * float(np.linalg.norm(np.ptp(used, axis=0)))
+    room = _TRAVEL * float(np.linalg.norm(np.ptp(used, axis=0)))
     # Not nearer than half of where it is: a camera that close sees nothing of the rest of it.
     nearest = max(float(depth.min()) - room, 0.5 * float(depth.min()))
     return head.parallax / (float(depth.max()) + room), head.parallax / nearest
 
 
-def _seen_mesh(head: StereoHead, vertices: Vertices, triangles: Triangles, step: int) -> _Seen:
-    """The points that are looked at: pixels of a grid that see the mesh."""
-    camera = head.rectified.cameras[0]
-    surface = surface_map(camera, head.canvas, vertices, triangles)
-    begin = step // 2
-    row, column = np.nonzero(surface.triangle[begin::step, begin::step] >= 0)
-    row, column = begin + step * row, begin + step * column
-    point = surface.point[row, column]
-    corner = vertices[triangles[surface.triangle[row, column]]]
-    along = corner[:, 1] - corner[:, 0]
-    along = along / np.linalg.norm(along, axis=1)[:, None]
-    normal = np.cross(along, corner[:, 2] - corner[:, 0])
-    normal = normal / np.linalg.norm(normal, axis=1)[:, None]
-    tangent = np.stack([along, np.cross(normal, along)], axis=1)
-    return _Seen(np.stack([column, row], axis=1), point, tangent, head_disparity(head, point))
+def _seen_mesh(head: StereoHead, surface: TriangleMesh, step: int) -> _Seen:
+    """The points that are followed: pixels of a grid that see the mesh."""
+    seen = surface_map(head.rectified.cameras[0], head.canvas, surface.vertices, surface.triangles)
+    shown = seen.triangle >= 0
+    pixel, point, tangent = grid_points(seen, shown, surface.vertices, surface.triangles, step)
+    return _Seen(pixel, point, tangent, head_disparity(head, point))
 
 
-def _begun(first: Instant, seen: _Seen, settings: LangPaiSettings) -> _Track:
+def _begun(first: Instant, seen: _Seen) -> Vote:
     """All pixels where they are, valid where stereo finds the surface of the mesh."""
     column, row = seen.pixel.T
     measured = first.disparity[row, column]
     n = len(measured)
     outcome = np.full(n, int(Outcome.VALID))
     with np.errstate(invalid="ignore"):
-        outcome[~(np.abs(measured - seen.disparity) <= settings.surface_tolerance)] = int(
-            Outcome.REPROJECTION
-        )
+        off = ~(np.abs(measured - seen.disparity) <= _MAX_SURFACE_MISS_PX)
+    outcome[off] = int(Outcome.REPROJECTION)
     unknown = np.isnan(measured)
-    flat = _contrast(first.pictures[0], settings.stereo.window)[row, column]
+    flat = _contrast(first.pictures[0])[row, column]
     outcome[unknown] = int(Outcome.HIDDEN)
-    outcome[unknown & (flat < settings.stereo.contrast)] = int(Outcome.TEXTURE)
-    nothing = np.full(n, np.nan)
-    return _Track(seen.pixel, nothing, nothing.copy(), np.zeros(n, dtype=np.int64), outcome)
+    outcome[unknown & (flat < MIN_CONTRAST)] = int(Outcome.TEXTURE)
+    return Vote(
+        seen.pixel, np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.int64), outcome
+    )
 
 
-def _contrast(
-    grey: Float[np.ndarray, "rows columns"], window: int
-) -> Float[np.ndarray, "rows columns"]:
+def _contrast(grey: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
     """Standard deviation in the window around each pixel [grey levels]; NaN where not all known."""
     known = np.isfinite(grey)
     value = np.where(known, grey, 0.0).astype(np.float64)
-    mean = cv2.blur(value, (window, window))
-    square = cv2.blur(value**2, (window, window))
-    whole = cv2.erode(known.astype(np.uint8), np.ones((window, window), dtype=np.uint8)) > 0
+    mean = cv2.blur(value, (WINDOW, WINDOW))
+    square = cv2.blur(value**2, (WINDOW, WINDOW))
+    whole = cv2.erode(known.astype(np.uint8), np.ones((WINDOW, WINDOW), dtype=np.uint8)) > 0
     return np.where(whole, np.sqrt(np.maximum(square - mean**2, 0.0)), np.nan)
-
-
-def _followed(
-    head: StereoHead, before: Instant, after: Instant, track: _Track, settings: LangPaiSettings
-) -> _Track:
-    """The pixels at the next instant; those that were rejected stay where they were."""
-    rows = np.flatnonzero(track.outcome == Outcome.VALID)
-    found = vote(
-        before,
-        after,
-        head.views,
-        track.pixel[rows],
-        settings=VoteSettings(settings.subset, settings.search, settings.least_score),
-    )
-    result = {}
-    for name in ("pixel", "score", "apart", "agreed", "outcome"):
-        result[name] = getattr(track, name).copy()
-        result[name][rows] = getattr(found, name)
-    return _Track(**result)
-
-
-def _rest(rig: Rig, head: StereoHead, first: Instant, seen: _Seen, track: _Track) -> _Rest:
-    """Points and covariances at the first instant."""
-    begun = track.outcome == Outcome.VALID
-    disparity = first.disparity[seen.pixel[:, 1], seen.pixel[:, 0]]
-    point = seen.point.copy()
-    point[begun] = head_points(head, seen.pixel[begun], disparity[begun])
-    slide, away = _pixel_footprints(head.rectified.cameras[0], seen, head.parallax)
-    off = np.abs(disparity - seen.disparity)[begun]
-    scatter = _FROM_MEDIAN * float(np.median(off)) if len(off) else 0.0
-    return _Rest(
-        rig=rig,
-        head=head,
-        pixel=project(rig.cameras[rig.reference], point),
-        point=point,
-        tangent=seen.tangent,
-        # Errors of rounding are spread evenly over a pixel.
-        rounding=np.einsum("nki,nkj->nij", slide, slide) / 12.0,
-        noise=2.0 * scatter**2 * np.einsum("ni,nj->nij", away, away),
-        shape=head.shape,
-    )
-
-
-def _range_flow(
-    rest: _Rest, last: Instant, track: _Track, steps: int, settings: LangPaiSettings
-) -> RangeFlow:
-    """Displacement since the first instant, `steps` instants ago."""
-    valid = track.outcome == Outcome.VALID
-    displacement = np.full_like(rest.point, np.nan)
-    column, row = track.pixel[valid].T
-    now = head_points(rest.head, track.pixel[valid], last.disparity[row, column])
-    displacement[valid] = now - rest.point[valid]
-    bias = steps**2 * rest.rounding + np.where(valid, 0.0, np.nan)[:, None, None]
-    return RangeFlow(
-        pixel=rest.pixel,
-        point=rest.point,
-        tangent=rest.tangent,
-        displacement=displacement,
-        gradient=np.full(rest.tangent.shape, np.nan),
-        covariance=bias + rest.noise,
-        bias=bias,
-        score=track.score,
-        reprojection=track.apart,
-        cameras=track.agreed,
-        outcome=track.outcome,
-        through_last=np.zeros(len(rest.point), dtype=bool),
-        drift=np.nan,
-        noise=np.full(len(rest.rig.cameras), np.nan),
-        subset=settings.subset,
-        step=settings.step,
-        shape=rest.shape,
-    )
 
 
 def _pixel_footprints(

@@ -7,12 +7,10 @@ from itertools import permutations
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.errors import InputError
 from palpate.records import Rig, camera_centre
 from palpate.shapes import Points, PointScalars
 from palpate.vision.cameras import Rectified, from_disparity, rectify_pair, rectify_triple, remapped
-from palpate.vision.lang_pai.disparity import DisparitySettings, Views, disparity_map
-from palpate.vision.lang_pai.voting import Instant
+from palpate.vision.lang_pai.disparity import Instant, Views, disparity_map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +79,6 @@ def make_instant(
     head: StereoHead,
     pictures: Sequence[Float[np.ndarray, "_ _"]],
     limits: tuple[float, float],
-    *,
-    settings: DisparitySettings,
 ) -> Instant:
     """Rectify the pictures of one instant and match them with each other.
 
@@ -91,20 +87,30 @@ def make_instant(
     head : StereoHead
     pictures : sequence of (rows, columns) float [grey levels]  of all cameras of the rig
     limits : (least, greatest) [px]     disparities to try
-    settings : DisparitySettings
 
     Returns
     -------
     Instant
     """
     flat = [remapped(head.rectified, k, pictures[i]) for k, i in enumerate(head.order)]
-    disparity = disparity_map(flat, head.views, limits, settings=settings)
+    disparity = disparity_map(flat, head.views, limits)
     # At zero lies infinity; trials end a pixel or two beyond the limits.
     return Instant(np.stack(flat), np.where(disparity > 0.0, disparity, np.nan))
 
 
 def head_points(head: StereoHead, pixel: Int[np.ndarray, "n 2"], disparity: PointScalars) -> Points:
-    """Points of the object from pixels of the rectified reference and their disparities, (n, 3)."""
+    """Points of the object from pixels of the rectified reference and their disparities.
+
+    Parameters
+    ----------
+    head : StereoHead
+    pixel : (n, 2) int [px]         column and row
+    disparity : (n,) float [px]     above zero
+
+    Returns
+    -------
+    (n, 3) float [m]                object frame
+    """
     partner = int(np.argmax(np.abs(head.views.ratio))) - 1
     shift = head.views.offset[partner + 1] + head.views.ratio[partner + 1] * disparity
     return from_disparity(head.rectified, pixel.astype(np.float64), shift, partner=partner)
@@ -113,26 +119,19 @@ def head_points(head: StereoHead, pixel: Int[np.ndarray, "n 2"], disparity: Poin
 def head_disparity(
     head: StereoHead, points: Float[np.ndarray, "... 3"]
 ) -> Float[np.ndarray, "..."]:
-    """Disparity of points of the object [px]."""
+    """Disparity of points of the object.
+
+    Parameters
+    ----------
+    head : StereoHead
+    points : (..., 3) float [m]     object frame, before the reference camera
+
+    Returns
+    -------
+    (...,) float [px]               parallax over depth
+    """
     pose = head.rectified.cameras[0].T_camera_object
     return head.parallax / (points @ pose[2, :3] + pose[2, 3])
-
-
-def common_shape(pictures: Sequence[Sequence[Float[np.ndarray, "_ _"]]]) -> tuple[int, int]:
-    """Rows and columns of pictures that are all of one size.
-
-    Raises
-    ------
-    InputError                      they are not
-    """
-    shapes = {picture.shape for instant in pictures for picture in instant}
-    if len(shapes) != 1:
-        raise InputError(
-            f"pictures are of {len(shapes)} sizes (rows x columns):"
-            f" {', '.join(f'{a} x {b}' for a, b in sorted(shapes))}; the method lang-pai rectifies"
-            " pictures of one size; take the method joint for mixed cameras"
-        )
-    return shapes.pop()
 
 
 def _partners(rig: Rig) -> tuple[int, ...]:

@@ -6,71 +6,43 @@ highest sum of correlations wins, and stands only if each camera's own highest i
 of the eight around it. The flow is a whole number of pixels of the reference: nothing finer is
 sought.
 
+A window between two pixels is the linear mixture of the windows at both. Mean, products and sums
+are linear in it, so correlating mixed windows gives the same number as the mixture of correlations
+at whole pixels of the source's equation 6, and costs less where one window meets many others.
+
+Two places of the printed equation cannot be meant. Its second line weights (1 - p) q with the pixel
+b at column c_b; it must be c_b + 1 (and subscripts such as c_{a+1} mean c_a + 1). Its last line
+takes the square root of the squared correlation, which would let a negative print match its
+positive; here the correlation keeps its sign.
+
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
-from numba import njit, prange
+from jaxtyping import Int
+from numba import njit
 
-from palpate.errors import InputError
 from palpate.shapes import PointIndices, PointScalars
-from palpate.vision.lang_pai.correlation import ALIKE, KNOWN, dot_kernel, window_kernel
-from palpate.vision.lang_pai.disparity import Views
+from palpate.threads import in_threads
+from palpate.vision.lang_pai.disparity import Instant, Views
 from palpate.vision.range_flow import Outcome
 
 # NaN marks what no picture shows, so it must stay NaN.
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
-# Outcomes as plain numbers, for the kernels.
-_VALID = int(Outcome.VALID)
+# A mean correlation below this is no match. The source has no such limit; zero refuses only what
+# looks like a negative.
+_MIN_SCORE = 0.0
+# Outcomes as plain numbers, for the kernels; of a window: a good one, one without contrast, one
+# that reaches beyond what is known.
+VALID = int(Outcome.VALID)
+TEXTURE = int(Outcome.TEXTURE)
+OUTSIDE = int(Outcome.OUTSIDE)
 _HIDDEN = int(Outcome.HIDDEN)
-_TEXTURE = int(Outcome.TEXTURE)
-_OUTSIDE = int(Outcome.OUTSIDE)
 _LOST = int(Outcome.LOST)
 _SCORE = int(Outcome.SCORE)
 _REPROJECTION = int(Outcome.REPROJECTION)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Instant:
-    """Rectified pictures of one instant, and the disparity of the reference's pixels.
-
-    Attributes
-    ----------
-    pictures : (c, rows, columns) float32 [grey levels]     the reference first; NaN: nothing known
-    disparity : (rows, columns) float [px]                  NaN where there is none
-    """
-
-    pictures: Float[np.ndarray, "c rows columns"]
-    disparity: Float[np.ndarray, "rows columns"]
-
-
-@dataclass(frozen=True, slots=True)
-class VoteSettings:
-    """Windows of the optical flow.
-
-    Parameters
-    ----------
-    window : int [px]               side, odd
-    search : int [px]               side of the square of candidates around a pixel, odd
-    least_score : float [-]         a mean correlation below this is no match; the source has no
-                                    such limit, 0 refuses only what looks like a negative
-
-    Raises
-    ------
-    InputError                      even or tiny sizes
-    """
-
-    window: int = 7
-    search: int = 13
-    least_score: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in (("window", self.window), ("search range", self.search)):
-            if value < 3 or value % 2 == 0:
-                raise InputError(f"{name} is {value}; must be an odd number of pixels, 3 or more")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +74,8 @@ def vote(
     views: Views,
     pixel: Int[np.ndarray, "n 2"],
     *,
-    settings: VoteSettings = VoteSettings(),
+    subset: int,
+    search: int,
 ) -> Vote:
     """Find pixels of the reference camera at the next instant.
 
@@ -112,7 +85,8 @@ def vote(
     views : Views
     pixel : (n, 2) int [px]         column and row in the reference before, where the disparity is
                                     known
-    settings : VoteSettings
+    subset : int [px]               side of the windows, odd
+    search : int [px]               side of the square of candidates around a pixel, odd
 
     Returns
     -------
@@ -123,74 +97,72 @@ def vote(
     Lang and Pai (2001), section 4. Candidates are the pixels that have a disparity afterwards; only
     the reference's own maximum is sought among all pixels, for it needs none.
     """
-    found, score, apart, agreed, outcome = _vote(
-        before.pictures,
-        after.pictures,
-        before.disparity,
-        after.disparity,
-        views.along,
-        views.ratio,
-        views.offset,
-        np.ascontiguousarray(pixel, dtype=np.int64),
-        settings.window // 2,
-        settings.search // 2,
-        settings.least_score,
-    )
-    return Vote(found, score, apart, agreed, outcome)
-
-
-@njit(cache=True, parallel=True, fastmath=_FAST, error_model="numpy")
-def _vote(before, after, near, far, along, ratio, offset, pixel, half, reach, least_score):
-    """Vote for every pixel; `near` and `far` are the disparities before and after."""
     n = len(pixel)
-    cameras = len(before)
-    found = pixel.copy()
-    score = np.full(n, np.nan)
-    apart = np.full(n, np.nan)
-    agreed = np.zeros(n, dtype=np.int64)
-    outcome = np.empty(n, dtype=np.int64)
-    for i in prange(n):
-        column, row = pixel[i]
-        window = np.empty((cameras, (2 * half + 1) ** 2))
+    found = Vote(
+        np.array(pixel, dtype=np.int64, order="C"),
+        np.full(n, np.nan),
+        np.full(n, np.nan),
+        np.zeros(n, dtype=np.int64),
+        np.empty(n, dtype=np.int64),
+    )
+    in_threads(
+        _vote_range, n, before.pictures, after.pictures, before.disparity, after.disparity,
+        views.along, views.ratio, views.offset, subset // 2, search // 2,
+        found.pixel, found.score, found.apart, found.agreed, found.outcome,
+    )  # fmt: skip
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _vote_range(
+    begin, end, before, after, near, far, along, ratio, offset, half, reach, found, score, apart,
+    agreed, outcome,
+):  # fmt: skip
+    """Vote for the pixels from `begin` to `end`; `near` and `far`: disparities before and after."""
+    cameras, side = len(before), 2 * reach + 1
+    window = np.empty((cameras, (2 * half + 1) ** 2))
+    table = np.empty((cameras, side, side))
+    for i in range(begin, end):
+        column, row = found[i]
         outcome[i] = _start_windows(
             before, near[row, column], along, ratio, offset, column, row, half, window
         )
-        if outcome[i] != _VALID:
+        if outcome[i] != VALID:
             continue
-        table = np.full((cameras, 2 * reach + 1, 2 * reach + 1), np.nan)
         outcome[i] = _fill_table(
             after, far, along, ratio, offset, column, row, half, reach, window, table
         )
-        if outcome[i] != _VALID:
+        if outcome[i] != VALID:
             continue
-        y, x = _highest_sum(table)
-        if y < 0:
-            outcome[i] = _OUTSIDE
+        y, x = _highest(table.sum(axis=0))
+        total = 0.0
+        lowest = np.inf
+        square = 0.0
+        for c in range(cameras):
+            value = table[c, y, x]
+            total += value
+            lowest = min(lowest, value)
+            i_own, j_own = _highest(table[c])
+            square += (i_own - y) ** 2 + (j_own - x) ** 2
+            agreed[i] += abs(i_own - y) <= 1 and abs(j_own - x) <= 1
+        if total == -np.inf:
+            outcome[i] = OUTSIDE
+            agreed[i] = 0
             continue
         found[i, 0] = column + x - reach
         found[i, 1] = row + y - reach
-        score[i], mean = _lowest_and_mean(table, y, x)
-        agreed[i], apart[i] = _agreement(table, y, x)
-        if mean < least_score:
+        score[i] = lowest
+        apart[i] = np.sqrt(square / cameras)
+        if total / cameras < _MIN_SCORE:
             outcome[i] = _SCORE
         elif agreed[i] < cameras:
             outcome[i] = _REPROJECTION
-    return found, score, apart, agreed, outcome
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _shifted_window(grey, column, row, shift, along, half, window):
-    """`window_kernel` at a pixel moved by a shift along an axis."""
-    whole = int(np.floor(shift))
-    return window_kernel(
-        grey,
-        column + whole * (1 - along),
-        row + whole * along,
-        shift - whole,
-        along,
-        half,
-        window,
-    )
+@njit(cache=True, error_model="numpy")
+def _highest(values):
+    """Row and column of the highest value, the first of equal ones."""
+    return divmod(values.argmax(), values.shape[1])
 
 
 @njit(cache=True, error_model="numpy")
@@ -200,18 +172,22 @@ def _start_windows(pictures, disparity, along, ratio, offset, column, row, half,
         return _HIDDEN
     for c in range(len(pictures)):
         shift = offset[c] + ratio[c] * disparity
-        state = _shifted_window(pictures[c], column, row, shift, along[c], half, window[c])
-        if state != KNOWN:
-            return _TEXTURE if state == ALIKE else _OUTSIDE
-    return _VALID
+        state = window_kernel(pictures[c], column, row, shift, along[c], half, window[c])
+        if state != VALID:
+            return state
+    return VALID
 
 
 @njit(cache=True, error_model="numpy")
 def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, reach, window, table):
-    """Write every camera's correlation at every candidate; LOST where none has a disparity."""
+    """Write every camera's correlation at every candidate, -inf where there is none.
+
+    LOST where no candidate has a disparity, else VALID.
+    """
     rows, columns = disparity.shape
     other = np.empty(window.shape[1])
     outcome = _LOST
+    table[:] = -np.inf
     for y in range(2 * reach + 1):
         i = row + y - reach
         for x in range(2 * reach + 1):
@@ -219,56 +195,64 @@ def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, re
             if not (0 <= i < rows and 0 <= j < columns):
                 continue
             known = not np.isnan(disparity[i, j])
-            outcome = _VALID if known else outcome
+            outcome = VALID if known else outcome
             for c in range(len(pictures) if known else 1):
                 # The reference has no shift, whatever the disparity.
                 shift = offset[c] + ratio[c] * disparity[i, j] if c > 0 else 0.0
-                if _shifted_window(pictures[c], j, i, shift, along[c], half, other) == KNOWN:
+                if window_kernel(pictures[c], j, i, shift, along[c], half, other) == VALID:
                     table[c, y, x] = dot_kernel(window[c], other)
     return outcome
 
 
-@njit(cache=True, error_model="numpy")
-def _highest_sum(table):
-    """Row and column of the highest sum over all cameras; -1, -1 where there is none."""
-    best = -np.inf
-    top, left = -1, -1
-    for y in range(table.shape[1]):
-        for x in range(table.shape[2]):
-            total = 0.0
-            for c in range(len(table)):
-                total += table[c, y, x]
-            if total > best:
-                best = total
-                top, left = y, x
-    return top, left
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def window_kernel(grey, column, row, shift, along, half, window):
+    """Write a window without its mean, scaled to length 1; `VALID`, `OUTSIDE` or `TEXTURE`.
 
-
-@njit(cache=True, error_model="numpy")
-def _lowest_and_mean(table, y, x):
-    """Lowest and mean correlation over the cameras at a candidate."""
-    lowest = np.inf
+    Its centre is `shift` pixels beyond (column, row), along columns (0) or rows (1). The product of
+    two such windows (`dot_kernel`) is equation 6 of the source.
+    """
+    whole = int(np.floor(shift))
+    fraction = shift - whole
+    right = 1 - along
+    column += whole * right
+    row += whole * along
+    reach = half + 1 if fraction > 0.0 else half
+    if column < half or column + half + (reach - half) * right >= grey.shape[1]:
+        return OUTSIDE
+    if row < half or row + half + (reach - half) * along >= grey.shape[0]:
+        return OUTSIDE
+    side = 2 * half + 1
     total = 0.0
-    for c in range(len(table)):
-        lowest = min(lowest, table[c, y, x])
-        total += table[c, y, x]
-    return lowest, total / len(table)
-
-
-@njit(cache=True, error_model="numpy")
-def _agreement(table, y, x):
-    """How many cameras have their own maximum at or beside a candidate; rms distance of all."""
-    agreed = 0
+    rest = 1.0 - fraction
+    for k in range(side):
+        i = row - half + k
+        for m in range(side):
+            j = column - half + m
+            value = np.float64(grey[i, j])
+            if fraction > 0.0:
+                value = rest * value + fraction * grey[i + along, j + right]
+            window[k * side + m] = value
+            total += value
+    mean = total / (side * side)
     square = 0.0
-    for c in range(len(table)):
-        best = -np.inf
-        down, right = 0, 0
-        for i in range(table.shape[1]):
-            for j in range(table.shape[2]):
-                if table[c, i, j] > best:
-                    best = table[c, i, j]
-                    down, right = i - y, j - x
-        square += down * down + right * right
-        if abs(down) <= 1 and abs(right) <= 1:
-            agreed += 1
-    return agreed, np.sqrt(square / len(table))
+    for k in range(side * side):
+        window[k] -= mean
+        square += window[k] * window[k]
+    if np.isnan(square):
+        return OUTSIDE
+    # Rounding leaves less than this of a window without contrast.
+    if square < 1e-20 * (1.0 + mean * mean) * side * side:
+        return TEXTURE
+    scale = 1.0 / np.sqrt(square)
+    for k in range(side * side):
+        window[k] *= scale
+    return VALID
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
+def dot_kernel(a, b):
+    """Sum of products."""
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total

@@ -1,4 +1,12 @@
-"""matching."""
+"""Windows of one picture found in another, and smooth fields through scattered displacements.
+
+Purpose    : where every pixel went, without a guess (dense and sparse flow); where a window went,
+             to a hundredth of a pixel; what the displacements around a point predict for it.
+Takes      : grey pictures, prepared by `images`; displacements of scattered points.
+Gives      : `dense_start`, `refine_planar`, `local_field`, `predicted`, and the window kernels.
+Depends on : `vision.images`.
+Read first : `window_sums.py`, then `planar_match.py`, then `dense_flow.py`.
+"""
 
 from palpate.vision.matching.dense_flow import dense_start as dense_start
 from palpate.vision.matching.local_regression import (
@@ -6,13 +14,17 @@ from palpate.vision.matching.local_regression import (
     Scatter as Scatter,
     local_field as local_field,
 )
-from palpate.vision.matching.outliers import median_around as median_around, predicted as predicted
+from palpate.vision.matching.outliers import (
+    Prediction as Prediction,
+    median_around as median_around,
+    predicted as predicted,
+)
 from palpate.vision.matching.planar_match import (
     PlanarMatch as PlanarMatch,
-    PlanarSettings as PlanarSettings,
     refine_planar as refine_planar,
 )
 from palpate.vision.matching.window_sums import (
+    BASES as BASES,
     load_window_kernel as load_window_kernel,
     window_blocks_kernel as window_blocks_kernel,
     window_hessian_kernel as window_hessian_kernel,

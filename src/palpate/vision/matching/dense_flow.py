@@ -1,4 +1,4 @@
-"""A displacement of every pixel to start from, found without being told where to look.
+"""A displacement of every pixel to start from, found without a guess.
 
 Dense inverse search (Kroeger et al., Fast optical flow using dense inverse search, ECCV 2016) is
 quick and finds most motions by itself. What it explains is kept. If both pictures have texture left
@@ -25,27 +25,27 @@ from palpate.vision.matching.sparse_flow import Samples, feature_matches, interp
 # variance of the noise, what `textured` asks for too, and windows with a dozen independent
 # speckles, which correlate by chance with a standard deviation of 1 / sqrt(12) = 0.3, reach it in
 # one of a hundred places.
-_SAME = 0.75
+_MIN_CORRELATION = 0.75
 # Texture wider than this [px, sigma of Gaussian speckles] leaves fewer than a dozen independent
 # speckles in a window: the pictures are halved then.
-_WIDE = 3.0
+_MAX_SPECKLE_PX = 3.0
 # Two searches, there and back, may contradict each other by this much [px]. At first: the reach of
 # the last search. At the end: each is to be good to half a pixel.
-_FIRST_GAP, _LAST_GAP = 2.0, 1.0
+_MAX_FIRST_GAP_PX, _MAX_LAST_GAP_PX = 2.0, 1.0
 # The motion may differ from its mean around by this much [px]; it does not at all where it is
 # affine, and what fits noise does. As wide as the gap.
-_FIRST_ROUGH, _LAST_ROUGH = 2.0, 1.0
+_MAX_FIRST_ROUGHNESS_PX, _MAX_LAST_ROUGHNESS_PX = 2.0, 1.0
 # Share of the texture that may stay unexplained before more is tried: at worst a patch of 55 px in
 # a picture of 640 x 480.
-_LEFT_OVER = 0.01
+_MAX_UNEXPLAINED = 0.01
 # Where less than this share is explained it may be by chance, and is not continued.
-_WORTH_CONTINUING = 0.1
+_MIN_EXPLAINED = 0.1
 # Features come in, once, when a round of continuing the motion leaves more than this share of what
 # was lost before. Two rounds take the motion to where a feature or two leads, a third is spare.
-_PROGRESS = 0.7
+_MAX_REMAINDER = 0.7
 _ROUNDS = 3
 # Nobody follows a motion on fewer pixels: two windows.
-_SMALLEST = 2 * WINDOW
+_MIN_SIDE_PX = 2 * WINDOW
 # Scales at which searches stop: a quarter of the resolution is quick, half gives the accuracy.
 _ROUGH_SCALE, _FINE_SCALE = 2, 1
 # Stiffness of the last search. OpenCV's 20 is too smooth where faces meet, 5 follows the noise.
@@ -122,7 +122,7 @@ def dense_start(
     box = _bounds(wanted | b.textured)
     a, b, wanted = cropped(a, box), cropped(b, box), np.ascontiguousarray(wanted[box])
     sure = wanted
-    if a.width > _WIDE and min(wanted.shape) >= 2 * _SMALLEST:
+    if a.width > _MAX_SPECKLE_PX and min(wanted.shape) >= 2 * _MIN_SIDE_PX:
         half = dense_start(cv2.pyrDown(a.grey), cv2.pyrDown(b.grey), mask=wanted[::2, ::2])
         there, sure = _doubled(half, wanted)
     else:
@@ -143,10 +143,10 @@ def _check(
             f"the pictures (and the mask) have shapes {shapes}; must be one shape: check that both"
             " pictures are of one camera"
         )
-    if min(rest.shape) < _SMALLEST:
+    if min(rest.shape) < _MIN_SIDE_PX:
         raise InputError(
             f"the pictures have {rest.shape[0]} rows and {rest.shape[1]} columns; must have"
-            f" {_SMALLEST} or more of each: windows of {WINDOW} px are compared"
+            f" {_MIN_SIDE_PX} or more of each: windows of {WINDOW} px are compared"
         )
     for name, grey in (("rest", rest), ("moved", moved)):
         bad = int((~np.isfinite(grey)).sum())
@@ -162,8 +162,8 @@ def _bounds(area: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:
     bounds = []
     for axis, size in ((1, area.shape[0]), (0, area.shape[1])):
         used = np.flatnonzero(area.any(axis=axis))
-        low = max(0, min(int(used[0]) - WINDOW, size - _SMALLEST))
-        bounds.append(slice(low, min(size, max(int(used[-1]) + WINDOW + 1, low + _SMALLEST))))
+        low = max(0, min(int(used[0]) - WINDOW, size - _MIN_SIDE_PX))
+        bounds.append(slice(low, min(size, max(int(used[-1]) + WINDOW + 1, low + _MIN_SIDE_PX))))
     return bounds[0], bounds[1]
 
 
@@ -239,7 +239,7 @@ def _fits(
     score = common / np.sqrt(a.variance * variance + np.float32(1e-6))
     rough = there - cv2.blur(there, (WINDOW, WINDOW))
     return (
-        (score > _SAME)
+        (score > _MIN_CORRELATION)
         & (_square(gap) < limits[0] ** 2)
         & (_square(rough) < limits[1] ** 2)
         & _inside(place)
@@ -262,11 +262,11 @@ def _motion(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motion
         explained = _explained(a, b, motion)
         lost, share = _lost(staying, explained, textured)
         # What is lost in one picture only is hidden in the other.
-        if share < _LEFT_OVER:
+        if share < _MAX_UNEXPLAINED:
             break
         samples = _known(motion, explained, textured.rest)
-        chance = explained.rest[textured.rest].mean() < _WORTH_CONTINUING
-        if features is None and (chance or share > _PROGRESS * before):
+        chance = explained.rest[textured.rest].mean() < _MIN_EXPLAINED
+        if features is None and (chance or share > _MAX_REMAINDER * before):
             areas = _feature_areas(textured, lost)
             features = feature_matches(a.levels, b.levels, areas.rest, areas.moved)
         samples = samples if features is None else samples.joined(features)
@@ -279,9 +279,9 @@ def _motion(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motion
 
 
 def _explained(a: NormalisedImage, b: NormalisedImage, motion: _Motion) -> _Flags:
-    """Where the two motions say what became of the texture."""
+    """Where the two motions explain what became of the texture."""
     grid = _grid(a.grey.shape)
-    limits = (_FIRST_GAP, _FIRST_ROUGH)
+    limits = (_MAX_FIRST_GAP_PX, _MAX_FIRST_ROUGHNESS_PX)
     gap_there = motion.there + _sampled(motion.back, grid + motion.there)
     gap_back = motion.back + _sampled(motion.there, grid + motion.back)
     return _Flags(
@@ -371,4 +371,4 @@ def _finished(
     flow = change + _sampled(start, place)
     # The way back at another scale: what fits noise at one does not at the other.
     gap = change + _sampled(_search(moved, a.levels, _ROUGH_SCALE), place)
-    return flow, _fits(a, b, flow, gap, (_LAST_GAP, _LAST_ROUGH))
+    return flow, _fits(a, b, flow, gap, (_MAX_LAST_GAP_PX, _MAX_LAST_ROUGHNESS_PX))

@@ -24,13 +24,13 @@ from palpate.vision.small_systems import cholesky_kernel, cholesky_solve_kernel
 
 _TERMS = {1: 3, 2: 6}
 # Degrees of freedom of the Student weights: outliers at ten sigma count 1/20.
-_FREEDOM = 4.0
+_DEGREES_OF_FREEDOM = 4.0
 _ROUNDS = 6
-# Places that are worth a thread: each takes some 0.02 ms.
-_FEWEST = 32
+# Places that are worth a thread of their own: each takes some 0.02 ms.
+_MIN_PLACES_PER_THREAD = 32
 # Displacements on a line, or on one side only, do not fix a polynomial: of each term at least this
 # share must be its own.
-_LEAST_SPREAD = 1e-3
+_MIN_PIVOT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,56 +97,47 @@ def local_field(
     reach : float [m]               displacements farther away have no weight
     order : 1 or 2                  degree of the polynomial
     most : int                      at most so many displacements, the nearest
-    fewest : int or None            where fewer are within reach, it grows to hold so many, at most
-                                    to the double: surfaces seen at a slant have fewer
+    fewest : int or None            where fewer are within reach, it grows until it holds so many,
+                                    to at most its double: surfaces seen at a slant have fewer
 
     Returns
     -------
     LocalField                      NaN where there are too few displacements around
     """
-    terms = _TERMS[order]
-    nearest = np.full((len(place), most), -1)
-    radius = np.full(len(place), reach)
-    if len(scatter.point) > 0:
-        many = min(most, len(scatter.point))
-        farthest = reach if fewest is None else 2.0 * reach
-        away, found = cKDTree(scatter.point).query(place, k=many, distance_upper_bound=farthest)
-        away, found = away.reshape(len(place), many), found.reshape(len(place), many)
-        if fewest is not None:
-            last = np.minimum(away[:, min(fewest, many) - 1], farthest)
-            # A little farther, so that the last one has some weight.
-            radius = np.maximum(reach, 1.1 * last)
-        inside = (found < len(scatter.point)) & (away < radius[:, None])
-        nearest[:, :many] = np.where(inside, found, -1)
+    nearest, radius = _neighbours(scatter.point, place, reach, most, fewest)
     noise = scatter.covariance - scatter.bias
-    trace = np.trace(noise, axis1=1, axis2=2)
     count = len(place)
     value, gradient, curvature, spread, misfit = (
         np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3), ())
     )
     in_threads(
-        _fit_range,
-        count,
-        np.ascontiguousarray(place, dtype=np.float64),
-        np.ascontiguousarray(tangent, dtype=np.float64),
-        nearest,
-        scatter.point,
-        scatter.pixel,
-        scatter.displacement,
-        noise,
-        scatter.bias,
-        trace,
-        float(scatter.subset),
-        radius,
-        terms,
-        value,
-        gradient,
-        curvature,
-        spread,
-        misfit,
-        fewest=_FEWEST,
-    )
+        _fit_range, count, np.ascontiguousarray(place, dtype=np.float64),
+        np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
+        scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
+        float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, spread, misfit,
+        fewest=_MIN_PLACES_PER_THREAD,
+    )  # fmt: skip
     return LocalField(value, gradient, curvature, spread, (nearest >= 0).sum(axis=1), misfit)
+
+
+def _neighbours(
+    point: Points, place: Float[np.ndarray, "t 3"], reach: float, most: int, fewest: int | None
+) -> tuple[Int[np.ndarray, "t most"], Float[np.ndarray, " t"]]:
+    """Nearest points within reach of each place, -1 where there are fewer, and that reach [m]."""
+    nearest = np.full((len(place), most), -1)
+    radius = np.full(len(place), reach)
+    if len(point) > 0:
+        many = min(most, len(point))
+        farthest = reach if fewest is None else 2.0 * reach
+        away, found = cKDTree(point).query(place, k=many, distance_upper_bound=farthest)
+        away, found = away.reshape(len(place), many), found.reshape(len(place), many)
+        if fewest is not None:
+            last = np.minimum(away[:, min(fewest, many) - 1], farthest)
+            # A little farther, so that the last one has some weight.
+            radius = np.maximum(reach, 1.1 * last)
+        inside = (found < len(point)) & (away < radius[:, None])
+        nearest[:, :many] = np.where(inside, found, -1)
+    return nearest, radius
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -175,7 +166,7 @@ def _fit_range(
             near = 1.0 - distance / (size * size)
             weight[m] = max(near, 0.0) ** 2 / trace[nearest[i, m]]
             m += 1
-        # One more than the unknowns, or nothing would be left to tell an outlier from.
+        # One more than the unknowns, or nothing would be left to recognise an outlier by.
         if m <= terms:
             continue
         good = False
@@ -263,7 +254,7 @@ def _solve_kernel(design, weight, robust, displacement, height, turn, nearest, m
                 solution[a, k] += (
                     w * design[j, k] * (displacement[nearest[j], a] - height[j] * turn[a])
                 )
-    if not cholesky_kernel(normal, _LEAST_SPREAD):
+    if not cholesky_kernel(normal, _MIN_PIVOT):
         return False
     for a in range(3):
         cholesky_solve_kernel(normal, solution[a])
@@ -294,7 +285,7 @@ def _reweigh_kernel(
     total = 0.0
     squares = 0.0
     for j in range(m):
-        robust[j] = (_FREEDOM + 3.0) / (_FREEDOM + 3.0 * ratio[j] / scale)
+        robust[j] = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + 3.0 * ratio[j] / scale)
         total += weight[j] * robust[j]
         squares += weight[j] * robust[j] * ratio[j]
     return np.sqrt(squares / total * m / (m - terms))

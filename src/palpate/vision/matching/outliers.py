@@ -1,4 +1,4 @@
-"""What the motion around a point says about the point's own.
+"""What the motion around a point predicts for the point's own.
 
 Each neighbour carries its displacement along its own gradient to the point; the median of these is
 compared with the point's displacement in units of their own scatter (the normalised median test,
@@ -16,20 +16,20 @@ from scipy.spatial import cKDTree
 
 from palpate.shapes import Flags, Points, PointScalars
 
-_MOST = 12
+_MAX_NEIGHBOURS = 12
 # Fewer neighbours have no majority when one of them is wrong.
-_FEWEST = 3
+_MIN_NEIGHBOURS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Motion of points as their valid neighbours see it; NaN where too few are near.
+    """Motion of points as their valid neighbours predict it; NaN where too few are near.
 
     Attributes
     ----------
     displacement : (n, 3) float [m]
     gradient : (n, 2, 3) float [-]
-    scatter : (n,) float [m]            median distance of the neighbours' words from it
+    scatter : (n,) float [m]            median distance of the neighbours' predictions from it
     """
 
     displacement: Points
@@ -53,37 +53,41 @@ def predicted(
     point, tangent : (n, 3), (n, 2, 3) float
     displacement, gradient : (n, 3) [m], (n, 2, 3)  used where valid
     valid : (n,) bool
-    reach : float [m]                   neighbours farther away have no say
+    reach : float [m]                   neighbours farther away do not count
 
     Returns
     -------
-    Prediction
+    Prediction                          NaN with fewer than three neighbours
+
+    Source
+    ------
+    Westerweel and Scarano (2005), with the neighbours' gradients.
     """
     near = _nearest(point, valid, reach)
     there = near >= 0
     j = np.where(there, near, 0)
     away = point[:, None] - point[j]
-    word = displacement[j].copy()
+    carried = displacement[j].copy()
     for a in range(2):
         along = np.einsum("nki,nki->nk", away, tangent[j, a])
-        word += along[..., None] * gradient[j, a]
+        carried += along[..., None] * gradient[j, a]
     normal = np.cross(tangent[:, 0], tangent[:, 1])
     moved = tangent + np.where(np.isfinite(gradient), gradient, 0.0)
     turned = np.cross(moved[:, 0], moved[:, 1])
     turn = turned / np.linalg.norm(turned, axis=1)[:, None] - normal
-    word += np.einsum("nki,nki->nk", away, normal[j])[..., None] * turn[j]
-    word[~there] = np.nan
-    enough = there.sum(axis=1) >= _FEWEST
+    carried += np.einsum("nki,nki->nk", away, normal[j])[..., None] * turn[j]
+    carried[~there] = np.nan
+    enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
     middle = np.full_like(point, np.nan)
     scatter = np.full(len(point), np.nan)
     if enough.any():
-        middle[enough] = np.nanmedian(word[enough], axis=1)
-        rest = np.linalg.norm(word[enough] - middle[enough, None], axis=2)
+        middle[enough] = np.nanmedian(carried[enough], axis=1)
+        rest = np.linalg.norm(carried[enough] - middle[enough, None], axis=2)
         scatter[enough] = np.nanmedian(rest, axis=1)
-    return Prediction(middle, predicted_gradient(tangent, gradient, near, enough), scatter)
+    return Prediction(middle, _predicted_gradient(tangent, gradient, near, enough), scatter)
 
 
-def predicted_gradient(
+def _predicted_gradient(
     tangent: Float[np.ndarray, "n 2 3"],
     gradient: Float[np.ndarray, "n 2 3"],
     near: Int[np.ndarray, "n k"],
@@ -93,18 +97,30 @@ def predicted_gradient(
     there = near >= 0
     j = np.where(there, near, 0)
     turn = np.einsum("nai,nkbi->nkab", tangent, tangent[j])
-    word = np.einsum("nkab,nkbi->nkai", turn, gradient[j])
-    word[~there] = np.nan
+    carried = np.einsum("nkab,nkbi->nkai", turn, gradient[j])
+    carried[~there] = np.nan
     result = np.full_like(tangent, np.nan)
     if enough.any():
-        result[enough] = np.nanmedian(word[enough], axis=1)
+        result[enough] = np.nanmedian(carried[enough], axis=1)
     return result
 
 
 def median_around(
     point: Points, value: PointScalars, valid: Flags, *, reach: float
 ) -> PointScalars:
-    """Median of a value over each point and its valid neighbours; the value itself where alone."""
+    """Median of a value over each point and its valid neighbours.
+
+    Parameters
+    ----------
+    point : (n, 3) float [m]
+    value : (n,) float              of any unit
+    valid : (n,) bool               points whose value counts
+    reach : float [m]               neighbours farther away do not count
+
+    Returns
+    -------
+    (n,) float                      the value itself where there is none around
+    """
     near = _nearest(point, valid, reach)
     around = np.where(near >= 0, value[np.maximum(near, 0)], np.nan)
     own = np.where(valid, value, np.nan)[:, None]
@@ -119,16 +135,16 @@ def median_around(
 def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"]:
     """Indices of the nearest valid neighbours, never the point itself; -1 where there are fewer."""
     rows = np.flatnonzero(valid)
-    near = np.full((len(point), _MOST), -1)
+    near = np.full((len(point), _MAX_NEIGHBOURS), -1)
     if len(rows) == 0:
         return near
-    many = min(_MOST + 1, len(rows))
+    many = min(_MAX_NEIGHBOURS + 1, len(rows))
     _, found = cKDTree(point[rows]).query(point, k=many, distance_upper_bound=reach)
     found = found.reshape(len(point), many)
     index = np.where(found < len(rows), np.append(rows, -1)[np.minimum(found, len(rows))], -1)
     index = np.where(index == np.arange(len(point))[:, None], -1, index)
     # Those that are missing to the end; the order among the others stays.
     order = np.argsort(index < 0, axis=1, kind="stable")
-    kept = np.take_along_axis(index, order, axis=1)[:, :_MOST]
+    kept = np.take_along_axis(index, order, axis=1)[:, :_MAX_NEIGHBOURS]
     near[:, : kept.shape[1]] = kept
     return near

@@ -33,39 +33,14 @@ from palpate.vision.small_systems import (
     cholesky_solve_kernel,
 )
 
-# Windows that are worth a thread: each takes some 0.03 ms.
-_FEWEST = 32
-
-
-@dataclass(frozen=True, slots=True)
-class PlanarSettings:
-    """How windows are matched between two pictures.
-
-    Parameters
-    ----------
-    subset : int [px]               side of the window, odd, at least 5
-    shape : "shift", "affine" or "quadratic"    how the displacement may vary within the window,
-                                    beyond the gradient that it starts with
-    tolerance : float [px]          a step shorter than this ends the iteration; far below the noise
-    iterations : int                at most so many
-    reach : float [px]              a window that leaves its start by more than this is lost
-    shading : bool                  whether the gain may vary linearly over the window
-
-    Raises
-    ------
-    InputError                      an even or tiny subset
-    """
-
-    subset: int = 21
-    shape: Literal["shift", "affine", "quadratic"] = "affine"
-    tolerance: float = 5e-4
-    iterations: int = 30
-    reach: float = 8.0
-    shading: bool = False
-
-    def __post_init__(self) -> None:
-        if self.subset < 5 or self.subset % 2 == 0:
-            raise InputError(f"subset is {self.subset}; must be an odd number of pixels, 5 or more")
+# A step shorter than this ends the iteration [px]; far below the noise.
+_TOLERANCE_PX = 5e-4
+# Gauss-Newton steps at most.
+_MAX_ITERATIONS = 30
+# A window that leaves its start by more than this is lost [px].
+_MAX_MOVE_PX = 8.0
+# Windows that are worth a thread of their own: each takes some 0.03 ms.
+_MIN_WINDOWS_PER_THREAD = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +69,9 @@ def refine_planar(
     points: Float[np.ndarray, "n 2"],
     start: Float[np.ndarray, "n 2"],
     *,
+    subset: int = 21,
+    shape: Literal["shift", "affine", "quadratic"] = "affine",
     start_gradient: Float[np.ndarray, "n 2 2"] | None = None,
-    settings: PlanarSettings = PlanarSettings(),
 ) -> PlanarMatch:
     """Displacement of windows of one picture in another, to a hundredth of a pixel.
 
@@ -104,13 +80,26 @@ def refine_planar(
     reference, moved : SplinePicture
     points : (n, 2) float [px]      centres of the windows in `reference`, whole pixels
     start : (n, 2) float [px]       displacements good to two pixels or so
-    start_gradient : (n, 2, 2) float [-]    zero unless told
-    settings : PlanarSettings
+    subset : int [px]               side of a window, odd, at least 5
+    shape : "shift", "affine" or "quadratic"    how the displacement may vary within the window,
+                                    beyond the gradient that it starts with
+    start_gradient : (n, 2, 2) float [-]    that it starts with; zero by default
 
     Returns
     -------
     PlanarMatch                     not converged: outside a picture, without contrast, or lost
+
+    Raises
+    ------
+    InputError                      an even or tiny subset
+
+    Source
+    ------
+    Baker and Matthews (2004) for the inverse composition; Gao et al. (2015) for it in digital image
+    correlation.
     """
+    if subset < 5 or subset % 2 == 0:
+        raise InputError(f"subset is {subset}; must be an odd number of pixels, 5 or more")
     count = len(points)
     if start_gradient is None:
         start_gradient = np.zeros((count, 2, 2))
@@ -122,35 +111,20 @@ def refine_planar(
         np.zeros(count, dtype=bool),
     )
     in_threads(
-        _refine_range,
-        count,
-        reference.grey,
-        reference.along_column,
-        reference.along_row,
-        moved.coefficients,
-        np.ascontiguousarray(np.rint(points), dtype=np.int64),
+        _refine_range, count, reference.grey, reference.along_column, reference.along_row,
+        moved.coefficients, np.ascontiguousarray(np.rint(points), dtype=np.int64),
         np.ascontiguousarray(start, dtype=np.float64),
-        np.ascontiguousarray(start_gradient, dtype=np.float64),
-        settings.subset // 2,
-        BASES[settings.shape],
-        settings.tolerance,
-        settings.iterations,
-        settings.reach,
-        settings.shading,
-        found.displacement,
-        found.gradient,
-        found.covariance,
-        found.score,
-        found.converged,
-        fewest=_FEWEST,
-    )
+        np.ascontiguousarray(start_gradient, dtype=np.float64), subset // 2, BASES[shape],
+        found.displacement, found.gradient, found.covariance, found.score, found.converged,
+        fewest=_MIN_WINDOWS_PER_THREAD,
+    )  # fmt: skip
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _refine_range(
     begin, end, grey, along_column, along_row, moved, points, start, start_gradient, half, bases,
-    tolerance, iterations, reach, shading, displacement, gradient, covariance, score, converged,
+    displacement, gradient, covariance, score, converged,
 ):  # fmt: skip
     side = 2 * half + 1
     window = np.ones((6, side, side), dtype=np.float32)
@@ -171,7 +145,7 @@ def _refine_range(
         ):
             continue
         inside, mean, square = load_window_kernel(
-            grey, along_column, along_row, column, row, half, shading, window
+            grey, along_column, along_row, column, row, half, False, window
         )
         if square <= 0.0:
             continue
@@ -185,7 +159,7 @@ def _refine_range(
             warp[a, 1] = start_gradient[i, a, 0] * half
             warp[a, 2] = start_gradient[i, a, 1] * half
         done = False
-        for _ in range(iterations):
+        for _ in range(_MAX_ITERATIONS):
             _sample_window_kernel(moved, warp, column, row, half, sampled)
             gain = window_right_kernel(
                 window, sampled, half, bases, inside, mean, square, sums, right, light
@@ -194,11 +168,10 @@ def _refine_range(
                 break
             cholesky_solve_kernel(hessian, right)
             step = _update_kernel(warp, right, half, bases)
-            if not (
-                abs(warp[0, 0] - start[i, 0]) <= reach and abs(warp[1, 0] - start[i, 1]) <= reach
-            ):
+            move = max(abs(warp[0, 0] - start[i, 0]), abs(warp[1, 0] - start[i, 1]))
+            if not move <= _MAX_MOVE_PX:
                 break
-            if step < tolerance:
+            if step < _TOLERANCE_PX:
                 done = True
                 break
         if not done or not _stays_inside_kernel(warp, column, row, half, grey.shape):

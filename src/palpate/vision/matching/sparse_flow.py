@@ -15,21 +15,21 @@ from scipy.spatial import cKDTree
 
 # Neighbouring displacements belong together when they differ by less than two pixels and this per
 # pixel of distance: a turn of 30 degrees or a strain of 50 %.
-_SLOPE, _SLACK = 0.5, 2.0
+_MAX_SLOPE, _MAX_GAP_PX = 0.5, 2.0
 # One feature is taken for so many pixels of the area, within bounds: fewer leave small objects
 # without, more cost more than a second. About half of them agree, one in a square of 35 px.
 _PIXELS_EACH = 600
-_FEWEST, _MOST = 500, 1500
+_MIN_FEATURES, _MAX_FEATURES = 500, 1500
 # The second picture gets so many times as many, that it has those of the first among them.
-_MORE = 2
+_SECOND_FACTOR = 2
 # The strongest are taken from each square of this side first [px], so that they cover the picture.
 _CELL = 32
 # Beyond an area of interest, features see this much [px]: the descriptor of a fine one.
 _MARGIN = 20
 # Spacing of the nodes between which a motion is interpolated [px]: less than a usual window.
-_STEP = 16
+_SPACING = 16
 # Samples that fix the affine motion at a node: four times as many as its three pairs of unknowns.
-_NEAREST = 12
+_SAMPLES = 12
 # OpenCV takes None for an array that is not given; its stubs do not say so.
 _NOT_GIVEN: Any = None
 
@@ -76,13 +76,13 @@ def feature_matches(
     -------
     Samples     none where there is no texture or nothing agrees
     """
-    point, words = _features(rest, rest_area, 1)
-    other, other_words = _features(moved, moved_area, _MORE)
+    point, descriptors = _features(rest, rest_area, 1)
+    other, other_descriptors = _features(moved, moved_area, _SECOND_FACTOR)
     if not (len(point) and len(other)):
         return Samples(np.zeros((0, 2)), np.zeros((0, 2)))
     # Descriptors hold whole numbers and all sums stay below 2^24: exact in any order.
-    distance = (words**2).sum(axis=1)[:, None] + (other_words**2).sum(axis=1)
-    distance -= 2.0 * (words @ other_words.T)
+    distance = (descriptors**2).sum(axis=1)[:, None] + (other_descriptors**2).sum(axis=1)
+    distance -= 2.0 * (descriptors @ other_descriptors.T)
     choice, back = distance.argmin(axis=1), distance.argmin(axis=0)
     mutual = back[choice] == np.arange(len(choice))
     point, displacement = point[mutual], other[choice[mutual]] - point[mutual]
@@ -110,13 +110,13 @@ def _features(
     pixel = np.minimum(np.rint(point).astype(np.int64), np.array(area.shape[::-1]) - 1)
     keep = np.flatnonzero(area[pixel[:, 1], pixel[:, 0]])
     strength = np.array([key.response for key in keys])
-    limit = times * min(max(int(area.sum()) // _PIXELS_EACH, _FEWEST), _MOST)
+    limit = times * min(max(int(area.sum()) // _PIXELS_EACH, _MIN_FEATURES), _MAX_FEATURES)
     keep = keep[_spread(point[keep], strength[keep], limit)]
     if not len(keep):
         return nothing
     # Features may be dropped here; those that are left are returned with their descriptors.
-    kept, words = sift.compute(crop, [keys[int(i)] for i in keep])
-    return np.array(cv2.KeyPoint.convert(kept), dtype=np.float64) + corner, words
+    kept, descriptors = sift.compute(crop, [keys[int(i)] for i in keep])
+    return np.array(cv2.KeyPoint.convert(kept), dtype=np.float64) + corner, descriptors
 
 
 def _spread(
@@ -141,12 +141,21 @@ def _agreeing(
         return np.zeros(len(point), dtype=bool)
     distance, index = cKDTree(point).query(point, min(9, len(point)))
     gap = ((displacement[index[:, 1:]] - displacement[:, None]) ** 2).sum(axis=2)
-    return (gap < (_SLACK + _SLOPE * distance[:, 1:]) ** 2).sum(axis=1) >= 3
+    return (gap < (_MAX_GAP_PX + _MAX_SLOPE * distance[:, 1:]) ** 2).sum(axis=1) >= 3
 
 
 def nodes(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the nodes between which a motion is interpolated, two grids of int."""
-    row, column = np.mgrid[_STEP // 2 : shape[0] : _STEP, _STEP // 2 : shape[1] : _STEP]
+    """Rows and columns of the nodes between which a motion is interpolated.
+
+    Parameters
+    ----------
+    shape : (rows, columns) [px]    of the picture
+
+    Returns
+    -------
+    row, column : two grids of int [px]     16 px apart, the first at 8
+    """
+    row, column = np.mgrid[_SPACING // 2 : shape[0] : _SPACING, _SPACING // 2 : shape[1] : _SPACING]
     return row, column
 
 
@@ -170,16 +179,16 @@ def interpolated(samples: Samples, shape: tuple[int, int]) -> Float[np.ndarray, 
     motion = _fitted(samples, node).reshape(*row.shape, 2).astype(np.float32)
     # Bilinear between nodes, constant beyond the outermost.
     place = np.empty((*shape, 2), dtype=np.float32)
-    place[..., 0] = (np.arange(shape[1], dtype=np.float32) - _STEP // 2) / _STEP
-    place[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _STEP // 2) / _STEP)[:, None]
+    place[..., 0] = (np.arange(shape[1], dtype=np.float32) - _SPACING // 2) / _SPACING
+    place[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _SPACING // 2) / _SPACING)[:, None]
     return cv2.remap(motion, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _fitted(samples: Samples, node: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k 2"]:
     """Motion at the nodes, of the affine motion that most of the samples around agree on."""
-    count = min(_NEAREST, len(samples.point))
+    count = min(_SAMPLES, len(samples.point))
     distance, index = cKDTree(samples.point).query(node, np.arange(1, count + 1))
-    reach = np.maximum(distance[:, count // 2], 0.5 * _STEP)[:, None]
+    reach = np.maximum(distance[:, count // 2], 0.5 * _SPACING)[:, None]
     near = np.exp(-0.5 * (distance / reach) ** 2)
     offset = (samples.point[index] - node[:, None]) / reach[..., None]
     terms = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
@@ -192,5 +201,5 @@ def _fitted(samples: Samples, node: Float[np.ndarray, "k 2"]) -> Float[np.ndarra
         normal = weighted @ terms + ridge * weight.sum(axis=1)[:, None, None]
         fitted = np.linalg.solve(normal, weighted @ wanted)
         gap = ((wanted - terms @ fitted) ** 2).sum(axis=2)
-        weight = near / (1.0 + gap / _SLACK**2) ** 2  # Geman and McClure's robust weight
+        weight = near / (1.0 + gap / _MAX_GAP_PX**2) ** 2  # Geman and McClure's robust weight
     return fitted[:, 0]

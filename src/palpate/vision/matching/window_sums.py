@@ -22,7 +22,9 @@ EXPONENTS = np.array([[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]])
 def load_window_kernel(grey, along_column, along_row, column, row, half, shading, window):
     """Fill the planes around a pixel; the fourth, the weights, is given.
 
-    Returns the number of pixels inside, their mean, and the sum of squares about it.
+    `grey`, `along_column`, `along_row` (rows, columns) float32 [grey levels, per px]; the window
+    must lie within them. Returns the number of pixels inside, their mean [grey levels], and the sum
+    of squares about it.
     """
     side = 2 * half + 1
     inside = 0.0
@@ -107,13 +109,9 @@ def _subtract_kernel(first, second, factor):
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _row_moments_kernel(first, second, half, out):
+def _row_moments_kernel(first, second, half):
     """Sums of first * second * xi^i over one row, i = 0 to 4."""
-    a = np.float32(0.0)
-    b = np.float32(0.0)
-    c = np.float32(0.0)
-    d = np.float32(0.0)
-    e = np.float32(0.0)
+    a = b = c = d = e = np.float32(0.0)
     scale = np.float32(1.0 / half)
     for k in range(len(first)):
         xi = np.float32(k - half) * scale
@@ -126,20 +124,15 @@ def _row_moments_kernel(first, second, half, out):
         value *= xi
         d += value
         e += value * xi
-    out[0] = a
-    out[1] = b
-    out[2] = c
-    out[3] = d
-    out[4] = e
+    return a, b, c, d, e
 
 
 @njit(cache=True, error_model="numpy")
 def _moments_kernel(first, second, half, moments):
     """moments[i, j]: sum of first * second * xi^i * eta^j over the window, i, j = 0 to 4."""
-    line = np.empty(5)
     moments[:] = 0.0
     for r in range(2 * half + 1):
-        _row_moments_kernel(first[r], second[r], half, line)
+        line = _row_moments_kernel(first[r], second[r], half)
         eta = (r - half) / half
         power = 1.0
         for j in range(5):
@@ -165,7 +158,12 @@ def window_side_sums_kernel(window, half, sums, moments):
 
 @njit(cache=True, error_model="numpy")
 def window_hessian_kernel(window, half, bases, inside, square, sums, moments, hessian):
-    """Gauss-Newton matrix of one window, (2 bases, 2 bases), the light eliminated."""
+    """Gauss-Newton matrix of one window, (2 bases, 2 bases), the light eliminated.
+
+    Grey levels squared per square pixel of displacement; `sums` (8, 6) from
+    `window_side_sums_kernel`, `inside` and `square` from `load_window_kernel`; `moments` (5, 5) is
+    scratch. Its inverse times the variance of the noise is the covariance of the displacement.
+    """
     for a in range(2):
         for b in range(a + 1):
             _moments_kernel(window[1 + a], window[1 + b], half, moments)
@@ -183,21 +181,12 @@ def window_hessian_kernel(window, half, bases, inside, square, sums, moments, he
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _row_right_kernel(sampled, level, window, r, half, out):
+def _row_right_kernel(sampled, level, window, r, half):
     """Sums of one row of the moved picture with the planes of the window."""
     grey, by_column, by_row, weight = window[0, r], window[1, r], window[2, r], window[3, r]
     first, second = window[4, r], window[5, r]
-    s = np.float32(0.0)
-    s2 = np.float32(0.0)
-    sf = np.float32(0.0)
-    sp = np.float32(0.0)
-    sq = np.float32(0.0)
-    c0 = np.float32(0.0)
-    c1 = np.float32(0.0)
-    c2 = np.float32(0.0)
-    r0 = np.float32(0.0)
-    r1 = np.float32(0.0)
-    r2 = np.float32(0.0)
+    s = s2 = sf = sp = sq = np.float32(0.0)
+    c0 = c1 = c2 = r0 = r1 = r2 = np.float32(0.0)
     scale = np.float32(1.0 / half)
     for k in range(len(sampled)):
         xi = np.float32(k - half) * scale
@@ -217,17 +206,7 @@ def _row_right_kernel(sampled, level, window, r, half, out):
         r1 += y
         c2 += x * xi
         r2 += y * xi
-    out[0] = s
-    out[1] = s2
-    out[2] = sf
-    out[3] = sp
-    out[4] = sq
-    out[5] = c0
-    out[6] = c1
-    out[7] = c2
-    out[8] = r0
-    out[9] = r1
-    out[10] = r2
+    return s, s2, sf, sp, sq, c0, c1, c2, r0, r1, r2
 
 
 @njit(cache=True, error_model="numpy")
@@ -238,11 +217,10 @@ def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums
     and the sum of squares that none of them explains [grey levels^2 of the first picture]; returns
     the gain, 0 where the pictures do not resemble each other.
     """
-    line = np.empty(11)
     total = np.zeros(5)
     right[:] = 0.0
     for r in range(2 * half + 1):
-        _row_right_kernel(sampled[r], np.float32(mean), window, r, half, line)
+        line = _row_right_kernel(sampled[r], np.float32(mean), window, r, half)
         for n in range(5):
             total[n] += line[n]
         eta = (r - half) / half
@@ -274,7 +252,8 @@ def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums
 def window_blocks_kernel(window, sampled, half, bases, mean, light, blocks):
     """Share of each block of a window in the right-hand side, the light removed.
 
-    Blocks are the cells of a square division of the window; `blocks` is (cells, 2 bases).
+    Blocks are the cells of a square division of the window; `blocks` is (cells, 2 bases) and is
+    filled with grey levels squared per pixel. `light` is from `window_right_kernel`.
     """
     side = 2 * half + 1
     cells = int(np.sqrt(len(blocks)))

@@ -3,7 +3,7 @@
 Purpose    : to know where the object is before anything is known of its surface or pose.
 Takes      : `PreparedPictures` of one instant.
 Gives      : `StereoPoints` with covariance, `RigCheck`, a surface through the stereo points.
-Depends on : `records`, `vision.images`, `vision.cameras`, `vision.matching`, `vision.joint`.
+Depends on : `records`, `vision.images`, `vision.cameras`, `vision.matching`.
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
 """
 

@@ -16,8 +16,7 @@ from palpate.records import Rig
 from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.cameras import Triangulation, project, triangulate
 from palpate.vision.images import PreparedPictures, make_spline_picture
-from palpate.vision.joint import grid_triangles
-from palpate.vision.range_flow import Outcome
+from palpate.vision.range_flow import Outcome, grid_triangles
 from palpate.vision.stereo.pair_disparity import stereo_start
 from palpate.vision.stereo.window_matches import (
     MIN_WINDOW_PX,

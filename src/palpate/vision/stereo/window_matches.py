@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from palpate.shapes import PointIndices, PointScalars
 from palpate.vision.images import SplinePicture
-from palpate.vision.matching import PlanarMatch, PlanarSettings, refine_planar
+from palpate.vision.matching import PlanarMatch, refine_planar
 from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.pair_disparity import StereoStart
 
@@ -103,7 +103,8 @@ def window_matches(
             pixel[rows],
             start.displacement[rows],
             start_gradient=start.gradient[rows],
-            settings=PlanarSettings(subset=side, shape="quadratic"),
+            subset=side,
+            shape="quadratic",
         )
         attempts.append(_Attempt(match, *_contrast(first, pixel[rows], match, side)))
     largest = attempts[-1]

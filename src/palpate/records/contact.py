@@ -1,0 +1,116 @@
+"""Where a tool presses, and how its pressure is spread there."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError
+from palpate.shapes import Vector3
+
+Pressure = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
+
+
+def smooth_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """(1 - s^2)^2: falls off to the rim without a kink, as under a soft tool.
+
+    Parameters
+    ----------
+    s : array [-]                   distance from the contact point over the radius, >= 0
+
+    Returns
+    -------
+    array [-]                       1 at the centre, 0 from the rim on; users normalise it
+    """
+    return np.clip(1 - s**2, 0, None) ** 2
+
+
+def uniform_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """1 within the rim, 0 beyond, as under a flat tool on a soft layer.
+
+    Parameters
+    ----------
+    s : array [-]                   distance from the contact point over the radius, >= 0
+
+    Returns
+    -------
+    array [-]                       1 at the centre, 0 from the rim on
+    """
+    return (s < 1).astype(np.float64)
+
+
+def hertz_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """sqrt(1 - s^2), under a sphere without friction (Hertz 1881).
+
+    Parameters
+    ----------
+    s : array [-]                   distance from the contact point over the radius, >= 0
+
+    Returns
+    -------
+    array [-]                       1 at the centre, 0 from the rim on
+
+    Source
+    ------
+    Hertz, J. reine angew. Math. 92 (1881) 156-171
+    """
+    return np.sqrt(np.clip(1 - s**2, 0, None))
+
+
+# To add a tool shape: a file with its pressure, and one line here. Only the shape of the curve
+# counts: it is scaled so that the total is the force.
+PRESSURES: Mapping[str, Pressure] = {
+    "smooth": smooth_pressure,
+    "uniform": uniform_pressure,
+    "hertz": hertz_pressure,
+}
+# The hat function of the vertex nearest to the contact point, the only profile without a radius.
+VERTEX = "vertex"
+
+
+def contact_profiles() -> tuple[str, ...]:
+    """Names that a contact's profile may have."""
+    return (*PRESSURES, VERTEX)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """Patch of the surface over which the tool presses.
+
+    Parameters
+    ----------
+    point : (3,) float [m]          centre of the patch, on the surface or close to it
+    radius : float [m] or None      > 0; None only for the profile `VERTEX`
+    profile : str                   one of `contact_profiles`
+
+    Raises
+    ------
+    InputError                      an unknown profile; radius missing, not positive, or given for
+                                    `VERTEX`
+    """
+
+    point: Vector3
+    radius: float | None
+    profile: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
+        if self.profile == VERTEX:
+            if self.radius is not None:
+                raise InputError(
+                    f"radius is {self.radius} with profile 'vertex'; that profile has no radius:"
+                    f" leave it out, or choose one of {', '.join(PRESSURES)}"
+                )
+            return
+        if self.profile not in PRESSURES:
+            known = ", ".join(contact_profiles())
+            raise InputError(f"profile is '{self.profile}'; must be one of {known}")
+        if self.radius is None:
+            raise InputError(
+                f"radius is missing; profile '{self.profile}' needs one"
+                " (only profile 'vertex' has none)"
+            )
+        if not (np.isfinite(self.radius) and self.radius > 0.0):
+            raise InputError(f"radius is {self.radius}; must be a positive length")

@@ -1,0 +1,104 @@
+"""Which triangles of the surface are held, as session.toml selects them."""
+
+import numpy as np
+
+from palpate.errors import RecordError
+from palpate.geometry import TriangleMesh
+from palpate.records.text import TomlTable, read_text
+from palpate.shapes import Indices
+
+_SELECTORS = ("plane", "box", "triangles")
+
+
+def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> Indices:
+    """Triangles that any of the selectors of `[support]` takes.
+
+    Parameters
+    ----------
+    support : TomlTable             keys plane, box (a table each, or a list of them), triangles
+    mesh : TriangleMesh
+    metres_per_unit : float         of the coordinates and tolerances in the table
+
+    Returns
+    -------
+    (k,) int                        sorted, distinct; neither empty nor everything
+
+    Raises
+    ------
+    RecordError                     a bad selector, an empty support, or the whole surface
+    """
+    support.check_keys(_SELECTORS)
+    if not support.values:
+        support.fail("", f"is empty; give at least one of {', '.join(_SELECTORS)}")
+    held = np.zeros(len(mesh.triangles), dtype=bool)
+    nearest = ""
+    if "plane" in support.values:
+        for plane in support.tables("plane", "[support] plane"):
+            off_plane, tolerance = _plane_distance(plane, mesh, metres_per_unit)
+            held |= off_plane <= tolerance
+            nearest = (
+                f" (the triangle nearest to the plane is {off_plane.min():.3g} m off,"
+                f" its tolerance is {tolerance:.3g} m)"
+            )
+    if "box" in support.values:
+        for box in support.tables("box", "[support] box"):
+            held |= _inside_box(box, mesh, metres_per_unit)
+    if "triangles" in support.values:
+        held[_listed(support, len(mesh.triangles))] = True
+    if not held.any():
+        support.fail(
+            "",
+            f"the support is empty: no triangle has all its vertices inside a selector{nearest};"
+            " without a support the object would float away: check position, tolerance and"
+            " length_unit",
+        )
+    if held.all():
+        support.fail(
+            "",
+            f"the support is the whole surface (all {len(held)} triangles): nothing could move;"
+            " select only the part that is held",
+        )
+    return np.flatnonzero(held)
+
+
+def _plane_distance(
+    plane: TomlTable, mesh: TriangleMesh, metres_per_unit: float
+) -> tuple[np.ndarray, float]:
+    """Distance of every triangle's farthest vertex from the plane, and the tolerance [m]."""
+    plane.check_keys(("point", "normal", "tolerance"))
+    normal = plane.vector("normal")
+    length = float(np.linalg.norm(normal))
+    if length == 0.0:
+        plane.fail("normal", "is the zero vector; must have a direction")
+    tolerance = plane.number("tolerance")
+    if tolerance < 0.0:
+        plane.fail("tolerance", f"is {tolerance}; must not be negative")
+    height = np.dot(mesh.vertices - metres_per_unit * plane.vector("point"), normal / length)
+    return np.abs(height)[mesh.triangles].max(axis=1), metres_per_unit * tolerance
+
+
+def _inside_box(box: TomlTable, mesh: TriangleMesh, metres_per_unit: float) -> np.ndarray:
+    """True for triangles with all three vertices inside or on the box."""
+    box.check_keys(("min", "max"))
+    low, high = metres_per_unit * box.vector("min"), metres_per_unit * box.vector("max")
+    if np.any(low > high):
+        box.fail("min", "exceeds max in a component; swap them")
+    corner = mesh.vertices[mesh.triangles]
+    return ((corner >= low) & (corner <= high)).all(axis=(1, 2))
+
+
+def _listed(support: TomlTable, count: int) -> Indices:
+    """Triangle indices from a text file, one a line, from 0; `#` starts a comment."""
+    path = support.existing_file("triangles")
+    found = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        word = line.partition("#")[0].strip()
+        if not word:
+            continue
+        if not word.isdecimal() or int(word) >= count:
+            raise RecordError(
+                f"{path}: line {number}: '{word}' is not a triangle of the mesh;"
+                f" must be a whole number from 0 to {count - 1}"
+            )
+        found.append(int(word))
+    return np.array(found, dtype=np.int64)

@@ -1,0 +1,305 @@
+"""Displacements measured by other programs: in metres, in the object frame, tied to the mesh."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError, RecordError
+from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, mesh_quality
+from palpate.records.probing import DisplacementField, measured_rows
+from palpate.records.program import ProgramPoints
+from palpate.records.quantities import LENGTH_UNITS, unit_name
+from palpate.shapes import Flags, Points
+
+# A view of the object shows much of it: points that span three times as much, or a hundredth, are
+# in another unit (the units differ by factors of 10, 25.4 and 1000).
+_MAX_SPAN, _MIN_SPAN = 3.0, 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPoints:
+    """Points that a program looked at, and how they moved from rest to load.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]       at rest; NaN where a failed point has no place
+    displacement : (n, 3) float [m] NaN rows: looked at and not measured
+    std : (n, 3) float [m] or None  one standard deviation of the displacement, > 0 where measured
+    source : str                    file they came from, for messages
+    notes : tuple of str            what was assumed, converted or left out, in sentences about the
+                                    file, which they do not name
+
+    Raises
+    ------
+    InputError                      shapes that differ, a measured point without a place, nothing
+                                    measured, a standard deviation that is not positive
+    """
+
+    points: Points
+    displacement: Points
+    std: Points | None
+    source: str
+    notes: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        points = fixed_array(self.points, name="points", shape=(None, 3), nan_allowed=True)
+        n = len(points)
+        moved = fixed_array(self.displacement, name="displacement", shape=(n, 3), nan_allowed=True)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "displacement", moved)
+        measured = measured_rows(moved)
+        if not measured.any():
+            raise InputError(f"not one of {n} points was measured")
+        nowhere = np.flatnonzero(measured & np.isnan(points).any(axis=1))
+        if len(nowhere):
+            raise InputError(f"measured point {nowhere[0]} has no place; give x, y and z")
+        if self.std is not None:
+            std = fixed_array(self.std, name="std", shape=(n, 3), nan_allowed=True)
+            if not (std[measured] > 0.0).all():
+                raise InputError("std of a measured point is not positive")
+            object.__setattr__(self, "std", std)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportedField:
+    """A displacement field from another program, and where each of its points went.
+
+    Parameters
+    ----------
+    field : DisplacementField       on the mesh; failed points that have a place are rows of NaN
+    read : int                      points in the file
+    failed : int                    of them kept as rows of NaN
+    nowhere : int                   failed points left out: without a place, or one off the surface
+    off_surface : int               measured points left out as they lie off the surface
+    median_distance : float [m]     of all measured points from the surface
+    notes : tuple of str            about the file
+    """
+
+    field: DisplacementField
+    read: int
+    failed: int
+    nowhere: int
+    off_surface: int
+    median_distance: float
+    notes: tuple[str, ...]
+
+
+def in_metres(
+    given: ProgramPoints, path: Path, *, length_unit: str | None, usual: str | None
+) -> MeasuredPoints:
+    """Points in metres, with everything that was not measured as rows of NaN.
+
+    A failed point at exactly (0, 0, 0) has no place: programs write zeros where triangulation did
+    not happen. Standard deviations go, with a note, where some measured point has none.
+
+    Parameters
+    ----------
+    given : ProgramPoints
+    path : Path                     their file
+    length_unit : str or None       as the user says it
+    usual : str or None             unit that the program writes when nothing is said
+
+    Raises
+    ------
+    RecordError                     nothing measured, nothing moved at all, no unit
+    """
+    metres, unit_notes = _metres(path, found=given.unit, given=length_unit, usual=usual)
+    moved = np.where(np.isinf(given.displacement), np.nan, given.displacement)
+    points = np.where(np.isinf(given.points), np.nan, given.points)
+    failed = ~measured_rows(moved) | np.isnan(points).any(axis=1)
+    if given.failed is not None:
+        failed |= given.failed
+    if failed.all():
+        raise RecordError(
+            f"{path}: not one of its {len(failed)} points was measured (failed or NaN);"
+            " is it the right file and state? Evaluate it again"
+        )
+    if not moved[~failed].any():
+        raise RecordError(
+            f"{path}: every displacement is exactly zero: this is the reference state itself;"
+            " give the file of the loaded state, or its number with --frame"
+        )
+    nowhere = failed & (np.isnan(points).any(axis=1) | ~points.any(axis=1))
+    std, notes = given.std, given.notes + unit_notes
+    if std is not None:
+        blank = int((~(std[~failed] > 0.0) | np.isinf(std[~failed])).any(axis=1).sum())
+        if blank:
+            notes += (f"{blank} measured points have no sigma; that of the others was left out.",)
+            std = None
+    return MeasuredPoints(
+        points=metres * np.where(nowhere[:, None], np.nan, points),
+        displacement=metres * np.where(failed[:, None], np.nan, moved),
+        std=None if std is None else metres * np.where(failed[:, None], np.nan, std),
+        source=str(path),
+        notes=notes,
+    )
+
+
+def _metres(
+    path: Path, *, found: str | None, given: str | None, usual: str | None
+) -> tuple[float, tuple[str, ...]]:
+    """Length of a file's unit [m] and what was assumed about it.
+
+    The file's own word comes first, then the user's, then the program's usual unit; an unknown
+    unit, a contradiction, or none at all is refused.
+    """
+    names = " ".join(LENGTH_UNITS)
+    said = unit_name(found) if found else None
+    if said is not None and said not in LENGTH_UNITS:
+        raise RecordError(
+            f"{path}: its lengths are in '{found}'; known units are {names}: export it in one of"
+            " them (pixels are no lengths: a stereo result is needed)"
+        )
+    if given is not None and given not in LENGTH_UNITS:
+        raise RecordError(f"--length-unit is '{given}'; must be one of {names}")
+    if said is not None and given is not None and said != given:
+        raise RecordError(
+            f"{path}: its header says {said}, --length-unit says {given}; leave the option out"
+        )
+    if unit := said or given:
+        return LENGTH_UNITS[unit], ()
+    if usual is None:
+        raise RecordError(
+            f"{path}: does not say its unit of length; say it with --length-unit ({names})"
+        )
+    note = f"It does not say its unit of length; {usual} was taken (--length-unit)."
+    return LENGTH_UNITS[usual], (note,)
+
+
+def on_object(measured: MeasuredPoints, T_object_file: Float[np.ndarray, "4 4"]) -> MeasuredPoints:
+    """The same points in the object frame.
+
+    The standard deviations are those of the turned components; that the turned errors of two
+    components go together is lost.
+
+    Parameters
+    ----------
+    measured : MeasuredPoints
+    T_object_file : (4, 4) float [m]    a rigid motion, x_object = T_object_file x_file
+    """
+    rotation = T_object_file[:3, :3]
+    std = measured.std
+    return replace(
+        measured,
+        points=measured.points @ rotation.T + T_object_file[:3, 3],
+        displacement=measured.displacement @ rotation.T,
+        std=None if std is None else np.sqrt(std**2 @ (rotation**2).T),
+    )
+
+
+def on_surface(
+    measured: MeasuredPoints, mesh: TriangleMesh, *, drop_off_surface: bool = False
+) -> ImportedField:
+    """Displacement field of the points that lie on an object, everything else counted.
+
+    Parameters
+    ----------
+    measured : MeasuredPoints       in the object frame
+    mesh : TriangleMesh             in metres
+    drop_off_surface : bool         leave measured points out that lie off the surface (background,
+                                    tool, holder); otherwise they are refused
+
+    Raises
+    ------
+    RecordError                     measured points off the surface that may not be left out, or
+                                    half of them: then the frames or units differ
+    """
+    is_measured = measured_rows(measured.displacement)
+    has_place = ~np.isnan(measured.points).any(axis=1)
+    distance = np.full(len(has_place), np.inf)
+    distance[has_place] = closest_points(mesh, measured.points[has_place]).distance
+    is_near = distance <= surface_limit(mesh)
+    off = int((is_measured & ~is_near).sum())
+    if off:
+        _check_off_surface(measured, mesh, distance, drop_off_surface=drop_off_surface)
+    kept = np.flatnonzero(is_near)
+    std = measured.std
+    points = measured.points[kept]
+    field = DisplacementField(
+        points=points,
+        displacement=measured.displacement[kept],
+        std=None if std is None else std[kept],
+        vertex=None,
+        surface=closest_points(mesh, points),
+        source=measured.source,
+    )
+    return ImportedField(
+        field=field,
+        read=len(has_place),
+        failed=int((~is_measured & is_near).sum()),
+        nowhere=int((~is_measured & ~is_near).sum()),
+        off_surface=off,
+        median_distance=float(np.median(distance[is_measured])),
+        notes=measured.notes + _span_notes(measured, mesh),
+    )
+
+
+def _span(measured: MeasuredPoints) -> float:
+    """Diagonal of the box round the measured points [m]."""
+    return float(
+        np.linalg.norm(np.ptp(measured.points[measured_rows(measured.displacement)], axis=0))
+    )
+
+
+def _span_notes(measured: MeasuredPoints, mesh: TriangleMesh) -> tuple[str, ...]:
+    """Points in too small a unit may all lie on the surface, where the frame's origin does."""
+    span, size = _span(measured), bounding_diagonal(mesh)
+    if span >= _MIN_SPAN * size:
+        return ()
+    note = (
+        f"The points span {span:.3g} m of an object of {size:.3g} m, implausibly little: is their"
+        " unit right (--length-unit)?"
+    )
+    return (note,)
+
+
+def surface_limit(mesh: TriangleMesh) -> float:
+    """Distance from the surface beyond which a point cannot belong to it [m].
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in metres
+
+    Returns
+    -------
+    float [m]                       the larger of 2 % of the diagonal and half a mean edge
+    """
+    return max(0.02 * bounding_diagonal(mesh), 0.5 * mesh_quality(mesh).edge_mean)
+
+
+def _check_off_surface(
+    measured: MeasuredPoints,
+    mesh: TriangleMesh,
+    distance: Float[np.ndarray, " n"],
+    *,
+    drop_off_surface: bool,
+) -> None:
+    """Refuse points off the surface, unless they are the minority and may be left out."""
+    is_measured: Flags = measured_rows(measured.displacement)
+    found, limit = distance[is_measured], surface_limit(mesh)
+    off, middle = int((found > limit).sum()), float(np.median(found))
+    if drop_off_surface and middle <= limit:
+        return
+    size = bounding_diagonal(mesh)
+    span = _span(measured)
+    what = (
+        f"{measured.source}: {off} of {len(found)} measured points lie farther than {limit:.3g} m"
+        f" off the surface (median {middle:.3g} m, worst {found.max():.3g} m)"
+    )
+    if not _MIN_SPAN * size <= span <= _MAX_SPAN * size:
+        raise RecordError(
+            f"{what}; they span {span:.3g} m and the mesh {size:.3g} m: check --length-unit, and"
+            " length_unit of the session"
+        )
+    pose = "--to-object FILE, a TOML file with length_unit, R and t, where x_object = R x_file + t"
+    if middle > limit:
+        raise RecordError(
+            f"{what}: the frame of the program is not the object's; say where it lies with {pose}"
+        )
+    raise RecordError(
+        f"{what}; where they are background, tool or holder, leave them out with"
+        f" --drop-off-surface; otherwise the pose is not right: {pose}"
+    )

@@ -1,0 +1,105 @@
+"""The list of programs whose files Palpate reads, and who reads a given file.
+
+Every program has its own conventions; its file says them. In a `Rig` all are the same: metres,
+x_camera = R x_object + t, the centre of the first pixel is (0, 0).
+"""
+
+from pathlib import Path
+
+from palpate.errors import RecordError
+from palpate.records.measured_points import MeasuredPoints, in_metres
+from palpate.records.program import CalibrationFile, Program
+from palpate.records.programs.dice import DICE
+from palpate.records.programs.kalibr import KALIBR
+from palpate.records.programs.matchid import MATCHID
+from palpate.records.programs.multidic import MULTIDIC
+from palpate.records.programs.opencorr import OPENCORR
+from palpate.records.programs.opencv import OPENCV
+from palpate.records.programs.pyvale import PYVALE
+from palpate.records.programs.vic3d import VIC3D
+from palpate.records.programs.vtu import VTU
+from palpate.records.rig import Rig
+
+# To add a program: its file beside these, and one line here.
+PROGRAMS: tuple[Program, ...] = (
+    DICE,
+    VIC3D,
+    MATCHID,
+    PYVALE,
+    OPENCORR,
+    MULTIDIC,
+    VTU,
+    KALIBR,
+    OPENCV,
+)
+
+
+def import_kinds() -> dict[str, Program]:
+    """Programs whose displacements can be imported, by the names that the command knows."""
+    return {kind: program for program in PROGRAMS for kind in program.kinds}
+
+
+def kinds_text() -> str:
+    """The same as a person reads it, with the suffixes of their files."""
+    return ", ".join(f"{' or '.join(p.kinds)} ({p.results})" for p in PROGRAMS if p.kinds)
+
+
+def read_measured(
+    kind: str, path: Path | str, *, length_unit: str | None = None, frame: int | None = None
+) -> MeasuredPoints:
+    """Points and displacements of one result file, in metres, in the program's own frame.
+
+    Parameters
+    ----------
+    kind : str                      a name of `import_kinds`
+    path : path
+    length_unit : str or None       um, mm, cm, m or in, where the file does not say
+    frame : int or None             state, from 0, in files of several; None: the last one
+
+    Raises
+    ------
+    RecordError                     unknown kind; not there, damaged, 2-D, nothing measured
+    """
+    program = import_kinds().get(kind)
+    if program is None or program.read_points is None:
+        raise RecordError(f"kind is '{kind}'; must be one of {', '.join(import_kinds())}")
+    given = program.read_points(Path(path), frame)
+    return in_metres(given, Path(path), length_unit=length_unit, usual=program.usual_unit)
+
+
+def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
+    """Rig of a calibration of another program, told apart by its content.
+
+    Parameters
+    ----------
+    path : Path                     a file; or a folder with a file per camera (MultiDIC, OpenCV)
+    length_unit : str or None       m, cm, mm or in, for files that do not say theirs; None: what
+                                    the program uses
+
+    Returns
+    -------
+    Rig                             the first camera is the reference
+
+    Raises
+    ------
+    RecordError                     not there, not readable, of no known program
+    CalibrationError                contents that are missing or contradictory
+    """
+    file = CalibrationFile.read(path, length_unit)
+    for program in PROGRAMS:
+        if program.holds_rig and program.read_rig and program.holds_rig(file):
+            return program.read_rig(file)
+    known = ", ".join(program.calibrations for program in PROGRAMS if program.calibrations)
+    raise RecordError(
+        f"{path}: is no camera calibration{_holdings(file)}; known are rig.toml, {known}"
+    )
+
+
+def _holdings(file: CalibrationFile) -> str:
+    """What a file holds instead, as far as it has names."""
+    if file.path.is_dir():
+        return ", and it holds none"
+    if file.content is None or isinstance(file.content, str):
+        return ""
+    names = file.content if isinstance(file.content, dict) else (e.tag for e in file.content)
+    return f" (it holds: {', '.join([str(name) for name in names][:8])})"

@@ -1,0 +1,50 @@
+"""Contacts and the pressures of tools: their resultants, and a shape that is new."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from palpate.errors import InputError
+from palpate.records import PRESSURES, Contact, read_session
+from palpate.records.contact import contact_profiles
+
+
+@pytest.mark.parametrize(
+    ("profile", "resultant"), [("smooth", 1 / 6), ("uniform", 1 / 2), ("hertz", 1 / 3)]
+)
+def test_resultant_of_each_pressure(profile, resultant):
+    """The integral of p(s) s ds from 0 to 1, by hand."""
+    pressure = PRESSURES[profile]
+    found, _ = quad(lambda s: s * pressure(np.array([s]))[0], 0.0, 1.0)
+    # quad's own error; Hertz's square root at the rim costs most of it.
+    assert found == pytest.approx(resultant, rel=1e-8)
+    assert pressure(np.zeros(1)) == 1.0
+    assert not pressure(np.array([1.0, 1.5, 40.0])).any()
+    inside = pressure(np.linspace(0.0, 0.99, 30))
+    assert (inside > 0.0).all()
+    assert (np.diff(inside) <= 0.0).all()
+
+
+def test_a_contact_needs_a_radius_unless_it_is_a_vertex():
+    point = np.zeros(3)
+    assert Contact(point, None, "vertex").radius is None
+    assert Contact(point, 1e-9, "hertz").radius == 1e-9
+    for radius, profile in (
+        (None, "hertz"), (-1.0, "hertz"), (0.0, "uniform"), (1.0, "vertex"), (np.nan, "smooth"),
+        (np.inf, "smooth"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match="radius is"):
+            Contact(point, radius, profile)
+
+
+def test_an_unknown_profile_is_refused():
+    with pytest.raises(InputError, match="'flat'; must be one of smooth, uniform, hertz, vertex"):
+        Contact(np.zeros(3), 0.1, "flat")
+
+
+def test_a_new_tool_shape_is_one_line(edited, monkeypatch):
+    """A cone is registered: sessions may name it from then on."""
+    monkeypatch.setitem(PRESSURES, "cone", lambda s: np.clip(1.0 - s, 0.0, None))
+    assert contact_profiles() == ("smooth", "uniform", "hertz", "cone", "vertex")
+    session = read_session(edited('"smooth"', '"cone"'))
+    assert session.probings[0].contact.profile == "cone"
