@@ -1,6 +1,7 @@
 """Sessions from folders in the format `palpate-session/1`."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +15,14 @@ from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.session import Session, Step
 from palpate.records.session_checks import check_contact, check_observed_points, plausibility_notes
-from palpate.records.text import TomlTable, nearest_word, read_toml
+from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
 from palpate.shapes import Indices
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
 _ROOT_KEYS = ("format", "name", "object", "support", "gravity", "rig", "probe", "step")
-_STEP_KEYS = ("name", "images")
-_PROBE_KEYS = (
-    "name",
-    "contact",
-    "force",
-    "force_std",
-    "tip_displacement",
-    "tip_displacement_std",
-    "displacement",
-    "images",
-)
+# The keys of these tables are the fields of their records.
+_STEP_KEYS, _PROBE_KEYS = ([field.name for field in fields(kind)] for kind in (Step, Probing))
 
 
 def read_session(
@@ -101,9 +93,8 @@ def _session_file(path: Path) -> Path:
             raise RecordError(f"{path}: the folder has no session.toml{hint}")
         return file
     if not path.is_file():
-        beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
         raise RecordError(
-            f"{path}: no such file or folder{nearest_word(path.name, beside)};"
+            f"{path}: no such file or folder{nearest_file(path)};"
             " give a session's folder or its session.toml"
         )
     return path

@@ -11,11 +11,13 @@ from scipy.io import netcdf_file
 
 from palpate.errors import RecordError
 from palpate.records.program import (
+    HDF5_MARK,
     CalibrationFile,
     Program,
     ProgramPoints,
     camera_matrix,
     chosen_frame,
+    damage,
     make_pose,
     rotation_from_angles,
 )
@@ -27,7 +29,6 @@ _MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
 _MATCH, _SIGMA = "MATCH", "SIGMA"
 _USED = (*_PLACE, *_MOVE, _MATCH, _SIGMA)
 _EXODUS_SUFFIXES = (".e", ".exo", ".ex2", ".exodus")
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 # DICe's names of lens models whose radial terms act as OpenCV's. Of VIC3D the numbers are VIC-3D's.
 _LENSES = (
@@ -111,19 +112,13 @@ def _text_columns(path: Path) -> Columns:
 def _exodus_columns(path: Path, frame: int | None) -> tuple[Columns, tuple[str, ...]]:
     """Nodal variables of one state."""
     start = read_bytes(path, 8)
-    if start != _HDF5 and start[:4] not in _CLASSIC:
+    if start != HDF5_MARK and start[:4] not in _CLASSIC:
         raise RecordError(
             f"{path}: is not an Exodus file in NetCDF's classic, 64-bit offset or HDF5 form;"
             " write it again, or give DICe's text files"
         )
-    try:
-        names, values = _nodal(_hdf5_arrays(path) if start == _HDF5 else _classic_arrays(path))
-    except (
-        OSError, ValueError, TypeError, LookupError, AssertionError, EOFError, RuntimeError
-    ) as error:  # fmt: skip
-        raise RecordError(
-            f"{path}: is damaged or cut off ({error}); write it again, or give DICe's text files"
-        ) from error
+    with damage(path, "write it again, or give DICe's text files"):
+        names, values = _nodal(_hdf5_arrays(path) if start == HDF5_MARK else _classic_arrays(path))
     _check_names(path, names)
     count = len(values[_MOVE[0]])
     if count == 0:

@@ -24,6 +24,7 @@ from palpate.records.text.text_file import (
 )
 from palpate.records.text.toml_table import (
     TomlTable as TomlTable,
+    nearest_file as nearest_file,
     nearest_word as nearest_word,
     read_toml as read_toml,
 )

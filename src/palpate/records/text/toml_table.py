@@ -34,6 +34,20 @@ def nearest_word(word: str, allowed: Sequence[str]) -> str:
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
+def nearest_file(path: Path) -> str:
+    """Sentence part that offers the file of the nearest name in the same folder, or nothing.
+
+    Parameters
+    ----------
+    path : Path                     that is not there
+
+    Returns
+    -------
+    str                             as `nearest_word`; empty too where there is no such folder
+    """
+    return nearest_word(path.name, sorted(file.name for file in path.parent.glob("*")))
+
+
 @dataclass(frozen=True, slots=True)
 class TomlTable:
     """One table of a TOML file, which knows where it stands.
@@ -269,8 +283,7 @@ class TomlTable:
         """
         path = self.file.parent / self.text(key)
         if not path.is_file():
-            beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
-            self.fail(key, f"no such file: {path}{nearest_word(path.name, beside)}")
+            self.fail(key, f"no such file: {path}{nearest_file(path)}")
         return path
 
 
