@@ -86,10 +86,7 @@ def _read_toml_rig(path: Path, length_unit: str | None) -> Rig:
         length_unit = root.choice("length_unit", tuple(FILE_LENGTH_UNITS))
     file = CalibrationFile(path, None, length_unit)
     metres = file.metres(usual=None)
-    cameras = []
-    for number, table in enumerate(root.tables("camera", "[[camera]]"), start=1):
-        named = TomlTable(path, f"[[camera]] number {number}", table.values)
-        cameras.append(_camera(file, named, metres))
+    cameras = [_camera(file, table, metres) for table in root.tables("camera")]
     names = [camera.name for camera in cameras]
     reference = 0
     if "reference" in root.values:

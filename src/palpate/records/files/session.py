@@ -1,7 +1,7 @@
 """Sessions from folders in the format `palpate-session/1`."""
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -136,10 +136,9 @@ def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
 def _named_tables(root: TomlTable, key: str, allowed: Sequence[str]) -> list[TomlTable]:
     """Tables of one kind, known to the reader by their names."""
     tables = []
-    for number, table in enumerate(root.optional(key, root.tables) or (), start=1):
-        plain = TomlTable(table.file, f"[[{key}]] number {number}", table.values)
-        plain.check_keys(allowed)
-        tables.append(TomlTable(table.file, f"[[{key}]] '{plain.text('name')}'", table.values))
+    for table in root.optional(key, root.tables) or ():
+        table.check_keys(allowed)
+        tables.append(replace(table, name=f"[[{key}]] '{table.text('name')}'"))
     return tables
 
 
@@ -209,7 +208,7 @@ def _images(table: TomlTable) -> Images | None:
         images.fail("loaded", f"is {loaded!r}; must be a list of file patterns in quotes")
     patterns = [_pattern(images, "rest", ())]
     for pattern in loaded:
-        single = TomlTable(images.file, images.name, {"loaded": pattern})
+        single = replace(images, values={"loaded": pattern})
         patterns.append(_pattern(single, "loaded", patterns))
     return Images(rest=patterns[0], loaded=tuple(patterns[1:]))
 

@@ -219,9 +219,8 @@ def _camera(
             f"{where} has lens terms but LENS_DISTORTION_MODEL is NO_LENS_DISTORTION or missing;"
             " name the model or take the terms out"
         )
-    size = None
-    if "IMAGE_HEIGHT_WIDTH" in values:
-        size = file.size(_row(values["IMAGE_HEIGHT_WIDTH"])[::-1])
+    height_width = values.get("IMAGE_HEIGHT_WIDTH")
+    size = file.size(height_width and _row(height_width)[::-1])
     inner = [file.number(values, key, where) for key in ("FX", "FY", "CX", "CY")]
     matrix = camera_matrix(inner, skew)
     return file.camera(name, size=size, matrix=matrix, distortion=lens, pose=pose)
@@ -242,14 +241,13 @@ def _pose(file: CalibrationFile, node: Element, metres: float) -> Float[np.ndarr
 
 def _lists(node: Element, start: str) -> list[Element]:
     """Sublists whose name begins so, in the order of their names' numbers."""
-    found = [child for child in node if child.tag == "ParameterList"]
-    found = [child for child in found if child.get("name", "").startswith(start)]
+    lists = node.findall("ParameterList")
+    found = [child for child in lists if child.get("name", "").startswith(start)]
     return sorted(found, key=lambda child: (len(child.get("name", "")), child.get("name", "")))
 
 
 def _values(node: Element) -> dict[str, str]:
-    parameters = (child for child in node if child.tag == "Parameter")
-    return {child.get("name", ""): child.get("value", "") for child in parameters}
+    return {child.get("name", ""): child.get("value", "") for child in node.findall("Parameter")}
 
 
 def _row(text: str) -> list[str]:

@@ -253,12 +253,12 @@ class TomlTable:
         return TomlTable(self.file, name or f"[{key}]", value)
 
     def tables(self, key: str, name: str | None = None) -> "tuple[TomlTable, ...]":
-        """An array of tables, known as `[[key]]` or `name`; one alone counts as an array of one.
+        """An array of tables; one alone counts as an array of one.
 
         Parameters
         ----------
         key : str
-        name : str or None              for messages
+        name : str or None              of each, for messages; None: `[[key]] number 1` and so on
 
         Raises
         ------
@@ -268,7 +268,10 @@ class TomlTable:
         items = value if isinstance(value, list) else [value]
         if not all(isinstance(item, dict) for item in items):
             self.fail(key, f"is {value!r}; must be a table or a list of tables")
-        return tuple(TomlTable(self.file, name or f"[[{key}]]", item) for item in items)
+        return tuple(
+            TomlTable(self.file, name or f"[[{key}]] number {number}", item)
+            for number, item in enumerate(items, start=1)
+        )
 
     def existing_file(self, key: str) -> Path:
         """Path of a file that is there, relative to the file this table stands in.
