@@ -35,7 +35,8 @@ def read_session(
     path : path                     the session's folder (with a session.toml), or a session file
     probes : names or None          read these probings only; None: all
     observations : bool             False: leave out the displacements and pictures of the probings,
-                                    which may still be missing
+                                    which may still be missing, and do not ask yet whether the
+                                    contacts are on the surface
 
     Returns
     -------
@@ -181,7 +182,8 @@ def _probing(
             displacement=field,
             images=images,
         )
-        check_contact(mesh, held, probing.contact)
+        if observations:
+            check_contact(mesh, held, probing.contact)
         if field is not None:
             check_observed_points(mesh, held, field)
     return probing, notes
