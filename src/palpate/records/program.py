@@ -1,8 +1,6 @@
 """What Palpate asks of a program whose files it reads: a calibration, displacements, or both."""
 
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -23,10 +21,6 @@ from palpate.shapes import Flags, Matrix3, Points, Vector3
 # A printed rotation is this far from one at most; `Camera` refuses what is farther.
 _MAX_PRINTED_ERROR = 1e-6
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-# What readers of binary files run into where bytes are missing or wrong.
-_DAMAGE = (
-    OSError, ValueError, TypeError, LookupError, AssertionError, EOFError, RuntimeError, zlib.error
-)  # fmt: skip
 _TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
 
 
@@ -273,27 +267,6 @@ class Program:
     calibrations: str = ""
     holds_rig: Callable[[CalibrationFile], bool] | None = None
     read_rig: Callable[[CalibrationFile], Rig] | None = None
-
-
-@contextmanager
-def damage(path: Path, cure: str) -> Iterator[None]:
-    """Turn what a reader of a binary format runs into within the block into a message.
-
-    Parameters
-    ----------
-    path : Path                     the file that is read
-    cure : str                      what to do about a file with missing or wrong bytes
-
-    Raises
-    ------
-    RecordError                     as it is, or in place of what the reader raised
-    """
-    try:
-        yield
-    except RecordError:
-        raise
-    except _DAMAGE as error:
-        raise RecordError(f"{path}: is damaged or cut off ({error}); {cure}") from error
 
 
 def chosen_frame(path: Path, frame: int | None, count: int = 1) -> tuple[int, tuple[str, ...]]:

@@ -17,12 +17,11 @@ from palpate.records.program import (
     ProgramPoints,
     camera_matrix,
     chosen_frame,
-    damage,
     make_pose,
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import read_bytes, read_text_table
+from palpate.records.text import damage, read_bytes, read_text_table
 
 _PLACE = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")

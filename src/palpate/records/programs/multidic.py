@@ -17,11 +17,10 @@ from palpate.records.program import (
     Program,
     ProgramPoints,
     chosen_frame,
-    damage,
     make_pose,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import read_bytes
+from palpate.records.text import damage, read_bytes
 
 _PLACES = "Points3D"
 _MARK = b"MATLAB 5.0 MAT-file"
