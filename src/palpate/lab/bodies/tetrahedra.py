@@ -23,7 +23,7 @@ from palpate.lab.bodies.even_points import (
     volume_points,
 )
 from palpate.optional_imports import late_import
-from palpate.shapes import Points, Triangles, Vertices
+from palpate.shapes import Points
 
 # Corners of the edges with mid-side nodes 4 to 9, in the order of skfem.ElementTetP2.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -66,17 +66,16 @@ class Solid:
     deviation: float
 
     def __post_init__(self) -> None:
-        for name, shape in (("elements", (None, 10)), ("facets", (None, 6))):
-            fixed = fixed_array(getattr(self, name), name=name, shape=shape, integer=True)
+        shapes = {"nodes": (3,), "elements": (10,), "facets": (6,), "facet_triangle": ()}
+        for name, item in shapes.items():
+            integer = name != "nodes"
+            value = getattr(self, name)
+            fixed = fixed_array(value, name=name, shape=(None, *item), integer=integer)
             object.__setattr__(self, name, fixed)
-        object.__setattr__(self, "nodes", fixed_array(self.nodes, name="nodes", shape=(None, 3)))
-        fixed = fixed_array(self.facet_triangle, name="facet_triangle", shape=(None,), integer=True)
-        object.__setattr__(self, "facet_triangle", fixed)
 
 
 def make_solid(
-    vertices: Vertices,
-    triangles: Triangles,
+    mesh: TriangleMesh,
     *,
     edge: float,
     fine: Sequence[tuple[Float[np.ndarray, "3"], float, float]] = (),
@@ -88,7 +87,7 @@ def make_solid(
 
     Parameters
     ----------
-    vertices, triangles               closed surface, outward
+    mesh : TriangleMesh               closed, outward
     edge : float [m]                  wanted length of an element's edge
     fine : (point (3,), radius, edge) within `radius` of `point` elements of at most that edge [m];
                                       they grow by 0.3 m/m around it
@@ -110,7 +109,7 @@ def make_solid(
         fixed_array(point, name="point of a fine place", shape=(3,))
         if not (np.isfinite(radius) and radius >= 0.0):
             raise InputError(f"radius of a fine place is {radius}; must not be negative")
-    mesh, _ = checked_mesh(TriangleMesh(vertices, triangles))
+    mesh, _ = checked_mesh(mesh)
     spacing = make_spacing(edge, fine)
     shell = surface_points(mesh, spacing)
     inner = volume_points(mesh, spacing, shell)

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, displacement_nodes, split_sides
-from palpate.lab.bodies import triangle_shapes
+from palpate.geometry import TriangleMesh, displacement_nodes, quadratic_shapes, split_sides
 from palpate.records import Camera, camera_centre, picture_size
 from palpate.shapes import Triangles, Vertices
 from palpate.vision import project
@@ -179,8 +178,8 @@ def _halved(
     _, weld = np.unique(edges.weld[marked], return_inverse=True)
     middle = 0.5 * (pieces.weight + np.roll(pieces.weight, -1, axis=1))
     first = edges.first[marked]
-    shape = triangle_shapes(middle.reshape(-1, 3)[first])
-    place = np.einsum("nk,nka->na", shape, corner[pieces.base[first // 3]])
+    shape = quadratic_shapes(middle.reshape(-1, 3)[first])
+    place = np.einsum("kn,nka->na", shape, corner[pieces.base[first // 3]])
     split = _split_triangles(
         np.concatenate([pieces.triangles, number[edges.of]], axis=1),
         marked[edges.of],
