@@ -275,7 +275,8 @@ def _strip(
     ahead_upper = (np.arange(m) + 1 + 0.5 * (1 - odd)) / m
     order = np.argsort(np.concatenate([ahead_lower, ahead_upper]), kind="stable")
     on_lower = order < n
-    i, j = np.cumsum(on_lower) - on_lower, np.cumsum(~on_lower) - ~on_lower
+    i: Int[np.ndarray, " t"] = np.cumsum(on_lower) - on_lower
+    j = np.arange(n + m) - i
     ahead = np.where(on_lower, lower[(i + 1) % n], upper[(j + 1) % m])
     strip = np.stack([lower[i % n], ahead, upper[j % m]], axis=1)
     # A ring of one vertex, on the axis, has no sides.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
 from palpate.arrays import fixed_array
@@ -150,7 +150,8 @@ def quadratic_solid(
     edge, where = np.unique(ends, axis=0, return_inverse=True)
     nodes = np.concatenate([points, points[edge].mean(axis=1)])
     elements = np.concatenate([tetrahedra, len(points) + where.reshape(-1, 6)], axis=1)
-    facets = _outer(elements)
+    faces = elements[:, FACES].reshape(-1, 6)
+    facets = faces[_is_outer(faces[:, :3])]
     nodes = _bent(nodes, elements, np.unique(facets[:, 3:]), mesh)
     centre = np.einsum("v,fva->fa", _CENTRE, nodes[facets])
     place = closest_points(mesh, centre)
@@ -231,13 +232,12 @@ def _shape(corner: Float[np.ndarray, "m 4 3"]) -> Float[np.ndarray, " m"]:
     return 6.0 * np.sqrt(2.0) * np.abs(_volumes(corner)) / np.mean(length**2, axis=1) ** 1.5
 
 
-def _outer(elements: Int[np.ndarray, "m 10"]) -> Int[np.ndarray, "f 6"]:
+def _is_outer(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     """Faces that belong to one element only."""
-    faces = elements[:, FACES].reshape(-1, 6)
     _, where, count = np.unique(
-        np.sort(faces[:, :3], axis=1), axis=0, return_inverse=True, return_counts=True
+        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
     )
-    return faces[count[where.ravel()] == 1]
+    return count[where.ravel()] == 1
 
 
 def _tetrahedra(
@@ -289,9 +289,7 @@ def _inner_cells(
     keep[doubtful[solid][~inside(mesh, centre)]] = False
     cells = cells[keep]
     while True:
-        faces = np.sort(cells[:, FACES[:, :3]], axis=2).reshape(-1, 3)
-        _, where, times = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
-        outer = (times[where.ravel()] == 1).reshape(-1, 4).sum(axis=1)
+        outer = _is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
         peel = (cells < count).all(axis=1) & (outer >= 2) & (_shape(points[cells]) < _MIN_SHAPE)
         if not peel.any():
             return cells

@@ -142,12 +142,10 @@ def _in_picture(
     camera: Camera, pixel: Float[np.ndarray, "v 2"], triangles: Triangles
 ) -> Bool[np.ndarray, " m"]:
     """Triangles whose box reaches into a camera's picture, or nearly so."""
-    inside = np.ones(len(triangles), dtype=bool)
-    for axis, size in enumerate(picture_size(camera)):
-        a, b, c = (pixel[column, axis] for column in triangles.T)
-        inside &= np.maximum(np.maximum(a, b), c) > -_MAX_OUTSIDE * size
-        inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _MAX_OUTSIDE) * size
-    return inside
+    corner, size = pixel[triangles], np.array(picture_size(camera))
+    reaches = corner.max(axis=1) > -_MAX_OUTSIDE * size
+    reaches &= corner.min(axis=1) < (1.0 + _MAX_OUTSIDE) * size
+    return reaches.all(axis=1)
 
 
 def _edges_to_halve(
