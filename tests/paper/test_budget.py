@@ -183,7 +183,7 @@ def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
     monkeypatch.setattr(budget, "pictures_measured", lambda session: session)
     said = []
     sources = budget.error_budget(
-        config, tmp_path, variant=Variant("none", ""), draws=3,
+        config, tmp_path, variant=Variant("none", "", None), draws=3,
         progress=lambda text, share: said.append(share),
     )  # fmt: skip
     assert [one.name for one in sources] == NAMES

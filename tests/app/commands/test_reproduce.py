@@ -104,7 +104,7 @@ def bench(monkeypatch, tmp_path):
 
     monkeypatch.setattr("palpate.paper.experiments.measured_session", measured_session)
     monkeypatch.setattr(
-        reproduce_command, "choose_variant", lambda: Variant("none", "no [bench]")
+        reproduce_command, "choose_variant", lambda: Variant("none", "no [bench]", None)
     )
     monkeypatch.setattr("palpate.paper.figures.surface_map", lambda *_: sample().surface)
     monkeypatch.chdir(tmp_path)
@@ -225,7 +225,7 @@ def test_the_budget_makes_its_own_sessions(monkeypatch, tmp_path, capsys):
         return tuple(SourceErrors(name, "much", errors, errors) for name in ("none", "all of it"))
 
     monkeypatch.setattr("palpate.paper.experiments.error_budget", budget)
-    monkeypatch.setattr(reproduce_command, "choose_variant", lambda: Variant("none", "no"))
+    monkeypatch.setattr(reproduce_command, "choose_variant", lambda: Variant("none", "no", None))
     reproduce("budget", out=tmp_path / "b")
     reproduce("budget", out=tmp_path / "q", quick=True)
     (full, name, draws), (quick, _, few) = asked

@@ -12,92 +12,95 @@ from palpate.lab.pictures.mitsuba_variant import (
     LLVM_SETTING,
     Variant,
     choose_variant,
+    llvm_candidates,
     load_mitsuba,
 )
 
-# Stands for Dr.Jit with an LLVM of some version, whose kernels give what is asked for.
-_DRJIT = """
-import sys, types
-drjit = types.ModuleType("drjit")
-drjit.JitBackend = types.SimpleNamespace(LLVM=1)
-drjit.has_backend = lambda backend: True
-drjit.detail = types.SimpleNamespace(llvm_version=lambda: {version})
-drjit.llvm = types.ModuleType("drjit.llvm")
-class Float(list):
-    def __add__(self, other):
-        return {sums}
-drjit.llvm.Float = Float
-sys.modules.update({{"drjit": drjit, "drjit.llvm": drjit.llvm}})
-"""
+# Stands for a compiler that works, that ends the process, or that hangs.
+_FIT = 'import sys; print("LLVM 99.0.0")'
+_CRASH = "import os; os.abort()"
+_UNKNOWN = "raise RuntimeError"
 
 
-def _with_llvm(monkeypatch, version=(18, 1, 3), sums=(2.0, 3.0)):
-    """The trial itself, on a compiler of our own."""
-    fake = _DRJIT.format(version=version, sums=list(sums))
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", fake + mitsuba_variant._TRIAL)
+@pytest.fixture
+def libraries(tmp_path):
+    """A folder with files named like LLVM's libraries, none of which is one."""
+    for name in ("libLLVM-9.so", "libLLVM-17.so.1", "libLLVM.so.19.1", "libLLVMCore.a", "libc.so"):
+        (tmp_path / name).write_text("no library")
+    return tmp_path
 
 
-@pytest.mark.parametrize("version", [(16, 0, 0), (18, 1, 3)])
-def test_a_fit_library_is_taken(monkeypatch, version):
-    _with_llvm(monkeypatch, version)
-    name = ".".join(map(str, version))
-    assert choose_variant() == Variant("llvm_ad_rgb", f"Mitsuba renders with LLVM {name}")
+def test_candidates_come_newest_first_and_only_once(libraries):
+    (libraries / "libLLVM-19.so").symlink_to(libraries / "libLLVM.so.19.1")
+    found = llvm_candidates([str(libraries), str(libraries.parent / "*"), "relative", "Z:/none"])
+    assert [file.name for file in found] == ["libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-9.so"]
 
 
-def test_a_library_before_llvm_16_is_too_old(monkeypatch):
-    _with_llvm(monkeypatch, (15, 0, 7))
-    variant = choose_variant()
+def test_a_file_that_is_no_library_leaves_the_scalar_variant(libraries):
+    variant = choose_variant(folders=[str(libraries)], environment={})
     assert variant.name == "scalar_rgb"
-    assert "than with LLVM: LLVM 15.0.7 is older than LLVM 16. To speed up" in variant.why
-
-
-def test_a_library_that_computes_wrongly_is_refused(monkeypatch):
-    _with_llvm(monkeypatch, sums=(2.0, 4.0))
-    variant = choose_variant()
-    assert variant.name == "scalar_rgb"
-    assert "LLVM 18.1.3 computes wrongly" in variant.why
-
-
-def test_nothing_found_says_how_to_speed_up(monkeypatch, tmp_path):
-    # Dr.Jit itself, with a library that is none.
-    monkeypatch.setenv(LLVM_SETTING, str(tmp_path / "libLLVM.so"))
-    variant = choose_variant()
-    assert variant.name == "scalar_rgb"
-    assert "no LLVM library found" in variant.why
-    assert LLVM_SETTING in variant.why
+    assert variant.llvm is None
+    assert "libLLVM-17.so.1 cannot be loaded" in variant.why
     assert "\n" not in variant.why
 
 
-# A compiler that ends the process, or fails in a way that nobody foresaw.
-@pytest.mark.parametrize("trial", ["import os; os.abort()", "raise RuntimeError"])
-def test_a_compiler_that_fails_costs_only_its_own_process(monkeypatch, trial):
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", trial)
-    variant = choose_variant()
+def test_nothing_found_says_how_to_speed_up():
+    variant = choose_variant(folders=(), environment={})
     assert variant.name == "scalar_rgb"
-    assert "LLVM fails in Mitsuba's compiler" in variant.why
+    assert "no LLVM library found" in variant.why
+    assert LLVM_SETTING in variant.why
 
 
-def test_a_compiler_that_hangs_is_given_up(monkeypatch):
+def test_a_library_without_the_version_of_llvm_16_is_too_old():
+    # Any library that has not LLVMGetVersion: the interpreter's own extension modules.
+    library = next(
+        str(module.__file__)
+        for module in list(sys.modules.values())
+        if str(getattr(module, "__file__", "")).endswith(".so")
+    )
+    variant = choose_variant(folders=(), environment={LLVM_SETTING: library})
+    assert variant.name == "scalar_rgb"
+    assert f"{library} is older than LLVM 16" in variant.why
+
+
+@pytest.mark.parametrize("trial", [_CRASH, _UNKNOWN])
+def test_a_compiler_that_fails_costs_only_its_own_process(libraries, monkeypatch, trial):
+    monkeypatch.setattr(mitsuba_variant, "_TRIAL", trial)
+    variant = choose_variant(folders=[str(libraries)], environment={})
+    assert variant.name == "scalar_rgb"
+    assert "libLLVM-9.so fails in Mitsuba's compiler" in variant.why
+
+
+def test_a_compiler_that_hangs_is_given_up(libraries, monkeypatch):
     monkeypatch.setattr(mitsuba_variant, "_TRIAL", "import time; time.sleep(60)")
     monkeypatch.setattr(mitsuba_variant, "_TIMEOUT_S", 0.2)
-    assert "could not be tried" in choose_variant().why
+    variant = choose_variant(folders=[str(libraries)], environment={})
+    assert "could not be tried" in variant.why
 
 
-def test_an_interpreter_that_cannot_be_started_leaves_the_scalar_variant(monkeypatch):
-    monkeypatch.setattr(sys, "executable", "/no/such/python")
-    assert choose_variant().name == "scalar_rgb"
+def test_a_fit_library_is_taken_and_the_users_own_is_asked_first(libraries, monkeypatch):
+    monkeypatch.setattr(mitsuba_variant, "_TRIAL", _FIT)
+    newest = libraries / "libLLVM.so.19.1"
+    variant = choose_variant(folders=[str(libraries)], environment={})
+    assert variant == Variant("llvm_ad_rgb", f"Mitsuba renders with LLVM 99.0.0 ({newest})", newest)
+    own = libraries / "libLLVM-9.so"
+    variant = choose_variant(folders=[str(libraries)], environment={LLVM_SETTING: str(own)})
+    assert variant.llvm == own
 
 
-def test_loading_keeps_the_variant(monkeypatch):
+def test_loading_tells_the_compiler_its_library_and_keeps_the_variant(monkeypatch):
     chosen = []
 
     fake = ModuleType("mitsuba")
     fake.variant = lambda: chosen[-1] if chosen else None
     fake.set_variant = chosen.append
     monkeypatch.setattr(mitsuba_variant, "late_import", lambda *_, **__: fake)
-    for _ in range(2):
-        load_mitsuba(Variant("llvm_ad_rgb", ""))
+    monkeypatch.setenv(LLVM_SETTING, "before")
+    variant = Variant("llvm_ad_rgb", "", mitsuba_variant.Path("/some/libLLVM.so"))
+    load_mitsuba(variant)
+    load_mitsuba(variant)
     assert chosen == ["llvm_ad_rgb"]
+    assert mitsuba_variant.os.environ[LLVM_SETTING] == str(variant.llvm)
 
 
 def test_missing_mitsuba_names_the_extra(monkeypatch):
@@ -107,4 +110,4 @@ def test_missing_mitsuba_names_the_extra(monkeypatch):
     late = importlib.import_module("palpate.optional_imports")
     monkeypatch.setattr(late, "import_module", absent)
     with pytest.raises(InputError, match=r"pip install 'palpate\[lab\]'"):
-        load_mitsuba(Variant("scalar_rgb", ""))
+        load_mitsuba(Variant("scalar_rgb", "", None))

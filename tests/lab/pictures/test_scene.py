@@ -10,12 +10,12 @@ from vision_cameras import BARREL, RATIONAL, make_camera
 
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh
-from palpate.lab.pictures.mitsuba_variant import Variant
+from palpate.lab.pictures.mitsuba_variant import choose_variant
 from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
 from palpate.vision import rays
 
 # The scalar variant runs everywhere.
-SCALAR = Variant("scalar_rgb", "")
+SCALAR = choose_variant(folders=(), environment={})
 AMBIENT = Light(1.0)
 # An eighth of the picture bends away at the corners of this one.
 STRONG = (-0.45, 0.2, 2e-3, -3e-3, 0.0)

@@ -11,7 +11,7 @@ from surfaces import box, sphere
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh, read_mesh
 from palpate.lab import Pictures
-from palpate.lab.pictures.mitsuba_variant import Variant
+from palpate.lab.pictures.mitsuba_variant import choose_variant
 from palpate.lab.pictures.render_mesh import make_render_mesh
 from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
 from palpate.lab.pictures.sensor import exposure_gain, grey_picture
@@ -129,7 +129,7 @@ def test_pictures_move_as_the_map_says(ball, rod):
     loaded = ball.vertices + _push(ball.vertices)
     light = Light(0.6, Lamp(np.array([0.2, 0.2, 0.5]), np.zeros(3), 0.1, 8.0))
     rod_body = DrawnBody(rod, np.zeros(len(rod.vertices)))
-    variant = Variant("scalar_rgb", "")
+    variant = choose_variant(folders=(), environment={})
     options = {"variant": variant, "samples": 9}
     rest = render([_body(ball.vertices, ball.triangles, texture)], rig.cameras, light, seed=1,
                   **options)  # fmt: skip
