@@ -21,7 +21,7 @@ def measure(options: Options) -> list[Figure]:
     studio = make_studio(config, rig, variant, rng=np.random.default_rng(2))
     rest, rod = studio.mesh.vertices, rod_at(tip, tip.point, rig.cameras)
     seconds = shortest(
-        lambda: photograph(studio, config, [rest], rod, rng=np.random.default_rng(3)),
+        lambda: photograph(studio, [rest], rod, rng=np.random.default_rng(3)),
         repeats=1 if options.quick else 5,
     )
     drawn, rays = len(studio.mesh.vertices), config.pictures.samples

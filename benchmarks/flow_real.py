@@ -154,7 +154,7 @@ def _cylinder() -> list[Figure]:
     plain = read_rig(folder / "calibrationObjectImages")
     control = read_control_points(folder / "calibrationObjectImages")
     lenses = [
-        resected(camera, known.points, known.pixels).camera
+        resected(camera, *known).camera
         for camera, known in zip(plain.cameras, control, strict=True)
     ]
     rig = Rig(tuple(lenses), 0, str(folder))

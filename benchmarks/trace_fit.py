@@ -1,96 +1,91 @@
-"""How many files one `palpate fit` from pictures passes through, and how often it moves.
+"""How far one `palpate fit` travels through the code: files entered, moves between files and rooms.
 
     python -m benchmarks.trace_fit SESSION PROBING
 
-Runs `palpate fit SESSION --probe PROBING` under `sys.setprofile` in every thread. Only Python
-functions of palpate count; kernels that numba compiled do not. A move is a call that crosses from
-one file to another: each pair of a calling and a called function counts once, or every time.
+Functions of `palpate` are listed in the order in which the main thread enters them. A move is a
+pair of neighbours in this list that lie in different files. The ground floor's files are one room.
 """
 
 import argparse
 import os
 import sys
 import tempfile
-import threading
-from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from types import FrameType
-from typing import Any
 
 import palpate
 from palpate.app.cli import main as run_command
 
-ROOT = os.path.dirname(palpate.__file__) + os.sep
-# File and function of a caller, file and function of what it called.
-Move = tuple[str, str, str, str]
+_ROOT = os.path.dirname(palpate.__file__) + os.sep
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Trace:
-    """Files that were entered, and calls between files."""
+    """Counts of a list of functions entered.
 
-    files: set[str] = field(default_factory=set)
-    moves: Counter[Move] = field(default_factory=Counter)
+    Attributes
+    ----------
+    files : int             entered at least once
+    moves : int             from one file to another
+    between_rooms : int     of these, from one room to another
+    """
 
-    def profile(self, frame: FrameType, event: str, _argument: Any) -> None:
-        """Note a call; the function that `sys.setprofile` takes."""
-        here = _place(frame)
-        if event != "call" or not here or frame.f_code.co_name == "<module>":
-            return
-        self.files.add(here)
-        caller = frame.f_back
-        while caller is not None and not _place(caller):
-            caller = caller.f_back
-        if caller is not None and _place(caller) != here:
-            self.moves[_place(caller), caller.f_code.co_name, here, frame.f_code.co_name] += 1
+    files: int
+    moves: int
+    between_rooms: int
+
+    @classmethod
+    def of(cls, entered: Sequence[str]) -> "Trace":
+        """Counts of the files of functions in the order in which they were entered."""
+        moves = [(last, here) for last, here in pairwise(entered) if last != here]
+        crossing = sum(room(last) != room(here) for last, here in moves)
+        return cls(len(set(entered)), len(moves), crossing)
+
+
+def traced(work: Callable[[], object]) -> list[str]:
+    """File of each function of `palpate` that some work enters, in order, relative to the package.
+
+    Parameters
+    ----------
+    work : callable         without arguments
+    """
+    entered: list[str] = []
+
+    def note(frame: FrameType, event: str, _argument: object) -> None:
+        file, name = frame.f_code.co_filename, frame.f_code.co_name
+        if event == "call" and file.startswith(_ROOT) and name != "<module>":
+            entered.append(file.removeprefix(_ROOT))
+
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return entered
+
+
+def room(file: str) -> str:
+    """The room that a file belongs to, by its path relative to the package."""
+    return Path(file).parts[0] if os.sep in file else "ground floor"
 
 
 def main() -> None:
     """Trace a fit and print the counts."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.trace_fit", description=__doc__)
-    parser.add_argument("session")
+    parser.add_argument("session", help="with pictures")
     parser.add_argument("probing")
     given = parser.parse_args()
-    trace = Trace()
     with tempfile.TemporaryDirectory() as folder:
-        arguments = ["fit", given.session, "--probe", given.probing, "--out", f"{folder}/result"]
-        threading.setprofile(trace.profile)
-        sys.setprofile(trace.profile)
-        try:
-            run_command(arguments)
-        finally:
-            sys.setprofile(None)
-            threading.setprofile(None)
-    for line in summary(trace):
-        print(line)
-
-
-def summary(trace: Trace) -> list[str]:
-    """Counts of files and moves, a line each.
-
-    Parameters
-    ----------
-    trace : Trace
-    """
-    between = {move: n for move, n in trace.moves.items() if _room(move[0]) != _room(move[2])}
-    pairs = {(caller, called) for caller, _, called, _ in trace.moves}
-    crossing = sum(_room(caller) != _room(called) for caller, called in pairs)
-    return [
-        f"files entered: {len(trace.files)}",
-        f"moves, every call: {trace.moves.total()}, between rooms {sum(between.values())}",
-        f"moves, each pair of functions once: {len(trace.moves)}, between rooms {len(between)}",
-        f"moves, each pair of files once: {len(pairs)}, between rooms {crossing}",
-    ]
-
-
-def _place(frame: FrameType) -> str:
-    """File of a frame below the package; empty where it is another's."""
-    name = frame.f_code.co_filename
-    return name.removeprefix(ROOT) if name.startswith(ROOT) else ""
-
-
-def _room(file: str) -> str:
-    return file.split(os.sep)[0]
+        out = str(Path(folder) / "result")
+        arguments = ["fit", given.session, "--probe", given.probing, "--out", out]
+        found = Trace.of(traced(lambda: run_command(arguments)))
+    print(
+        f"files entered {found.files}, moves between files {found.moves}, between rooms"
+        f" {found.between_rooms}"
+    )
 
 
 if __name__ == "__main__":

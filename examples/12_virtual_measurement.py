@@ -15,8 +15,6 @@ from palpate.lab import (
     make_body,
     make_solid,
     press,
-    read_sensor,
-    sensor_std,
 )
 from palpate.lab.bodies.finite_elements import surface_values
 from palpate.lab.bodies.tips import TIPS
@@ -34,7 +32,7 @@ def main() -> tuple[float, float]:
     held = np.flatnonzero((mesh.vertices[mesh.triangles][..., 2] < 1e-9).all(axis=1))
     pole = np.array([0.0, 0.0, RADIUS])
     # The specimen: quadratic finite elements, fine under the tip; its shape is the round one.
-    solid = make_solid(mesh.vertices, mesh.triangles, edge=0.012, fine=[(pole, 0.003, 0.0015)])
+    solid = make_solid(mesh, edge=0.012, fine=[(pole, 0.003, 0.0015)])
     shear = 0.5 * YOUNG_MODULUS / (1 + POISSON_RATIO)
     nodes = held_nodes(solid, held)
     body = make_body(solid, nodes, shear_modulus=shear, poisson_ratio=POISSON_RATIO)
@@ -50,8 +48,8 @@ def main() -> tuple[float, float]:
     std, place = np.full(points.shape, SIGMA), closest_points(mesh, points)
     field = DisplacementField(points, moved, std, None, place, "example")
     contact = Contact(pole, pressed.radius, "hertz")
-    force = read_sensor(pressed.force, sensor, rng=rng)
-    sigma = np.full(3, sensor_std(pressed.force, sensor))
+    force = sensor.read(pressed.force, rng=rng)
+    sigma = np.full(3, sensor.std(pressed.force))
     probing = Probing("pole", contact, force, sigma, None, None, field, None)
     session = Session("virtual", Path("virtual"), mesh, held, (probing,), None, None, None, ())
 

@@ -60,8 +60,8 @@ def test_real_object_shows_the_lens_that_its_transformation_lacks(shared_data):
     cameras = []
     control = read_control_points(folder / "calibrationObjectImages")
     for camera, known in zip(rig.cameras, control, strict=True):
-        before = project(camera, known.points) - known.pixels
-        found = resected(camera, known.points, known.pixels)
+        before = project(camera, known[0]) - known[1]
+        found = resected(camera, *known)
         # Centroids of printed dots are good to a quarter of a pixel.
         assert np.sqrt(np.mean(found.residual**2)) < 0.27
         assert np.sqrt(np.mean(before**2)) > 2.0

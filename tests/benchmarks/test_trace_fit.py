@@ -1,32 +1,27 @@
-"""What a trace counts: calls between files of the package, by function and by room."""
+"""What a trace counts: functions in the order in which they are entered, by file and by room."""
 
-import sys
-
-from benchmarks.trace_fit import Trace, summary
+from benchmarks.trace_fit import Trace, room, traced
 from palpate.records import length_unit, value_text
 from palpate.records.estimate import Constant
 
 
-def test_calls_within_a_file_and_from_outside_are_no_moves():
-    trace = Trace()
-    sys.setprofile(trace.profile)
-    length_unit(1.0)
-    value_text(Constant(1.0, 0.1, (0.5, 1.5)))
-    sys.setprofile(None)
-    # The tests are not of the package; value_text calls _places in its own file.
-    assert trace.files == {"records/quantities.py", "records/estimate.py"}
-    assert not trace.moves
+def test_functions_are_listed_in_order_and_those_of_others_are_not():
+    def work() -> None:
+        length_unit(1.0)
+        value_text(Constant(1.0, 0.1, (0.5, 1.5)))
+
+    entered = traced(work)
+    # The constant is made before the text; both texts come from one file, its helpers included.
+    assert list(dict.fromkeys(entered)) == ["records/quantities.py", "records/estimate.py"]
+    assert entered[0] == entered[-1] == "records/quantities.py"
 
 
-def test_moves_are_counted_once_and_every_time_and_by_room():
-    trace = Trace({"a/x.py", "a/y.py", "b/z.py"})
-    trace.moves.update(
-        {("a/x.py", "f", "a/y.py", "g"): 3, ("a/x.py", "f", "b/z.py", "h"): 4,
-         ("a/x.py", "k", "b/z.py", "h"): 1}
-    )  # fmt: skip
-    assert summary(trace) == [
-        "files entered: 3",
-        "moves, every call: 8, between rooms 5",
-        "moves, each pair of functions once: 3, between rooms 2",
-        "moves, each pair of files once: 2, between rooms 1",
-    ]
+def test_moves_are_neighbours_in_different_files_and_rooms():
+    found = Trace.of(["a/x.py", "a/x.py", "a/y.py", "b/z.py", "errors.py", "threads.py", "b/z.py"])
+    # x to y, y to z, z to errors, errors to threads, threads to z; the ground floor is one room.
+    assert (found.files, found.moves, found.between_rooms) == (5, 5, 3)
+
+
+def test_the_ground_floor_is_one_room():
+    assert room("arrays.py") == room("threads.py")
+    assert room("vision/cameras/lens.py") == room("vision/range_flow.py") == "vision"

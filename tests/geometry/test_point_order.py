@@ -23,3 +23,10 @@ def test_place_and_size_do_not_matter_and_points_without_a_place_come_last():
 
 def test_points_at_one_place_keep_their_order():
     assert np.array_equal(morton_order(np.ones((4, 3))), np.arange(4))
+
+
+def test_neighbours_on_a_grid_stay_together():
+    grid = np.stack([*np.divmod(np.arange(256), 16), np.zeros(256)], axis=1)
+    block = grid[morton_order(grid)].reshape(16, 16, 3)
+    # Sixteen points in a square of four by four.
+    assert np.all(np.ptp(block, axis=1)[:, :2] == 3)

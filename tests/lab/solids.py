@@ -5,6 +5,7 @@ import skfem
 from scipy.spatial import Delaunay
 from surfaces import joined, sphere
 
+from palpate.geometry import TriangleMesh
 from palpate.lab.bodies.tetrahedra import Solid, make_solid, quadratic_solid
 
 
@@ -14,7 +15,7 @@ def half_ball(shared_data, name, **options):
         data = {key: case[key] for key in case.files}
     vertices, triangles = data["V"].astype(float), data["F"].astype(np.int64)
     support = np.flatnonzero((vertices[triangles][:, :, 2] <= 1e-6).all(axis=1))
-    return data, make_solid(vertices, triangles, **options), support
+    return data, make_solid(TriangleMesh(vertices, triangles), **options), support
 
 
 def traction_load(solid: Solid, traction, where=None, order: int = 2) -> np.ndarray:

@@ -150,8 +150,8 @@ def test_seconds_are_those_of_the_stages(result: FitResult) -> None:
     assert list(seconds) == ["assembly", "factorisation", "fit", "total"]
     assert all(value > 0 for value in seconds.values())
     parts = sum(value for name, value in seconds.items() if name != "total")
-    # What lies between the stages: a few assignments and calls of the progress.
-    assert seconds["total"] == pytest.approx(parts, abs=0.02)
+    # Between the stages there are a few assignments: nothing where other work does not interrupt.
+    assert 0.8 * seconds["total"] < parts <= seconds["total"]
 
 
 def test_progress_rises_to_one(session: Session) -> None:

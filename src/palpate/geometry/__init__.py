@@ -56,6 +56,7 @@ from palpate.geometry.triangle_mesh import (
     area_vectors as area_vectors,
     bounding_diagonal as bounding_diagonal,
     enclosed_volume as enclosed_volume,
+    half_edges as half_edges,
     triangle_areas as triangle_areas,
     unit_normals as unit_normals,
     vertex_normals as vertex_normals,

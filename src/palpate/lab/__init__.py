@@ -12,13 +12,10 @@ from palpate.lab.bench import (
     make_session as make_session,
     make_sessions as make_sessions,
     planned_pictures as planned_pictures,
-    read_sensor as read_sensor,
-    sensor_std as sensor_std,
 )
 from palpate.lab.bodies import (
     SHAPES as SHAPES,
     Punch as Punch,
-    Tip as Tip,
     cylinder as cylinder,
     half_ball as half_ball,
     held_nodes as held_nodes,
@@ -36,11 +33,9 @@ from palpate.lab.config import (
     Pictures as Pictures,
     Probe as Probe,
     Sensor as Sensor,
-    Specimen as Specimen,
     Stage as Stage,
 )
 from palpate.lab.config_files import (
-    LAB_FORMAT as LAB_FORMAT,
     built_in as built_in,
     read_lab_config as read_lab_config,
 )

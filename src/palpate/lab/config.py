@@ -54,10 +54,6 @@ class _Limited:
                         raise InputError(f"{name} is {shown}; {limit.text}")
 
 
-def _zeros() -> Vector3:
-    return np.zeros(3)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Specimen:
     """The object.
@@ -156,8 +152,43 @@ class Sensor(_Limited):
 
     noise: NotNegative = 0.0
     relative_noise: NotNegative = 0.0
-    bias: Vector3 = field(default_factory=_zeros)
+    bias: Vector3 = field(default_factory=lambda: np.zeros(3))
     resolution: NotNegative = 0.0
+
+    def read(self, truth: Vector3, *, rng: np.random.Generator) -> Vector3:
+        """A reading of a force, a position or a displacement.
+
+        Parameters
+        ----------
+        truth : (3,) float [N or m]
+        rng : Generator
+
+        Returns
+        -------
+        (3,) float [N or m]
+        """
+        value = truth + self.bias + self._noise_of(truth) * rng.standard_normal(3)
+        step = self.resolution
+        return step * np.rint(value / step) if step > 0.0 else value
+
+    def std(self, truth: Vector3) -> float:
+        """Standard deviation of each component that the sensor's data sheet would state.
+
+        The rounding counts as noise; a bias is not on the sheet.
+
+        Parameters
+        ----------
+        truth : (3,) float [N or m]
+
+        Returns
+        -------
+        float [N or m]
+        """
+        return float(np.hypot(self._noise_of(truth), self.resolution / np.sqrt(12.0)))
+
+    def _noise_of(self, truth: Vector3) -> float:
+        """Standard deviation before the rounding."""
+        return float(np.hypot(self.noise, self.relative_noise * np.linalg.norm(truth)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,10 +231,10 @@ class Stage(_Limited):
     """
 
     steps: Count
-    translation: Vector3 = field(default_factory=_zeros)
+    translation: Vector3 = field(default_factory=lambda: np.zeros(3))
     rotation: float = 0.0
     axis: Direction = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    centre: Vector3 = field(default_factory=_zeros)
+    centre: Vector3 = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,6 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
-from palpate.errors import InputError
 from palpate.geometry import read_mesh, triangle_areas
 from palpate.lab.bodies import SHAPES
 from palpate.lab.config import LabConfig, Probe, Specimen
@@ -80,10 +79,8 @@ def _specimen(root: TomlTable) -> Specimen:
         table.check_keys(("shape", *shape.lengths, "edge", "element"))
         edge = table.number("edge")
         lengths = {name: table.number(name) for name in shape.lengths}
-        try:
+        with table.blamed():
             mesh = shape.make(edge=edge, **lengths)
-        except InputError as error:
-            table.fail("", str(error))
         body = shape.make(edge=edge / _ROUNDER, **lengths)
     element = table.number("element") if "element" in table.values else edge
     if not element > 0.0:
@@ -103,10 +100,8 @@ def _settings(table: TomlTable, kind: type[Settings], **given: Any) -> Settings:
         needed = field.default is MISSING and field.default_factory is MISSING
         if needed or field.name in table.values:
             values[field.name] = _value(table, field.name, hints[field.name])
-    try:
+    with table.blamed():
         return kind(**values)
-    except InputError as error:
-        table.fail("", str(error))
 
 
 def _value(table: TomlTable, key: str, hint: Any) -> Any:

@@ -38,8 +38,6 @@ from palpate.lab import (
     half_ball,
     make_sessions,
     miscalibrated,
-    read_sensor,
-    sensor_std,
 )
 from palpate.paper.constants import constant_errors
 from palpate.paper.result import Cell, ResultTable
@@ -202,8 +200,8 @@ def _with_forces(session: Session, sensor: Sensor, rng: np.random.Generator) -> 
     probings = tuple(
         replace(
             probing,
-            force=read_sensor(probing.force, sensor, rng=rng),
-            force_std=np.full(3, sensor_std(probing.force, sensor)),
+            force=sensor.read(probing.force, rng=rng),
+            force_std=np.full(3, sensor.std(probing.force)),
         )
         for probing in session.probings
     )

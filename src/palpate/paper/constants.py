@@ -79,7 +79,7 @@ def compressed_modulus(material: Material) -> float:
     Lang and Pai (2001), section 5: E = F l / (A dl).
     """
     mesh = cylinder(radius=_RADIUS, height=_HEIGHT, edge=_ELEMENT / 5.0)
-    solid = make_solid(mesh.vertices, mesh.triangles, edge=_ELEMENT)
+    solid = make_solid(mesh, edge=_ELEMENT)
     base = np.flatnonzero((np.abs(mesh.vertices[mesh.triangles][:, :, 2]) < 1e-9).all(axis=1))
     body = make_body(
         solid,

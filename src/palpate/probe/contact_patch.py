@@ -24,6 +24,7 @@ class ContactPatch:
     triangle : int                triangle at the contact point
     barycentric : (3,) float [-]  place of the contact point in it
     vertex : int                  vertex nearest to the contact point
+    corners : (m, 3) int          vertices of all triangles of the mesh
     """
 
     contact: Contact

@@ -16,7 +16,6 @@ from palpate.records.estimate import (
     Status as Status,
 )
 from palpate.records.files import (
-    ESTIMATE_FORMAT as ESTIMATE_FORMAT,
     SESSION_FORMAT as SESSION_FORMAT,
     ImportItem as ImportItem,
     default_folder as default_folder,
@@ -33,7 +32,6 @@ from palpate.records.files import (
     read_session as read_session,
     read_support as read_support,
     result_folder as result_folder,
-    rig_to_toml as rig_to_toml,
     with_displacements as with_displacements,
     write_displacement as write_displacement,
     write_estimate as write_estimate,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import StrEnum, auto
 from typing import Any
 
 from palpate.errors import InputError
@@ -42,23 +42,17 @@ _ADVICE = {
 
 
 class Status(StrEnum):
-    """Outcome of an estimation; `advice` holds the cure."""
+    """Outcome of an estimation, its name in small letters as text; `advice` holds the cure."""
 
-    OK = "ok"
-    POISSON_RATIO_NOT_IDENTIFIABLE = "poisson_ratio_not_identifiable"
-    SHEAR_MODULUS_NOT_IDENTIFIABLE = "shear_modulus_not_identifiable"
-    YOUNG_MODULUS_NOT_IDENTIFIABLE = "young_modulus_not_identifiable"
-    SHEAR_MODULUS_AND_POISSON_RATIO_NOT_IDENTIFIABLE = (
-        "shear_modulus_and_poisson_ratio_not_identifiable"
-    )
-    POISSON_RATIO_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = (
-        "poisson_ratio_and_young_modulus_not_identifiable"
-    )
-    SHEAR_MODULUS_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = (
-        "shear_modulus_and_young_modulus_not_identifiable"
-    )
-    NOTHING_IDENTIFIABLE = "nothing_identifiable"
-    NOT_CONVERGED = "not_converged"
+    OK = auto()
+    POISSON_RATIO_NOT_IDENTIFIABLE = auto()
+    SHEAR_MODULUS_NOT_IDENTIFIABLE = auto()
+    YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
+    SHEAR_MODULUS_AND_POISSON_RATIO_NOT_IDENTIFIABLE = auto()
+    POISSON_RATIO_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
+    SHEAR_MODULUS_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
+    NOTHING_IDENTIFIABLE = auto()
+    NOT_CONVERGED = auto()
 
     @property
     def advice(self) -> str:

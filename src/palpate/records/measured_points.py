@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import fixed_array
-from palpate.errors import InputError, RecordError
+from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, mesh_quality
 from palpate.records.probing import DisplacementField, measured_rows
 from palpate.records.program import ProgramPoints
@@ -21,21 +20,17 @@ _MAX_SPAN, _MIN_SPAN = 3.0, 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPoints:
-    """Points that a program looked at, and how they moved from rest to load.
+    """Points that a program looked at, and how they moved from rest to load, by `in_metres`.
 
     Parameters
     ----------
-    points : (n, 3) float [m]       at rest; NaN where a failed point has no place
-    displacement : (n, 3) float [m] NaN rows: looked at and not measured
+    points : (n, 3) float [m]       at rest; NaN where a failed point has no place, never where a
+                                    measured one is
+    displacement : (n, 3) float [m] NaN rows: looked at and not measured; never all of them
     std : (n, 3) float [m] or None  one standard deviation of the displacement, > 0 where measured
     source : str                    file they came from, for messages
     notes : tuple of str            what was assumed, converted or left out, in sentences about the
                                     file, which they do not name
-
-    Raises
-    ------
-    InputError                      shapes that differ, a measured point without a place, nothing
-                                    measured, a standard deviation that is not positive
     """
 
     points: Points
@@ -43,24 +38,6 @@ class MeasuredPoints:
     std: Points | None
     source: str
     notes: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        points = fixed_array(self.points, name="points", shape=(None, 3), nan_allowed=True)
-        n = len(points)
-        moved = fixed_array(self.displacement, name="displacement", shape=(n, 3), nan_allowed=True)
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "displacement", moved)
-        measured = measured_rows(moved)
-        if not measured.any():
-            raise InputError(f"not one of {n} points was measured")
-        nowhere = np.flatnonzero(measured & np.isnan(points).any(axis=1))
-        if len(nowhere):
-            raise InputError(f"measured point {nowhere[0]} has no place; give x, y and z")
-        if self.std is not None:
-            std = fixed_array(self.std, name="std", shape=(n, 3), nan_allowed=True)
-            if not (std[measured] > 0.0).all():
-                raise InputError("std of a measured point is not positive")
-            object.__setattr__(self, "std", std)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ from palpate.shapes import Flags, Matrix3, Points, Vector3
 
 # A printed rotation is this far from one at most; `Camera` refuses what is farther.
 _MAX_PRINTED_ERROR = 1e-6
+HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
 
 

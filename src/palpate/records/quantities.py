@@ -75,12 +75,10 @@ def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
     str                             'unknown' where the value is not finite
     """
     value, std = constant.value / factor, constant.std / factor
-    if not math.isfinite(value):
-        return "unknown"
-    places = _places(std, value)
-    if not math.isfinite(std):
-        return f"{value:.{places}f}"
-    return f"{value:.{places}f} ± {std:.{places}f}"
+    shown = value_text(constant, factor=factor)
+    if not (math.isfinite(value) and math.isfinite(std)):
+        return shown
+    return f"{shown} ± {std:.{_places(std, value)}f}"
 
 
 def value_text(constant: Constant, *, factor: float = 1.0) -> str:

@@ -113,23 +113,16 @@ def plausibility_notes(mesh: TriangleMesh, probings: tuple[Probing, ...]) -> tup
 
 def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str]:
     notes = []
+    doubt = f"against an object of {size:.3g} m: {_UNIT_HINT}."
     radius = probing.contact.radius
     if radius is not None and not 1e-3 * size <= radius <= 0.5 * size:
-        notes.append(
-            f"the contact radius of {radius:.3g} m is implausible against an object of"
-            f" {size:.3g} m: {_UNIT_HINT}."
-        )
+        notes.append(f"the contact radius of {radius:.3g} m is implausible {doubt}")
     largest = _largest_displacement(probing)
+    moved = f"the largest displacement of {largest:.3g} m is implausibly"
     if 0.0 < largest < 1e-5 * size:
-        notes.append(
-            f"the largest displacement of {largest:.3g} m is implausibly small against an object"
-            f" of {size:.3g} m: {_UNIT_HINT}."
-        )
+        notes.append(f"{moved} small {doubt}")
     elif largest > 0.5 * size:
-        notes.append(
-            f"the largest displacement of {largest:.3g} m is implausibly large against an object"
-            f" of {size:.3g} m: {_UNIT_HINT}."
-        )
+        notes.append(f"{moved} large {doubt}")
     elif largest > 0.1 * size:
         notes.append(
             f"the largest displacement is {100.0 * largest / size:.0f} % of the object's size,"

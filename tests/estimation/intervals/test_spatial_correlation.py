@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from estimation.fitted import minimum_of, misfit_of
-from estimation.half_space import HalfSpace, half_space_probes, surface_grid
+from estimation.half_space import HalfSpace, half_space_probes
 
 from palpate.estimation import ProbeObservations
 from palpate.estimation.intervals.sandwich import scores_of
 from palpate.estimation.intervals.spatial_correlation import (
     CorrelationFactor,
     correlation_factor,
-    morton_order,
 )
 from palpate.estimation.search.misfit import LocalProbe
 
@@ -109,16 +108,3 @@ def test_missing_components_and_a_tip_do_not_shift_the_blocks() -> None:
     # The tip has no neighbours: it is left out of scores and information alike.
     assert found.variance == pytest.approx(expected.variance, rel=1e-9)
     assert found.degrees == pytest.approx(expected.degrees, rel=1e-9)
-
-
-def test_morton_order_keeps_neighbours_together() -> None:
-    points = surface_grid(16, 1.0)
-    order = morton_order(points)
-    assert sorted(order.tolist()) == list(range(256))
-    block = points[order].reshape(16, 16, 3)
-    # Sixteen points in a square of four by four.
-    assert np.all(np.ptp(block, axis=1)[:, :2] < 0.5)
-    with_tip = np.vstack([[np.nan] * 3, points])
-    assert morton_order(with_tip)[-1] == 0
-    # Neither place nor size matters.
-    np.testing.assert_array_equal(morton_order(5.0 + 1e-3 * points), order)

@@ -30,7 +30,7 @@ FINE = 1e-3
 def block():
     """A large block, fine where it is touched, glued to the ground."""
     mesh = box((SIZE, SIZE, SIZE))
-    solid = make_solid(mesh.vertices, mesh.triangles, edge=0.05, fine=((TOP, 0.0025, FINE),))
+    solid = make_solid(mesh, edge=0.05, fine=((TOP, 0.0025, FINE),))
     held = solid.nodes[:, 2] == 0.0
     return make_body(solid, held, shear_modulus=SHEAR, poisson_ratio=POISSON)
 

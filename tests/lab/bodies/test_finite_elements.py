@@ -18,7 +18,6 @@ from palpate.lab.bodies.finite_elements import (
     solve_load,
     stiffness_matrix,
     surface_values,
-    triangle_shapes,
 )
 from palpate.lab.bodies.sparse_cholesky import factorise
 from palpate.lab.bodies.tetrahedra import make_solid
@@ -28,7 +27,7 @@ SIZE = np.array([0.04, 0.03, 0.02])
 
 
 def filled(mesh, **options):
-    return make_solid(mesh.vertices, mesh.triangles, **options)
+    return make_solid(mesh, **options)
 
 
 @pytest.fixture(scope="module")
@@ -200,12 +199,6 @@ def test_values_at_the_surface_are_quadratic(block):
     values = surface_values(block, points + 1e-4 * np.array([0, 0, 1]))
     np.testing.assert_allclose(values @ field(block.nodes), field(points), rtol=1e-12)
     np.testing.assert_allclose(values.sum(axis=1), 1.0, rtol=1e-12)
-
-
-def test_triangle_shapes_are_one_at_their_own_node():
-    corner = np.eye(3)
-    nodes = np.concatenate([corner, 0.5 * (corner + np.roll(corner, -1, axis=0))])
-    np.testing.assert_allclose(triangle_shapes(nodes), np.eye(6), atol=1e-15)
 
 
 def test_the_same_body_gives_the_same_bytes():

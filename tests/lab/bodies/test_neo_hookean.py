@@ -24,7 +24,7 @@ SHEAR = 7e4
 @pytest.fixture(scope="module")
 def block():
     mesh = box((0.03, 0.02, 0.02))
-    solid = make_solid(mesh.vertices, mesh.triangles, edge=0.01)
+    solid = make_solid(mesh, edge=0.01)
     return make_body(solid, solid.nodes[:, 2] == 0.0, shear_modulus=SHEAR, poisson_ratio=0.3)
 
 

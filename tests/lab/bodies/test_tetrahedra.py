@@ -13,7 +13,7 @@ from palpate.lab.bodies.tetrahedra import EDGES, make_solid, quadratic_solid, sk
 
 
 def filled(mesh, **options):
-    return make_solid(mesh.vertices, mesh.triangles, **options)
+    return make_solid(mesh, **options)
 
 
 def volume(solid):
@@ -55,7 +55,7 @@ def test_the_tip_of_a_cone_is_kept():
     j = (i + 1) % 48
     side = np.column_stack([i, j, np.full(48, 48)])
     base = np.column_stack([j, i, np.full(48, 49)])
-    solid = make_solid(vertices, np.concatenate([side, base]), edge=0.3)
+    solid = make_solid(TriangleMesh(vertices, np.concatenate([side, base])), edge=0.3)
     assert np.linalg.norm(solid.nodes - vertices[48], axis=1).min() < 1e-15
     assert solid.deviation < 0.05
 
@@ -129,7 +129,7 @@ def test_the_same_surface_gives_the_same_bytes():
 def test_open_crossing_and_double_surfaces_are_refused():
     mesh = box()
     with pytest.raises(MeshError, match="open"):
-        make_solid(mesh.vertices, mesh.triangles[1:], edge=0.2)
+        make_solid(replace(mesh, triangles=mesh.triangles[1:]), edge=0.2)
     with pytest.raises(MeshError):
         filled(joined(mesh, box(origin=(0.5, 0.5, 0.5))), edge=0.2)
 

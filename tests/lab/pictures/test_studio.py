@@ -31,8 +31,10 @@ def studio(config):
 
 
 def _picture(studio, config, arm=None, seed=0):
+    """Pictures of the same scene by the chip of another configuration."""
+    studio = replace(studio, config=config)
     rest, rng = [studio.mesh.vertices], np.random.default_rng(seed)
-    return [picture.astype(float) for picture in photograph(studio, config, rest, arm, rng=rng)]
+    return [picture.astype(float) for picture in photograph(studio, rest, arm, rng=rng)]
 
 
 def test_exposure_brings_the_bright_parts_near_white_and_not_beyond(studio, config):
@@ -91,7 +93,7 @@ def test_blurs_of_motion_and_of_defocus_take_contrast_away(studio, config):
                                atol=1e-12)  # fmt: skip
     assert len(exposure(config, rest, rest)) == 1
     rng = np.random.default_rng(0)
-    moved = photograph(studio, moving, frames, rng=rng)[0]
+    moved = photograph(replace(studio, config=moving), frames, rng=rng)[0]
     open_lens = replace(config, pictures=replace(QUIET, aperture=0.06))
     soft = _picture(studio, open_lens)[0]
     detail = [

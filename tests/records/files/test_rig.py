@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.errors import CalibrationError, InputError, RecordError
 from palpate.records import Camera, Rig
-from palpate.records.files.rig import read_rig, rig_to_toml, write_rig
+from palpate.records.files.rig import read_rig, write_rig
 
 TOML = """\
 length_unit = "mm"
@@ -127,7 +127,6 @@ def test_written_rig_reads_the_same(tmp_path):
         cameras.append(Camera(name, size, matrix, rng.normal(size=8), pose))
     rig = Rig(tuple(cameras), 1, "here")
     write_rig(tmp_path / "rig.toml", rig)
-    assert (tmp_path / "rig.toml").read_text() == rig_to_toml(rig)
     _assert_same(read_rig(tmp_path / "rig.toml"), rig)
 
 

@@ -225,7 +225,7 @@ def next_part(point, nodes, ratios, waiting, top, part):
 
     Parameters
     ----------
-    point : (3,) float [m]
+    point : (3,) float [m]                  finite: nothing is far from NaN
     nodes : (6, 3) float [m]                six-node triangle
     ratios : (k,) float                     distance over radius from which each rule may be used
     waiting : (34, 10) float                changed (`whole_triangle`)
@@ -242,8 +242,7 @@ def next_part(point, nodes, ratios, waiting, top, part):
         top -= 1
         part[:] = waiting[top]
         ratio = _ratio(point, nodes, part)
-        # Not the other way round: of a point that is NaN nothing may be divided.
-        if not (ratio < ratios[-1] and part[9] > _SMALLEST_PART):
+        if ratio >= ratios[-1] or part[9] <= _SMALLEST_PART:
             break
         _divide(part, waiting[top : top + 4])
         top += 4

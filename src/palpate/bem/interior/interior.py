@@ -22,6 +22,8 @@ from palpate.threads import in_threads
 # Over the radius of a triangle: the integrals of closer points are not to be trusted.
 _MIN_CLEARANCE = 0.05
 _QUADRATURE = Quadrature(tolerance=1e-8)
+# Outside of every object [m].
+_FAR_AWAY = 1e6
 _LOAD_CELLS = LoadCells(degree=7, coarsest=2, finest_rim=5, finest=9)
 
 
@@ -125,8 +127,10 @@ def interior_values(
     """
     out, clearance = np.zeros((len(points), VALUES)), np.full(len(points), np.inf)
     values = np.concatenate([fields.displacement, fields.traction], axis=2)
+    # A point that is NaN is outside, too; the kernels would divide triangles around it for ever.
+    places = np.where(np.isfinite(points).all(axis=1)[:, None], points, _FAR_AWAY)
     in_threads(
-        sum_surface, len(points), np.array(points), np.array(fields.element_nodes), values,
+        sum_surface, len(points), places, np.array(fields.element_nodes), values,
         all_rules(_QUADRATURE), shear_modulus, poisson_ratio, out, clearance,
     )  # fmt: skip
     angle = out[:, 12] / (4 * np.pi)

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from palpate.estimation.search import LocalProbe
+from palpate.geometry import morton_order
 
-_BITS = 8
 _MAX_HALVINGS = 7
 _MIN_POINTS_PER_BLOCK = 6
 _MIN_BLOCKS = 8
@@ -35,32 +35,6 @@ class CorrelationFactor:
     variance: float
     degrees: float
     block_points: float
-
-
-def morton_order(position: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
-    """Order of points along a curve that keeps neighbours together.
-
-    Parameters
-    ----------
-    position : (p, 3) float         in any unit; NaN where a point has no place (the tip)
-
-    Returns
-    -------
-    (p,) int                        indices of the points; those without a place come last
-
-    Source
-    ------
-    Morton, A computer oriented geodetic data base, IBM (1966).
-    """
-    low = np.nanmin(position, axis=0)
-    span = max(float(np.max(np.nanmax(position, axis=0) - low)), np.finfo(float).tiny)
-    cell = np.nan_to_num((position - low) / span * (2**_BITS - 1)).astype(np.int64)
-    code = np.zeros(len(position), dtype=np.int64)
-    for bit in range(_BITS):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    code[np.isnan(position[:, 0])] = 2 ** (3 * _BITS)
-    return np.argsort(code, kind="stable")
 
 
 def correlation_factor(

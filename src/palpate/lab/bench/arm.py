@@ -1,7 +1,7 @@
 """The arm: where it really goes when it is sent somewhere, what it does there, how it looks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,22 +19,6 @@ _MAX_DISTANCE = 0.25
 _ELEMENTS_ACROSS = 6.0
 # Of the distance to the nearest camera: the rod ends before it.
 _ROD_LENGTH = 0.5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pressed:
-    """What happened in one probing.
-
-    Attributes
-    ----------
-    probe : Probe                   what was asked for
-    tip : Tip                       the tip as it really went
-    states : tuple of Press         one an instant, the last at the end
-    """
-
-    probe: Probe
-    tip: Tip
-    states: tuple[Press, ...]
 
 
 def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator) -> Tip:
@@ -102,7 +86,9 @@ def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, flo
     return probe.point, radius, 2.0 * radius / _ELEMENTS_ACROSS
 
 
-def probe_body(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool) -> Pressed:
+def probe_body(
+    body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool
+) -> tuple[Press, ...]:
     """Press a tip as a probe asks.
 
     Parameters
@@ -116,7 +102,7 @@ def probe_body(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bo
 
     Returns
     -------
-    Pressed                         as many states as the probe has steps
+    tuple of Press                  as many states as the probe has steps, the last at the end
 
     Raises
     ------
@@ -136,7 +122,7 @@ def probe_body(body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bo
         states = tuple(press_to_force(body, tip, float(force)) for force in forces)
     if finite:
         states = tuple(_at_finite_strain(body, tip, state) for state in states)
-    return Pressed(probe, tip, states)
+    return states
 
 
 def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:

@@ -5,7 +5,6 @@ maps beside it hold what was really there.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -47,31 +46,32 @@ _TEXTURE, _ARM, _SENSORS, _CALIBRATION, _PICTURES = range(5)
 _MIN_SEEN = 0.9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
-    """A session that can be measured, as far as can be checked without finite elements or light."""
+class _Bench:
+    """One session: cameras and arm from the beginning, texture and light once they are put up."""
 
-    config: LabConfig
-    folder: Path
-    rig: Rig
-    tips: tuple[Tip, ...]
+    studio: Studio
+
+    def __init__(self, config: LabConfig, folder: Path) -> None:
+        """Refuse what can be refused without finite elements or light."""
+        mesh = config.specimen.mesh
+        self.config, self.folder, self.rig = config, folder, _rig(config)
+        _check_view(self.rig, mesh)
+        self.tips = [
+            aim(probe, config.arm, mesh, rng=self.rng(_ARM, k))
+            for k, probe in enumerate(config.probes)
+        ]
+        self.measured: list[tuple[Table, Table]] = []
 
     def rng(self, stream: int, number: int = 0) -> np.random.Generator:
         """Random numbers of one purpose."""
         return np.random.default_rng([self.config.seed, stream, number])
 
-
-class _Bench:
-    """One session while it is measured: texture and light are up."""
-
-    def __init__(self, plan: _Plan, variant: Variant) -> None:
+    def put_up(self, variant: Variant) -> None:
         """Put up texture and light; write what the session knows before the first picture."""
-        config, folder, rig = plan.config, plan.folder, plan.rig
+        config, folder, rig = self.config, self.folder, self.rig
         mesh = config.specimen.mesh
-        self.plan = plan
-        self.studio: Studio = make_studio(config, rig, variant, rng=plan.rng(_TEXTURE))
-        self.measured: list[tuple[Table, Table]] = []
-        calibrated = miscalibrated(rig, config.calibration, mesh, rng=plan.rng(_CALIBRATION))
+        self.studio = make_studio(config, rig, variant, rng=self.rng(_TEXTURE))
+        calibrated = miscalibrated(rig, config.calibration, mesh, rng=self.rng(_CALIBRATION))
         (folder / "images").mkdir()
         write_mesh(folder / "mesh.ply", mesh)
         write_rig(folder / "rig.toml", calibrated)
@@ -81,15 +81,10 @@ class _Bench:
         self, name: str, number: int, instants: Sequence[Vertices], rod: TriangleMesh | None = None
     ) -> None:
         """Take and keep one picture of every camera; several instants blur it."""
-        plan = self.plan
-        rng = plan.rng(_PICTURES, number)
-        pictures = photograph(self.studio, plan.config, instants, rod, rng=rng)
-        for camera, picture in zip(plan.rig.cameras, pictures, strict=True):
-            file = plan.folder / "images" / f"{name}_{camera.name}.png"
-            done, content = cv2.imencode(".png", picture)
-            if not done:
-                raise RecordError(f"{file}: the picture cannot be encoded as PNG")
-            file.write_bytes(content.tobytes())
+        pictures = photograph(self.studio, instants, rod, rng=self.rng(_PICTURES, number))
+        for camera, picture in zip(self.rig.cameras, pictures, strict=True):
+            _, content = cv2.imencode(".png", picture)
+            (self.folder / "images" / f"{name}_{camera.name}.png").write_bytes(content.tobytes())
 
 
 def make_session(
@@ -137,24 +132,19 @@ def make_sessions(
     InputError, RecordError         as `make_session`
     """
     say = progress or silent
-    groups: list[list[_Plan]] = []
-    for plan in [_plan(config, folder) for config, folder in wanted]:
-        same = (group for group in groups if _same_bodies(group[0].config, plan.config))
-        group = next(same, None)
-        if group is None:
-            groups.append([plan])
-        else:
-            group.append(plan)
+    groups: dict[object, list[_Bench]] = {}
+    for config, folder in wanted:
+        groups.setdefault(_body_key(config), []).append(_Bench(config, folder))
     done = 0
     try:
-        for group in groups:
-            part = part_of(say, done / len(wanted), (done + len(group)) / len(wanted))
-            stage = group[0].config.stage
+        for benches in groups.values():
+            part = part_of(say, done / len(wanted), (done + len(benches)) / len(wanted))
+            stage = benches[0].config.stage
             if stage is None:
-                _measure_probings(group, variant, part)
+                _measure_probings(benches, variant, part)
             else:
-                _measure_steps(_Bench(group[0], variant), stage, part)
-            done += len(group)
+                _measure_steps(benches[0], stage, variant, part)
+            done += len(benches)
     except OSError as error:
         raise RecordError(
             f"{error.filename or wanted[0][1]}: cannot be written ({error.strerror})"
@@ -181,42 +171,25 @@ def stage_motions(stage: Stage) -> Float[np.ndarray, "s 4 4"]:
     return motions
 
 
-def _plan(config: LabConfig, folder: Path) -> _Plan:
-    """Refuse cameras that see too little, and an arm that misses."""
-    rig, mesh = _rig(config), config.specimen.mesh
-    _check_view(rig, mesh)
-    plan = _Plan(config, folder, rig, ())
-    tips = (
-        aim(probe, config.arm, mesh, rng=plan.rng(_ARM, k)) for k, probe in enumerate(config.probes)
-    )
-    return replace(plan, tips=tuple(tips))
+def _body_key(config: LabConfig) -> object:
+    """What a session's finite elements depend on; only what was replaced counts as different."""
+    if config.stage is not None:
+        return object()
+    specimen, arm, material = config.specimen, config.arm, config.material
+    same = (id(config.probes), id(specimen.body), id(specimen.held), specimen.element)
+    return (*same, arm.tip, arm.radius, material.young_modulus, material.poisson_ratio)
 
 
-def _same_bodies(a: LabConfig, b: LabConfig) -> bool:
-    """Whether two configurations, one made from the other, need the same finite elements."""
-    return (
-        a.stage is None
-        and a.probes is b.probes
-        and a.specimen.body is b.specimen.body
-        and a.specimen.held is b.specimen.held
-        and a.specimen.element == b.specimen.element
-        and (a.arm.tip, a.arm.radius) == (b.arm.tip, b.arm.radius)
-        and replace(a.material, law="linear") == replace(b.material, law="linear")
-    )
-
-
-def _measure_probings(plans: Sequence[_Plan], variant: Variant, say: Progress) -> None:
+def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress) -> None:
     """Every probing of one body in several sessions: physics, pictures, readings, truth."""
-    config, tips = plans[0].config, plans[0].tips
+    config, tips = benches[0].config, benches[0].tips
     say("finite elements", 0.0)
     # Before any light is made: a body that cannot be filled or held is refused here.
     body = _body(config, config.probes[0], tips[0])
-    benches = []
-    for plan in plans:
+    for bench in benches:
         say("texture and light", 0.02)
-        bench = _Bench(plan, variant)
+        bench.put_up(variant)
         bench.photograph("rest", 0, [bench.studio.mesh.vertices])
-        benches.append(bench)
     for k, probe in enumerate(config.probes):
         say(f"probing {probe.name}", 0.1 + 0.9 * k / len(tips))
         # Small elements under this tip only: a body for each is less than one for all.
@@ -229,50 +202,47 @@ def _measure_probings(plans: Sequence[_Plan], variant: Variant, say: Progress) -
                 carried[rest.tobytes()] = surface_values(body.solid, rest)
             _measure_probing(bench, body, carried[rest.tobytes()], k)
     for bench in benches:
-        write_session(bench.plan.folder, bench.plan.config, bench.measured)
+        write_session(bench.folder, bench.config, bench.measured)
 
 
 def _measure_probing(bench: _Bench, body: Body, carried: csr_array, k: int) -> None:
     """One probing on one bench; `carried` takes nodal values to the drawn vertices."""
-    plan, mesh = bench.plan, bench.studio.mesh
-    config, tip, rest = plan.config, plan.tips[k], mesh.vertices
+    config, rig, mesh = bench.config, bench.rig, bench.studio.mesh
+    probe, tip = config.probes[k], bench.tips[k]
     finite = config.material.law == "neo-hookean"
-    done = probe_body(body, config.probes[k], tip, sticking=config.arm.sticking, finite=finite)
-    before = rest
-    for number, state in enumerate(done.states, start=1):
-        after = rest + carried @ state.displacement
-        rod = rod_at(tip, state.place, plan.rig.cameras)
-        name = instant_name(done.probe, number)
+    states = probe_body(body, probe, tip, sticking=config.arm.sticking, finite=finite)
+    before = mesh.vertices
+    for number, state in enumerate(states, start=1):
+        after = mesh.vertices + carried @ state.displacement
+        rod = rod_at(tip, state.place, rig.cameras)
+        name = instant_name(probe, number)
         bench.photograph(name, 1000 * (k + 1) + number, exposure(config, before, after), rod)
         before = after
-    seen = truth_map(plan.rig, mesh, after, tool=rod)
-    write_truth_map(plan.folder / f"truth_{done.probe.name}.npz", seen)
-    bench.measured.append(probe_tables(config, done, rng=plan.rng(_SENSORS, k)))
+    seen = truth_map(rig, mesh, after, tool=rod)
+    write_truth_map(bench.folder / f"truth_{probe.name}.npz", seen)
+    bench.measured.append(probe_tables(config, probe, tip, states, rng=bench.rng(_SENSORS, k)))
 
 
-def _measure_steps(bench: _Bench, stage: Stage, say: Progress) -> None:
+def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress) -> None:
     """A rigid object on a motion stage."""
-    plan, config = bench.plan, bench.plan.config
-    rest = before = bench.studio.mesh.vertices
-    for k, motion in enumerate(stage_motions(stage)):
+    bench.put_up(variant)
+    config, rest = bench.config, bench.studio.mesh.vertices
+    before, motions = rest, stage_motions(stage)
+    for k, motion in enumerate(motions):
         name = f"s{k}"
-        say(f"step {name}", k / (stage.steps + 1))
+        say(f"step {name}", k / len(motions))
         after = rest @ motion[:3, :3].T + motion[:3, 3]
         bench.photograph(name, k, exposure(config, before, after))
         before = after
-        bench.measured.append(step_tables(config, name, motion, rng=plan.rng(_SENSORS, k)))
-    write_session(plan.folder, config, bench.measured)
+        bench.measured.append(step_tables(config, name, motion, rng=bench.rng(_SENSORS, k)))
+    write_session(bench.folder, config, bench.measured)
 
 
 def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
     """The specimen in finite elements, small ones under the tip."""
     material, specimen = config.material, config.specimen
-    solid = make_solid(
-        specimen.body.vertices,
-        specimen.body.triangles,
-        edge=specimen.element,
-        fine=(fine_place(tip, probe, material),),
-    )
+    fine = (fine_place(tip, probe, material),)
+    solid = make_solid(specimen.body, edge=specimen.element, fine=fine)
     held = held_nodes(solid, specimen.held)
     return make_body(
         solid, held, shear_modulus=material.shear_modulus, poisson_ratio=material.poisson_ratio

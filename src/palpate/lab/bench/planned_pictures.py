@@ -45,7 +45,7 @@ def planned_pictures(
     rest = studio.mesh.vertices
     rng = np.random.default_rng(2)
     for name, rod in _instants(session, config, rig):
-        pictures = photograph(studio, config, [rest], rod, rng=rng)
+        pictures = photograph(studio, [rest], rod, rng=rng)
         for camera, picture in zip(rig.cameras, pictures, strict=True):
             yield f"{name}_{camera.name}", picture
 

@@ -1,64 +1,19 @@
 """A session and its truth as text: what the facility leaves is read like any other session."""
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
 from jaxtyping import Float
 
 from palpate.geometry import closest_points
-from palpate.lab.bench.arm import Pressed
-from palpate.lab.bench.readings import read_sensor, sensor_std
+from palpate.lab.bodies import Press, Tip
 from palpate.lab.config import LabConfig, Probe
 from palpate.records import SESSION_FORMAT
 
-Table = Mapping[str, Any]
-
-
-def toml_value(value: Any) -> str:
-    """A value as TOML: texts, numbers with all their digits, truth values, lists, inline tables.
-
-    Parameters
-    ----------
-    value : str, bool, int, float, sequence, array or mapping of these
-
-    Returns
-    -------
-    str                             what stands behind "key = "
-
-    Raises
-    ------
-    TypeError                       anything else
-    """
-    if isinstance(value, Mapping):
-        inside = ", ".join(f"{key} = {toml_value(item)}" for key, item in value.items())
-        return f"{{ {inside} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(toml_value(item) for item in value)}]"
-    return json.dumps(value, ensure_ascii=False, default=_plain)
-
-
-def toml_table(header: str, values: Mapping[str, Any]) -> str:
-    """A table: its header, a line for each key, an empty line; values that are None are left out.
-
-    Parameters
-    ----------
-    header : str                    as "[object]", or empty for the root
-    values : mapping
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    TypeError                       a value that TOML does not know
-    """
-    lines = [header] if header else []
-    lines += [f"{key} = {toml_value(value)}" for key, value in values.items() if value is not None]
-    return "\n".join(lines) + "\n\n"
+Table = dict[str, Any]
 
 
 def instant_name(probe: Probe, number: int) -> str:
@@ -77,7 +32,7 @@ def instant_name(probe: Probe, number: int) -> str:
 
 
 def probe_tables(
-    config: LabConfig, done: Pressed, *, rng: np.random.Generator
+    config: LabConfig, probe: Probe, tip: Tip, states: Sequence[Press], *, rng: np.random.Generator
 ) -> tuple[Table, Table]:
     """A probing as the bench knows it, from readings and where the arm was sent; and its truth.
 
@@ -87,45 +42,44 @@ def probe_tables(
     Parameters
     ----------
     config : LabConfig              its sensors
-    done : Pressed
+    probe : Probe                   what was asked for
+    tip : Tip                       the tip as it really went
+    states : sequence of Press      one an instant, the last at the end
     rng : Generator                 of the readings
 
     Returns
     -------
-    session, truth : mapping        one table for each file, in SI units
+    session, truth : dict           one table for each file, in SI units
     """
-    probe, tip, last = done.probe, done.tip, done.states[-1]
+    last, force, position = states[-1], config.force_sensor, config.position_sensor
     travel = last.depth * tip.direction
+    radius = tip.radius if tip.profile == "uniform" else last.radius
+    loaded = [instant_name(probe, number) for number in range(1, probe.steps + 1)]
     session = {
         "name": probe.name,
-        "contact": {
-            "point": probe.point,
-            "radius": tip.radius if tip.profile == "uniform" else last.radius,
-            "profile": tip.profile,
-        },
-        "force": read_sensor(last.force, config.force_sensor, rng=rng),
-        "force_std": sensor_std(last.force, config.force_sensor) or None,
-        "tip_displacement": read_sensor(travel, config.position_sensor, rng=rng),
-        "tip_displacement_std": sensor_std(travel, config.position_sensor) or None,
+        "contact": {"point": probe.point.tolist(), "radius": radius, "profile": tip.profile},
+        "force": force.read(last.force, rng=rng).tolist(),
+        "force_std": force.std(last.force),
+        "tip_displacement": position.read(travel, rng=rng).tolist(),
+        "tip_displacement_std": position.std(travel),
         "images": {
             "rest": "images/rest_{camera}.png",
-            "loaded": [
-                f"images/{instant_name(probe, number)}_{{camera}}.png"
-                for number in range(1, probe.steps + 1)
-            ],
+            "loaded": [f"images/{name}_{{camera}}.png" for name in loaded],
         },
     }
+    # The tip's axis goes through the sphere's centre, one radius above the place.
+    place = closest_points(config.specimen.mesh, tip.point[None]).position[0]
     truth = {
         "name": probe.name,
-        # The tip's axis goes through the sphere's centre, one radius above the place.
-        "contact_point": closest_points(config.specimen.mesh, tip.point[None]).position[0],
+        "contact_point": place.tolist(),
         "contact_radius": last.radius,
-        "direction": tip.direction,
-        "force": last.force,
+        "direction": tip.direction.tolist(),
+        "force": last.force.tolist(),
         "depth": last.depth,
-        "load_steps": [state.depth / last.depth for state in done.states],
+        "load_steps": [state.depth / last.depth for state in states],
     }
-    return session, truth
+    # A perfect sensor states no standard deviation.
+    return {key: value for key, value in session.items() if value != 0.0}, truth
 
 
 def step_tables(
@@ -142,12 +96,12 @@ def step_tables(
 
     Returns
     -------
-    session, truth : mapping        one table for each file
+    session, truth : dict           one table for each file
     """
     turn, shift = motion[:3, :3], motion[:3, 3]
-    encoder = read_sensor(shift, config.position_sensor, rng=rng)
+    encoder = config.position_sensor.read(shift, rng=rng).tolist()
     session = {"name": name, "images": f"images/{name}_{{camera}}.png"}
-    return session, {"name": name, "R": turn, "t": shift, "encoder": encoder}
+    return session, {"name": name, "R": turn.tolist(), "t": shift.tolist(), "encoder": encoder}
 
 
 def write_session(folder: Path, config: LabConfig, measured: Sequence[tuple[Table, Table]]) -> None:
@@ -163,36 +117,25 @@ def write_session(folder: Path, config: LabConfig, measured: Sequence[tuple[Tabl
     ------
     OSError                         they cannot be written
     """
-    material, staged = config.material, config.stage is not None
-    heads: dict[str, list[tuple[str, Table]]] = {
-        "session.toml": [
-            ("", {"format": SESSION_FORMAT, "name": config.name}),
-            ("[object]", {"mesh": "mesh.ply", "length_unit": "m"}),
-            *([] if staged else [("[support]", config.specimen.support)]),
-            ("[rig]", {"cameras": "rig.toml"}),
-        ],
-        "truth.toml": [
-            (
-                "",
-                {
-                    "young_modulus": material.young_modulus,
-                    "poisson_ratio": material.poisson_ratio,
-                    "shear_modulus": material.shear_modulus,
-                    "law": material.law,
-                    "seed": config.seed,
-                },
-            )
-        ],
+    material = config.material
+    rows, truths = (list(tables) for tables in zip(*measured, strict=True))
+    standing = {"support": dict(config.specimen.support)} if config.stage is None else {}
+    kind = "probe" if config.stage is None else "step"
+    session = {
+        "format": SESSION_FORMAT,
+        "name": config.name,
+        "object": {"mesh": "mesh.ply", "length_unit": "m"},
+        **standing,
+        "rig": {"cameras": "rig.toml"},
+        kind: rows,
     }
-    header = "[[step]]" if staged else "[[probe]]"
-    for (name, head), rows in zip(heads.items(), zip(*measured, strict=True), strict=True):
-        tables = head + [(header, row) for row in rows]
-        text = "".join(toml_table(title, values) for title, values in tables)
-        (folder / name).write_text(text.rstrip() + "\n", encoding="utf-8")
-
-
-def _plain(value: Any) -> Any:
-    """An array or its scalar as Python's own."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"no TOML for a {type(value).__name__}")
+    truth = {
+        "young_modulus": material.young_modulus,
+        "poisson_ratio": material.poisson_ratio,
+        "shear_modulus": material.shear_modulus,
+        "law": material.law,
+        "seed": config.seed,
+        kind: truths,
+    }
+    for name, content in (("session.toml", session), ("truth.toml", truth)):
+        (folder / name).write_text(tomlkit.dumps(content), encoding="utf-8")

@@ -17,7 +17,6 @@ from palpate.lab.bodies.finite_elements import (
     held_nodes as held_nodes,
     make_body as make_body,
     surface_values as surface_values,
-    triangle_shapes as triangle_shapes,
 )
 from palpate.lab.bodies.neo_hookean import solve_finite as solve_finite
 from palpate.lab.bodies.specimens import (

@@ -12,8 +12,8 @@ from scipy.optimize import brentq, nnls
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, NotConvergedError
-from palpate.geometry import TriangleMesh, area_vectors
-from palpate.lab.bodies.finite_elements import Body, solve_load, triangle_shapes
+from palpate.geometry import TriangleMesh, area_vectors, quadratic_shapes, triangle_areas
+from palpate.lab.bodies.finite_elements import Body, solve_load
 from palpate.lab.bodies.tetrahedra import Solid
 from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, Vector3
@@ -77,8 +77,8 @@ def touch(solid: Solid, tip: Tip) -> float:
     InputError                      the tip passes the body
     """
     facets = solid.facets[_facing(solid, tip)]
-    shape = triangle_shapes(_facet_samples())
-    points = np.einsum("qv,fva->fqa", shape, solid.nodes[facets]).reshape(-1, 3)
+    shape = quadratic_shapes(_facet_samples())
+    points = np.einsum("vq,fva->fqa", shape, solid.nodes[facets]).reshape(-1, 3)
     travel = tip.travel(np.concatenate([points, solid.nodes[np.unique(facets)]]))
     if not np.isfinite(travel).any():
         raise InputError(
@@ -294,6 +294,6 @@ def _node_areas(solid: Solid) -> Float[np.ndarray, " n"]:
 
     These are the areas nearest to the nodes when the four parts of a facet are split in thirds.
     """
-    area = np.linalg.norm(area_vectors(TriangleMesh(solid.nodes, solid.facets[:, :3])), axis=1)
+    area = triangle_areas(TriangleMesh(solid.nodes, solid.facets[:, :3]))
     share = area[:, None] * np.array([1, 1, 1, 3, 3, 3]) / 12.0
     return np.bincount(solid.facets.ravel(), share.ravel(), minlength=len(solid.nodes))

@@ -16,6 +16,7 @@ from palpate.geometry import (
     Sides,
     TriangleMesh,
     closest_points,
+    half_edges,
     split_sides,
     unit_normals,
 )
@@ -158,14 +159,11 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     # An edge's pseudonormal is the sum of its two faces' normals; the offset is perpendicular to
     # the edge, so the face of the nearest triangle alone has the wrong sign only for ties across
     # a sharp edge, which the sum settles.
-    edge_of = _sides(mesh).edge
-    at_edge = np.zeros((int(edge_of.max()) + 1, 3))
-    np.add.at(at_edge, edge_of, normals[:, None])
     zero = place.barycentric <= 1e-9
-    normal = normals[place.triangle].copy()
+    normal = normals[place.triangle]
     on_edge = zero.sum(axis=1) == 1
-    side = zero.argmax(axis=1)
-    normal[on_edge] = at_edge[edge_of[place.triangle[on_edge], (side[on_edge] + 1) % 3]]
+    side = (zero.argmax(axis=1) + 1) % 3
+    normal[on_edge] += normals[_sides(mesh).twin[place.triangle, side][on_edge] // 3]
     on_vertex = zero.sum(axis=1) == 2
     nearest = mesh.triangles[place.triangle, place.barycentric.argmax(axis=1)]
     normal[on_vertex] = at_vertex[nearest[on_vertex]]
@@ -176,9 +174,7 @@ def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
     """Corners where sharp edges end or turn, then points along the sharp edges."""
     normals = unit_normals(mesh)
     sides = _sides(mesh)
-    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    _, first = np.unique(sides.edge, return_index=True)
-    edge = np.sort(ends[first[sides.cut]], axis=1)
+    edge = half_edges(mesh.triangles).ends[sides.cut]
     along = mesh.vertices[edge[:, 1]] - mesh.vertices[edge[:, 0]]
     along /= np.linalg.norm(along, axis=1)[:, None]
     degree = np.bincount(edge.ravel(), minlength=len(mesh.vertices))

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array, kron
 
 from palpate.errors import InputError, SingularSystemError
-from palpate.geometry import closest_points
+from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
 from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
 from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, skin
 from palpate.optional_imports import late_import
@@ -20,10 +20,6 @@ from palpate.shapes import Points
 
 # Of the body's size: held nodes nearer to a line than this hold it by rounding only.
 _IN_LINE = 1e-6
-# Barycentric coordinates of a six-node triangle's nodes.
-_NODE_PLACE = np.array(
-    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]], dtype=float
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,23 +235,6 @@ def solve_load(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, 
     return displacement
 
 
-def triangle_shapes(barycentric: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
-    """Shape functions of a six-node triangle: corners, then the middles of edges 01, 12, 20.
-
-    Parameters
-    ----------
-    barycentric : (n, 3) float [-]  rows add up to 1
-
-    Returns
-    -------
-    (n, 6) float [-]                rows add up to 1
-    """
-    a, b, c = barycentric.T
-    return np.stack(
-        [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a], axis=1
-    )
-
-
 def surface_values(solid: Solid, points: Points) -> csr_array:
     """Operator from nodal values to values at points of the outer faces.
 
@@ -270,10 +249,10 @@ def surface_values(solid: Solid, points: Points) -> csr_array:
     """
     place = closest_points(skin(solid.nodes, solid.facets), points)
     facet, quarter = np.divmod(place.triangle, 4)
-    barycentric = np.einsum("nv,nvb->nb", place.barycentric, _NODE_PLACE[QUARTERS[quarter]])
+    barycentric = np.einsum("nv,nvb->nb", place.barycentric, ELEMENT_NODES[QUARTERS[quarter]])
     row = np.repeat(np.arange(len(points)), 6)
     return csr_array(
-        (triangle_shapes(barycentric).ravel(), (row, solid.facets[facet].ravel())),
+        (quadratic_shapes(barycentric).T.ravel(), (row, solid.facets[facet].ravel())),
         shape=(len(points), len(solid.nodes)),
     )
 

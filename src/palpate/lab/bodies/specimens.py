@@ -270,20 +270,14 @@ def _strip(
 ) -> Int[np.ndarray, "t 3"]:
     """Triangles between two rings, always across the shorter diagonal by angle."""
     n, m = len(lower), len(upper)
-    if n == 1:
-        return np.stack([np.full(m, lower[0]), np.roll(upper, -1), upper], axis=1)
-    if m == 1:
-        return np.stack([lower, np.roll(lower, -1), np.full(n, upper[0])], axis=1)
-    triangles = []
-    i = j = 0
-    while i < n or j < m:
-        ahead_lower = (i + 1 + 0.5 * odd) / n
-        ahead_upper = (j + 1 + 0.5 * (1 - odd)) / m
-        a, b = lower[i % n], upper[j % m]
-        if j == m or (i < n and ahead_lower <= ahead_upper):
-            triangles.append([a, lower[(i + 1) % n], b])
-            i += 1
-        else:
-            triangles.append([a, upper[(j + 1) % m], b])
-            j += 1
-    return np.array(triangles)
+    # Angles of the next vertices of both rings; of two alike the lower ring's comes first.
+    ahead_lower = (np.arange(n) + 1 + 0.5 * odd) / n
+    ahead_upper = (np.arange(m) + 1 + 0.5 * (1 - odd)) / m
+    order = np.argsort(np.concatenate([ahead_lower, ahead_upper]), kind="stable")
+    on_lower = order < n
+    i: Int[np.ndarray, " t"] = np.cumsum(on_lower) - on_lower
+    j = np.arange(n + m) - i
+    ahead = np.where(on_lower, lower[(i + 1) % n], upper[(j + 1) % m])
+    strip = np.stack([lower[i % n], ahead, upper[j % m]], axis=1)
+    # A ring of one vertex, on the axis, has no sides.
+    return strip[(ahead != strip[:, 0]) & (ahead != strip[:, 2])]

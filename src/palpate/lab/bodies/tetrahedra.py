@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
 from palpate.arrays import fixed_array
@@ -23,7 +23,7 @@ from palpate.lab.bodies.even_points import (
     volume_points,
 )
 from palpate.optional_imports import late_import
-from palpate.shapes import Points, Triangles, Vertices
+from palpate.shapes import Points
 
 # Corners of the edges with mid-side nodes 4 to 9, in the order of skfem.ElementTetP2.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -66,17 +66,16 @@ class Solid:
     deviation: float
 
     def __post_init__(self) -> None:
-        for name, shape in (("elements", (None, 10)), ("facets", (None, 6))):
-            fixed = fixed_array(getattr(self, name), name=name, shape=shape, integer=True)
+        shapes = {"nodes": (3,), "elements": (10,), "facets": (6,), "facet_triangle": ()}
+        for name, item in shapes.items():
+            integer = name != "nodes"
+            value = getattr(self, name)
+            fixed = fixed_array(value, name=name, shape=(None, *item), integer=integer)
             object.__setattr__(self, name, fixed)
-        object.__setattr__(self, "nodes", fixed_array(self.nodes, name="nodes", shape=(None, 3)))
-        fixed = fixed_array(self.facet_triangle, name="facet_triangle", shape=(None,), integer=True)
-        object.__setattr__(self, "facet_triangle", fixed)
 
 
 def make_solid(
-    vertices: Vertices,
-    triangles: Triangles,
+    mesh: TriangleMesh,
     *,
     edge: float,
     fine: Sequence[tuple[Float[np.ndarray, "3"], float, float]] = (),
@@ -88,7 +87,7 @@ def make_solid(
 
     Parameters
     ----------
-    vertices, triangles               closed surface, outward
+    mesh : TriangleMesh               closed, outward
     edge : float [m]                  wanted length of an element's edge
     fine : (point (3,), radius, edge) within `radius` of `point` elements of at most that edge [m];
                                       they grow by 0.3 m/m around it
@@ -110,7 +109,7 @@ def make_solid(
         fixed_array(point, name="point of a fine place", shape=(3,))
         if not (np.isfinite(radius) and radius >= 0.0):
             raise InputError(f"radius of a fine place is {radius}; must not be negative")
-    mesh, _ = checked_mesh(TriangleMesh(vertices, triangles))
+    mesh, _ = checked_mesh(mesh)
     spacing = make_spacing(edge, fine)
     shell = surface_points(mesh, spacing)
     inner = volume_points(mesh, spacing, shell)
@@ -151,7 +150,8 @@ def quadratic_solid(
     edge, where = np.unique(ends, axis=0, return_inverse=True)
     nodes = np.concatenate([points, points[edge].mean(axis=1)])
     elements = np.concatenate([tetrahedra, len(points) + where.reshape(-1, 6)], axis=1)
-    facets = _outer(elements)
+    faces = elements[:, FACES].reshape(-1, 6)
+    facets = faces[_is_outer(faces[:, :3])]
     nodes = _bent(nodes, elements, np.unique(facets[:, 3:]), mesh)
     centre = np.einsum("v,fva->fa", _CENTRE, nodes[facets])
     place = closest_points(mesh, centre)
@@ -232,13 +232,12 @@ def _shape(corner: Float[np.ndarray, "m 4 3"]) -> Float[np.ndarray, " m"]:
     return 6.0 * np.sqrt(2.0) * np.abs(_volumes(corner)) / np.mean(length**2, axis=1) ** 1.5
 
 
-def _outer(elements: Int[np.ndarray, "m 10"]) -> Int[np.ndarray, "f 6"]:
+def _is_outer(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     """Faces that belong to one element only."""
-    faces = elements[:, FACES].reshape(-1, 6)
     _, where, count = np.unique(
-        np.sort(faces[:, :3], axis=1), axis=0, return_inverse=True, return_counts=True
+        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
     )
-    return faces[count[where.ravel()] == 1]
+    return count[where.ravel()] == 1
 
 
 def _tetrahedra(
@@ -290,9 +289,7 @@ def _inner_cells(
     keep[doubtful[solid][~inside(mesh, centre)]] = False
     cells = cells[keep]
     while True:
-        faces = np.sort(cells[:, FACES[:, :3]], axis=2).reshape(-1, 3)
-        _, where, times = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
-        outer = (times[where.ravel()] == 1).reshape(-1, 4).sum(axis=1)
+        outer = _is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
         peel = (cells < count).all(axis=1) & (outer >= 2) & (_shape(points[cells]) < _MIN_SHAPE)
         if not peel.any():
             return cells

@@ -3,7 +3,7 @@
 Purpose    : pictures of a body at rest and pressed, and what each of their pixels really shows.
 Takes      : a configuration, a rig, the drawn vertices at one instant or within an exposure.
 Gives      : grey pictures of every camera, truth maps, rigs and rigs with calibration errors.
-Depends on : `vision`, `records`, `geometry`, `lab.bodies`; Mitsuba for the rendering.
+Depends on : `vision`, `records`, `geometry`; Mitsuba for the rendering.
 Read first : `studio.py`, then `scene.py`, `sensor.py`, `truth_maps.py`.
 """
 

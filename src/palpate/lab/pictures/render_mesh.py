@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, displacement_nodes, split_sides
-from palpate.lab.bodies import triangle_shapes
+from palpate.geometry import TriangleMesh, displacement_nodes, quadratic_shapes, split_sides
 from palpate.records import Camera, camera_centre, picture_size
 from palpate.shapes import Triangles, Vertices
 from palpate.vision import project
@@ -143,12 +142,10 @@ def _in_picture(
     camera: Camera, pixel: Float[np.ndarray, "v 2"], triangles: Triangles
 ) -> Bool[np.ndarray, " m"]:
     """Triangles whose box reaches into a camera's picture, or nearly so."""
-    inside = np.ones(len(triangles), dtype=bool)
-    for axis, size in enumerate(picture_size(camera)):
-        a, b, c = (pixel[column, axis] for column in triangles.T)
-        inside &= np.maximum(np.maximum(a, b), c) > -_MAX_OUTSIDE * size
-        inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _MAX_OUTSIDE) * size
-    return inside
+    corner, size = pixel[triangles], np.array(picture_size(camera))
+    reaches = corner.max(axis=1) > -_MAX_OUTSIDE * size
+    reaches &= corner.min(axis=1) < (1.0 + _MAX_OUTSIDE) * size
+    return reaches.all(axis=1)
 
 
 def _edges_to_halve(
@@ -179,8 +176,8 @@ def _halved(
     _, weld = np.unique(edges.weld[marked], return_inverse=True)
     middle = 0.5 * (pieces.weight + np.roll(pieces.weight, -1, axis=1))
     first = edges.first[marked]
-    shape = triangle_shapes(middle.reshape(-1, 3)[first])
-    place = np.einsum("nk,nka->na", shape, corner[pieces.base[first // 3]])
+    shape = quadratic_shapes(middle.reshape(-1, 3)[first])
+    place = np.einsum("kn,nka->na", shape, corner[pieces.base[first // 3]])
     split = _split_triangles(
         np.concatenate([pieces.triangles, number[edges.of]], axis=1),
         marked[edges.of],

@@ -25,7 +25,6 @@ from palpate.shapes import Vector3, Vertices
 _OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Highlights of a moist membrane: this rough (Beckmann's alpha), they are some 20 degrees wide.
 _ROUGHNESS = 0.25
-_MAX_SEED = 2**32
 
 # Cameras need not have the same size.
 Picture = Float32[np.ndarray, "_ _"]
@@ -39,12 +38,12 @@ class DrawnBody:
     ----------
     mesh : TriangleMesh             object frame; its normals are those of the smooth surface
     grey : (v,) float [-]           share of the light that is reflected, 0 to 1, linear in between
-    gloss : float [-]               share of it that makes highlights, as a moist membrane does; 0
-                                    for a matt body
+    gloss : float [-]               0 to 1, share of it that makes highlights, as a moist membrane
+                                    does; 0 for a matt body
 
     Raises
     ------
-    InputError                      sizes that do not match, grey or gloss out of range
+    InputError                      sizes that do not match, grey out of range
     """
 
     mesh: TriangleMesh
@@ -59,8 +58,6 @@ class DrawnBody:
                 f"grey of a body is {grey.min():.3g} to {grey.max():.3g}; must be in 0 to 1: it is"
                 " the share of the light that is reflected"
             )
-        if not 0.0 <= self.gloss <= 1.0:
-            raise InputError(f"gloss of a body is {self.gloss:g}; must be in 0 to 1")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,13 +68,12 @@ class Lamp:
     ----------
     position : (3,) float [m]       of its middle, object frame
     target : (3,) float [m]         that it faces
-    side : float [m]                the longer, the softer its shadows
+    side : float [m]                > 0; the longer, the softer its shadows
     radiance : float                of its surface, in the unit of the pictures
 
     Raises
     ------
-    InputError                      a side that is not positive, a negative radiance, a target at
-                                    the lamp
+    InputError                      a negative radiance, a target at the lamp
     """
 
     position: Vector3
@@ -89,8 +85,6 @@ class Lamp:
         for name in ("position", "target"):
             value = fixed_array(getattr(self, name), name=name, shape=(3,))
             object.__setattr__(self, name, value)
-        if not self.side > 0.0:
-            raise InputError(f"side of a lamp is {self.side:g} m; must be positive")
         if not self.radiance >= 0.0:
             raise InputError(f"radiance of a lamp is {self.radiance:g}; must not be negative")
         if np.array_equal(self.position, self.target):
@@ -153,16 +147,12 @@ def render(
 
     Raises
     ------
-    InputError                      nothing to render, samples or seed out of range, a camera
-                                    without a size or one that sees nothing; Mitsuba missing
+    InputError                      nothing to render, a camera without a size or one that sees
+                                    nothing; Mitsuba missing
     CalibrationError                a body beside or behind a camera
     """
     if not bodies:
         raise InputError("there is no body to render; give at least one")
-    if samples < 1 or not 0 <= seed < _MAX_SEED:
-        raise InputError(
-            f"samples is {samples}, seed {seed}; must be at least 1, and 0 to 2^32 - 1"
-        )
     points = np.concatenate([body.mesh.vertices for body in bodies])
     views = [ideal_view(camera, points) for camera in cameras]
     mitsuba = load_mitsuba(variant)

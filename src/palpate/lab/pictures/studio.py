@@ -20,7 +20,7 @@ from palpate.lab.pictures.sensor import (
     grey_picture,
 )
 from palpate.lab.pictures.textures import texture
-from palpate.records import Camera, Rig, camera_centre
+from palpate.records import Camera, Rig, camera_centre, picture_size
 from palpate.shapes import PointScalars, Vertices
 from palpate.vision import surface_map
 
@@ -45,19 +45,19 @@ class Studio:
 
     Attributes
     ----------
+    config : LabConfig
     rig : Rig                       as it is
     mesh : TriangleMesh             drawn: the object at rest, in fine triangles
     grey : (v,) float               its reflectance
-    gloss : float
     light : Light
     gain : float                    grey levels per radiance
     variant : Variant
     """
 
+    config: LabConfig
     rig: Rig
     mesh: TriangleMesh
     grey: PointScalars
-    gloss: float
     light: Light
     gain: float
     variant: Variant
@@ -87,16 +87,15 @@ def make_studio(
     mesh = make_render_mesh(surface, rig.cameras, edge=_EDGE_PX)
     look = config.look
     grey = texture(look.texture, mesh.vertices, surface, size=look.size, rng=rng)
-    studio = Studio(rig, mesh, grey, look.gloss, _light(config, rig), 1.0, variant)
-    radiance = _radiance(studio, mesh.vertices, None, config.pictures.samples, 0)
+    studio = Studio(config, rig, mesh, grey, _light(config, rig), 1.0, variant)
+    radiance = _radiance(studio, mesh.vertices, None, 0)
     studio = replace(studio, gain=exposure_gain(radiance))
-    _check_contrast(config, studio, radiance[rig.reference])
+    _check_contrast(studio, radiance[rig.reference])
     return studio
 
 
 def photograph(
     studio: Studio,
-    config: LabConfig,
     instants: Sequence[Vertices],
     rod: TriangleMesh | None = None,
     *,
@@ -107,7 +106,6 @@ def photograph(
     Parameters
     ----------
     studio : Studio
-    config : LabConfig
     instants : sequence of (v, 3) float [m]     the drawn vertices at one instant, or at several
                                     within the exposure
     rod : TriangleMesh or None      the arm's
@@ -117,17 +115,17 @@ def photograph(
     -------
     tuple of (rows, columns) uint8 or uint16
     """
-    settings = config.pictures
+    settings = studio.config.pictures
     seeds = rng.integers(0, 2**32, size=len(instants))
     frames = [
-        _radiance(studio, vertices, rod, settings.samples, int(seed))
+        _radiance(studio, vertices, rod, int(seed))
         for vertices, seed in zip(instants, seeds, strict=True)
     ]
     pictures = []
     for camera, moments in zip(studio.rig.cameras, zip(*frames, strict=True), strict=True):
         light = np.stack(moments).mean(axis=0, dtype=np.float64).astype(np.float32)
         if settings.aperture > 0.0:
-            light = defocused(light, _blur(studio, config, camera, instants[-1]))
+            light = defocused(light, _blur(studio, camera, instants[-1]))
         gain = studio.gain * max(1.0 + settings.gain_drift * rng.standard_normal(), 0.1)
         pictures.append(grey_picture(light, settings, gain=gain, rng=rng))
     return tuple(pictures)
@@ -166,42 +164,37 @@ def _light(config: LabConfig, rig: Rig) -> Light:
 
 
 def _radiance(
-    studio: Studio, vertices: Vertices, rod: TriangleMesh | None, samples: int, seed: int
+    studio: Studio, vertices: Vertices, rod: TriangleMesh | None, seed: int
 ) -> tuple[np.ndarray, ...]:
     """Light that reaches the cameras."""
     mesh = TriangleMesh(vertices, studio.mesh.triangles)
-    bodies = [DrawnBody(mesh, studio.grey, studio.gloss)]
+    bodies = [DrawnBody(mesh, studio.grey, studio.config.look.gloss)]
     if rod is not None:
         bodies.append(DrawnBody(rod, np.full(len(rod.vertices), _ROD_GREY)))
-    return render(
-        bodies, studio.rig.cameras, studio.light, variant=studio.variant, samples=samples, seed=seed
-    )
+    cameras, samples = studio.rig.cameras, studio.config.pictures.samples
+    return render(bodies, cameras, studio.light, variant=studio.variant, samples=samples, seed=seed)
 
 
-def _blur(
-    studio: Studio, config: LabConfig, camera: Camera, vertices: Vertices
-) -> Float[np.ndarray, "rows columns"]:
+def _blur(studio: Studio, camera: Camera, vertices: Vertices) -> Float[np.ndarray, "rows columns"]:
     """Radius of the blur in each pixel of a camera that is focused on the object's middle [px]."""
-    columns, rows = camera.size or (0, 0)
-    seen = surface_map(camera, (rows, columns), vertices, studio.mesh.triangles)
+    seen = surface_map(camera, picture_size(camera)[::-1], vertices, studio.mesh.triangles)
     depth = np.asarray(seen.point @ camera.T_camera_object[2, :3] + camera.T_camera_object[2, 3])
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     focus = float(camera.T_camera_object[2, :3] @ middle + camera.T_camera_object[2, 3])
-    return blur_radius(
-        depth, focus=focus, aperture=config.pictures.aperture, focal=float(camera.matrix[0, 0])
-    )
+    aperture, focal = studio.config.pictures.aperture, float(camera.matrix[0, 0])
+    return blur_radius(depth, focus=focus, aperture=aperture, focal=focal)
 
 
-def _check_contrast(config: LabConfig, studio: Studio, radiance: np.ndarray) -> None:
+def _check_contrast(studio: Studio, radiance: np.ndarray) -> None:
     """Refuse a texture that no window can follow: before anything else is rendered."""
-    grey = studio.gain * radiance
+    chip, grey = studio.config.pictures, studio.gain * radiance
     lit = grey > 0.1 * grey.max()
     # The reflectance's own spread: what shading adds is no texture.
     contrast = float(np.std(studio.grey) / max(np.mean(studio.grey), 1e-9) * np.mean(grey[lit]))
-    noise = float(np.hypot(config.pictures.noise, counting_noise(config.pictures, _MID_GREY)))
+    noise = float(np.hypot(chip.noise, counting_noise(chip, _MID_GREY)))
     if contrast < _MIN_CONTRAST * noise:
         raise InputError(
-            f"the texture '{config.look.texture}' shows {contrast:.1f} grey levels of contrast"
-            f" beside a noise of {noise:.1f}; {_MIN_CONTRAST:g} times the noise is needed: take"
-            " 'speckle', or less noise"
+            f"the texture '{studio.config.look.texture}' shows {contrast:.1f} grey levels of"
+            f" contrast beside a noise of {noise:.1f}; {_MIN_CONTRAST:g} times the noise is needed:"
+            " take 'speckle', or less noise"
         )

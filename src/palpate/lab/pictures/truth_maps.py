@@ -118,15 +118,15 @@ def write_truth_map(path: Path, truth: TruthMap) -> None:
     path : Path
     truth : TruthMap
     """
-    entries: dict[str, np.ndarray] = {
-        "shape": np.array(truth.shape),
-        "pixel": truth.pixel.astype(np.int32),
-        "X": truth.point.astype(np.float32),
-        "U": truth.displacement.astype(np.float32),
-        "hidden_rest": truth.hidden_rest.astype(np.uint8),
-        "hidden_loaded": truth.hidden_loaded.astype(np.uint8),
-    }
-    np.savez_compressed(path, allow_pickle=False, **entries)
+    np.savez_compressed(
+        path,
+        shape=np.array(truth.shape),
+        pixel=truth.pixel.astype(np.int32),
+        X=truth.point.astype(np.float32),
+        U=truth.displacement.astype(np.float32),
+        hidden_rest=truth.hidden_rest.astype(np.uint8),
+        hidden_loaded=truth.hidden_loaded.astype(np.uint8),
+    )
 
 
 def _surface_maps(rig: Rig, mesh: TriangleMesh) -> tuple[SurfaceMap, ...]:

@@ -19,14 +19,12 @@ from palpate.records.files.displacement import (
     write_displacement as write_displacement,
 )
 from palpate.records.files.estimate import (
-    ESTIMATE_FORMAT as ESTIMATE_FORMAT,
     read_estimate as read_estimate,
     write_estimate as write_estimate,
 )
 from palpate.records.files.import_pose import read_import_pose as read_import_pose
 from palpate.records.files.rig import (
     read_rig as read_rig,
-    rig_to_toml as rig_to_toml,
     write_rig as write_rig,
 )
 from palpate.records.files.session import (

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -25,10 +25,8 @@ def default_folder(session: Path, what: str) -> Path:
     Path
     """
     path = session.resolve()
-    if path.is_dir():
-        return Path(f"{path.name}-{what}")
-    name = path.parent.name if path.stem == "session" else f"{path.parent.name}-{path.stem}"
-    return Path(f"{name}-{what}")
+    folder, file = (path, "session") if path.is_dir() else (path.parent, path.stem)
+    return Path(f"{folder.name}-{what}" if file == "session" else f"{folder.name}-{file}-{what}")
 
 
 def file_stem(name: str, *, otherwise: str) -> str:
@@ -68,16 +66,8 @@ def placed_files(targets: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
                                     folder does not allow it
     """
     finals = [Path(os.path.realpath(target)) for target in targets]
-    staged = [_staging(final) for final in finals]
-    try:
-        for path, final in zip(staged, finals, strict=True):
-            with _refused(final):
-                path.touch()
-        yield tuple(staged)
-        _put_in_place(staged, finals)
-    finally:
-        for path in staged:
-            path.unlink(missing_ok=True)
+    with _staged(finals, Path.touch) as staged:
+        yield staged
 
 
 @contextmanager
@@ -101,19 +91,12 @@ def result_folder(target: Path | str) -> Iterator[Path]:
     """
     target = Path(os.path.abspath(target))
     _check_target(target)
-    staging = _staging(target)
-    try:
-        with _refused(target):
-            shutil.rmtree(staging, ignore_errors=True)
-            staging.mkdir()
+    with _staged([target], Path.mkdir) as (staging,):
         yield staging
         names = sorted(str(path.relative_to(staging)) for path in staging.rglob("*"))
         with _refused(target):
             lines = "\n".join([_MARK, *names]) + "\n"
             (staging / CONTENTS_FILE).write_text(lines, encoding="utf-8")
-        _put_in_place([staging], [target])
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
 
 
 @contextmanager
@@ -137,8 +120,20 @@ def disk_errors(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def _staging(final: Path) -> Path:
-    return final.with_name(f".{final.name}.{os.getpid()}.partial")
+@contextmanager
+def _staged(finals: Sequence[Path], make: Callable[[Path], object]) -> Iterator[tuple[Path, ...]]:
+    """Files or folders beside the final ones; put in place when the block ends well, else gone."""
+    staged = tuple(final.with_name(f".{final.name}.{os.getpid()}.partial") for final in finals)
+    try:
+        for path, final in zip(staged, finals, strict=True):
+            with _refused(final):
+                _remove(path)
+                make(path)
+        yield staged
+        _put_in_place(staged, finals)
+    finally:
+        for path in staged:
+            _remove(path)
 
 
 def _put_in_place(staged: Sequence[Path], finals: Sequence[Path]) -> None:
@@ -165,9 +160,9 @@ def _put_in_place(staged: Sequence[Path], finals: Sequence[Path]) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there."""
+    """Remove a file or a folder, if it is there and as far as the disk allows."""
     if path.is_dir():
-        shutil.rmtree(path)
+        shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
 

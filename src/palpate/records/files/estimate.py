@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,21 +26,9 @@ def write_estimate(path: Path | str, estimate: Estimate) -> None:
     ------
     RecordError                     the file cannot be written
     """
-    content: dict[str, Any] = {
-        "format": ESTIMATE_FORMAT,
-        "status": estimate.status.value,
-        "advice": estimate.status.advice,
-    }
-    content |= {name: _constant(getattr(estimate, name)) for name in CONSTANT_NAMES}
-    content |= {
-        "identifiable": dict(estimate.identifiable),
-        "probes": [_probe(probe) for probe in estimate.probes],
-        "seconds": dict(estimate.seconds),
-        "method": estimate.method,
-        "settings": dict(estimate.settings),
-        "notes": list(estimate.notes),
-    }
-    write_text(path, json_text(content))
+    status = estimate.status
+    head = {"format": ESTIMATE_FORMAT, "status": status, "advice": status.advice}
+    write_text(path, json_text(head | asdict(estimate)))
 
 
 def read_estimate(path: Path | str) -> Estimate:
@@ -75,17 +64,6 @@ def read_estimate(path: Path | str) -> Estimate:
         raise RecordError(
             f"{path}: is not a whole estimate (at {error}); write it again with 'palpate fit'"
         ) from error
-
-
-def _constant(constant: Constant) -> dict[str, Any]:
-    return {"value": constant.value, "std": constant.std, "ci95": list(constant.ci95)}
-
-
-def _probe(probe: ProbeEstimate) -> dict[str, Any]:
-    counts = ("observed", "missing", "rejected", "rms_residual", "prediction_error")
-    content: dict[str, Any] = {"name": probe.name}
-    content |= {name: _constant(getattr(probe, name)) for name in CONSTANT_NAMES}
-    return content | {name: getattr(probe, name) for name in counts}
 
 
 def _number(value: float | None, unknown: float = math.nan) -> float:

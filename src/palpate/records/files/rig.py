@@ -10,7 +10,7 @@ from palpate.records.program import CalibrationFile, make_pose
 from palpate.records.programs import read_calibration
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import TomlTable, nearest_word, read_toml, write_text
+from palpate.records.text import TomlTable, nearest_file, read_toml, write_text
 
 _FILE = "rig.toml"
 _ROOT_KEYS = ("length_unit", "reference", "camera")
@@ -43,44 +43,14 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
     if path.is_dir() and (path / _FILE).is_file():
         path = path / _FILE
     if not path.exists():
-        beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
-        raise RecordError(f"{path}: no such file{nearest_word(path.name, beside)}")
+        raise RecordError(f"{path}: no such file{nearest_file(path)}")
     if path.suffix.lower() != ".toml":
         return read_calibration(path, length_unit=length_unit)
     return _read_toml_rig(path, length_unit)
 
 
-def rig_to_toml(rig: Rig) -> str:
-    """Text of rig.toml for a rig, in metres, every digit kept.
-
-    Parameters
-    ----------
-    rig : Rig
-
-    Returns
-    -------
-    str                             TOML; lengths in metres, matrices by rows
-    """
-    cameras = []
-    for camera in rig.cameras:
-        pose = camera.T_camera_object
-        size = {} if camera.size is None else {"size": list(camera.size)}
-        cameras.append(
-            {"name": camera.name}
-            | size
-            | {
-                "K": camera.matrix.tolist(),
-                "distortion": camera.distortion.tolist(),
-                "R": pose[:3, :3].tolist(),
-                "t": pose[:3, 3].tolist(),
-            }
-        )
-    reference = rig.cameras[rig.reference].name
-    return tomlkit.dumps({"length_unit": "m", "reference": reference, "camera": cameras})
-
-
 def write_rig(path: Path | str, rig: Rig) -> None:
-    """Write a rig as rig.toml; reading it again gives the same numbers.
+    """Write a rig as rig.toml, in metres, matrices by rows; reading it gives the same numbers.
 
     Parameters
     ----------
@@ -91,7 +61,21 @@ def write_rig(path: Path | str, rig: Rig) -> None:
     ------
     RecordError                     the file cannot be written
     """
-    write_text(path, rig_to_toml(rig))
+    cameras = []
+    for camera in rig.cameras:
+        pose = camera.T_camera_object
+        table = {
+            "name": camera.name,
+            "size": camera.size and list(camera.size),
+            "K": camera.matrix.tolist(),
+            "distortion": camera.distortion.tolist(),
+            "R": pose[:3, :3].tolist(),
+            "t": pose[:3, 3].tolist(),
+        }
+        cameras.append({key: value for key, value in table.items() if value is not None})
+    reference = rig.cameras[rig.reference].name
+    content = {"length_unit": "m", "reference": reference, "camera": cameras}
+    write_text(path, tomlkit.dumps(content))
 
 
 def _read_toml_rig(path: Path, length_unit: str | None) -> Rig:
@@ -102,10 +86,7 @@ def _read_toml_rig(path: Path, length_unit: str | None) -> Rig:
         length_unit = root.choice("length_unit", tuple(FILE_LENGTH_UNITS))
     file = CalibrationFile(path, None, length_unit)
     metres = file.metres(usual=None)
-    cameras = []
-    for number, table in enumerate(root.tables("camera", "[[camera]]"), start=1):
-        named = TomlTable(path, f"[[camera]] number {number}", table.values)
-        cameras.append(_camera(file, named, metres))
+    cameras = [_camera(file, table, metres) for table in root.tables("camera")]
     names = [camera.name for camera in cameras]
     reference = 0
     if "reference" in root.values:

@@ -1,6 +1,7 @@
 """Sessions from folders in the format `palpate-session/1`."""
 
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +15,14 @@ from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.session import Session, Step
 from palpate.records.session_checks import check_contact, check_observed_points, plausibility_notes
-from palpate.records.text import TomlTable, nearest_word, read_toml
+from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
 from palpate.shapes import Indices
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
 _ROOT_KEYS = ("format", "name", "object", "support", "gravity", "rig", "probe", "step")
-_STEP_KEYS = ("name", "images")
-_PROBE_KEYS = (
-    "name",
-    "contact",
-    "force",
-    "force_std",
-    "tip_displacement",
-    "tip_displacement_std",
-    "displacement",
-    "images",
-)
+# The keys of these tables are the fields of their records.
+_STEP_KEYS, _PROBE_KEYS = ([field.name for field in fields(kind)] for kind in (Step, Probing))
 
 
 def read_session(
@@ -43,7 +35,8 @@ def read_session(
     path : path                     the session's folder (with a session.toml), or a session file
     probes : names or None          read these probings only; None: all
     observations : bool             False: leave out the displacements and pictures of the probings,
-                                    which may still be missing
+                                    which may still be missing, and do not ask yet whether the
+                                    contacts are on the surface
 
     Returns
     -------
@@ -101,9 +94,8 @@ def _session_file(path: Path) -> Path:
             raise RecordError(f"{path}: the folder has no session.toml{hint}")
         return file
     if not path.is_file():
-        beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
         raise RecordError(
-            f"{path}: no such file or folder{nearest_word(path.name, beside)};"
+            f"{path}: no such file or folder{nearest_file(path)};"
             " give a session's folder or its session.toml"
         )
     return path
@@ -145,10 +137,9 @@ def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
 def _named_tables(root: TomlTable, key: str, allowed: Sequence[str]) -> list[TomlTable]:
     """Tables of one kind, known to the reader by their names."""
     tables = []
-    for number, table in enumerate(root.optional(key, root.tables) or (), start=1):
-        plain = TomlTable(table.file, f"[[{key}]] number {number}", table.values)
-        plain.check_keys(allowed)
-        tables.append(TomlTable(table.file, f"[[{key}]] '{plain.text('name')}'", table.values))
+    for table in root.optional(key, root.tables) or ():
+        table.check_keys(allowed)
+        tables.append(replace(table, name=f"[[{key}]] '{table.text('name')}'"))
     return tables
 
 
@@ -191,7 +182,8 @@ def _probing(
             displacement=field,
             images=images,
         )
-        check_contact(mesh, held, probing.contact)
+        if observations:
+            check_contact(mesh, held, probing.contact)
         if field is not None:
             check_observed_points(mesh, held, field)
     return probing, notes
@@ -218,7 +210,7 @@ def _images(table: TomlTable) -> Images | None:
         images.fail("loaded", f"is {loaded!r}; must be a list of file patterns in quotes")
     patterns = [_pattern(images, "rest", ())]
     for pattern in loaded:
-        single = TomlTable(images.file, images.name, {"loaded": pattern})
+        single = replace(images, values={"loaded": pattern})
         patterns.append(_pattern(single, "loaded", patterns))
     return Images(rest=patterns[0], loaded=tuple(patterns[1:]))
 

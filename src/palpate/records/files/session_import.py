@@ -55,7 +55,8 @@ def import_plan(
     names = [file.stem for file in files] if probes is None else list(probes)
     if probes is None and len(files) == len(known) == 1:
         names = known
-    sources, states = list(files), list(frames or [])
+    sources = list(files)
+    states: list[int | None] = list(frames or [])
     if len(sources) == 1 and len(names) == len(states) > 1:
         sources *= len(names)
     if len(names) != len(sources):
@@ -69,9 +70,9 @@ def import_plan(
             " one for each"
         )
     _check_names(session, names, sources, asked=probes is not None)
-    numbers: list[int | None] = [None] * len(names)
-    if states:
-        numbers = [*states] if len(states) == len(names) else [*states] * len(names)
+    if len(states) == 1:
+        states *= len(names)
+    numbers = states or [None] * len(names)
     return tuple(
         ImportItem(file, name, frame)
         for file, name, frame in zip(sources, names, numbers, strict=True)

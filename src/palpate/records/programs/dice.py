@@ -11,6 +11,7 @@ from scipy.io import netcdf_file
 
 from palpate.errors import RecordError
 from palpate.records.program import (
+    HDF5_MARK,
     CalibrationFile,
     Program,
     ProgramPoints,
@@ -20,14 +21,13 @@ from palpate.records.program import (
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import read_bytes, read_text_table
+from palpate.records.text import damage, read_bytes, read_text_table
 
 _PLACE = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
 _MATCH, _SIGMA = "MATCH", "SIGMA"
 _USED = (*_PLACE, *_MOVE, _MATCH, _SIGMA)
 _EXODUS_SUFFIXES = (".e", ".exo", ".ex2", ".exodus")
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 # DICe's names of lens models whose radial terms act as OpenCV's. Of VIC3D the numbers are VIC-3D's.
 _LENSES = (
@@ -111,19 +111,13 @@ def _text_columns(path: Path) -> Columns:
 def _exodus_columns(path: Path, frame: int | None) -> tuple[Columns, tuple[str, ...]]:
     """Nodal variables of one state."""
     start = read_bytes(path, 8)
-    if start != _HDF5 and start[:4] not in _CLASSIC:
+    if start != HDF5_MARK and start[:4] not in _CLASSIC:
         raise RecordError(
             f"{path}: is not an Exodus file in NetCDF's classic, 64-bit offset or HDF5 form;"
             " write it again, or give DICe's text files"
         )
-    try:
-        names, values = _nodal(_hdf5_arrays(path) if start == _HDF5 else _classic_arrays(path))
-    except (
-        OSError, ValueError, TypeError, LookupError, AssertionError, EOFError, RuntimeError
-    ) as error:  # fmt: skip
-        raise RecordError(
-            f"{path}: is damaged or cut off ({error}); write it again, or give DICe's text files"
-        ) from error
+    with damage(path, "write it again, or give DICe's text files"):
+        names, values = _nodal(_hdf5_arrays(path) if start == HDF5_MARK else _classic_arrays(path))
     _check_names(path, names)
     count = len(values[_MOVE[0]])
     if count == 0:
@@ -224,9 +218,8 @@ def _camera(
             f"{where} has lens terms but LENS_DISTORTION_MODEL is NO_LENS_DISTORTION or missing;"
             " name the model or take the terms out"
         )
-    size = None
-    if "IMAGE_HEIGHT_WIDTH" in values:
-        size = file.size(_row(values["IMAGE_HEIGHT_WIDTH"])[::-1])
+    height_width = values.get("IMAGE_HEIGHT_WIDTH")
+    size = file.size(height_width and _row(height_width)[::-1])
     inner = [file.number(values, key, where) for key in ("FX", "FY", "CX", "CY")]
     matrix = camera_matrix(inner, skew)
     return file.camera(name, size=size, matrix=matrix, distortion=lens, pose=pose)
@@ -247,14 +240,13 @@ def _pose(file: CalibrationFile, node: Element, metres: float) -> Float[np.ndarr
 
 def _lists(node: Element, start: str) -> list[Element]:
     """Sublists whose name begins so, in the order of their names' numbers."""
-    found = [child for child in node if child.tag == "ParameterList"]
-    found = [child for child in found if child.get("name", "").startswith(start)]
+    lists = node.findall("ParameterList")
+    found = [child for child in lists if child.get("name", "").startswith(start)]
     return sorted(found, key=lambda child: (len(child.get("name", "")), child.get("name", "")))
 
 
 def _values(node: Element) -> dict[str, str]:
-    parameters = (child for child in node if child.tag == "Parameter")
-    return {child.get("name", ""): child.get("value", "") for child in parameters}
+    return {child.get("name", ""): child.get("value", "") for child in node.findall("Parameter")}
 
 
 def _row(text: str) -> list[str]:

@@ -1,8 +1,6 @@
 """Calibrations and stereo results of MultiDIC and DuoDIC, from MATLAB's files."""
 
-import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ from scipy.linalg import rq
 
 from palpate.errors import RecordError
 from palpate.records.program import (
+    HDF5_MARK,
     CalibrationFile,
     Program,
     ProgramPoints,
@@ -21,17 +20,16 @@ from palpate.records.program import (
     make_pose,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import read_bytes
-from palpate.shapes import Points
+from palpate.records.text import damage, read_bytes
 
 _PLACES = "Points3D"
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-# What the readers run into where bytes are missing or wrong.
-_DAMAGE = (OSError, ValueError, TypeError, LookupError, RuntimeError, EOFError, zlib.error)
 _MARK = b"MATLAB 5.0 MAT-file"
 _MARK_HDF5 = b"MATLAB 7.3 MAT-file"
 _PATTERN = "DLTstruct_cam_*.mat"
 _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
+
+# Points of a calibration object, and the pixels where one camera sees them.
+ControlPoints = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]
 
 
 def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
@@ -77,17 +75,11 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
 def _states(path: Path) -> list[np.ndarray]:
     """The arrays of Points3D, in time."""
     start = read_bytes(path, 520)
-    try:
-        if start.startswith(_MARK_HDF5) or _HDF5 in (start[:8], start[512:520]):
+    with damage(path, "save it again in MATLAB"):
+        if start.startswith(_MARK_HDF5) or HDF5_MARK in (start[:8], start[512:520]):
             return _states_from_hdf5(path)
         if start.startswith(_MARK):
             return _states_from_version_5(path)
-    except RecordError:
-        raise
-    except _DAMAGE as error:
-        raise RecordError(
-            f"{path}: is damaged or cut off ({error}); save it again in MATLAB"
-        ) from error
     raise RecordError(f"{path}: is not a MATLAB file of version 5 to 7.3; save it again in MATLAB")
 
 
@@ -134,22 +126,6 @@ def _only_struct(path: Path, names: Sequence[str], present: Sequence[str]) -> st
     return names[0]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ControlPoints:
-    """Points of a calibration object and where one camera sees them.
-
-    Attributes
-    ----------
-    camera : str                    its name
-    points : (n, 3) float [m]
-    pixels : (n, 2) float [px]      column and row, the first pixel's centre is (0, 0)
-    """
-
-    camera: str
-    points: Points
-    pixels: Float[np.ndarray, "n 2"]
-
-
 def _holds_rig(file: CalibrationFile) -> bool:
     return file.path.suffix.lower() == ".mat" or any(file.path.glob(_PATTERN))
 
@@ -175,37 +151,32 @@ def read_multidic_rig(file: CalibrationFile) -> Rig:
     CalibrationError                numbers of no camera, or one that looks away from the object
     """
     metres = file.metres(usual="mm")
-    files = [CalibrationFile(path, _content(path)) for path in _files(file.path)]
-    return file.rig([_camera(camera, metres) for camera in files])
+    return file.rig([_camera(camera, metres) for camera in _transformations(file.path)])
 
 
-def read_control_points(
-    path: Path | str, *, length_unit: str | None = None
-) -> tuple[ControlPoints, ...]:
+def read_control_points(path: Path | str) -> tuple[ControlPoints, ...]:
     """What the transformations were computed from, so that the lens can be found too.
 
     Parameters
     ----------
     path : path                     the folder, or any of its files DLTstruct_cam_*.mat
-    length_unit : str or None       None: mm
 
     Returns
     -------
-    tuple of ControlPoints          one per camera, in the order of the rig
+    tuple of points, pixels         one pair per camera, in the order of the rig: (n, 3) float [m],
+                                    from MultiDIC's millimetres; (n, 2) float [px], column and row,
+                                    the first pixel's centre is (0, 0)
 
     Raises
     ------
     RecordError, CalibrationError   as `read_multidic_rig`
     """
-    metres = CalibrationFile(Path(path), None, length_unit).metres(usual="mm")
-    found = []
-    for file in (CalibrationFile(p, _content(p)) for p in _files(Path(path))):
-        points, pixels = _control(file)
-        found.append(ControlPoints(str(file.content["indCam"]), metres * points, pixels))
-    return tuple(found)
+    pairs = [_control(file) for file in _transformations(Path(path))]
+    return tuple((1e-3 * points, pixels) for points, pixels in pairs)
 
 
-def _files(path: Path) -> Sequence[Path]:
+def _transformations(path: Path) -> list[CalibrationFile]:
+    """The files of all cameras in a folder, which is given itself or by one of them."""
     folder = path if path.is_dir() else path.parent
     files = sorted(folder.glob(_PATTERN), key=lambda file: (len(file.name), file.name))
     if not path.is_dir() and path not in files:
@@ -213,7 +184,7 @@ def _files(path: Path) -> Sequence[Path]:
             f"{path}: is not a camera's transformation of MultiDIC; {_PAIRS_HINT} (in"
             " DLTstructPairs.mat the lens is a MATLAB object, which only MATLAB can read)"
         )
-    return files
+    return [CalibrationFile(file, _content(file)) for file in files]
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -262,7 +233,7 @@ def _camera(file: CalibrationFile, metres: float) -> Camera:
     return file.camera(str(file.content["indCam"]), matrix=matrix, distortion=(), pose=pose)
 
 
-def _control(file: CalibrationFile) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
+def _control(file: CalibrationFile) -> ControlPoints:
     """Points of the columns that the camera saw, in the file's unit, and their pixels from 0."""
     where = "MultiDIC's transformation"
     table = np.asarray(file.entry(file.content, "C3Dtrue", where), dtype=np.float64)

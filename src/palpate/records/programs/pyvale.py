@@ -9,13 +9,8 @@ from palpate.records.program import Program, ProgramPoints, chosen_frame
 from palpate.records.text import TextTable, read_bytes, read_text_table
 from palpate.shapes import Flags, Points
 
-_COLUMNS = {
-    name: (name,)
-    for name in (
-        *(f"stereo_disp_{axis}_mm" for axis in "uvw"),
-        *(f"stereo_{axis}_mm" for axis in "xyz"),
-    )
-}
+_NAMES = [f"stereo_{quantity}_mm" for quantity in ("disp_u", "disp_v", "disp_w", "x", "y", "z")]
+_COLUMNS = {name: (name,) for name in _NAMES}
 _CONVERGED = ("converged", "stereo_converged")
 # One row of ResultArrays::write_to_disk_stereo, packed.
 _ROW = np.dtype(
@@ -92,11 +87,7 @@ def _binary(path: Path) -> tuple[Points, Points, Flags]:
         )
     rows = np.frombuffer(content, dtype=_ROW)
     failed = (rows["converged"] == 0) | (rows["stereo_converged"] == 0)
-    return (
-        np.ascontiguousarray(rows["place_mm"], dtype=np.float64),
-        np.ascontiguousarray(rows["disp_mm"], dtype=np.float64),
-        failed,
-    )
+    return rows["place_mm"].astype(np.float64), rows["disp_mm"].astype(np.float64), failed
 
 
 PYVALE = Program(kinds=("pyvale",), results=".csv, .dic3d", read_points=read_pyvale_points)

@@ -17,6 +17,7 @@ from palpate.records.text.csv_table import (
     text_lines as text_lines,
 )
 from palpate.records.text.text_file import (
+    damage as damage,
     json_text as json_text,
     read_bytes as read_bytes,
     read_text as read_text,
@@ -24,6 +25,7 @@ from palpate.records.text.text_file import (
 )
 from palpate.records.text.toml_table import (
     TomlTable as TomlTable,
+    nearest_file as nearest_file,
     nearest_word as nearest_word,
     read_toml as read_toml,
 )

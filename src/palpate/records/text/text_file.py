@@ -2,11 +2,18 @@
 
 import json
 import math
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from palpate.errors import RecordError
+
+# What readers of binary files run into where bytes are missing or wrong.
+_DAMAGE = (
+    OSError, ValueError, TypeError, LookupError, AssertionError, EOFError, RuntimeError, zlib.error
+)  # fmt: skip
 
 
 def read_bytes(path: Path, count: int = -1) -> bytes:
@@ -61,6 +68,27 @@ def write_text(path: Path | str, text: str) -> None:
         Path(path).write_text(text, encoding="utf-8")
     except OSError as error:
         raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+@contextmanager
+def damage(path: Path, cure: str) -> Iterator[None]:
+    """Turn what a reader of a binary format runs into within the block into a message.
+
+    Parameters
+    ----------
+    path : Path                     the file that is read
+    cure : str                      what to do about a file with missing or wrong bytes
+
+    Raises
+    ------
+    RecordError                     as it is, or in place of what the reader raised
+    """
+    try:
+        yield
+    except RecordError:
+        raise
+    except _DAMAGE as error:
+        raise RecordError(f"{path}: is damaged or cut off ({error}); {cure}") from error
 
 
 def json_text(content: Mapping[str, Any]) -> str:

@@ -34,6 +34,20 @@ def nearest_word(word: str, allowed: Sequence[str]) -> str:
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
+def nearest_file(path: Path) -> str:
+    """Sentence part that offers the file of the nearest name in the same folder, or nothing.
+
+    Parameters
+    ----------
+    path : Path                     that is not there
+
+    Returns
+    -------
+    str                             as `nearest_word`; empty too where there is no such folder
+    """
+    return nearest_word(path.name, sorted(file.name for file in path.parent.glob("*")))
+
+
 @dataclass(frozen=True, slots=True)
 class TomlTable:
     """One table of a TOML file, which knows where it stands.
@@ -239,12 +253,12 @@ class TomlTable:
         return TomlTable(self.file, name or f"[{key}]", value)
 
     def tables(self, key: str, name: str | None = None) -> "tuple[TomlTable, ...]":
-        """An array of tables, known as `[[key]]` or `name`; one alone counts as an array of one.
+        """An array of tables; one alone counts as an array of one.
 
         Parameters
         ----------
         key : str
-        name : str or None              for messages
+        name : str or None              of each, for messages; None: `[[key]] number 1` and so on
 
         Raises
         ------
@@ -254,7 +268,10 @@ class TomlTable:
         items = value if isinstance(value, list) else [value]
         if not all(isinstance(item, dict) for item in items):
             self.fail(key, f"is {value!r}; must be a table or a list of tables")
-        return tuple(TomlTable(self.file, name or f"[[{key}]]", item) for item in items)
+        return tuple(
+            TomlTable(self.file, name or f"[[{key}]] number {number}", item)
+            for number, item in enumerate(items, start=1)
+        )
 
     def existing_file(self, key: str) -> Path:
         """Path of a file that is there, relative to the file this table stands in.
@@ -269,8 +286,7 @@ class TomlTable:
         """
         path = self.file.parent / self.text(key)
         if not path.is_file():
-            beside = sorted(p.name for p in path.parent.glob("*")) if path.parent.is_dir() else []
-            self.fail(key, f"no such file: {path}{nearest_word(path.name, beside)}")
+            self.fail(key, f"no such file: {path}{nearest_file(path)}")
         return path
 
 

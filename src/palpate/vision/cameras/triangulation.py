@@ -4,18 +4,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numba import njit
 
 from palpate.errors import InputError
-from palpate.records import Rig, camera_centre
+from palpate.records import Rig
 from palpate.shapes import PointIndices, Points, PointScalars
-from palpate.vision.cameras.projection import normalised, project_jacobian
+from palpate.threads import in_threads
+from palpate.vision.cameras.lens import jacobian_kernel
+from palpate.vision.cameras.projection import normalised, packed_rig
+from palpate.vision.small_systems import (
+    cholesky_inverse_kernel,
+    cholesky_kernel,
+    cholesky_solve_kernel,
+)
 
 # Gauss-Newton converges in three to six steps; a point that needs more has no minimum nearby.
 _MAX_STEPS = 60
-# Of the distance from the camera: a step below rounding of the projection (1e-13 px).
+# Of the depth: a step below rounding of the projection (1e-13 px).
 _CONVERGED = 1e-12
 # Rounding may raise the cost of the last steps, which are too short to matter.
 _TINY = 1e3 * _CONVERGED
+# Points that are worth a thread: each takes some 4 us.
+_MIN_POINTS_PER_THREAD = 64
 # A determinant below this share of the diagonal's product is rounding: rays are parallel.
 _MIN_DETERMINANT = 1e-9
 
@@ -83,10 +93,14 @@ def triangulate(
     cameras = seen.sum(axis=0, dtype=np.int64)
     start = _linear_start(rig, flat, seen)
     start[cameras < 2] = np.nan
-    point, spread, square = _refined(rig, pixels, weight, start)
+    inverse, square = np.full((*start.shape, 3), np.nan), np.full(len(start), np.nan)
+    in_threads(
+        _refine_range, len(start), packed_rig(rig), np.ascontiguousarray(pixels, dtype=np.float64),
+        seen, weight, start, inverse, square, fewest=_MIN_POINTS_PER_THREAD,
+    )  # fmt: skip
     with np.errstate(invalid="ignore"):
         residual = np.sqrt(square / (2.0 * cameras))
-    return Triangulation(point, spread, residual, cameras)
+    return Triangulation(start, inverse, residual, cameras)
 
 
 def _weights(
@@ -129,65 +143,76 @@ def _linear_start(
     return np.where(fixed[:, None], np.linalg.solve(normal, right[..., None])[..., 0], np.nan)
 
 
-def _refined(
-    rig: Rig,
-    pixels: Float[np.ndarray, "c n 2"],
-    weight: Float[np.ndarray, "c n 2 2"],
-    point: Points,
-) -> tuple[Points, Float[np.ndarray, "n 3 3"], PointScalars]:
-    """Points of least cost by Gauss-Newton, their covariance and squared error [px^2].
+@njit(cache=True, error_model="numpy")
+def _normal_equations_kernel(cameras, pixels, seen, weight, i, point, matrix, right):
+    """Gauss-Newton system of one point; its weighted cost, squared error [px^2] and least depth."""
+    right[:] = 0.0
+    matrix[:, :] = 0.0
+    jacobian = np.empty((2, 3))
+    cost, square, nearest = 0.0, 0.0, np.inf
+    for k in range(len(cameras)):
+        if not seen[k, i]:
+            continue
+        column, row, depth, _, _ = jacobian_kernel(
+            cameras[k], point[0], point[1], point[2], jacobian
+        )
+        x, y = pixels[k, i, 0] - column, pixels[k, i, 1] - row
+        xx, xy, yy = weight[k, i, 0, 0], weight[k, i, 0, 1], weight[k, i, 1, 1]
+        cost += xx * x * x + 2.0 * xy * x * y + yy * y * y
+        square += x * x + y * y
+        nearest = min(nearest, depth)
+        for m in range(3):
+            first = xx * jacobian[0, m] + xy * jacobian[1, m]
+            second = xy * jacobian[0, m] + yy * jacobian[1, m]
+            right[m] += first * x + second * y
+            for n in range(3):
+                matrix[m, n] += first * jacobian[0, n] + second * jacobian[1, n]
+    return cost, square, nearest
 
-    A step that raises the cost or leads behind a camera is halved. NaN where that does not end.
+
+@njit(cache=True, error_model="numpy")
+def _refine_kernel(cameras, pixels, seen, weight, i, point, inverse):
+    """Move a point to the least cost and invert its system; its squared error, NaN where lost.
+
+    A step that raises the cost or leads behind a camera is halved.
     """
-    n = len(point)
-    point, step, inverse = point.copy(), np.zeros((n, 3)), np.zeros((n, 3, 3))
-    cost, square = np.full(n, np.inf), np.zeros(n)
-    distance = np.linalg.norm(point - camera_centre(rig.cameras[0]), axis=1)
-    moving = np.flatnonzero(np.isfinite(distance))
-    lost = np.isnan(distance)
+    matrix, step = np.empty((3, 3)), np.empty(3)
+    cost, square, depth = _normal_equations_kernel(
+        cameras, pixels, seen, weight, i, point, matrix, step
+    )
+    if not depth > 0.0:
+        return np.nan
     for _ in range(_MAX_STEPS):
-        trial = point[moving] + step[moving]
-        normal, right, new_cost, new_square = _normal_equations(
-            rig, pixels[:, moving], weight[:, moving], trial
-        )
-        tiny = np.linalg.norm(step[moving], axis=1) <= _TINY * distance[moving]
-        better = _is_regular(normal) & ((new_cost <= cost[moving]) | tiny)
-        step[moving[~better]] *= 0.5
-        taken = moving[better]
-        point[taken], cost[taken], square[taken] = (
-            trial[better],
-            new_cost[better],
-            new_square[better],
-        )
-        inverse[taken] = np.linalg.inv(normal[better])
-        step[taken] = np.einsum("nij,nj->ni", inverse[taken], right[better])
-        short = np.linalg.norm(step[moving], axis=1) <= _CONVERGED * distance[moving]
-        moving = moving[~(better & short)]
-    lost[moving] = True
-    point[lost], inverse[lost], square[lost] = np.nan, np.nan, np.nan
-    return point, inverse, square
+        if not cholesky_kernel(matrix):
+            return np.nan
+        cholesky_inverse_kernel(matrix, inverse)
+        cholesky_solve_kernel(matrix, step)
+        for _ in range(_MAX_STEPS):
+            trial, next_step = point + step, np.empty(3)
+            length = np.sqrt((step**2).sum())
+            new_cost, new_square, new_depth = _normal_equations_kernel(
+                cameras, pixels, seen, weight, i, trial, matrix, next_step
+            )
+            if new_depth > 0.0 and (new_cost <= cost or length <= _TINY * depth):
+                break
+            step *= 0.5
+        point[:] = trial
+        cost, square, depth = new_cost, new_square, new_depth
+        step = next_step
+        if length <= _CONVERGED * depth:
+            return square
+    return np.nan
 
 
-def _normal_equations(
-    rig: Rig,
-    pixels: Float[np.ndarray, "c n 2"],
-    weight: Float[np.ndarray, "c n 2 2"],
-    point: Points,
-) -> tuple[Float[np.ndarray, "n 3 3"], Points, PointScalars, PointScalars]:
-    """Gauss-Newton's matrix and right-hand side, cost and squared error [px^2]; NaN if not seen."""
-    n = len(point)
-    normal, right, cost, square = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n)
-    for camera, measured, inverse in zip(rig.cameras, pixels, weight, strict=True):
-        place, jacobian = project_jacobian(camera, point)
-        used = inverse.any(axis=(1, 2))
-        error = np.where(used[:, None], measured - place, 0.0)
-        jacobian = np.where(used[:, None, None], jacobian, 0.0)
-        weighted = (inverse @ error[..., None])[..., 0]
-        normal += jacobian.swapaxes(1, 2) @ (inverse @ jacobian)
-        right += np.einsum("nai,na->ni", jacobian, weighted)
-        cost += (error * weighted).sum(axis=1)
-        square += (error**2).sum(axis=1)
-    return normal, right, cost, square
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refine_range(begin, end, cameras, pixels, seen, weight, point, covariance, square):
+    """Refine points that have a start; NaN for those that find no least cost."""
+    for i in range(begin, end):
+        if not np.isnan(point[i, 0]):
+            square[i] = _refine_kernel(cameras, pixels, seen, weight, i, point[i], covariance[i])
+            if np.isnan(square[i]):
+                point[i, :] = np.nan
+                covariance[i, :, :] = np.nan
 
 
 def _is_regular(matrix: Float[np.ndarray, "*n k k"]) -> Bool[np.ndarray, "*n"]:

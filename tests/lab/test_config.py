@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from palpate.lab.bench.readings import read_sensor, sensor_std
 from palpate.lab.config import Sensor
 
 FORCE = np.array([0.3, -0.4, 1.2])
@@ -11,7 +10,7 @@ FORCE = np.array([0.3, -0.4, 1.2])
 
 def _readings(truth, sensor, count=4000):
     rng = np.random.default_rng(5)
-    return np.array([read_sensor(truth, sensor, rng=rng) for _ in range(count)])
+    return np.array([sensor.read(truth, rng=rng) for _ in range(count)])
 
 
 def test_force_readings_have_their_noise_and_bias():
@@ -22,7 +21,7 @@ def test_force_readings_have_their_noise_and_bias():
     np.testing.assert_allclose(found.mean(axis=0), FORCE + sensor.bias, atol=5 * sigma / 63)
     np.testing.assert_allclose(found.std(axis=0), sigma, rtol=0.06)
     np.testing.assert_allclose(np.corrcoef(found.T) - np.eye(3), 0.0, atol=0.08)
-    assert sensor_std(FORCE, sensor) == pytest.approx(sigma, rel=1e-14)
+    assert sensor.std(FORCE) == pytest.approx(sigma, rel=1e-14)
 
 
 def test_readings_are_multiples_of_the_resolution():
@@ -30,18 +29,18 @@ def test_readings_are_multiples_of_the_resolution():
     found = _readings(FORCE, sensor)
     np.testing.assert_allclose(found / 0.02, np.rint(found / 0.02), atol=1e-9)
     # Sheppard: rounding adds a twelfth of the step's square.
-    np.testing.assert_allclose(found.std(axis=0), sensor_std(FORCE, sensor), rtol=0.06)
+    np.testing.assert_allclose(found.std(axis=0), sensor.std(FORCE), rtol=0.06)
 
 
 def test_positions_have_their_noise_bias_and_steps():
     sensor = Sensor(noise=5e-5, bias=np.array([1e-4, 0.0, 0.0]), resolution=1e-5)
     found = _readings(np.zeros(3), sensor)
     np.testing.assert_allclose(found.mean(axis=0), sensor.bias, atol=5 * 5e-5 / 63)
-    np.testing.assert_allclose(found.std(axis=0), sensor_std(np.zeros(3), sensor), rtol=0.06)
+    np.testing.assert_allclose(found.std(axis=0), sensor.std(np.zeros(3)), rtol=0.06)
     np.testing.assert_allclose(found / 1e-5, np.rint(found / 1e-5), atol=1e-6)
 
 
 def test_perfect_sensors_tell_the_truth():
     rng = np.random.default_rng(0)
-    np.testing.assert_array_equal(read_sensor(FORCE, Sensor(), rng=rng), FORCE)
-    assert sensor_std(FORCE, Sensor()) == 0.0
+    np.testing.assert_array_equal(Sensor().read(FORCE, rng=rng), FORCE)
+    assert Sensor().std(FORCE) == 0.0
