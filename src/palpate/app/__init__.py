@@ -4,8 +4,8 @@ Purpose    : the commands `palpate fit`, `check`, `flow`, `import`, `poke`, `com
              `reproduce`.
 Takes      : arguments of a shell.
 Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok).
-Depends on : `paper`, `figures`, `pipeline`, `lab`, `estimation`, `vision`, `bem`, `probe`,
-             `records`, `geometry`.
+Depends on : `paper`, `figures`, `pipeline`, `lab`, `estimation`, `bem`, `probe`, `records`,
+             `geometry`.
 Read first : `cli.py`, then `commands/fit.py`.
 
 Nothing is imported here: `palpate --help` must not load the numerics.

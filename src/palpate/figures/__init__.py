@@ -3,7 +3,7 @@
 Purpose    : draw results with matplotlib, all in one style; only what a picture needs is computed.
 Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`.
 Gives      : matplotlib figures, PNG files, pixels.
-Depends on : `vision`, `estimation`, `records`, `geometry`.
+Depends on : `pipeline`, `vision`, `estimation`, `records`, `geometry`.
 Read first : `style.py`, then `estimate.py` and `flow.py`.
 """
 
