@@ -66,10 +66,13 @@ def terminal_table(
         cells = [row[k] for row in rows]
         width = max(_HEADING_WIDTH, *map(len, cells)) if cells else _HEADING_WIDTH
         words = k == 0 or any(_WORD.match(cell) for cell in cells)
+        # A name may go on in the next line, a number may not.
+        unbroken = 0 if k == 0 else max((len(w) for cell in cells for w in cell.split()), default=0)
         table.add_column(
             escape(textwrap.fill(heading, width, break_long_words=False)),
             justify="left" if words else "right",
             overflow="fold",
+            min_width=unbroken,
         )
     for k, row in enumerate(rows):
         if total and k == len(rows) - 1:
