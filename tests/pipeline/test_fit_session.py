@@ -195,7 +195,7 @@ def test_one_contact_is_one_patch(still: Session) -> None:
     assert model.patch_of.tolist() == [0, 1, 0]
     assert len(model.patches) == 2
     # Three columns a contact, two of gravity.
-    assert model.right.constant.shape[1] == 3 * 2 + 2
+    assert model.right.terms.shape[2] == 3 * 2 + 2
 
 
 def test_integrals_are_kept(session: Session, result: FitResult, tmp_path: Path) -> None:

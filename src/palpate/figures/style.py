@@ -215,16 +215,17 @@ def add_arrows(
     place, vector : (n, 2) float    in the units of the axes; rows with NaN have no arrow
     pitch : float                   of square cells, the same unit: of the points in a cell the
                                     nearest to its centre has an arrow
-    shortest : float                shorter ones would be blots and are left out
+    shortest : float                shorter ones would be blots and are left out before the choice
     colour : str                    with a dark rim, if it is not dark itself
     """
-    known = np.flatnonzero(np.isfinite(vector).all(axis=1) & np.isfinite(place).all(axis=1))
+    known = np.flatnonzero(
+        (np.linalg.norm(vector, axis=1) > shortest) & np.isfinite(place).all(axis=1)
+    )
     cell = np.floor(place[known] / pitch)
     off_centre = np.linalg.norm(place[known] / pitch - cell - 0.5, axis=1)
     order = np.argsort(off_centre, kind="stable")
     _, first = np.unique(cell[order], axis=0, return_index=True)
     chosen = known[order[first]]
-    chosen = chosen[np.linalg.norm(vector[chosen], axis=1) > shortest]
     width, rim = (0.014, 0.0) if colour == INK else (0.022, 0.5)
     axes.quiver(
         *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,

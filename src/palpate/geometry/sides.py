@@ -43,11 +43,11 @@ class Sides:
 def split_sides(
     mesh: TriangleMesh, region: Int[np.ndarray, " m"], *, crease_angle: float = CREASE_ANGLE
 ) -> Sides:
-    """Split the vertices of a closed mesh at its creases and where one region of its surface ends.
+    """Split the vertices of a mesh at its creases and where one region of its surface ends.
 
     Parameters
     ----------
-    mesh : TriangleMesh               closed and consistently oriented
+    mesh : TriangleMesh               consistently oriented; closed, or with a rim
     region : (m,) int                 label of each triangle (say 1 where held, 0 where free)
     crease_angle : float [rad]        angle between the normals of two triangles above which their
                                       edge is a crease
@@ -62,6 +62,7 @@ def split_sides(
     triangle = np.arange(edge.size) // 3
     turn = np.einsum("hi,hi->h", normals[triangle], normals[twin // 3])
     cut_half = (turn < np.cos(crease_angle)) | (region[triangle] != region[twin // 3])
+    cut_half |= twin == np.arange(edge.size)
     cut = np.zeros(len(halves.ends), dtype=bool)
     cut[edge[cut_half]] = True
 

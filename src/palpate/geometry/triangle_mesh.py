@@ -148,9 +148,9 @@ class HalfEdges:
         return np.stack([order[first], order[first + 1]], axis=1)
 
     def opposite(self) -> Indices:
-        """The other half-edge of each one's edge; of a closed surface only."""
+        """The other half-edge of each one's edge; itself where the surface ends."""
         a, b = self.pairs().T
-        other = np.empty(len(self.tail), dtype=np.int64)
+        other = np.arange(len(self.tail))
         other[a], other[b] = b, a
         return other
 

@@ -29,8 +29,6 @@ _LABELS = {
 _SHORT = {"reprojection": "reproj.", "neighbours": "neighb."}
 # Headings are broken between words, so that columns are as narrow as what is in them, or this.
 _HEADING_WIDTH = 7
-# Words up to this length stay whole in a narrow terminal; longer ones are names of files.
-_MAX_UNBROKEN = 16
 # A cell that begins like this makes its column one of words, which are set to the left.
 _WORD = re.compile(r"(?!unknown|nan|inf)[A-Za-z\[]")
 
@@ -68,12 +66,13 @@ def terminal_table(
         cells = [row[k] for row in rows]
         width = max(_HEADING_WIDTH, *map(len, cells)) if cells else _HEADING_WIDTH
         words = k == 0 or any(_WORD.match(cell) for cell in cells)
-        longest = max((len(word) for cell in cells for word in cell.split()), default=0)
+        # A name may go on in the next line, a number may not.
+        unbroken = 0 if k == 0 else max((len(w) for cell in cells for w in cell.split()), default=0)
         table.add_column(
             escape(textwrap.fill(heading, width, break_long_words=False)),
             justify="left" if words else "right",
             overflow="fold",
-            min_width=min(longest, _MAX_UNBROKEN),
+            min_width=unbroken,
         )
     for k, row in enumerate(rows):
         if total and k == len(rows) - 1:
