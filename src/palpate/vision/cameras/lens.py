@@ -68,8 +68,19 @@ def _radial_kernel(c, r2):
 
 
 @njit(cache=True, error_model="numpy")
-def _distort_kernel(c, a, b):
-    """Distorted place of (a, b) and its derivatives: x by a, x by b (= y by a), y by b."""
+def distort_kernel(c, a, b):
+    """Distorted place of a ray and its derivatives.
+
+    Parameters
+    ----------
+    c : (25,) float                 `packed_camera`
+    a, b : float [-]                x / z and y / z of the ray, within the lens's reach
+
+    Returns
+    -------
+    x, y : float [-]                where the lens sends it, in the plane z = 1
+    xa, xb, yb : float [-]          derivatives: x by a, x by b (= y by a), y by b
+    """
     r2 = a * a + b * b
     radial, slope = _radial_kernel(c, r2)
     p1, p2 = c[7], c[8]
@@ -104,7 +115,7 @@ def project_kernel(c, x, y, z):
     column, row : float [px]        without meaning for a point that the camera does not see
     """
     a, b, _ = _pinhole_kernel(c, x, y, z)
-    xd, yd, _, _, _ = _distort_kernel(c, a, b)
+    xd, yd, _, _, _ = distort_kernel(c, a, b)
     return c[0] * xd + c[4] * yd + c[2], c[1] * yd + c[3]
 
 
@@ -127,7 +138,7 @@ def jacobian_kernel(c, x, y, z, out):
     area : float [-]                determinant of the distortion's derivative: above 0 there
     """
     a, b, zc = _pinhole_kernel(c, x, y, z)
-    xd, yd, xa, xb, yb = _distort_kernel(c, a, b)
+    xd, yd, xa, xb, yb = distort_kernel(c, a, b)
     column_a, column_b = c[0] * xa + c[4] * xb, c[0] * xb + c[4] * yb
     row_a, row_b = c[1] * xb, c[1] * yb
     for k in range(3):
@@ -184,7 +195,7 @@ def _newton_kernel(c, reach, x, y, a, b):
     limit = reach * reach
     allowed = _MAX_ERROR * (1.0 + np.hypot(x, y))
     for _ in range(_MAX_STEPS):
-        u, v, xa, xb, yb = _distort_kernel(c, a, b)
+        u, v, xa, xb, yb = distort_kernel(c, a, b)
         area = xa * yb - xb * xb
         error = abs(x - u) + abs(y - v)
         if error <= allowed and area <= _MIN_AREA:
