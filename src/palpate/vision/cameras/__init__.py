@@ -18,6 +18,7 @@ from palpate.vision.cameras.projection import (
     normalised as normalised,
     packed_rig as packed_rig,
     pixel_grid as pixel_grid,
+    pixel_sizes as pixel_sizes,
     project as project,
     project_jacobian as project_jacobian,
     rays as rays,

@@ -15,7 +15,6 @@ Source: OpenCV, Camera calibration and 3D reconstruction, detailed description.
 """
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 # Largest error of the inverse, in the plane z = 1: 1e-13 is 7e-10 px at a focal length of 7000 px,
@@ -25,35 +24,8 @@ _MAX_ERROR = 1e-13
 # pixel has not shrunk to less than this share, as it does where the lens is about to fold over.
 _NEARLY, _MIN_AREA = 1e-8, 1e-2
 _MAX_STEPS = 50
-# Roots whose imaginary part is below this share are real; numpy's are good to about 1e-12.
-_MAX_IMAGINARY = 1e-9
 # Rays farther from the axis than this (89.94 degrees) reach no camera.
 _MAX_RADIUS = 1e3
-
-
-def lens_reach(distortion: Float[np.ndarray, "8"]) -> float:
-    """Distance from the axis, in the plane z = 1, at which the radial distortion folds over.
-
-    Parameters
-    ----------
-    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6
-
-    Returns
-    -------
-    float [-]                       smallest r > 0 where r radial(r^2) stops rising or has a pole;
-                                    infinite where it always rises
-    """
-    k1, k2, _, _, k3, k4, k5, k6 = (float(term) for term in distortion)
-    if not any((k1, k2, k3, k4, k5, k6)):
-        return float("inf")
-    over, under = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
-    # With u = r^2 the slope of r over / under is this polynomial, over under^2.
-    u = np.poly1d([1.0, 0.0])
-    slope = over * under + 2.0 * u * (over.deriv() * under - over * under.deriv())
-    roots = np.concatenate([slope.roots, under.roots])
-    real = roots.real[np.abs(roots.imag) <= _MAX_IMAGINARY * np.abs(roots)]
-    positive = real[real > 0.0]
-    return float(np.sqrt(positive.min())) if len(positive) else float("inf")
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.vision.cameras import project_jacobian
+from palpate.vision.cameras import pixel_sizes, project_jacobian
 from palpate.vision.images import moments, smoothing_gain
 from palpate.vision.joint.match import (
     changed_cameras,
@@ -13,7 +13,7 @@ from palpate.vision.joint.match import (
     used_cameras,
 )
 from palpate.vision.joint.refinement import Match
-from palpate.vision.joint.scene import Scene, pixel_sizes
+from palpate.vision.joint.scene import Scene
 from palpate.vision.matching import median_around
 from palpate.vision.range_flow import Outcome, RangeFlow
 
