@@ -12,6 +12,7 @@ from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
 from benchmarks.resection import resected
+from benchmarks.stereo_surface import triangulated_surface
 from palpate.records import Camera, Rig, read_measured, read_rig
 from palpate.records.programs.multidic import read_control_points
 from palpate.vision import (
@@ -22,7 +23,6 @@ from palpate.vision import (
     prepare_pictures,
     read_pictures,
     stereo_points,
-    triangulated_surface,
 )
 
 REAL = SHARED / "real"

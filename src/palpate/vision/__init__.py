@@ -54,5 +54,4 @@ from palpate.vision.stereo import (
     StereoSettings as StereoSettings,
     check_rig as check_rig,
     stereo_points as stereo_points,
-    triangulated_surface as triangulated_surface,
 )

@@ -7,9 +7,10 @@ import pytest
 from vision_cameras import BARREL, RATIONAL, REAL, make_camera, moved, terms
 
 from palpate.records import Camera, Rig
-from palpate.vision.cameras.lens import jacobian_kernel, lens_reach, project_kernel
+from palpate.vision.cameras.lens import jacobian_kernel, project_kernel
 from palpate.vision.cameras.projection import (
     camera_sigma,
+    lens_reach,
     normalised,
     packed_camera,
     packed_rig,

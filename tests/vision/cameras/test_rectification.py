@@ -10,12 +10,7 @@ from vision_cameras import BARREL, RATIONAL, make_camera
 from palpate.errors import CalibrationError, InputError
 from palpate.records.files.rig import read_rig
 from palpate.vision.cameras.projection import project, rays
-from palpate.vision.cameras.rectification import (
-    from_disparity,
-    rectify_pair,
-    rectify_triple,
-    remapped,
-)
+from palpate.vision.cameras.rectification import rectify, remapped
 
 SHAPE = (240, 320)
 EXACT = 1e-9  # px, what the issue asks for
@@ -61,14 +56,14 @@ def _seen(rectified, points):
 
 
 def test_a_point_shares_its_row_in_a_pair():
-    a, b = _seen(rectify_pair(*_pair(), SHAPE), _points())
+    a, b = _seen(rectify(_pair(), SHAPE), _points())
     np.testing.assert_allclose(a[:, 1], b[:, 1], rtol=0.0, atol=EXACT)
     assert np.ptp(a[:, 1]) > 50.0
     assert np.ptp(a[:, 0] - b[:, 0]) > 5.0
 
 
 def test_a_point_shares_its_row_with_the_left_and_its_column_with_the_top_camera():
-    rectified = rectify_triple(*_triple(), SHAPE)
+    rectified = rectify(_triple(), SHAPE)
     reference, left, top = _seen(rectified, _points())
     np.testing.assert_allclose(left[:, 1], reference[:, 1], rtol=0.0, atol=EXACT)
     np.testing.assert_allclose(top[:, 0], reference[:, 0], rtol=0.0, atol=EXACT)
@@ -78,8 +73,8 @@ def test_a_point_shares_its_row_with_the_left_and_its_column_with_the_top_camera
 
 def test_rectified_cameras_are_turned_and_not_moved():
     for given, rectified in (
-        (_pair(), rectify_pair(*_pair(), SHAPE)),
-        (_triple(), rectify_triple(*_triple(), SHAPE)),
+        (_pair(), rectify(_pair(), SHAPE)),
+        (_triple(), rectify(_triple(), SHAPE)),
     ):
         origin = np.zeros((1, 2))
         for before, after in zip(given, rectified.cameras, strict=True):
@@ -100,45 +95,17 @@ def test_pair_is_turned_about_its_baseline_as_opencvs():
         a.matrix, a.distortion, b.matrix, b.distortion, size, step[:3, :3], step[:3, 3:]
     )[0]
     theirs = turn @ a.T_camera_object[:3, :3]
-    ours = rectify_pair(a, b, SHAPE).cameras[0].T_camera_object[:3, :3]
+    ours = rectify((a, b), SHAPE).cameras[0].T_camera_object[:3, :3]
     # The baseline is the x axis of both; about it OpenCV halves the turn, we average the views:
     # the same but for terms of second order in the roll (0.08 rad).
     np.testing.assert_allclose(abs(theirs[0] @ ours[0]), 1.0, atol=1e-12)
     assert abs(theirs[2] @ ours[2]) > np.cos(0.02)
 
 
-def test_disparity_leads_back_to_the_points():
-    points = _points()
-    pair = rectify_pair(*_pair(), SHAPE)
-    a, b = _seen(pair, points)
-    found = from_disparity(pair, a, b[:, 0] - a[:, 0])
-    # Rounding: 1e-13 px times up to a centimetre per pixel.
-    np.testing.assert_allclose(found, points, rtol=0.0, atol=1e-12)
-    triple = rectify_triple(*_triple(), SHAPE)
-    pixels = _seen(triple, points)
-    for partner, axis in enumerate(triple.axis):
-        disparity = pixels[partner + 1][:, axis] - pixels[0][:, axis]
-        found = from_disparity(triple, pixels[0], disparity, partner=partner)
-        np.testing.assert_allclose(found, points, rtol=0.0, atol=1e-12)
-
-
-def test_disparity_of_infinity_and_beyond_is_nan():
-    pair = rectify_pair(*_pair(), SHAPE)
-    pixels = np.full((3, 2), 100.0)
-    far = pair.cameras[1].matrix[0, 2] - pair.cameras[0].matrix[0, 2]
-    a, b = _seen(pair, np.zeros((1, 3)))
-    near = float(b[0, 0] - a[0, 0])
-    beyond = far - (near - far)
-    found = from_disparity(pair, pixels, np.array([near, far, beyond]))
-    np.testing.assert_array_equal(np.isnan(found).all(axis=1), [False, True, True])
-
-
 @pytest.mark.parametrize("kind", ["pair", "triple"])
 def test_canvas_holds_the_whole_reference_picture(kind):
-    if kind == "pair":
-        given, rectified = _pair()[0], rectify_pair(*_pair(), SHAPE)
-    else:
-        given, rectified = _triple()[0], rectify_triple(*_triple(), SHAPE)
+    cameras = _pair() if kind == "pair" else _triple()
+    given, rectified = cameras[0], rectify(cameras, SHAPE)
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     pixels = np.stack([column.ravel(), row.ravel()], axis=1)
     origin, direction = rays(given, pixels)
@@ -156,7 +123,7 @@ def test_canvas_holds_the_whole_reference_picture(kind):
 @pytest.mark.parametrize("kind", ["pair", "triple"])
 def test_maps_lead_to_the_pixel_with_the_same_ray(kind):
     given = _pair() if kind == "pair" else _triple()
-    rectified = rectify_pair(*given, SHAPE) if kind == "pair" else rectify_triple(*given, SHAPE)
+    rectified = rectify(given, SHAPE)
     for before, after, sources in zip(given, rectified.cameras, rectified.maps, strict=True):
         rows, columns = sources.shape[1:]
         row, column = np.mgrid[:rows:9, :columns:9].astype(np.float64)
@@ -183,7 +150,7 @@ def _rendered(camera, size):
 @pytest.mark.parametrize("kind", ["pair", "triple"])
 def test_remapped_pictures_are_those_of_the_rectified_cameras(kind):
     given = _pair() if kind == "pair" else _triple()
-    rectified = rectify_pair(*given, SHAPE) if kind == "pair" else rectify_triple(*given, SHAPE)
+    rectified = rectify(given, SHAPE)
     for index, (before, after) in enumerate(zip(given, rectified.cameras, strict=True)):
         taken = _rendered(before, (SHAPE[1], SHAPE[0])).astype(np.float32)
         found = remapped(rectified, index, taken)
@@ -201,7 +168,7 @@ def test_remapped_pictures_are_those_of_the_rectified_cameras(kind):
 def test_rendered_rig_of_three(shared_data):
     """Not quite an L: c1 left, c2 above, all aimed at the object."""
     rig = read_rig(shared_data / "halfball_images" / "rig.toml")
-    rectified = rectify_triple(*rig.cameras, (480, 640))
+    rectified = rectify(rig.cameras, (480, 640))
     points = 0.03 * np.random.default_rng(0).normal(size=(100, 3))
     reference, left, top = _seen(rectified, points)
     np.testing.assert_allclose(left[:, 1], reference[:, 1], rtol=0.0, atol=EXACT)
@@ -212,20 +179,18 @@ def test_rendered_rig_of_three(shared_data):
 def test_what_cannot_be_rectified_is_refused():
     a, b = _pair()
     with pytest.raises(CalibrationError, match="'a' and 'c' have the same centre"):
-        rectify_pair(a, replace(a, name="c"), SHAPE)
+        rectify((a, replace(a, name="c")), SHAPE)
     behind = _at("c", (0.1, 0.02, -1.2))
     with pytest.raises(CalibrationError, match="look along the line between them"):
-        rectify_pair(a, behind, SHAPE)
+        rectify((a, behind), SHAPE)
     c0, c1, _ = _triple()
     line = _at("c2", (0.2, 0.03, -0.6))
     with pytest.raises(CalibrationError, match=r"'c1' and 'c2' are 1\d\d\.\d degrees apart"):
-        rectify_triple(c0, c1, line, SHAPE)
+        rectify((c0, c1, line), SHAPE)
     with pytest.raises(CalibrationError, match="look along the plane of their centres"):
-        rectify_triple(c0, c1, _at("c2", (0.01, 0.02, -1.2)), SHAPE)
+        rectify((c0, c1, _at("c2", (0.01, 0.02, -1.2))), SHAPE)
     with pytest.raises(InputError, match="'a' has 320 x 240 pixels; asked for 640 x 480"):
-        rectify_pair(a, b, (480, 640))
+        rectify((a, b), (480, 640))
     sideways = _at("b", (-0.3, 0.0, -0.6), target=(-1.0, 0.0, -0.59))
     with pytest.raises(CalibrationError, match="'b' looks elsewhere"):
-        rectify_pair(_at("a", (0.0, 0.0, -0.6)), sideways, SHAPE)
-    with pytest.raises(InputError, match="partner is 1; must be from 0 to 0"):
-        from_disparity(rectify_pair(a, b, SHAPE), np.zeros((1, 2)), np.zeros(1), partner=1)
+        rectify((_at("a", (0.0, 0.0, -0.6)), sideways), SHAPE)

@@ -16,12 +16,12 @@ from vision.scenes import (
     tilted,
 )
 
+from palpate.vision.cameras.projection import pixel_sizes
 from palpate.vision.cameras.surface_map import SurfaceMap
 from palpate.vision.joint.scene import (
     advanced_scene,
     inner_pixels,
     make_scene,
-    pixel_sizes,
     scene_rows,
 )
 

@@ -32,7 +32,6 @@ from palpate.vision.stereo.stereo import (
     StereoPoints,
     StereoSettings,
     stereo_points,
-    triangulated_surface,
 )
 
 RADIUS = 0.06  # of the example's dome [m]
@@ -174,37 +173,11 @@ def test_unlike_cameras_are_paired():
     assert np.sqrt(np.mean(height**2)) < 1.5e-5
 
 
-def test_surface_faces_the_camera_and_ends_at_jumps():
-    rig, views = example(2).rig, _views(2)
-    stereo = _stereo(rig, views)
-    vertices, triangles = triangulated_surface(stereo)
-    assert vertices.shape == stereo.point.shape
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    # The camera looks down on the dome from above.
-    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all()
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    # Two triangles a point but at the rim; each as large as half a step of the grid, 1.5 mm.
-    assert area == pytest.approx(0.5 * len(triangles) * (5 * 3e-4) ** 2, rel=0.1)
-    assert len(triangles) > 1.7 * len(vertices)
-    # The right half is moved back by 15 mm, ten steps: no triangle bridges the jump.
-    point = stereo.point.copy()
-    right = stereo.pixel[:, 0] > 95
-    point[right, 2] -= 0.015
-    _, torn = triangulated_surface(replace(stereo, point=point))
-    assert len(torn) < len(triangles)
-    assert (right[torn].all(axis=1) | ~right[torn].any(axis=1)).all()
-    # Six steps back is 80.5 degrees, a jump; five and a half is not.
-    point[right, 2] = stereo.point[right, 2] - 4e-3
-    assert len(triangulated_surface(replace(stereo, point=point))[1]) == len(triangles)
-
-
 def test_nothing_found_is_a_result():
     rig, views = example(2).rig, _views(2)
     stereo = _stereo(rig, views, mask=np.zeros(SHAPE, dtype=bool))
     assert len(stereo.pixel) == 0
     assert stereo.counts.sum() == 0
-    vertices, triangles = triangulated_surface(stereo)
-    assert vertices.shape == triangles.shape == (0, 3)
 
 
 def test_input_is_checked():

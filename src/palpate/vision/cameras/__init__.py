@@ -8,21 +8,24 @@ Depends on : `records`, `vision.images`.
 Read first : `lens.py`, then `projection.py`.
 """
 
-from palpate.vision.cameras.lens import project_kernel as project_kernel
+from palpate.vision.cameras.lens import (
+    distort_kernel as distort_kernel,
+    jacobian_kernel as jacobian_kernel,
+    project_kernel as project_kernel,
+)
 from palpate.vision.cameras.projection import (
     camera_sigma as camera_sigma,
     normalised as normalised,
     packed_rig as packed_rig,
     pixel_grid as pixel_grid,
+    pixel_sizes as pixel_sizes,
     project as project,
     project_jacobian as project_jacobian,
     rays as rays,
 )
 from palpate.vision.cameras.rectification import (
     Rectified as Rectified,
-    from_disparity as from_disparity,
-    rectify_pair as rectify_pair,
-    rectify_triple as rectify_triple,
+    rectify as rectify,
     remapped as remapped,
 )
 from palpate.vision.cameras.surface_map import (

@@ -15,7 +15,6 @@ Source: OpenCV, Camera calibration and 3D reconstruction, detailed description.
 """
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 # Largest error of the inverse, in the plane z = 1: 1e-13 is 7e-10 px at a focal length of 7000 px,
@@ -25,35 +24,8 @@ _MAX_ERROR = 1e-13
 # pixel has not shrunk to less than this share, as it does where the lens is about to fold over.
 _NEARLY, _MIN_AREA = 1e-8, 1e-2
 _MAX_STEPS = 50
-# Roots whose imaginary part is below this share are real; numpy's are good to about 1e-12.
-_MAX_IMAGINARY = 1e-9
 # Rays farther from the axis than this (89.94 degrees) reach no camera.
 _MAX_RADIUS = 1e3
-
-
-def lens_reach(distortion: Float[np.ndarray, "8"]) -> float:
-    """Distance from the axis, in the plane z = 1, at which the radial distortion folds over.
-
-    Parameters
-    ----------
-    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6
-
-    Returns
-    -------
-    float [-]                       smallest r > 0 where r radial(r^2) stops rising or has a pole;
-                                    infinite where it always rises
-    """
-    k1, k2, _, _, k3, k4, k5, k6 = (float(term) for term in distortion)
-    if not any((k1, k2, k3, k4, k5, k6)):
-        return float("inf")
-    over, under = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
-    # With u = r^2 the slope of r over / under is this polynomial, over under^2.
-    u = np.poly1d([1.0, 0.0])
-    slope = over * under + 2.0 * u * (over.deriv() * under - over * under.deriv())
-    roots = np.concatenate([slope.roots, under.roots])
-    real = roots.real[np.abs(roots.imag) <= _MAX_IMAGINARY * np.abs(roots)]
-    positive = real[real > 0.0]
-    return float(np.sqrt(positive.min())) if len(positive) else float("inf")
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -68,8 +40,19 @@ def _radial_kernel(c, r2):
 
 
 @njit(cache=True, error_model="numpy")
-def _distort_kernel(c, a, b):
-    """Distorted place of (a, b) and its derivatives: x by a, x by b (= y by a), y by b."""
+def distort_kernel(c, a, b):
+    """Distorted place of a ray and its derivatives.
+
+    Parameters
+    ----------
+    c : (25,) float                 `packed_camera`
+    a, b : float [-]                x / z and y / z of the ray, within the lens's reach
+
+    Returns
+    -------
+    x, y : float [-]                where the lens sends it, in the plane z = 1
+    xa, xb, yb : float [-]          derivatives: x by a, x by b (= y by a), y by b
+    """
     r2 = a * a + b * b
     radial, slope = _radial_kernel(c, r2)
     p1, p2 = c[7], c[8]
@@ -104,7 +87,7 @@ def project_kernel(c, x, y, z):
     column, row : float [px]        without meaning for a point that the camera does not see
     """
     a, b, _ = _pinhole_kernel(c, x, y, z)
-    xd, yd, _, _, _ = _distort_kernel(c, a, b)
+    xd, yd, _, _, _ = distort_kernel(c, a, b)
     return c[0] * xd + c[4] * yd + c[2], c[1] * yd + c[3]
 
 
@@ -127,7 +110,7 @@ def jacobian_kernel(c, x, y, z, out):
     area : float [-]                determinant of the distortion's derivative: above 0 there
     """
     a, b, zc = _pinhole_kernel(c, x, y, z)
-    xd, yd, xa, xb, yb = _distort_kernel(c, a, b)
+    xd, yd, xa, xb, yb = distort_kernel(c, a, b)
     column_a, column_b = c[0] * xa + c[4] * xb, c[0] * xb + c[4] * yb
     row_a, row_b = c[1] * xb, c[1] * yb
     for k in range(3):
@@ -184,7 +167,7 @@ def _newton_kernel(c, reach, x, y, a, b):
     limit = reach * reach
     allowed = _MAX_ERROR * (1.0 + np.hypot(x, y))
     for _ in range(_MAX_STEPS):
-        u, v, xa, xb, yb = _distort_kernel(c, a, b)
+        u, v, xa, xb, yb = distort_kernel(c, a, b)
         area = xa * yb - xb * xb
         error = abs(x - u) + abs(y - v)
         if error <= allowed and area <= _MIN_AREA:

@@ -7,10 +7,12 @@ from palpate.errors import InputError
 from palpate.records import Camera, Rig, camera_centre
 from palpate.shapes import Points, PointScalars, Vector3
 from palpate.threads import in_threads
-from palpate.vision.cameras.lens import jacobians_kernel, lens_reach, normalised_kernel
+from palpate.vision.cameras.lens import jacobians_kernel, normalised_kernel
 
 # Pixels that are worth a thread: each takes some 0.1 us.
 _MIN_PIXELS_PER_THREAD = 1024
+# Roots whose imaginary part is below this share are real; numpy's are good to about 1e-12.
+_MAX_IMAGINARY = 1e-9
 
 
 def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
@@ -42,6 +44,31 @@ def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
     (c, 25) float                   a row each, see `packed_camera`
     """
     return np.stack([packed_camera(camera) for camera in rig.cameras])
+
+
+def lens_reach(distortion: Float[np.ndarray, "8"]) -> float:
+    """Distance from the axis, in the plane z = 1, at which the radial distortion folds over.
+
+    Parameters
+    ----------
+    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6
+
+    Returns
+    -------
+    float [-]                       smallest r > 0 where r radial(r^2) stops rising or has a pole;
+                                    infinite where it always rises
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = (float(term) for term in distortion)
+    if not any((k1, k2, k3, k4, k5, k6)):
+        return float("inf")
+    over, under = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+    # With u = r^2 the slope of r over / under is this polynomial, over under^2.
+    u = np.poly1d([1.0, 0.0])
+    slope = over * under + 2.0 * u * (over.deriv() * under - over * under.deriv())
+    roots = np.concatenate([slope.roots, under.roots])
+    real = roots.real[np.abs(roots.imag) <= _MAX_IMAGINARY * np.abs(roots)]
+    positive = real[real > 0.0]
+    return float(np.sqrt(positive.min())) if len(positive) else float("inf")
 
 
 def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:
@@ -170,6 +197,22 @@ def rays(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> tuple[Vector3, Poi
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     pose = camera.T_camera_object
     return camera_centre(camera), direction @ pose[:3, :3]
+
+
+def pixel_sizes(camera: Camera, point: Points) -> PointScalars:
+    """Side of a camera's pixel on a surface that faces it.
+
+    Parameters
+    ----------
+    camera : Camera
+    point : (n, 3) float [m]        object frame, before the camera
+
+    Returns
+    -------
+    (n,) float [m]                  depth over focal length
+    """
+    pose = camera.T_camera_object
+    return (point @ pose[2, :3] + pose[2, 3]) / camera.matrix[0, 0]
 
 
 def camera_sigma(

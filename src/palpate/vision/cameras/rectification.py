@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import CalibrationError, InputError
+from palpate.errors import CalibrationError
 from palpate.records import Camera, camera_centre
-from palpate.shapes import Matrix3, Points, PointScalars, Vector3
+from palpate.shapes import Matrix3, Vector3
 from palpate.vision.cameras.projection import check_picture_size, normalised, project
 from palpate.vision.images import interpolate, make_spline_picture
 
@@ -45,12 +45,13 @@ class Rectified:
     axis: tuple[int, ...]
 
 
-def rectify_pair(reference: Camera, other: Camera, shape: tuple[int, int]) -> Rectified:
-    """Turn two cameras so that every point lies in the same row of both.
+def rectify(cameras: Sequence[Camera], shape: tuple[int, int]) -> Rectified:
+    """Turn cameras so that a point shares its row with the second, its column with the third.
 
     Parameters
     ----------
-    reference, other : Camera
+    cameras : 2 or 3 of Camera      the reference first; three make an L, not necessarily a right
+                                    angle: the left one before the top one
     shape : (rows, columns) [px]    of their pictures
 
     Returns
@@ -59,112 +60,31 @@ def rectify_pair(reference: Camera, other: Camera, shape: tuple[int, int]) -> Re
 
     Raises
     ------
-    CalibrationError                one centre, or a camera that looks along the baseline
+    CalibrationError                one centre, centres (nearly) on a line, or cameras that look
+                                    along the line of the two centres or the plane of the three
     InputError                      a shape that contradicts a camera's
     """
-    arm = _arm(reference, other)
-    x = arm / np.linalg.norm(arm)
-    x = x * np.copysign(1.0, x @ reference.T_camera_object[0, :3])
-    view = _mean_view((reference, other))
-    z = view - (view @ x) * x
-    if np.linalg.norm(z) < _MIN_COSINE:
-        raise CalibrationError(
-            f"cameras '{reference.name}' and '{other.name}' look along the line between them"
-            " (within 30 degrees); such a pair cannot be rectified. Match without rectification"
-        )
-    z = z / np.linalg.norm(z)
-    rotation = np.stack([x, np.cross(z, x), z])
-    return _rectified((reference, other), rotation, 0.0, (0,), shape)
-
-
-def rectify_triple(
-    reference: Camera, left: Camera, top: Camera, shape: tuple[int, int]
-) -> Rectified:
-    """Turn three cameras so that a point shares its row with the left, its column with the top one.
-
-    Parameters
-    ----------
-    reference, left, top : Camera   an L, not necessarily a right angle
-    shape : (rows, columns) [px]    of their pictures
-
-    Returns
-    -------
-    Rectified                       its pictures hold the whole reference picture
-
-    Raises
-    ------
-    CalibrationError                centres (nearly) on a line, or a camera that looks along the
-                                    plane of the centres
-    InputError                      a shape that contradicts a camera's
-    """
-    cameras = (reference, left, top)
-    arms = [_arm(reference, other) for other in cameras[1:]]
-    first, second = (arm / np.linalg.norm(arm) for arm in arms)
-    z = np.cross(first, second)
-    if np.linalg.norm(z) < _MIN_SINE:
-        angle = np.rad2deg(np.arccos(np.clip(first @ second, -1.0, 1.0)))
-        raise CalibrationError(
-            f"seen from camera '{reference.name}' the cameras '{left.name}' and '{top.name}' are"
-            f" {angle:.1f} degrees apart; an L needs 30 to 150. Take another camera as the"
-            " reference, or rectify pairs"
-        )
+    reference, *others = cameras
+    arms = [_arm(reference, other) for other in others]
+    x = arms[0] * np.copysign(1.0, arms[0] @ reference.T_camera_object[0, :3])
     view = _mean_view(cameras)
-    z = z / np.linalg.norm(z) * np.copysign(1.0, z @ view)
+    skew, where, kind = 0.0, "line between them", "pair"
+    z = view - (view @ x) * x
+    if len(others) == 2:
+        where, kind = "plane of their centres", "triple"
+        z = _plane_normal(cameras, arms)
+        z = z * np.copysign(1.0, z @ view)
+    z = z / max(float(np.linalg.norm(z)), 1e-12)
     if z @ view < _MIN_COSINE:
+        names = [f"'{camera.name}'" for camera in cameras]
         raise CalibrationError(
-            f"cameras '{reference.name}', '{left.name}' and '{top.name}' look along the plane of"
-            " their centres (within 30 degrees); such a triple cannot be rectified. Match without"
-            " rectification"
+            f"cameras {', '.join(names[:-1])} and {names[-1]} look along the {where} (within 30"
+            f" degrees); such a {kind} cannot be rectified. Match without rectification"
         )
-    x = first * np.copysign(1.0, first @ reference.T_camera_object[0, :3])
     y = np.cross(z, x)
-    skew = -float(second @ x) / float(second @ y)
-    return _rectified(cameras, np.stack([x, y, z]), skew, (0, 1), shape)
-
-
-def from_disparity(
-    rectified: Rectified,
-    pixels: Float[np.ndarray, "n 2"],
-    disparity: PointScalars,
-    *,
-    partner: int = 0,
-) -> Points:
-    """Points of the object from pixels of the rectified reference and their disparity.
-
-    Parameters
-    ----------
-    rectified : Rectified
-    pixels : (n, 2) float [px]      column and row in the rectified reference picture
-    disparity : (n,) float [px]     coordinate in the partner minus that in the reference: columns
-                                    where `rectified.axis` is 0, rows where it is 1
-    partner : int                   0 for the first camera after the reference, 1 for the next
-
-    Returns
-    -------
-    (n, 3) float [m]                object frame; NaN where the disparity is that of a point at
-                                    infinity or beyond
-
-    Raises
-    ------
-    InputError                      no such partner
-    """
-    if not 0 <= partner < len(rectified.axis):
-        raise InputError(
-            f"partner is {partner}; must be from 0 to {len(rectified.axis) - 1}, the cameras after"
-            " the reference"
-        )
-    reference, other = rectified.cameras[0], rectified.cameras[partner + 1]
-    axis = rectified.axis[partner]
-    pose = reference.T_camera_object
-    shift = other.T_camera_object[:3, 3] - pose[:3, 3]
-    # A point at depth z moves by (K shift) / z, and by the difference of the principal points.
-    at_unit_depth = float((reference.matrix @ shift)[axis])
-    parallax = disparity - (other.matrix - reference.matrix)[axis, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = at_unit_depth / parallax
-    depth = np.where((depth > 0.0) & np.isfinite(depth), depth, np.nan)
-    flat = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(reference.matrix).T
-    return (depth[:, None] * flat - pose[:3, 3]) @ pose[:3, :3]
+    if len(others) == 2:
+        skew = -float(arms[1] @ x) / float(arms[1] @ y)
+    return _rectified(cameras, np.stack([x, y, z]), skew, tuple(range(len(others))), shape)
 
 
 def remapped(
@@ -195,7 +115,7 @@ def remapped(
 
 
 def _arm(reference: Camera, other: Camera) -> Vector3:
-    """From the centre of the reference to that of another camera, object frame [m]."""
+    """Unit vector from the centre of the reference to that of another camera, object frame."""
     arm = camera_centre(other) - camera_centre(reference)
     distance = np.linalg.norm(camera_centre(reference))
     # Centres closer than the rounding of their coordinates give no direction.
@@ -204,7 +124,21 @@ def _arm(reference: Camera, other: Camera) -> Vector3:
             f"cameras '{reference.name}' and '{other.name}' have the same centre; depth needs a"
             " baseline. Are R and t of each camera's own, x_camera = R x_object + t?"
         )
-    return arm
+    return arm / np.linalg.norm(arm)
+
+
+def _plane_normal(cameras: Sequence[Camera], arms: Sequence[Vector3]) -> Vector3:
+    """Normal of the plane of three centres, as long as the sine of the angle between the arms."""
+    normal = np.cross(arms[0], arms[1])
+    if np.linalg.norm(normal) < _MIN_SINE:
+        reference, left, top = (camera.name for camera in cameras)
+        angle = np.rad2deg(np.arccos(np.clip(arms[0] @ arms[1], -1.0, 1.0)))
+        raise CalibrationError(
+            f"seen from camera '{reference}' the cameras '{left}' and '{top}' are {angle:.1f}"
+            " degrees apart; an L needs 30 to 150. Take another camera as the reference, or"
+            " rectify pairs"
+        )
+    return normal
 
 
 def _mean_view(cameras: Sequence[Camera]) -> Vector3:

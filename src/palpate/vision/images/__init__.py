@@ -12,6 +12,7 @@ from palpate.vision.images.features import (
     Matches as Matches,
     PreparedPictures as PreparedPictures,
     match_features as match_features,
+    nearest_descriptors as nearest_descriptors,
     prepare_pictures as prepare_pictures,
 )
 from palpate.vision.images.normalisation import (

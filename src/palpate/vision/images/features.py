@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
 from palpate.records import Rig
@@ -106,14 +106,31 @@ def match_features(first: Features, second: Features) -> Matches:
     """
     if len(first.point) < 2 or len(second.point) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-    a, b = first.descriptor, second.descriptor
-    # Descriptors hold whole numbers and all sums stay below 2^24: exact in any order.
-    distance = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * (a @ b.T)
-    choice, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    choice, mutual, distance = nearest_descriptors(first.descriptor, second.descriptor)
     nearest = np.partition(distance, 1, axis=1)[:, :2]
-    good = back[choice] == np.arange(len(choice))
-    good &= nearest[:, 0] < _MAX_RATIO**2 * nearest[:, 1]
+    good = mutual & (nearest[:, 0] < _MAX_RATIO**2 * nearest[:, 1])
     return Matches(first.point[good], second.point[choice[good]])
+
+
+def nearest_descriptors(
+    first: Float[np.ndarray, "n 128"], second: Float[np.ndarray, "m 128"]
+) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"], Float[np.ndarray, "n m"]]:
+    """The nearest of other descriptors to each.
+
+    Parameters
+    ----------
+    first, second : (n, 128), (m, 128) float32      whole numbers from 0 to 255; one or more each
+
+    Returns
+    -------
+    choice : (n,) int               which of the second
+    mutual : (n,) bool              whether each is the nearest to its choice
+    distance : (n, m) float32       squared
+    """
+    # All sums of squares stay below 2^24: exact in any order.
+    distance = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1) - 2.0 * (first @ second.T)
+    choice, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    return choice, back[choice] == np.arange(len(choice)), distance
 
 
 @dataclass(frozen=True, slots=True, eq=False)

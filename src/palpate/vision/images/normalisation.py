@@ -75,22 +75,23 @@ def _noise(grey: Float[np.ndarray, "rows columns"]) -> float:
 
 
 def moments(
-    grey: Float[np.ndarray, "rows columns"],
+    grey: Float[np.ndarray, "rows columns"], side: int = WINDOW
 ) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
     """Mean and variance of the grey levels in the window around every pixel.
 
     Parameters
     ----------
-    grey : (rows, columns) float32 [grey levels]
+    grey : (rows, columns) float32 or float64 [grey levels]
+    side : int [px]                 of the window, odd
 
     Returns
     -------
-    mean : (rows, columns) float32 [grey levels]        the picture is mirrored beyond its edge
-    variance : (rows, columns) float32 [grey levels^2]  >= 0
+    mean : (rows, columns) float [grey levels]          the picture is mirrored beyond its edge
+    variance : (rows, columns) float [grey levels^2]    >= 0; both in the precision of `grey`
     """
-    size = (WINDOW, WINDOW)
+    size = (side, side)
     mean = cv2.blur(grey, size)
-    return mean, np.maximum(cv2.sqrBoxFilter(grey, -1, size) - mean**2, np.float32(0.0))
+    return mean, np.maximum(cv2.sqrBoxFilter(grey, -1, size) - mean * mean, 0.0)
 
 
 def _width(

@@ -1,11 +1,10 @@
 """Which points of a match are believed, and how well their displacement is known."""
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.vision.cameras import project_jacobian
-from palpate.vision.images import smoothing_gain
+from palpate.vision.cameras import pixel_sizes, project_jacobian
+from palpate.vision.images import moments, smoothing_gain
 from palpate.vision.joint.match import (
     changed_cameras,
     mean_over,
@@ -14,7 +13,7 @@ from palpate.vision.joint.match import (
     used_cameras,
 )
 from palpate.vision.joint.refinement import Match
-from palpate.vision.joint.scene import Scene, pixel_sizes
+from palpate.vision.joint.scene import Scene
 from palpate.vision.matching import median_around
 from palpate.vision.range_flow import Outcome, RangeFlow
 
@@ -140,11 +139,8 @@ def _noise_covariance(scene: Scene, match: Match) -> Float[np.ndarray, "n 3 3"]:
 def _contrast(scene: Scene) -> Float[np.ndarray, " n"]:
     """Standard deviation of the reference camera's window around each point [grey levels]."""
     grey = scene.pictures[scene.rig.reference].grey.astype(np.float64)
-    size = (scene.subset, scene.subset)
-    mean = cv2.blur(grey, size, borderType=cv2.BORDER_REFLECT_101)
-    square = cv2.blur(grey * grey, size, borderType=cv2.BORDER_REFLECT_101)
     column, row = scene.pixel.astype(np.int64).T
-    return np.sqrt(np.maximum(square - mean * mean, 0.0))[row, column]
+    return np.sqrt(moments(grey, scene.subset)[1])[row, column]
 
 
 def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from palpate.arrays import with_rows
+from palpate.vision.cameras import pixel_sizes
 from palpate.vision.images import SplinePicture
 from palpate.vision.joint.refinement import Limits, Match, refine_joint
-from palpate.vision.joint.scene import Scene, pixel_sizes
+from palpate.vision.joint.scene import Scene
 from palpate.vision.matching import BASES, Prediction, Scatter, local_field, predicted
 from palpate.vision.range_flow import Outcome
 

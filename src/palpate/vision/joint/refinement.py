@@ -24,7 +24,6 @@ from palpate.vision.joint.scene import Scene
 from palpate.vision.joint.window import (
     deformed_frame_kernel,
     in_picture_kernel,
-    jacobian_kernel,
     load_camera_kernel,
     mapping_kernel,
     pixel_lengths_kernel,
@@ -249,7 +248,6 @@ def _prepare_kernel(first, points, i, use, noise, limits, work):
             work.window[c], limits.half, limits.bases, work.contents[c, 0], work.contents[c, 2],
             work.sums[c], work.moments, work.normal[c],
         )  # fmt: skip
-        jacobian_kernel(first.cameras[c], point, work.jacobian)
         mapping_kernel(
             first.cameras[c], point, tangent, extent, limits.half, limits.bases, work.centre[c],
             work.jacobian, work.mapping[c],

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
-from palpate.vision.cameras import SurfaceMap, packed_rig, surface_map, visible
+from palpate.vision.cameras import SurfaceMap, packed_rig, pixel_sizes, surface_map, visible
 from palpate.vision.images import SplinePicture, spline_pictures
 from palpate.vision.range_flow import grid_points, grid_triangles
 
@@ -83,9 +84,8 @@ def make_scene(
     -------
     Scene                           without points where the reference camera sees none
     """
-    maps = _surface_maps(rig, pictures, vertices, triangles)
-    inner = _inner_pictures(rig, maps)
-    shown = inner[rig.reference] > 0.0
+    maps, views = _views(rig, pictures, vertices, triangles, smoothing)
+    shown = views["inner"][rig.reference] > 0.0
     pixel, point, tangent = grid_points(maps[rig.reference], shown, vertices, triangles, step)
     extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], point)
     # Behind the surface by more than half a window means behind another part of it.
@@ -93,10 +93,6 @@ def make_scene(
     return Scene(
         rig=rig,
         packed=packed_rig(rig),
-        grey=tuple(pictures),
-        pictures=spline_pictures(pictures, smoothing),
-        surface=_surface_points(maps),
-        inner=inner,
         pixel=pixel.astype(np.float64),
         point=point,
         tangent=tangent,
@@ -105,6 +101,7 @@ def make_scene(
         subset=subset,
         step=step,
         smoothing=smoothing,
+        **views,
     )
 
 
@@ -130,17 +127,14 @@ def advanced_scene(
     moved = scene.point + np.where(valid[:, None], motion[:, 0], 0.0)
     rows = np.flatnonzero(valid)
     triangles = grid_triangles(scene.pixel[rows], scene.step)
-    maps = _surface_maps(scene.rig, grey, moved[rows], triangles)
+    maps, views = _views(scene.rig, grey, moved[rows], triangles, scene.smoothing)
     seen = _seen(scene.rig, maps, moved, float(np.median(scene.extent)))
     return replace(
         scene,
-        grey=grey,
-        pictures=spline_pictures(grey, scene.smoothing),
-        surface=_surface_points(maps),
-        inner=_inner_pictures(scene.rig, maps),
         point=moved,
         tangent=_moved_tangents(scene, motion, valid),
         seen=seen & scene.seen & valid[:, None],
+        **views,
     )
 
 
@@ -158,22 +152,6 @@ def scene_rows(scene: Scene, rows: Int[np.ndarray, " k"]) -> Scene:
     """
     names = ("pixel", "point", "tangent", "extent", "seen")
     return replace(scene, **{name: getattr(scene, name)[rows] for name in names})
-
-
-def pixel_sizes(camera: Camera, point: Points) -> PointScalars:
-    """Side of a camera's pixel on a surface that faces it.
-
-    Parameters
-    ----------
-    camera : Camera
-    point : (n, 3) float [m]        object frame, before the camera
-
-    Returns
-    -------
-    (n,) float [m]                  depth over focal length
-    """
-    pose = camera.T_camera_object
-    return (point @ pose[2, :3] + pose[2, 3]) / camera.matrix[0, 0]
 
 
 def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows columns"]:
@@ -204,29 +182,24 @@ def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows
     return kept.astype(np.float32)
 
 
-def _surface_maps(
+def _views(
     rig: Rig,
     pictures: Sequence[Float[np.ndarray, "_ _"]],
     vertices: Vertices,
     triangles: Triangles,
-) -> list[SurfaceMap]:
-    """What each camera sees of a surface."""
-    return [
+    smoothing: float,
+) -> tuple[list[SurfaceMap], dict[str, Any]]:
+    """What each camera sees of a surface, and the fields of a `Scene` that pictures and it make."""
+    maps = [
         surface_map(camera, picture.shape, vertices, triangles)
         for camera, picture in zip(rig.cameras, pictures, strict=True)
     ]
-
-
-def _surface_points(maps: Sequence[SurfaceMap]) -> tuple[Float[np.ndarray, "_ _ 3"], ...]:
-    """Points behind the pixels of each camera, in single precision for the kernels."""
-    return tuple(np.ascontiguousarray(seen.point, dtype=np.float32) for seen in maps)
-
-
-def _inner_pictures(
-    rig: Rig, maps: Sequence[SurfaceMap]
-) -> tuple[Float[np.ndarray, "rows columns"], ...]:
-    """`inner_pixels` of each camera."""
-    return tuple(inner_pixels(seen, camera) for seen, camera in zip(maps, rig.cameras, strict=True))
+    return maps, {
+        "grey": tuple(pictures),
+        "pictures": spline_pictures(pictures, smoothing),
+        "surface": tuple(np.ascontiguousarray(seen.point, dtype=np.float32) for seen in maps),
+        "inner": tuple(map(inner_pixels, maps, rig.cameras)),
+    }
 
 
 def _seen(

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from palpate.geometry import vertex_normals
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Flags, Triangles, Vertices
+from palpate.vision.cameras import pixel_sizes
 from palpate.vision.matching import LocalField, Scatter, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
@@ -63,9 +64,7 @@ def _field_at(
     camera: Camera,
 ) -> LocalField:
     """Local field at vertices."""
-    pose = camera.T_camera_object
-    depth = float(np.median(flow.point[valid] @ pose[2, :3] + pose[2, 3]))
-    half = (flow.subset // 2) * depth / camera.matrix[0, 0]
+    half = (flow.subset // 2) * float(np.median(pixel_sizes(camera, flow.point[valid])))
     scatter = Scatter(
         flow.point[valid],
         flow.pixel[valid],

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from palpate.vision.cameras import project_kernel
+from palpate.vision.cameras import distort_kernel, jacobian_kernel, project_kernel
 from palpate.vision.images import noise_share_kernel, sample_kernel
 from palpate.vision.matching import load_window_kernel
 
@@ -70,31 +70,15 @@ def load_camera_kernel(
 
 
 @njit(cache=True, error_model="numpy")
-def jacobian_kernel(camera, point, jacobian):
-    """Derivative of the pixel by the point, (2, 3) [px/m], written into `jacobian`.
-
-    `camera` (25,) packed, `point` (3,) [m] in the object frame. Central differences over 2e-4 of
-    the depth: the projection is smooth, what they leave out is the square of that.
-    """
-    depth = camera[19] * point[0] + camera[20] * point[1] + camera[21] * point[2] + camera[24]
-    h = 1e-4 * depth
-    for a in range(3):
-        d0 = h if a == 0 else 0.0
-        d1 = h if a == 1 else 0.0
-        d2 = h if a == 2 else 0.0
-        x1, y1 = project_kernel(camera, point[0] + d0, point[1] + d1, point[2] + d2)
-        x0, y0 = project_kernel(camera, point[0] - d0, point[1] - d1, point[2] - d2)
-        jacobian[0, a] = (x1 - x0) / (2.0 * h)
-        jacobian[1, a] = (y1 - y0) / (2.0 * h)
-
-
-@njit(cache=True, error_model="numpy")
 def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian, mapping):
     """From the surface's motion to the window's polynomial in pixels, (2 bases, 3 bases) [px/m].
 
     Within the window the surface coordinates are taken as linear in the pixel; this shapes the
-    steps and the weights, not the solution.
+    steps and the weights, not the solution. `camera` (25,) packed, `point` (3,) [m], `tangent`
+    (2, 3), `extent` [m], `half` a window's side and `centre` (2,) [px]; `jacobian` (2, 3) is
+    scratch.
     """
+    x, y, _, _, _ = jacobian_kernel(camera, point[0], point[1], point[2], jacobian)
     b00 = b01 = b10 = b11 = 0.0
     for a in range(3):
         b00 += jacobian[0, a] * tangent[0, a]
@@ -105,7 +89,6 @@ def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian
     determinant = b00 * b11 - b01 * b10
     if abs(determinant) < 1e-12 * (abs(b00) + abs(b01) + abs(b10) + abs(b11)) ** 2:
         determinant = np.inf
-    x, y = project_kernel(camera, point[0], point[1], point[2])
     off0 = centre[0] - x
     off1 = centre[1] - y
     scale = 1.0 / (extent * determinant)
@@ -161,10 +144,10 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
 
     `moved` spline coefficients, `place` and `weight` of the window's pixels, `point` (3,) [m], `q`
     (6, 3) [m] the motion, `frame` (3, 3) deformed tangents and normal; `sampled` (side, side)
-    [grey levels] is filled. In single precision: 1e-7 of a picture is 1e-4 px. The lens is that of
-    `project`, written out here for speed.
+    [grey levels] is filled.
     """
-    c = np.empty((8, 3), dtype=np.float32)
+    # Camera coordinates of a pixel's point: a polynomial in its place on the surface.
+    c = np.empty((7, 3))
     for a in range(3):
         i = 13 + 3 * a
         r0, r1, r2 = camera[i], camera[i + 1], camera[i + 2]
@@ -173,55 +156,31 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
             + camera[22 + a]
         )  # fmt: skip
         for k in range(3):
-            value = r0 * frame[k, 0] + r1 * frame[k, 1] + r2 * frame[k, 2]
-            c[1 + k, a] = extent * value
+            c[1 + k, a] = extent * (r0 * frame[k, 0] + r1 * frame[k, 1] + r2 * frame[k, 2])
             c[4 + k, a] = r0 * q[3 + k, 0] + r1 * q[3 + k, 1] + r2 * q[3 + k, 2]
-    p00, p01, p02 = c[0, 0], c[0, 1], c[0, 2]
-    p10, p11, p12 = c[1, 0], c[1, 1], c[1, 2]
-    p20, p21, p22 = c[2, 0], c[2, 1], c[2, 2]
-    p30, p31, p32 = c[3, 0], c[3, 1], c[3, 2]
-    p40, p41, p42 = c[4, 0], c[4, 1], c[4, 2]
-    p50, p51, p52 = c[5, 0], c[5, 1], c[5, 2]
-    p60, p61, p62 = c[6, 0], c[6, 1], c[6, 2]
-    fx, fy, cx, cy, skew = (
-        np.float32(camera[0]), np.float32(camera[1]), np.float32(camera[2]),
-        np.float32(camera[3]), np.float32(camera[4]),
-    )  # fmt: skip
-    k1, k2, t1, t2, k3 = (
-        np.float32(camera[5]), np.float32(camera[6]), np.float32(camera[7]),
-        np.float32(camera[8]), np.float32(camera[9]),
-    )  # fmt: skip
-    k4, k5, k6 = np.float32(camera[10]), np.float32(camera[11]), np.float32(camera[12])
-    unit = np.float32(1.0)
-    two = np.float32(2.0)
     shares = np.float32(0.0)
     inside = np.float32(0.0)
     for r in range(2 * half + 1):
         xi_line, eta_line, zeta_line = place[0, r], place[1, r], place[2, r]
-        line = sampled[r]
-        inner = weight[r]
+        line, inner = sampled[r], weight[r]
         for k in range(2 * half + 1):
-            xi = xi_line[k]
-            eta = eta_line[k]
-            zeta = zeta_line[k]
-            xx = xi * xi
-            xy = xi * eta
-            yy = eta * eta
-            z = p02 + xi * p12 + eta * p22 + zeta * p32 + xx * p42 + xy * p52 + yy * p62
-            x = p00 + xi * p10 + eta * p20 + zeta * p30 + xx * p40 + xy * p50 + yy * p60
-            y = p01 + xi * p11 + eta * p21 + zeta * p31 + xx * p41 + xy * p51 + yy * p61
-            inverse = unit / z
-            a = x * inverse
-            b = y * inverse
-            r2 = a * a + b * b
-            radial = (unit + r2 * (k1 + r2 * (k2 + r2 * k3))) / (
-                unit + r2 * (k4 + r2 * (k5 + r2 * k6))
-            )
-            ab = two * a * b
-            xd = a * radial + t1 * ab + t2 * (r2 + two * a * a)
-            yd = b * radial + t1 * (r2 + two * b * b) + t2 * ab
-            column = fx * xd + skew * yd + cx
-            row = fy * yd + cy
+            xi, eta, zeta = xi_line[k], eta_line[k], zeta_line[k]
+            xx, xy, yy = xi * xi, xi * eta, eta * eta
+            x = (
+                c[0, 0] + xi * c[1, 0] + eta * c[2, 0] + zeta * c[3, 0]
+                + xx * c[4, 0] + xy * c[5, 0] + yy * c[6, 0]
+            )  # fmt: skip
+            y = (
+                c[0, 1] + xi * c[1, 1] + eta * c[2, 1] + zeta * c[3, 1]
+                + xx * c[4, 1] + xy * c[5, 1] + yy * c[6, 1]
+            )  # fmt: skip
+            z = (
+                c[0, 2] + xi * c[1, 2] + eta * c[2, 2] + zeta * c[3, 2]
+                + xx * c[4, 2] + xy * c[5, 2] + yy * c[6, 2]
+            )  # fmt: skip
+            xd, yd, _, _, _ = distort_kernel(camera, x / z, y / z)
+            column = np.float32(camera[0] * xd + camera[4] * yd + camera[2])
+            row = np.float32(camera[1] * yd + camera[3])
             line[k] = sample_kernel(moved, column, row)
             shares += inner[k] * noise_share_kernel(column, row)
             inside += inner[k]

@@ -25,6 +25,7 @@ from palpate.geometry import TriangleMesh
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars
 from palpate.vision.cameras import project, surface_map
+from palpate.vision.images import moments
 from palpate.vision.lang_pai.disparity import MIN_CONTRAST, WINDOW, Instant
 from palpate.vision.lang_pai.rectified_head import (
     StereoHead,
@@ -313,10 +314,8 @@ def _contrast(grey: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "row
     """Standard deviation in the window around each pixel [grey levels]; NaN where not all known."""
     known = np.isfinite(grey)
     value = np.where(known, grey, 0.0).astype(np.float64)
-    mean = cv2.blur(value, (WINDOW, WINDOW))
-    square = cv2.blur(value**2, (WINDOW, WINDOW))
     whole = cv2.erode(known.astype(np.uint8), np.ones((WINDOW, WINDOW), dtype=np.uint8)) > 0
-    return np.where(whole, np.sqrt(np.maximum(square - mean**2, 0.0)), np.nan)
+    return np.where(whole, np.sqrt(moments(value, WINDOW)[1]), np.nan)
 
 
 def _pixel_footprints(

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from palpate.records import Rig, camera_centre
 from palpate.shapes import Points, PointScalars
-from palpate.vision.cameras import Rectified, from_disparity, rectify_pair, rectify_triple, remapped
+from palpate.vision.cameras import Rectified, rectify, remapped
 from palpate.vision.lang_pai.disparity import Instant, Views, disparity_map
 
 
@@ -55,15 +55,10 @@ def make_head(rig: Rig, shape: tuple[int, int]) -> StereoHead:
     ------
     CalibrationError                cameras that cannot be made parallel
     """
-    reference = rig.cameras[rig.reference]
     order = (rig.reference, *_partners(rig))
-    used = [rig.cameras[i] for i in order]
-    if len(used) == 2:
-        rectified = rectify_pair(used[0], used[1], shape)
-    else:
-        rectified = rectify_triple(used[0], used[1], used[2], shape)
+    rectified = rectify([rig.cameras[i] for i in order], shape)
     reference = rectified.cameras[0]
-    slope, offset = np.zeros(len(used)), np.zeros(len(used))
+    slope, offset = np.zeros(len(order)), np.zeros(len(order))
     for i, axis in enumerate(rectified.axis, start=1):
         other = rectified.cameras[i]
         arm = other.T_camera_object[:3, 3] - reference.T_camera_object[:3, 3]
@@ -111,9 +106,10 @@ def head_points(head: StereoHead, pixel: Int[np.ndarray, "n 2"], disparity: Poin
     -------
     (n, 3) float [m]                object frame
     """
-    partner = int(np.argmax(np.abs(head.views.ratio))) - 1
-    shift = head.views.offset[partner + 1] + head.views.ratio[partner + 1] * disparity
-    return from_disparity(head.rectified, pixel.astype(np.float64), shift, partner=partner)
+    camera = head.rectified.cameras[0]
+    pose = camera.T_camera_object
+    flat = np.column_stack([pixel, np.ones(len(pixel))]) @ np.linalg.inv(camera.matrix).T
+    return ((head.parallax / disparity)[:, None] * flat - pose[:3, 3]) @ pose[:3, :3]
 
 
 def head_disparity(

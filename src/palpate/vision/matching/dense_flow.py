@@ -11,7 +11,6 @@ not matter. OpenCV's searches and everything here give the same result for any n
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +18,14 @@ from jaxtyping import Bool, Float, UInt8
 
 from palpate.errors import InputError
 from palpate.vision.images import WINDOW, NormalisedImage, cropped, make_normalised_image, moments
-from palpate.vision.matching.sparse_flow import Samples, feature_matches, interpolated, nodes
+from palpate.vision.matching.sparse_flow import (
+    NOT_GIVEN,
+    Samples,
+    feature_matches,
+    interpolated,
+    nodes,
+    sampled,
+)
 
 # Correlation from which two windows count as the same: the texture has then three times the
 # variance of the noise, what `textured` asks for too, and windows with a dozen independent
@@ -50,8 +56,6 @@ _MIN_SIDE_PX = 2 * WINDOW
 _ROUGH_SCALE, _FINE_SCALE = 2, 1
 # Stiffness of the last search. OpenCV's 20 is too smooth where faces meet, 5 follows the noise.
 _STIFFNESS = 10.0
-# OpenCV takes None for an array that is not given; its stubs do not say so.
-_NOT_GIVEN: Any = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,20 +74,10 @@ class DenseStart:
     trusted: Bool[np.ndarray, "rows columns"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Motion:
-    """From the rest picture to the moved one, and back [px]."""
-
-    there: Float[np.ndarray, "rows columns 2"]
-    back: Float[np.ndarray, "rows columns 2"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Flags:
-    """A flag at every pixel of the rest picture, and at every pixel of the moved one."""
-
-    rest: Bool[np.ndarray, "rows columns"]
-    moved: Bool[np.ndarray, "rows columns"]
+# Of every pixel of the rest picture and of every pixel of the moved one: the motion into the other
+# picture [px]; a flag.
+_Motions = tuple[Float[np.ndarray, "rows columns 2"], Float[np.ndarray, "rows columns 2"]]
+_Flags = tuple[Bool[np.ndarray, "rows columns"], Bool[np.ndarray, "rows columns"]]
 
 
 def dense_start(
@@ -126,7 +120,7 @@ def dense_start(
         half = dense_start(cv2.pyrDown(a.grey), cv2.pyrDown(b.grey), mask=wanted[::2, ::2])
         there, sure = _doubled(half, wanted)
     else:
-        there = _motion(a, b, _Flags(wanted, b.textured)).there
+        there, _ = _motions(a, b, (wanted, b.textured))
     flow, trusted = _finished(a, b, there)
     return _embedded(flow, trusted & sure, box, shape)
 
@@ -185,8 +179,8 @@ def _doubled(
 ) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
     """Flow and trust for pictures of twice the size; pixel i of a halved one is pixel 2 i."""
     half = np.float32(0.5) * _grid(wanted.shape)
-    trust = _sampled(start.trusted.astype(np.float32), half) > 0.5
-    return np.float32(2.0) * _sampled(start.flow, half), trust & wanted
+    trust = sampled(start.trusted.astype(np.float32), half) > 0.5
+    return np.float32(2.0) * sampled(start.flow, half), trust & wanted
 
 
 def _grid(shape: tuple[int, ...]) -> Float[np.ndarray, "rows columns 2"]:
@@ -197,9 +191,11 @@ def _grid(shape: tuple[int, ...]) -> Float[np.ndarray, "rows columns 2"]:
     return grid
 
 
-def _sampled(values: np.ndarray, place: Float[np.ndarray, "rows columns 2"]) -> np.ndarray:
-    """Values at places between pixels, beyond the picture those of its edge."""
-    return cv2.remap(values, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+def _composed(
+    first: Float[np.ndarray, "rows columns 2"], second: Float[np.ndarray, "rows columns 2"]
+) -> Float[np.ndarray, "rows columns 2"]:
+    """One motion after another [px]."""
+    return first + sampled(second, _grid(first.shape) + first)
 
 
 def _inside(place: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "rows columns"]:
@@ -217,7 +213,7 @@ def _search(
     search.setFinestScale(scale)
     if scale == _FINE_SCALE:
         search.setVariationalRefinementAlpha(_STIFFNESS)
-    return search.calc(rest, moved, _NOT_GIVEN)
+    return search.calc(rest, moved, NOT_GIVEN)
 
 
 def _fits(
@@ -232,7 +228,7 @@ def _fits(
     `gap` is what is left of there and back; `limits` on it and on the roughness [px].
     """
     place = _grid(a.grey.shape) + there
-    found = _sampled(b.grey, place)
+    found = sampled(b.grey, place)
     mean, variance = moments(found)
     common = cv2.blur(a.grey * found, (WINDOW, WINDOW)) - a.mean * mean
     # Tiny against the rounding noise of one grey level: keeps 0 / 0 out.
@@ -251,41 +247,37 @@ def _square(vectors: Float[np.ndarray, "rows columns 2"]) -> Float[np.ndarray, "
     return vectors[..., 0] ** 2 + vectors[..., 1] ** 2
 
 
-def _motion(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motion:
+def _motions(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motions:
     """Both motions to within the reach of the last search, wherever they can be found."""
-    motion = _Motion(
-        _search(a.levels, b.levels, _ROUGH_SCALE), _search(b.levels, a.levels, _ROUGH_SCALE)
-    )
+    motions = _search(a.levels, b.levels, _ROUGH_SCALE), _search(b.levels, a.levels, _ROUGH_SCALE)
     features: Samples | None = None
     staying, before = textured, np.inf
     for _ in range(_ROUNDS):
-        explained = _explained(a, b, motion)
+        explained = _explained(a, b, motions)
         lost, share = _lost(staying, explained, textured)
         # What is lost in one picture only is hidden in the other.
         if share < _MAX_UNEXPLAINED:
             break
-        samples = _known(motion, explained, textured.rest)
-        chance = explained.rest[textured.rest].mean() < _MIN_EXPLAINED
+        samples = _known(motions, explained, textured[0])
+        chance = explained[0][textured[0]].mean() < _MIN_EXPLAINED
         if features is None and (chance or share > _MAX_REMAINDER * before):
-            areas = _feature_areas(textured, lost)
-            features = feature_matches(a.levels, b.levels, areas.rest, areas.moved)
+            features = feature_matches(a.levels, b.levels, *_feature_areas(textured, lost))
         samples = samples if features is None else samples.joined(features)
         if not len(samples.point):
             break
         before = share
-        motion, inside = _repaired(a, b, motion, explained, samples)
-        staying = _Flags(textured.rest & inside.rest, textured.moved & inside.moved)
-    return motion
+        motions, inside = _repaired(a, b, motions, explained, samples)
+        staying = (textured[0] & inside[0], textured[1] & inside[1])
+    return motions
 
 
-def _explained(a: NormalisedImage, b: NormalisedImage, motion: _Motion) -> _Flags:
+def _explained(a: NormalisedImage, b: NormalisedImage, motions: _Motions) -> _Flags:
     """Where the two motions explain what became of the texture."""
-    grid = _grid(a.grey.shape)
     limits = (_MAX_FIRST_GAP_PX, _MAX_FIRST_ROUGHNESS_PX)
-    gap_there = motion.there + _sampled(motion.back, grid + motion.there)
-    gap_back = motion.back + _sampled(motion.there, grid + motion.back)
-    return _Flags(
-        _fits(a, b, motion.there, gap_there, limits), _fits(b, a, motion.back, gap_back, limits)
+    there, back = motions
+    return (
+        _fits(a, b, there, _composed(there, back), limits),
+        _fits(b, a, back, _composed(back, there), limits),
     )
 
 
@@ -295,31 +287,35 @@ def _lost(staying: _Flags, explained: _Flags, textured: _Flags) -> tuple[_Flags,
     Both are shares of what is wanted of the rest picture: around a mask the moved one has more.
     """
     kernel = np.ones((WINDOW, WINDOW), dtype=np.uint8)
-    areas = [
+    rest, moved = (
         cv2.morphologyEx((flag & ~known).astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
-        for flag, known in ((staying.rest, explained.rest), (staying.moved, explained.moved))
-    ]
-    smaller = min(int(area.sum()) for area in areas)
-    return _Flags(*areas), smaller / max(1, int(textured.rest.sum()))
+        for flag, known in zip(staying, explained, strict=True)
+    )
+    smaller = min(int(rest.sum()), int(moved.sum()))
+    return (rest, moved), smaller / max(1, int(textured[0].sum()))
 
 
 def _feature_areas(textured: _Flags, lost: _Flags) -> _Flags:
     """Where to look for features: around what is lost, or everywhere if that is most of it."""
     kernel = np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), dtype=np.uint8)
-    areas = []
-    for whole, part in ((textured.rest, lost.rest), (textured.moved, lost.moved)):
-        most = int(part.sum()) > 0.5 * int(whole.sum())
-        areas.append(whole if most else whole & (cv2.dilate(part.astype(np.uint8), kernel) > 0))
-    return _Flags(*areas)
+    rest, moved = (
+        whole
+        if int(part.sum()) > 0.5 * int(whole.sum())
+        else whole & (cv2.dilate(part.astype(np.uint8), kernel) > 0)
+        for whole, part in zip(textured, lost, strict=True)
+    )
+    return rest, moved
 
 
-def _known(motion: _Motion, explained: _Flags, wanted: Bool[np.ndarray, "rows columns"]) -> Samples:
+def _known(
+    motions: _Motions, explained: _Flags, wanted: Bool[np.ndarray, "rows columns"]
+) -> Samples:
     """Displacements at the nodes where they are explained, from both pictures.
 
     Only of points of the rest picture that are wanted: beside the mask is another motion.
     """
     both = []
-    for flow, known in ((motion.there, explained.rest), (motion.back, explained.moved)):
+    for flow, known in zip(motions, explained, strict=True):
         row, column = (axis.ravel() for axis in nodes(known.shape))
         at = known[row, column]
         point = np.stack([column[at], row[at]], axis=1).astype(np.float64)
@@ -332,22 +328,22 @@ def _known(motion: _Motion, explained: _Flags, wanted: Bool[np.ndarray, "rows co
 
 
 def _repaired(
-    a: NormalisedImage, b: NormalisedImage, motion: _Motion, explained: _Flags, samples: Samples
-) -> tuple[_Motion, _Flags]:
-    """The motion continued from samples into what it does not explain, and searched anew.
+    a: NormalisedImage, b: NormalisedImage, motions: _Motions, explained: _Flags, samples: Samples
+) -> tuple[_Motions, _Flags]:
+    """The motions continued from samples into what they do not explain, and searched anew.
 
     Also where the continued motion stays in the picture: what leaves it is not to be found.
     """
-    grid, motions, inside = _grid(a.grey.shape), [], []
-    for one, other, known, before, given in (
-        (a, b, explained.rest, motion.there, samples),
-        (b, a, explained.moved, motion.back, samples.reversed()),
+    found, inside = [], []
+    for here, other, known, before, given in (
+        (a, b, explained[0], motions[0], samples),
+        (b, a, explained[1], motions[1], samples.reversed()),
     ):
-        start = np.where(known[..., None], before, interpolated(given, a.grey.shape))
-        inside.append(_inside(grid + start))
-        change = _search(one.levels, _brought_back(other, start), _ROUGH_SCALE)
-        motions.append(change + _sampled(start, grid + change))
-    return _Motion(*motions), _Flags(*inside)
+        start = np.where(known[..., None], before, interpolated(given, known.shape))
+        inside.append(_inside(_grid(known.shape) + start))
+        change = _search(here.levels, _brought_back(other, start), _ROUGH_SCALE)
+        found.append(_composed(change, start))
+    return (found[0], found[1]), (inside[0], inside[1])
 
 
 def _brought_back(
@@ -357,7 +353,7 @@ def _brought_back(
     place = _grid(moved.grey.shape) + flow
     edge, even_grey = cv2.BORDER_CONSTANT, 128
     return cv2.remap(
-        moved.levels, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
+        moved.levels, place, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
     )
 
 
@@ -367,8 +363,7 @@ def _finished(
     """The last search, there and back, on the picture brought back; flow and trust."""
     moved = _brought_back(b, start)
     change = _search(a.levels, moved, _FINE_SCALE)
-    place = _grid(a.grey.shape) + change
-    flow = change + _sampled(start, place)
+    flow = _composed(change, start)
     # The way back at another scale: what fits noise at one does not at the other.
-    gap = change + _sampled(_search(moved, a.levels, _ROUGH_SCALE), place)
+    gap = _composed(change, _search(moved, a.levels, _ROUGH_SCALE))
     return flow, _fits(a, b, flow, gap, (_MAX_LAST_GAP_PX, _MAX_LAST_ROUGHNESS_PX))

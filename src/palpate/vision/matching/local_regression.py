@@ -64,9 +64,8 @@ class LocalField:
     displacement : (t, 3) float [m]
     gradient : (t, 2, 3) float [-]      along the first and the second tangent
     curvature : (t, 3, 3) float [1/m]   coefficients of xi^2, xi eta, eta^2; zero for order 1
-    covariance : (t, 3, 3) float [m^2]
+    covariance : (t, 3, 3) float [m^2]  larger where the field is rougher than its noise
     count : (t,) int                    displacements within reach
-    misfit : (t,) float [-]             rms of what is left over what the covariances let expect
     """
 
     displacement: Float[np.ndarray, "t 3"]
@@ -74,7 +73,6 @@ class LocalField:
     curvature: Float[np.ndarray, "t 3 3"]
     covariance: Float[np.ndarray, "t 3 3"]
     count: Int[np.ndarray, " t"]
-    misfit: Float[np.ndarray, " t"]
 
 
 def local_field(
@@ -107,17 +105,17 @@ def local_field(
     nearest, radius = _neighbours(scatter.point, place, reach, most, fewest)
     noise = scatter.covariance - scatter.bias
     count = len(place)
-    value, gradient, curvature, spread, misfit = (
-        np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3), ())
+    value, gradient, curvature, spread = (
+        np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3))
     )
     in_threads(
         _fit_range, count, np.ascontiguousarray(place, dtype=np.float64),
         np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
         scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
-        float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, spread, misfit,
+        float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, spread,
         fewest=_MIN_PLACES_PER_THREAD,
     )  # fmt: skip
-    return LocalField(value, gradient, curvature, spread, (nearest >= 0).sum(axis=1), misfit)
+    return LocalField(value, gradient, curvature, spread, (nearest >= 0).sum(axis=1))
 
 
 def _neighbours(
@@ -143,7 +141,7 @@ def _neighbours(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_range(
     begin, end, place, tangent, nearest, point, pixel, displacement, covariance, bias, trace,
-    subset, reach, terms, value, gradient, curvature, spread, misfit,
+    subset, reach, terms, value, gradient, curvature, spread,
 ):  # fmt: skip
     most = nearest.shape[1]
     design = np.empty((most, terms))
@@ -190,7 +188,6 @@ def _fit_range(
             gradient[i, 1, a] = solution[a, 2] / size
             for k in range(3):
                 curvature[i, k, a] = solution[a, 3 + k] / size**2 if terms == 6 else 0.0
-        misfit[i] = left
         row[:] = 0.0
         row[0] = 1.0
         cholesky_solve_kernel(normal, row)

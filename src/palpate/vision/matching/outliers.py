@@ -11,7 +11,7 @@ Source: Westerweel and Scarano, Universal outlier detection for PIV data, Experi
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.shapes import Flags, Points, PointScalars
@@ -76,33 +76,39 @@ def predicted(
     turned = np.cross(moved[:, 0], moved[:, 1])
     turn = turned / np.linalg.norm(turned, axis=1)[:, None] - normal
     carried += np.einsum("nki,nki->nk", away, normal[j])[..., None] * turn[j]
-    carried[~there] = np.nan
+    middle = neighbours_median(carried, there)
+    scatter = neighbours_median(np.linalg.norm(carried - middle[:, None], axis=2), there)
+    # Turned to each point's own tangents.
+    to_own = np.einsum("nai,nkbi->nkab", tangent, tangent[j])
+    slope = neighbours_median(np.einsum("nkab,nkbi->nkai", to_own, gradient[j]), there)
+    return Prediction(middle, slope, scatter)
+
+
+def neighbours_median(
+    votes: Float[np.ndarray, "n k ..."], there: Bool[np.ndarray, "n k"]
+) -> Float[np.ndarray, "n ..."]:
+    """Median of what the neighbours of each point vote for, component by component.
+
+    Parameters
+    ----------
+    votes : (n, k, ...) float       of any unit
+    there : (n, k) bool             neighbours that vote
+
+    Returns
+    -------
+    (n, ...) float                  NaN where fewer than three vote
+
+    Source
+    ------
+    Westerweel and Scarano (2005).
+    """
+    median = np.full((len(votes), *votes.shape[2:]), np.nan)
     enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
-    middle = np.full_like(point, np.nan)
-    scatter = np.full(len(point), np.nan)
     if enough.any():
-        middle[enough] = np.nanmedian(carried[enough], axis=1)
-        rest = np.linalg.norm(carried[enough] - middle[enough, None], axis=2)
-        scatter[enough] = np.nanmedian(rest, axis=1)
-    return Prediction(middle, _predicted_gradient(tangent, gradient, near, enough), scatter)
-
-
-def _predicted_gradient(
-    tangent: Float[np.ndarray, "n 2 3"],
-    gradient: Float[np.ndarray, "n 2 3"],
-    near: Int[np.ndarray, "n k"],
-    enough: Flags,
-) -> Float[np.ndarray, "n 2 3"]:
-    """Median gradient of the neighbours, turned to each point's own tangents."""
-    there = near >= 0
-    j = np.where(there, near, 0)
-    turn = np.einsum("nai,nkbi->nkab", tangent, tangent[j])
-    carried = np.einsum("nkab,nkbi->nkai", turn, gradient[j])
-    carried[~there] = np.nan
-    result = np.full_like(tangent, np.nan)
-    if enough.any():
-        result[enough] = np.nanmedian(carried[enough], axis=1)
-    return result
+        given = votes[enough]
+        given[~there[enough]] = np.nan
+        median[enough] = np.nanmedian(given, axis=1)
+    return median
 
 
 def median_around(

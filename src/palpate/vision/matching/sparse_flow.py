@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.spatial import cKDTree
 
+from palpate.vision.images import nearest_descriptors
+
 # Neighbouring displacements belong together when they differ by less than two pixels and this per
 # pixel of distance: a turn of 30 degrees or a strain of 50 %.
 _MAX_SLOPE, _MAX_GAP_PX = 0.5, 2.0
@@ -31,7 +33,7 @@ _SPACING = 16
 # Samples that fix the affine motion at a node: four times as many as its three pairs of unknowns.
 _SAMPLES = 12
 # OpenCV takes None for an array that is not given; its stubs do not say so.
-_NOT_GIVEN: Any = None
+NOT_GIVEN: Any = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,11 +82,7 @@ def feature_matches(
     other, other_descriptors = _features(moved, moved_area, _SECOND_FACTOR)
     if not (len(point) and len(other)):
         return Samples(np.zeros((0, 2)), np.zeros((0, 2)))
-    # Descriptors hold whole numbers and all sums stay below 2^24: exact in any order.
-    distance = (descriptors**2).sum(axis=1)[:, None] + (other_descriptors**2).sum(axis=1)
-    distance -= 2.0 * (descriptors @ other_descriptors.T)
-    choice, back = distance.argmin(axis=1), distance.argmin(axis=0)
-    mutual = back[choice] == np.arange(len(choice))
+    choice, mutual, _ = nearest_descriptors(descriptors, other_descriptors)
     point, displacement = point[mutual], other[choice[mutual]] - point[mutual]
     agree = _agreeing(point, displacement)
     return Samples(point[agree], displacement[agree])
@@ -181,7 +179,24 @@ def interpolated(samples: Samples, shape: tuple[int, int]) -> Float[np.ndarray, 
     place = np.empty((*shape, 2), dtype=np.float32)
     place[..., 0] = (np.arange(shape[1], dtype=np.float32) - _SPACING // 2) / _SPACING
     place[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _SPACING // 2) / _SPACING)[:, None]
-    return cv2.remap(motion, place, _NOT_GIVEN, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sampled(motion, place)
+
+
+def sampled(
+    values: Float[np.ndarray, "_ _ *k"], place: Float[np.ndarray, "rows columns 2"]
+) -> Float[np.ndarray, "rows columns *k"]:
+    """Values at places between pixels, beyond the picture those of its edge.
+
+    Parameters
+    ----------
+    values : (_, _) or (_, _, k) float32    of any unit
+    place : (rows, columns, 2) float32 [px]     column and row
+
+    Returns
+    -------
+    (rows, columns) or (rows, columns, k) float32
+    """
+    return cv2.remap(values, place, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _fitted(samples: Samples, node: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k 2"]:

@@ -12,5 +12,4 @@ from palpate.vision.stereo.stereo import (
     StereoPoints as StereoPoints,
     StereoSettings as StereoSettings,
     stereo_points as stereo_points,
-    triangulated_surface as triangulated_surface,
 )

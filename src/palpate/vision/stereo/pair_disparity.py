@@ -18,7 +18,7 @@ from jaxtyping import Float, UInt8
 from palpate.errors import InputError
 from palpate.records import Camera
 from palpate.shapes import Flags, PointScalars
-from palpate.vision.cameras import Rectified, project, rays, rectify_pair, remapped
+from palpate.vision.cameras import Rectified, project, rays, rectify, remapped
 from palpate.vision.images import NormalisedImage, PreparedPictures, match_features
 
 # Side of the blocks of semi-global matching [px]: three to five speckles.
@@ -120,7 +120,7 @@ def stereo_start(
     first, second = (replace(pictures.rig.cameras[k], size=None) for k in which)
     images = [pictures.normalised[k] for k in which]
     rows, columns = np.max([image.levels.shape for image in images], axis=0).tolist()
-    rectified = rectify_pair(first, second, (rows, columns))
+    rectified = rectify((first, second), (rows, columns))
     matches = match_features(*(pictures.features[k] for k in which))
     place = _seen_by(rectified.cameras[0], first, matches.first)
     other = _seen_by(rectified.cameras[1], second, matches.second)

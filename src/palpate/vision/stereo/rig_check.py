@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from palpate.errors import CalibrationError, InputError
 from palpate.records import Camera, Rig
-from palpate.shapes import PointScalars
+from palpate.shapes import Matrix3, PointScalars
 from palpate.vision.cameras import normalised, triangulate
 from palpate.vision.images import Matches, PreparedPictures, match_features
 
@@ -157,19 +157,22 @@ def _misfit(rig: Rig, order: tuple[int, ...], pairs: _Pairs, which: tuple[int, i
 
 def _epipolar_distance(first: Camera, second: Camera, found: Matches) -> PointScalars:
     """Distance of features from each other's epipolar lines, mean of both pictures [px]."""
-    a, b = (
-        np.column_stack([flat, np.ones(len(flat))])
-        for flat in (normalised(first, found.first), normalised(second, found.second))
-    )
+    a, b = normalised(first, found.first), normalised(second, found.second)
     between = second.T_camera_object @ np.linalg.inv(first.T_camera_object)
     x, y, z = between[:3, 3]
     essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ between[:3, :3]
-    line_b, line_a = a @ essential.T, b @ essential
-    miss = np.abs(np.einsum("na,na->n", b, line_b))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        in_b = miss / np.hypot(line_b[:, 0], line_b[:, 1]) * second.matrix[0, 0]
-        in_a = miss / np.hypot(line_a[:, 0], line_a[:, 1]) * first.matrix[0, 0]
+    in_b = _line_distance(a, b, essential) * second.matrix[0, 0]
+    in_a = _line_distance(b, a, essential.T) * first.matrix[0, 0]
     return 0.5 * (in_a + in_b)
+
+
+def _line_distance(
+    a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], matrix: Matrix3
+) -> PointScalars:
+    """Distance of `b` from the lines that a fundamental matrix makes of `a`, in their unit."""
+    line = np.column_stack([a, np.ones(len(a))]) @ matrix.T
+    miss = np.abs((b * line[:, :2]).sum(axis=1) + line[:, 2])
+    return miss / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)
 
 
 def _own_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
@@ -182,9 +185,7 @@ def _own_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
     matrix, _ = cv2.findFundamentalMat(a, b, cv2.FM_LMEDS)
     if matrix is None or matrix.shape != (3, 3):
         return 0.0
-    line = np.column_stack([a, np.ones(len(a))]) @ matrix.T
-    miss = np.abs(np.einsum("na,na->n", np.column_stack([b, np.ones(len(b))]), line))
-    return float(np.median(miss / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)))
+    return float(np.median(_line_distance(a, b, matrix)))
 
 
 def _explanation(rig: Rig, pairs: _Pairs, worst: float) -> str:

@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.errors import InputError
 from palpate.records import Rig
-from palpate.shapes import PointIndices, Points, PointScalars, Triangles, Vertices
-from palpate.vision.cameras import Triangulation, project, triangulate
+from palpate.shapes import PointIndices, Points, PointScalars
+from palpate.vision.cameras import Triangulation, pixel_sizes, project, triangulate
 from palpate.vision.images import PreparedPictures, make_spline_picture
-from palpate.vision.range_flow import Outcome, grid_triangles
+from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.pair_disparity import stereo_start
 from palpate.vision.stereo.window_matches import (
     MIN_WINDOW_PX,
@@ -29,8 +29,6 @@ from palpate.vision.stereo.window_matches import (
 _MAX_DEVIATIONS = 5.0
 # Standard deviation of a normal distribution over the median of its absolute values.
 _PER_MEDIAN = 1.4826
-# Length over width of what is seen at 80 degrees: flatter, it shows no texture to be matched.
-_MAX_STRETCH = 5.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,30 +143,6 @@ def stereo_points(
     if not found:
         raise failures[0]
     return _joined(pictures, found, pixel, blank, settings)
-
-
-def triangulated_surface(stereo: StereoPoints) -> tuple[Vertices, Triangles]:
-    """Stereo points joined to an open surface that faces the reference camera.
-
-    Parameters
-    ----------
-    stereo : StereoPoints           n points
-
-    Returns
-    -------
-    vertices : (n, 3) float [m]     all points, also those of no triangle
-    triangles : (m, 3) int          two for every cell of the grid whose corners are all there and
-                                    none of whose sides is a jump, steeper than 80 degrees
-    """
-    triangles = grid_triangles(stereo.pixel, stereo.step)
-    corner = stereo.point[triangles]
-    side = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
-    # One of the sides is the diagonal of the cell.
-    flat = stereo.spacing[triangles] * np.sqrt(2.0)
-    whole = (side <= _MAX_STRETCH * flat).all(axis=1)
-    # Both halves of a cell, or none.
-    both = whole.reshape(2, -1).all(axis=0)
-    return stereo.point, triangles.reshape(2, -1, 3)[:, both].reshape(-1, 3)
 
 
 def joined_cameras(
@@ -288,16 +262,13 @@ def _joined(
     outcome[rows[good]] = Outcome.VALID
     counts = np.bincount(outcome, minlength=len(Outcome))
     counts[Outcome.TEXTURE] += blank
-    camera = rig.cameras[rig.reference]
-    pose = camera.T_camera_object
-    depth = joint.point[good] @ pose[2, :3] + pose[2, 3]
     return StereoPoints(
         pixel=pixel[rows[good]],
         point=joint.point[good],
         covariance=joint.covariance[good],
         residual=joint.residual[good],
         cameras=joint.cameras[good],
-        spacing=settings.step * depth / camera.matrix[0, 0],
+        spacing=settings.step * pixel_sizes(rig.cameras[rig.reference], joint.point[good]),
         counts=counts,
         step=settings.step,
     )

@@ -11,13 +11,12 @@ Signal Processing 47 (1999): the intersection of confidence intervals.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.shapes import PointIndices, PointScalars
-from palpate.vision.images import SplinePicture
-from palpate.vision.matching import PlanarMatch, refine_planar
+from palpate.vision.images import SplinePicture, moments
+from palpate.vision.matching import PlanarMatch, neighbours_median, refine_planar
 from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.pair_disparity import StereoStart
 
@@ -39,8 +38,6 @@ _INTERVAL = 2.0
 _BIAS_PX = 0.005
 # A match is rejected where its neighbours contradict it by more standard deviations.
 _MAX_DEVIATIONS = 5.0
-# Fewer neighbours have no majority when one of them is wrong.
-_MIN_NEIGHBOURS = 3
 # Removing what is wrong changes what its neighbours are compared with.
 _ROUNDS = 2
 _AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
@@ -163,14 +160,11 @@ def confirmed_matches(
     good = valid
     for _ in range(_ROUNDS):
         there = (near >= 0) & good[near]
-        enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
-        votes = np.where(there[..., None], expected, np.nan)[enough]
-        median = np.nanmedian(votes, axis=1)
-        scatter = np.nanmedian(np.linalg.norm(votes - median[:, None], axis=2), axis=1)
-        gap = np.linalg.norm(matches.displacement[enough] - median, axis=1)
-        confirmed = np.zeros(len(cell), dtype=bool)
-        confirmed[enough] = gap <= _MAX_DEVIATIONS * np.hypot(scatter, sigma[enough])
-        good = valid & confirmed
+        median = neighbours_median(expected, there)
+        scatter = neighbours_median(np.linalg.norm(expected - median[:, None], axis=2), there)
+        gap = np.linalg.norm(matches.displacement - median, axis=1)
+        with np.errstate(invalid="ignore"):
+            good = valid & (gap <= _MAX_DEVIATIONS * np.hypot(scatter, sigma))
     wrong = valid & ~good
     return replace(
         matches,
@@ -216,25 +210,19 @@ def _contrast(
     The latter over windows of a third of the side to the left, right, above and below: where one of
     them is blank, the point may lie beyond an outline.
     """
-    size = np.array(picture.grey.shape[::-1]) - 1
+    rows, columns = picture.grey.shape
     column, row = pixel.astype(np.int64).T
     share = np.maximum(match.score, 1e-6) ** -2 - 1.0
-    residual = np.sqrt(share * _variance(picture, side)[row, column])
+    grey = picture.grey.astype(np.float64)
+    residual = np.sqrt(share * moments(grey, side)[1][row, column])
     third = side // 3 - 1 + (side // 3) % 2
-    small = _variance(picture, third)
+    _, small = moments(grey, third)
     away = third // 2 + 1
     beside = [
-        small[np.clip(row + i, 0, size[1]), np.clip(column + j, 0, size[0])]
+        small[np.clip(row + i, 0, rows - 1), np.clip(column + j, 0, columns - 1)]
         for i, j in ((-away, 0), (away, 0), (0, -away), (0, away))
     ]
     return residual, np.min(beside, axis=0)
-
-
-def _variance(picture: SplinePicture, side: int) -> Float[np.ndarray, "rows columns"]:
-    """Variance of the grey levels in the window around every pixel [grey levels^2]."""
-    mean = cv2.blur(picture.grey, (side, side)).astype(np.float64)
-    square = cv2.sqrBoxFilter(picture.grey, cv2.CV_64F, (side, side))
-    return np.maximum(square - mean**2, 0.0)
 
 
 def _outcomes(attempt: _Attempt, noise: float) -> Int[np.ndarray, " n"]:
