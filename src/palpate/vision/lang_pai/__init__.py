@@ -4,7 +4,7 @@ Purpose    : the range flow and the vertices' displacement of Lang and Pai (2001
              baseline that `joint` is compared with.
 Takes      : a `Rig`, the pictures of its cameras instant by instant, a triangle mesh.
 Gives      : `LangPaiFlow`, a `FlowMethod`.
-Depends on : `vision.cameras`, `geometry`, `records`.
+Depends on : `vision.cameras`, `vision.images`, `records`, `geometry`.
 Read first : `flow.py`, then `voting.py`, then `vertices.py`.
 """
 
