@@ -15,7 +15,7 @@ HERE = Path(__file__).parent
 
 def main() -> float:
     """Fit one probing of the half ball; gives the correlation of G and nu."""
-    result = fit_session(read_session(HERE / "half_ball"), probes=["p1"])
+    result = fit_session(read_session(HERE / "half_ball", probes=["p1"]))
     likelihood = result.likelihood
     weight = np.exp(-0.5 * likelihood.deviance)  # (nu, G)
     weight /= weight.sum()
