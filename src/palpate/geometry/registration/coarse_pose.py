@@ -123,8 +123,10 @@ def coarse_pose(
     tries = _spread_starts(first - centre, 0.6 * angle, 0.6 * distance)
     place = np.stack([placed(motion_pose(motion, centre), first) for motion in tries])
     width = distance
+    # All tries are one cloud of points: their motions have one scale.
+    scale = motion_scale(first - centre)
     for _ in range(_ITERATIONS):
-        place = _stepped(place, tree, sample, normal, width)
+        place = _stepped(place, tree, sample, normal, scale, width)
         width = max(_SHRINK * width, spacing)
     best = _nearest_of_the_best(search, place, first)
     return _rigid(points, place[best])
@@ -157,6 +159,7 @@ def _stepped(
     tree: cKDTree,
     sample: Float[np.ndarray, "p 3"],
     normal: Float[np.ndarray, "p 3"],
+    scale: Float[np.ndarray, "6 6"],
     width: float,
 ) -> Float[np.ndarray, "s n 3"]:
     """One robust step of every try towards the tangent planes of the nearest samples."""
@@ -166,8 +169,6 @@ def _stepped(
     weight = 1.0 / (1.0 + (distance / width) ** 2) ** 2
     centre = place.mean(axis=1)
     offset = place - centre[:, None]
-    # All tries are one cloud of points: their motions have one scale.
-    scale = motion_scale(offset[0])
     row = np.concatenate([np.cross(offset, n), n], axis=2) @ scale
     weighted = (weight[..., None] * row).swapaxes(1, 2)
     matrix = weighted @ row

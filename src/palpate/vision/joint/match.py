@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.arrays import with_rows
 from palpate.vision.cameras import pixel_sizes
 from palpate.vision.images import SplinePicture
 from palpate.vision.joint.refinement import Limits, Match, refine_joint
@@ -180,8 +179,10 @@ def _without_one_camera(
 def _replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
     """A match whose rows are replaced where the other one found something."""
     good = other.outcome == Outcome.VALID
-    pairs = zip(match, other, strict=True)
-    return Match(*(with_rows(old, rows[good], new[good]) for old, new in pairs))
+    result = Match(*(array.copy() for array in match))
+    for array, new in zip(result, other, strict=True):
+        array[rows[good]] = new[good]
+    return result
 
 
 def _second_tries(
