@@ -56,7 +56,17 @@ def compact_groups(points: Points, count: int) -> PointIndices:
 
 
 def even_sample(points: Points, count: int) -> Indices:
-    """Indices of points spread evenly: of each compact group the one nearest to its mean."""
+    """Points spread evenly: of each compact group the one nearest to its mean.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    count : int                     points wanted
+
+    Returns
+    -------
+    (k,) int                        indices, about `count`; all n where there are no more
+    """
     if len(points) <= count:
         return np.arange(len(points))
     label = compact_groups(points, count)

@@ -83,7 +83,16 @@ def _refined(
 
 
 def used_cameras(match: Match) -> Bool[np.ndarray, "n c"]:
-    """True for cameras that took part in a match and found the window, (n, c) bool."""
+    """True for cameras that took part in a match and found the window.
+
+    Parameters
+    ----------
+    match : Match                   of n points in c cameras
+
+    Returns
+    -------
+    (n, c) bool
+    """
     return match.use & np.isfinite(match.left)
 
 
