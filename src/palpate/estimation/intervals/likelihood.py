@@ -35,7 +35,7 @@ class LikelihoodMap:
 
     @staticmethod
     def height(share: float) -> float:
-        """Deviance at the edge of the joint region of (nu, G) that holds a share of the probability.
+        """Deviance at the edge of the joint region that holds a share of the probability.
 
         Parameters
         ----------
