@@ -1,0 +1,1 @@
+"""Cameras calibrated from pictures of boards."""
