@@ -35,7 +35,7 @@ def true_bundle(rng: np.random.Generator, *, cameras: int = 3, views: int = 25) 
 def seen_corners(
     bundle: Bundle, points: np.ndarray, rng: np.random.Generator, *, noise: float
 ) -> Corners:
-    """Every corner within the picture of each camera, with normal errors."""
+    """Every corner within the picture of each camera, a dozen at least, with normal errors."""
     parts = []
     for c, (inner, pose) in enumerate(zip(bundle.inner, bundle.camera, strict=True)):
         for v, view in enumerate(bundle.view):
@@ -43,6 +43,8 @@ def seen_corners(
             place = points @ whole[:3, :3].T + whole[:3, 3]
             pixel, _, _ = seen_points(np.tile(inner, (len(place), 1)), place)
             inside = ((pixel > 5.0) & (pixel < np.array(SIZE) - 6.0)).all(axis=1)
+            if inside.sum() < 12:
+                continue
             which = np.full(int(inside.sum()), c), np.full(int(inside.sum()), v)
             parts.append((*which, points[inside], pixel[inside]))
     camera, view, point, pixel = (np.concatenate(part) for part in zip(*parts, strict=True))

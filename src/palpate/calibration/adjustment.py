@@ -185,7 +185,7 @@ def _least_squares(
         size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
         unit = matrix / np.outer(size, size) + damping * np.eye(len(size))
         step = np.linalg.solve(unit, here.right_side(weight) / size) / size
-        trial = _moved(bundle, step)
+        trial = moved(bundle, step)
         # A step too far may lead anywhere; it is not taken.
         with np.errstate(all="ignore"):
             there = _linearised(trial, corners)
@@ -293,8 +293,18 @@ def _crossed(vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
-def _moved(bundle: Bundle, step: Float[np.ndarray, " p"]) -> Bundle:
-    """The bundle after a step of all unknowns."""
+def moved(bundle: Bundle, step: Float[np.ndarray, " p"]) -> Bundle:
+    """The bundle after a step of all unknowns.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    step : (p,) float               in the order of `Adjusted.covariance`
+
+    Returns
+    -------
+    Bundle
+    """
     count = len(bundle.inner)
     lens, rest = np.split(step, [_LENS * count])
     pose, view = np.split(rest.reshape(-1, _POSE), [count - 1])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust
 from palpate.calibration.lens_model import LENS_TERMS, camera_matrix
@@ -77,11 +77,11 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
                 " are its dimensions right, and did all cameras take each picture at one instant?"
             )
         notes += [
-            _complaint(found, views[v], excess[v], corners, adjusted, v)
-            for v in np.flatnonzero(bad)
+            _complaint(found.views[views[v]], excess[v], corners, v)
+            for v in np.flatnonzero(bad).tolist()
         ]
         views = views[~bad]
-        bundle, corners = _without(adjusted.bundle, corners, bad)
+        bundle, corners = without_views(adjusted.bundle, corners, bad)
     used = replace(
         found,
         views=tuple(found.views[v] for v in views),
@@ -90,7 +90,7 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
     )
     count = len(LENS_TERMS) * len(found.cameras) + 6 * (len(found.cameras) - 1)
     return Calibration(
-        _cameras(found, adjusted.bundle),
+        cameras_of(found, adjusted.bundle),
         adjusted.covariance[:count, :count],
         _names(found.cameras),
         used,
@@ -118,30 +118,47 @@ def view_rms(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarr
     return np.sqrt(total / np.maximum(np.bincount(corners.view, minlength=count), 1))
 
 
-def _complaint(
-    found: Sightings, view: int, excess: float, corners: Corners, adjusted: Adjusted, row: int
-) -> str:
+def _complaint(name: str, excess: float, corners: Corners, view: int) -> str:
     """Why a view was left out."""
-    seen = np.unique(corners.camera[corners.view == row])
     cause = "is the board bent, blurred or partly covered there?"
-    if len(seen) > 1:
-        cause = (
-            "did the board move between the pictures of the cameras, or are they of one instant?"
-        )
-    return (
-        f"view '{found.views[view]}' leaves {excess:.1f} times the usual error; left out: {cause}"
-    )
+    if len(np.unique(corners.camera[corners.view == view])) > 1:
+        cause = "did the board move between the pictures of the cameras?"
+    return f"view '{name}' leaves {excess:.1f} times the usual error; left out: {cause}"
 
 
-def _without(bundle: Bundle, corners: Corners, bad: np.ndarray) -> tuple[Bundle, Corners]:
-    """The bundle and its corners without some views, which are numbered anew."""
+def without_views(
+    bundle: Bundle, corners: Corners, bad: Bool[np.ndarray, " v"]
+) -> tuple[Bundle, Corners]:
+    """A bundle and its corners without some views; the others are numbered anew.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    corners : Corners
+    bad : (v,) bool                 views that go
+
+    Returns
+    -------
+    Bundle, Corners
+    """
     keep = ~bad
     number = np.cumsum(keep) - 1
     left = corners.chosen(keep[corners.view])
     return replace(bundle, view=bundle.view[keep]), replace(left, view=number[left.view])
 
 
-def _cameras(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
+def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
+    """The cameras of a bundle.
+
+    Parameters
+    ----------
+    found : Sightings               their names and sizes
+    bundle : Bundle
+
+    Returns
+    -------
+    tuple of Camera
+    """
     return tuple(
         Camera(name, size, camera_matrix(inner), inner[4:], pose)
         for name, size, inner, pose in zip(

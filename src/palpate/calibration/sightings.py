@@ -171,15 +171,15 @@ def _gathered(
             if len(found.mark) < _MIN_MARKS:
                 continue
             view = views.setdefault((instant, k), len(views))
-            which = np.full(len(found.mark), cameras.index(camera)), np.full(len(found.mark), view)
-            parts.append((*which, targets[k].points[found.mark], found.pixel, found.mark))
+            numbers = np.tile([cameras.index(camera), view], (len(found.mark), 1))
+            parts.append((numbers, targets[k].points[found.mark], found.pixel, found.mark))
     if not parts:
         raise CalibrationError(
             f"no board was found in any of {len(jobs)} pictures; is it the target that was named,"
             " with its numbers of columns and rows (a chessboard's are of inner corners), whole and"
             " sharp in the pictures?"
         )
-    camera, view, point, pixel, mark = (np.concatenate(part) for part in zip(*parts, strict=True))
+    numbers, point, pixel, mark = (np.concatenate(part) for part in zip(*parts, strict=True))
     several = len(targets) > 1
     names = tuple(f"{instant} board {k}" if several else instant for instant, k in views)
     return Sightings(
@@ -187,7 +187,7 @@ def _gathered(
         tuple(sizes[name] for name in cameras),
         names,
         tuple(k for _, k in views),
-        Corners(camera, view, point, pixel),
+        Corners(numbers[:, 0], numbers[:, 1], point, pixel),
         mark,
         tuple(notes),
     )

@@ -1,8 +1,7 @@
 """Targets to calibrate with: where their marks are, and how a picture of them is read."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -38,6 +37,7 @@ class Sighting:
     pixel: Float[np.ndarray, "k 2"]
 
 
+@runtime_checkable
 class Target(Protocol):
     """A flat pattern whose marks can be found in a picture."""
 
@@ -100,17 +100,15 @@ class Chessboard:
     def find(self, picture: Grey) -> Sighting:
         """See `Target`; all corners or none."""
         small, scale = _shrunk(picture)
-        size, flags = (
-            (self.columns, self.rows),
-            cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE,
-        )
+        size, flags = (self.columns, self.rows), cv2.CALIB_CB_NORMALIZE_IMAGE
         found, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
         if not found:
             flags |= cv2.CALIB_CB_EXHAUSTIVE
             found, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
         seen = _whole(found, pixel)
-        if scale == 1.0 or len(seen.mark) == 0:
+        if len(seen.mark) == 0:
             return seen
+        # The search is good to a third of a pixel, the saddle of the grey levels to a thirtieth.
         place = scale * (seen.pixel + 0.5) - 0.5
         return Sighting(seen.mark, _refined(picture, place, self.points, 0.5 * self.square))
 
@@ -268,19 +266,14 @@ class AprilGrid:
         known = (number >= 0) & (number < self.columns * self.rows)
         if not known.any():
             return _NOTHING
-        pixel = np.concatenate([corners[k].reshape(4, 2) for k in np.flatnonzero(known)])
+        pixel = np.stack(corners).reshape(-1, 4, 2)[known].reshape(-1, 2).astype(np.float64)
         mark = (4 * number[known, None] + np.arange(4)).ravel()
-        return Sighting(mark, _refined(picture, pixel, self.points[mark], 0.5 * self.gap))
+        # A tag's rim is as wide as one of its eight modules.
+        free = 0.75 * min(self.gap, self.tag / 8.0)
+        return Sighting(mark, _refined(picture, pixel, self.points[mark], free))
 
 
 _NOTHING = Sighting(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
-# Name on the command line: what makes it.
-TARGETS: dict[str, Callable[..., Target]] = {
-    "charuco": Charuco,
-    "chessboard": Chessboard,
-    "circles": Circles,
-    "aprilgrid": AprilGrid,
-}
 
 
 def _dictionary(name: str) -> cv2.aruco.Dictionary:
