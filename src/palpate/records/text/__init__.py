@@ -27,5 +27,6 @@ from palpate.records.text.toml_table import (
     TomlTable as TomlTable,
     nearest_file as nearest_file,
     nearest_word as nearest_word,
+    read_json as read_json,
     read_toml as read_toml,
 )

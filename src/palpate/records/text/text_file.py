@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from palpate.disk import write_bytes
 from palpate.errors import RecordError
 
 # What readers of binary files run into where bytes are missing or wrong.
@@ -62,12 +63,9 @@ def write_text(path: Path | str, text: str) -> None:
 
     Raises
     ------
-    RecordError                     the file cannot be written
+    RecordError                     the file cannot be written; it is as it was
     """
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+    write_bytes(Path(path), text.encode("utf-8", "surrogateescape"))
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Reading TOML with messages that name the file, the table and the key."""
 
+import json
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -193,6 +194,54 @@ class TomlTable:
             self.fail(key, f"is {value!r}; must be a finite number")
         return float(value)
 
+    def count(self, key: str) -> int:
+        """A whole number that is not negative.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            self.fail(key, f"is {value!r:.80}; must be a whole number, 0 or more")
+        return value
+
+    def boolean(self, key: str) -> bool:
+        """True or false.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, bool):
+            self.fail(key, f"is {value!r:.80}; must be true or false, without quotes")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self.fail(key, f"is {value!r:.80}; must be a list of texts in quotes")
+        return tuple(value)
+
     def vector(self, key: str) -> Vector3:
         """Three finite numbers.
 
@@ -311,7 +360,35 @@ def read_toml(path: Path) -> TomlTable:
         raise RecordError(f"{path}: is not valid TOML: {error}") from error
 
 
+def read_json(path: Path) -> TomlTable:
+    """Root object of a JSON file, read like a table of a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    TomlTable                       without a name
+
+    Raises
+    ------
+    RecordError                     not there, not readable, not JSON, or no object
+    """
+    try:
+        content = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, RecordError):
+            raise
+        raise RecordError(f"{path}: is not valid JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise RecordError(f"{path}: is {content!r:.80}; must be an object in braces")
+    return TomlTable(path, "", content)
+
+
 def _is_number(value: object) -> bool:
     """True for a finite int or float; a TOML boolean is none."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and math.isfinite(value)  # type: ignore[arg-type]
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    # An int may be larger than any float.
+    return abs(value) < math.inf if isinstance(value, float) else abs(value) < 10**300

@@ -1,0 +1,36 @@
+"""`palpate verify`: whether a result is as it was written, and its inputs as they were."""
+
+from pathlib import Path
+
+from rich.console import Console
+
+from palpate.app.terminal import print_text, terminal_table
+from palpate.records import verify_result
+
+_NOT_OK = 3
+
+
+def verify(result: Path, /) -> int:
+    """Compare a result with the sums that it carries of itself and of what it was made from.
+
+    Parameters
+    ----------
+    result
+        A result folder, or the JSON file that `palpate compression` wrote.
+
+    Returns
+    -------
+    int
+        0, or 3 where something has changed since or contradicts itself.
+    """
+    found = verify_result(result)
+    wrong = [finding for finding in found if not finding.is_whole]
+    if wrong:
+        rows = [(finding.file, finding.role, finding.state) for finding in wrong]
+        Console().print(terminal_table(f"Changed in {result}", ("file", "role", "state"), rows))
+    counts = [
+        f"{sum(finding.role == role for finding in found)} {role} files"
+        for role in ("result", "input")
+    ]
+    print_text(f"{result}: {', '.join(counts)}; {len(wrong) or 'none'} not as it was")
+    return _NOT_OK if wrong else 0
