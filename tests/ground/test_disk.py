@@ -1,6 +1,7 @@
 """Files and folders appear whole or not at all, at whatever step a process dies or a disk fails."""
 
 import errno
+import io
 import os
 import signal
 import sys
@@ -99,7 +100,7 @@ def _in_child(work: Callable[[], object], step: int, dies: bool) -> str:
     fsync, exchanged = os.fsync, disk._exchanged
     os.fsync = lambda handle: (happens(), fsync(handle))[1]
     disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
-    sys.stderr = open(os.devnull, "w")
+    sys.stderr = io.StringIO()
     sys.addaudithook(lambda event, _: happens() if event in _EVENTS else None)
     outcome = "another error"
     try:

@@ -22,7 +22,7 @@ from palpate.records.files import (
     default_folder as default_folder,
     displacement_line as displacement_line,
     file_stem as file_stem,
-    file_sum as file_sum,
+    file_sums as file_sums,
     import_plan as import_plan,
     named_displacements as named_displacements,
     parts_folder as parts_folder,

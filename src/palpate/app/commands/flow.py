@@ -26,6 +26,7 @@ from palpate.progress import Progress
 from palpate.records import (
     Session,
     default_folder,
+    parts_folder,
     read_session,
     record_inputs,
     result_folder,
@@ -104,7 +105,9 @@ def flow(
         start = time.perf_counter()
         with progress_bar() as progress:
             report = _with_rate(progress, _instants(given))
-            found = measure_motion(given, method=chosen, pose=pose, progress=report)
+            found = measure_motion(
+                given, method=chosen, pose=pose, progress=report, parts=parts_folder(folder)
+            )
             seconds = time.perf_counter() - start
             settings = {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)}
             heading = {"session": given.name, "settings": settings}

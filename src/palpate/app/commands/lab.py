@@ -22,7 +22,7 @@ from palpate.lab import (
     make_session,
     read_lab_config,
 )
-from palpate.records import record_inputs, result_folder
+from palpate.records import parts_folder, record_inputs, result_folder
 
 
 def lab(
@@ -71,7 +71,9 @@ def lab(
         variant = choose_variant()
         print_notes([variant.why])
         with progress_bar() as progress:
-            make_session(plan, folder, variant=variant, progress=progress)
+            make_session(
+                plan, folder, variant=variant, progress=progress, parts=parts_folder(folder)
+            )
     print_text(_closing(plan, out), wrapped=False)
     return 0
 

@@ -1,5 +1,6 @@
 """`palpate verify`: whether a result is as it was written, and its inputs as they were."""
 
+import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -28,9 +29,11 @@ def verify(result: Path, /) -> int:
     if wrong:
         rows = [(finding.file, finding.role, finding.state) for finding in wrong]
         Console().print(terminal_table(f"Changed in {result}", ("file", "role", "state"), rows))
-    counts = [
-        f"{sum(finding.role == role for finding in found)} {role} files"
-        for role in ("result", "input")
-    ]
-    print_text(f"{result}: {', '.join(counts)}; {len(wrong) or 'none'} not as it was")
-    return _NOT_OK if wrong else 0
+        shown = ", ".join(f"{finding.file} ({finding.state})" for finding in wrong[:3])
+        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        print(f"palpate: {result}: not as it was: {shown}{more}", file=sys.stderr)
+        return _NOT_OK
+    own = sum(finding.role == "result" for finding in found)
+    inputs = f"the {len(found) - own} files that it was made from"
+    print_text(f"{result}: its {own} files are as they were written, {inputs} as they were read")
+    return 0

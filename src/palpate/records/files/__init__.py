@@ -41,7 +41,7 @@ from palpate.records.files.session_import import (
     with_displacements as with_displacements,
 )
 from palpate.records.files.sums import (
-    file_sum as file_sum,
+    file_sums as file_sums,
     session_files as session_files,
 )
 from palpate.records.files.support import read_support as read_support

@@ -1,6 +1,5 @@
 """Reading TOML with messages that name the file, the table and the key."""
 
-import json
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -77,7 +76,7 @@ class TomlTable:
         RecordError                     always
         """
         place = f"{self.name} {key}".strip()
-        raise RecordError(f"{self.file}: {place}: {what}")
+        raise RecordError(": ".join(filter(None, (str(self.file), place, what))))
 
     def check_keys(self, allowed: Sequence[str]) -> None:
         """Refuse keys that are not of the format, with the nearest one that is.
@@ -358,32 +357,6 @@ def read_toml(path: Path) -> TomlTable:
         return TomlTable(path, "", tomllib.loads(read_text(path)))
     except tomllib.TOMLDecodeError as error:
         raise RecordError(f"{path}: is not valid TOML: {error}") from error
-
-
-def read_json(path: Path) -> TomlTable:
-    """Root object of a JSON file, read like a table of a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    TomlTable                       without a name
-
-    Raises
-    ------
-    RecordError                     not there, not readable, not JSON, or no object
-    """
-    try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, RecordError):
-            raise
-        raise RecordError(f"{path}: is not valid JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise RecordError(f"{path}: is {content!r:.80}; must be an object in braces")
-    return TomlTable(path, "", content)
 
 
 def _is_number(value: object) -> bool:
