@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from palpate.disk import write_bytes
 from palpate.errors import InputError, MeshError
 from palpate.geometry.files.vtp_file import read_vtp
 from palpate.geometry.triangle_mesh import TriangleMesh, connected_groups
@@ -75,7 +76,8 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
 
     Raises
     ------
-    MeshError                       unknown suffix, or the file cannot be written
+    MeshError                       unknown suffix
+    RecordError                     the file cannot be written; it is as it was
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -83,7 +85,9 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
         _write_ply(path, mesh)
     elif suffix in _TRIMESH_SUFFIXES:
         trimesh = late_import("trimesh", extra=None, purpose=f"writing {path.name}")
-        trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).export(path)
+        body = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+        content = body.export(file_type=suffix[1:])
+        write_bytes(path, content if isinstance(content, bytes) else content.encode())
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
         meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]).write(path)
@@ -193,7 +197,4 @@ def _write_ply(path: Path, mesh: TriangleMesh) -> None:
     face = np.zeros(len(mesh.triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
     face["count"] = 3
     face["index"] = mesh.triangles
-    try:
-        path.write_bytes(header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())
-    except OSError as error:
-        raise MeshError(f"{path}: cannot be written ({error.strerror})") from error
+    write_bytes(path, header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())

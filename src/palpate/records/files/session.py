@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.disk import settle
 from palpate.errors import MeshError, RecordError
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.contact import Contact, contact_profiles
@@ -49,7 +50,7 @@ def read_session(
                                     names file, table and key
     MeshError                       a mesh that cannot be read or is not closed
     """
-    root = read_toml(_session_file(Path(path)))
+    root = read_toml(session_file(Path(path)))
     root.check_keys(_ROOT_KEYS)
     found = root.get("format")
     if found != SESSION_FORMAT:
@@ -84,8 +85,21 @@ def read_session(
         )
 
 
-def _session_file(path: Path) -> Path:
-    """The session file that a folder or a file name means."""
+def session_file(path: Path) -> Path:
+    """The session file that a folder or a file name means.
+
+    A change of it that was interrupted is undone first.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    RecordError                     there is none
+    InUseError                      it is being changed
+    """
+    settle(path / "session.toml" if path.is_dir() else path)
     if path.is_dir():
         file = path / "session.toml"
         if not file.is_file():

@@ -16,9 +16,12 @@ from palpate.records.text.csv_table import (
     split_cells as split_cells,
     text_lines as text_lines,
 )
+from palpate.records.text.json_file import (
+    json_text as json_text,
+    read_json as read_json,
+)
 from palpate.records.text.text_file import (
     damage as damage,
-    json_text as json_text,
     read_bytes as read_bytes,
     read_text as read_text,
     write_text as write_text,
