@@ -1,5 +1,6 @@
 """Sessions from folders in the format `palpate-session/1`."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.errors import MeshError, RecordError
+from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.contact import Contact, contact_profiles
 from palpate.records.files.displacement import read_displacement
@@ -86,14 +88,14 @@ def read_session(
 
 def _session_file(path: Path) -> Path:
     """The session file that a folder or a file name means."""
-    if path.is_dir():
+    if os.path.isdir(path):
         file = path / "session.toml"
-        if not file.is_file():
+        if not is_file(file):
             others = sorted(p.name for p in path.glob("*.toml"))
             hint = f"; it has {others}: name one of them" if others else ""
             raise RecordError(f"{path}: the folder has no session.toml{hint}")
         return file
-    if not path.is_file():
+    if not is_file(path):
         raise RecordError(
             f"{path}: no such file or folder{nearest_file(path)};"
             " give a session's folder or its session.toml"
