@@ -7,6 +7,7 @@ from cyclopts import App, CycloptsError
 from rich.console import Console
 
 from palpate import __version__
+from palpate.app.guard import guarded
 from palpate.errors import NotConvergedError, PalpateError
 
 BAD_INPUT = 2
@@ -76,6 +77,7 @@ def make_app() -> App:
     return app
 
 
+@guarded
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
@@ -86,7 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int                             0; 2 bad input, said in one message; 3 an estimate that is not
-                                    ok; 130 interrupted
+                                    ok; 70 memory ran out, or an error of the program, reported in a
+                                    file; 130 interrupted
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words[:1] == ["lab"] and words[1:2] and words[1] not in _LAB_WORDS:
