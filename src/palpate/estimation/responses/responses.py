@@ -144,7 +144,7 @@ def reduced_response(model: ReducedModel, rows: ProbeRows) -> ProbeResponse:
     -------
     ProbeResponse
     """
-    terms = [rows.seen(term) for term in model.directions[:-1, :, rows.columns]]
+    terms = [rows.seen(term) for term in model.directions[:, :, rows.columns]]
     projected = np.stack(terms, axis=2).transpose(1, 0, 2).copy()
 
     def seen(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:
