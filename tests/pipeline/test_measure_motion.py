@@ -12,6 +12,7 @@ import pytest
 
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import closest_points
+from palpate.parts import content_digest
 from palpate.pipeline import (
     SessionFlow,
     fit_session,
@@ -19,7 +20,6 @@ from palpate.pipeline import (
     with_measured_displacement,
     with_pictures_measured,
 )
-from palpate.parts import content_digest
 from palpate.progress import Progress
 from palpate.records import DisplacementField, Session, read_rig, read_session
 from palpate.vision import FlowMethod, JointFlow, LangPaiFlow, Outcome
@@ -74,9 +74,7 @@ def test_an_interrupted_measurement_goes_on_to_the_same_bytes(
         measure_motion(session, **options, parts=parts, progress=killed_after_the_first)
     asked = []
     follow = type(method).follow
-    monkeypatch.setattr(
-        type(method), "follow", lambda *given: (asked.append(1), follow(*given))[1]
-    )
+    monkeypatch.setattr(type(method), "follow", lambda *given: (asked.append(1), follow(*given))[1])
     again = measure_motion(session, **options, parts=parts)
     assert len(asked) == 1
     for before, after in zip(whole.motions, again.motions, strict=True):

@@ -3,8 +3,7 @@
 Purpose    : the commands `palpate fit`, `check`, `flow`, `import`, `poke`, `compression`, `lab`,
              `verify` and `reproduce`.
 Takes      : arguments of a shell.
-Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok, 128 and a
-             signal's number).
+Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok).
 Depends on : `paper`, `figures`, `pipeline`, `lab`, `estimation`, `bem`, `probe`, `records`,
              `geometry`.
 Read first : `cli.py`, `arguments.py`, then `commands/fit.py`.
