@@ -38,16 +38,31 @@ _COMMANDS = {
         "Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
     ),
 }
-# What `palpate lab` does where no word says it: `palpate lab CONFIG.toml OUT`.
-_MAKE = "make"
-_LAB_COMMANDS = {
-    _MAKE: ("lab:lab", "Measure a virtual specimen: pictures, forces and the truth as a session."),
-    "plan": (
-        "plan:plan",
-        "Say what the cameras of a session will see, and what precision to expect of it.",
+# Commands with commands of their own; the first of them is meant where no word says which, as in
+# `palpate lab CONFIG.toml OUT`.
+_GROUPS = {
+    "lab": (
+        "Virtual measurements: made with their truth, or planned.",
+        {
+            "make": (
+                "lab:lab",
+                "Measure a virtual specimen: pictures, forces and the truth as a session.",
+            ),
+            "plan": (
+                "plan:plan",
+                "Say what the cameras of a session will see, and what precision to expect of it.",
+            ),
+        },
+    ),
+    "calibrate": (
+        "Cameras from pictures of a flat target, and the target to print.",
+        {
+            "rig": ("calibrate:calibrate", "Calibrate one or more cameras from pictures."),
+            "board": ("calibrate:board", "Draw a ChArUco board in true size, with a ruler."),
+        },
     ),
 }
-_LAB_WORDS = (*_LAB_COMMANDS, "--help", "-h", "--version")
+_HELP_WORDS = ("--help", "-h", "--version")
 
 
 def make_app() -> App:
@@ -67,10 +82,11 @@ def make_app() -> App:
     )
     for name, (place, text) in _COMMANDS.items():
         app.command(f"palpate.app.commands.{place}", name=name, help=text)
-    lab = App(name="lab", help="Virtual measurements: made with their truth, or planned.")
-    for name, (place, text) in _LAB_COMMANDS.items():
-        lab.command(f"palpate.app.commands.{place}", name=name, help=text)
-    app.command(lab)
+    for group, (summary, commands) in _GROUPS.items():
+        inner = App(name=group, help=summary)
+        for name, (place, text) in commands.items():
+            inner.command(f"palpate.app.commands.{place}", name=name, help=text)
+        app.command(inner)
     return app
 
 
@@ -90,8 +106,10 @@ def run(words: list[str]) -> int:
     PalpateError                    bad input
     BrokenPipeError                 nobody reads what is printed
     """
-    if words[:1] == ["lab"] and words[1:2] and words[1] not in _LAB_WORDS:
-        words = ["lab", _MAKE, *words[1:]]
+    if words[1:] and words[0] in _GROUPS:
+        first, *others = _GROUPS[words[0]][1]
+        if words[1] not in (first, *others, *_HELP_WORDS):
+            words = [words[0], first, *words[1:]]
     try:
         outcome = make_app()(
             words,

@@ -54,6 +54,7 @@ from palpate.records.probing import (
     Probing as Probing,
     observed_rows as observed_rows,
 )
+from palpate.records.program import make_pose as make_pose
 from palpate.records.programs import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,

@@ -79,7 +79,16 @@ class FixedWeights:
     force_root: Float[np.ndarray, "k 3"]
 
     def only(self, chosen: int | Int[np.ndarray, " j"]) -> "FixedWeights":
-        """Some of the probings as a set of their own."""
+        """Some of the probings as a set of their own.
+
+        Parameters
+        ----------
+        chosen : int or (j,) int    their numbers
+
+        Returns
+        -------
+        FixedWeights                of 1 or j probings
+        """
         index = np.atleast_1d(chosen)
         return replace(
             self,
@@ -91,7 +100,16 @@ class FixedWeights:
         )
 
     def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> ProjectedProbes:
-        """Probings at Poisson's ratios inside the range, their true forces eliminated."""
+        """Probings with their true forces eliminated.
+
+        Parameters
+        ----------
+        poisson_ratio : (g,) float [-]  within the range of the table
+
+        Returns
+        -------
+        ProjectedProbes                 at every one of them
+        """
         weight = interpolation_weights(self.poisson_ratio, poisson_ratio)
         half = np.einsum("kaibj,gb->kgiaj", self.response_response, weight, optimize=True)
         square = (weight[:, None, None, :] @ half)[..., 0, :]

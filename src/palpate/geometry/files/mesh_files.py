@@ -101,6 +101,14 @@ def welded(mesh: TriangleMesh) -> TriangleMesh:
 
     Vertices closer than 1e-7 of the bounding box, or than the last digits of single precision,
     coincide. The first of each group stands for it; the order of the others is kept.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    TriangleMesh                    with as many triangles, in the same order
     """
     vertices = mesh.vertices
     span = float(np.ptp(vertices, axis=0).max())

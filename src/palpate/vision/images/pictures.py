@@ -119,19 +119,40 @@ def _read_picture(
     camera: Camera, path: Path, place: str
 ) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
     """Grey levels, saturated share and remarks of one file."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise RecordError(f"{place}: cannot be read ({error.strerror})") from error
-    try:
-        stored, count = decode_picture(content)
-    except RecordError as error:
-        raise RecordError(f"{place}: {error}") from error
+    stored, count = _stored(path, place)
     _check_size(camera, stored, place)
     levels, remarks = _grey_levels(stored, place)
     if count > 1:
         remarks.append(f"the file holds {count} pictures; the first was used")
     return levels, _saturated_share(stored), remarks
+
+
+def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
+    """Grey levels of one picture file, as `read_pictures` takes them.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    (rows, columns) float32         255 is white
+
+    Raises
+    ------
+    RecordError                     missing, damaged, of another kind, not finite, of one grey
+    """
+    return _grey_levels(_stored(path, str(path))[0], str(path))[0]
+
+
+def _stored(path: Path, place: str) -> tuple[np.ndarray, int]:
+    """Pixels of a file as they are stored, and how many pictures it holds."""
+    try:
+        return decode_picture(path.read_bytes())
+    except OSError as error:
+        raise RecordError(f"{place}: cannot be read ({error.strerror})") from error
+    except RecordError as error:
+        raise RecordError(f"{place}: {error}") from error
 
 
 def _check_size(camera: Camera, stored: np.ndarray, place: str) -> None:
