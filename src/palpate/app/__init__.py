@@ -3,7 +3,8 @@
 Purpose    : the commands `palpate fit`, `check`, `flow`, `import`, `poke`, `compression`, `lab`,
              `calibrate`, `verify` and `reproduce`.
 Takes      : arguments of a shell.
-Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok).
+Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok, 70 an
+             error of the program, 128 and a signal's number).
 Depends on : `paper`, `figures`, `pipeline`, `calibration`, `lab`, `estimation`, `bem`, `probe`,
              `records`, `geometry`.
 Read first : `cli.py`, `arguments.py`, then `commands/fit.py`.

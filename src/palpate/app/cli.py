@@ -13,6 +13,7 @@ from importlib import import_module
 from types import FrameType
 from typing import NoReturn
 
+from palpate.app.guard import guarded
 from palpate.errors import NotConvergedError, PalpateError
 
 BAD_INPUT = 2
@@ -23,6 +24,7 @@ _BROKEN_PIPE = _BY_SIGNAL + 13
 _STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
+@guarded
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
@@ -34,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     int                             0; 2 bad input, or a disk that does not take the result, said in
                                     one message; 3 an estimate that is not ok, or a result that
-                                    changed; 128 and the signal's number where one stopped it: 130
+                                    changed; 70 memory ran out, or an error of the program, reported
+                                    in a file; 128 and the signal's number where one stopped it: 130
                                     interrupted, 143 terminated, 141 nobody reads what is printed
     """
     try:

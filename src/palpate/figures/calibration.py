@@ -148,17 +148,18 @@ def board_figure(board: Charuco) -> Figure:
 
 
 @styled
-def save_page(figure: Figure, path: Path, *, dots_per_inch: float = 600.0) -> None:
-    """Write a figure in its true size, as PDF or PNG by the name's ending.
+def save_page(figure: Figure, path: Path, *, kind: str, dots_per_inch: float = 600.0) -> None:
+    """Write a figure in its true size.
 
     Parameters
     ----------
     figure : Figure
     path : Path
+    kind : str                      "pdf" or "png"
     dots_per_inch : float           of a PNG
 
     Raises
     ------
     OSError                         the file cannot be written
     """
-    figure.savefig(path, dpi=dots_per_inch)
+    figure.savefig(path, dpi=dots_per_inch, format=kind)

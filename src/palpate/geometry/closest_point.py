@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.arrays import fixed_array
-from palpate.geometry.triangle_mesh import TriangleMesh
+from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
 
 _POINTS_A_BLOCK = 4096
@@ -42,12 +42,14 @@ class SurfaceSearch:
     tree : cKDTree                  centres of spheres that cover the triangles
     radius : (s,) float [m]         of each sphere
     owner : (s,) int                triangle that each sphere covers a piece of
+    diagonal : float [m]            of the mesh
     """
 
     mesh: TriangleMesh
     tree: cKDTree
     radius: Float[np.ndarray, " s"]
     owner: Int[np.ndarray, " s"]
+    diagonal: float
 
     def closest(self, points: Points) -> SurfacePoints:
         """Point of the surface nearest to each of n finite points; see `closest_points`."""
@@ -104,7 +106,8 @@ def surface_search(mesh: TriangleMesh) -> SurfaceSearch:
     corner = mesh.vertices[mesh.triangles]
     limit = 2.0 * float(np.median(_sphere_radius(corner)))
     pieces, owner = small_pieces(corner, lambda piece: _sphere_radius(piece) > limit)
-    return SurfaceSearch(mesh, cKDTree(pieces.mean(axis=1)), _sphere_radius(pieces), owner)
+    tree, radius = cKDTree(pieces.mean(axis=1)), _sphere_radius(pieces)
+    return SurfaceSearch(mesh, tree, radius, owner, bounding_diagonal(mesh))
 
 
 def small_pieces(

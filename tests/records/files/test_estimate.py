@@ -177,7 +177,7 @@ def _set(*keys, to):
         (_set("identifiable", "poisson_ratio", to=False), "by `identifiable` it must be 'poisson_"),
         (
             _set("identifiable", "poisson_ratio", to="yes"),
-            r"poisson_ratio: is 'yes'",
+            r"\[identifiable\] poisson_ratio: is 'yes'",
         ),
         (_set("status", to="nothing_identifiable"), "by `identifiable` it must be 'ok'"),
         (_set("status", to="fine"), "status: is 'fine'"),
@@ -197,7 +197,7 @@ def _set(*keys, to):
             "poisson_ratio is 3",
         ),
         (_set("young_modulus", to={"value": 5.61e4, "std": 3e2, "ci95": [5e4, 6e4]}), "2 G"),
-        (_set("young_modulus", to={"value": -5e4, "std": 3, "ci95": [-6e4, 6e4]}), "positive"),
+        (_set("young_modulus", to={"value": -5.1e4, "std": 3e2, "ci95": [-6e4, 6e4]}), "positive"),
         (_set("probes", to=3), "probes: is 3"),
         (_set("probes", 0, "observed", to=-1), r"\[\[probes\]\] number 1 observed: is -1"),
         (_set("probes", 0, "observed", to=4.5), "observed: is 4.5"),

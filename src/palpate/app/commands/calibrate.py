@@ -1,10 +1,9 @@
 """`palpate calibrate`: cameras from pictures of a board; and the board to print."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
@@ -25,10 +24,11 @@ from palpate.calibration import (
     length_sigma,
     write_calibration,
 )
+from palpate.disk import placed
 from palpate.errors import InputError
 from palpate.figures import board_figure, residual_figure, rig_figure, save_figure, save_page
 from palpate.probe import metres_from_text
-from palpate.records import default_folder, record_inputs, result_file, result_folder
+from palpate.records import default_folder, record_inputs, result_folder
 
 _PAGES = (".pdf", ".png")
 _Kind = Literal["charuco", "chessboard", "circles", "asymmetric-circles", "aprilgrid"]
@@ -47,7 +47,7 @@ def calibrate(
     dictionary: str | None = None,
     boards: int = 1,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Calibrate one or more cameras from pictures of a flat target.
 
@@ -79,8 +79,7 @@ def calibrate(
     out
         Result folder. Default: the pictures' folder name followed by -rig, in the current folder.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Write although something else is at that place; it is kept beside it as NAME.old.
 
     Returns
     -------
@@ -90,11 +89,13 @@ def calibrate(
     named = _named_target(target, columns, rows, square, marker, gap, dictionary)
     targets = _boards(named, boards)
     place = out or default_folder(pictures, "rig")
-    with result_folder(place, kind="calibrate rig", force=force) as folder:
-        views = find_pictures(pictures)
-        record_inputs(folder, (path for path in pictures.glob("*/*") if path.is_file()))
+    with result_folder(place, kind="calibrate", force=force) as folder:
+        files = find_pictures(pictures)
+        record_inputs(
+            folder, [path for by_instant in files.values() for path in by_instant.values()]
+        )
         with progress_bar() as progress:
-            found = find_boards(views, targets, progress=progress)
+            found = find_boards(files, targets, progress=progress)
             progress("adjustment", 1.0)
             calibration = calibrate_cameras(found, targets)
         write_calibration(folder, calibration)
@@ -118,7 +119,7 @@ def board(
     marker: str = "15mm",
     dictionary: str = "4x4_250",
     first: int = 0,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Draw a ChArUco board in true size, with a ruler to check the print.
 
@@ -139,7 +140,7 @@ def board(
     first
         Number of the first marker; a second board goes on where the first one ends.
     force
-        Write although there is such a file; that is kept beside it as NAME.old.
+        Replace a file of that name.
 
     Returns
     -------
@@ -148,15 +149,17 @@ def board(
     """
     if file.suffix.lower() not in _PAGES:
         raise InputError(f"{file}: ends neither in .pdf nor in .png")
+    if file.exists() and not force:
+        raise InputError(
+            f"{file}: is there already; choose another name, or replace it with --force"
+        )
     drawn = Charuco(
         columns, rows, metres_from_text(square, name="--square"),
         metres_from_text(marker, name="--marker"), dictionary, first,
     )  # fmt: skip
     page = board_figure(drawn)
-    with result_file(file, force=force) as staged:
-        whole = staged.with_name(staged.name + file.suffix)
-        save_page(page, whole)
-        whole.replace(staged)
+    with placed([file]) as (staged,):
+        save_page(page, staged, kind=file.suffix[1:].lower())
     width, height = (25.4 * page.get_size_inches()).round(1)
     print_text(
         f"{file}: {width:g} x {height:g} mm; print it at 100 %, glue it to something flat, and"

@@ -1,5 +1,6 @@
 """Sessions from folders in the format `palpate-session/1`."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 
 from palpate.disk import settle
 from palpate.errors import MeshError, RecordError
+from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.contact import Contact, contact_profiles
 from palpate.records.files.displacement import read_displacement
@@ -99,15 +101,16 @@ def session_file(path: Path) -> Path:
     RecordError                     there is none
     InUseError                      it is being changed
     """
-    settle(path / "session.toml" if path.is_dir() else path)
-    if path.is_dir():
+    folder = os.path.isdir(path)
+    settle(path / "session.toml" if folder else path)
+    if folder:
         file = path / "session.toml"
-        if not file.is_file():
+        if not is_file(file):
             others = sorted(p.name for p in path.glob("*.toml"))
             hint = f"; it has {others}: name one of them" if others else ""
             raise RecordError(f"{path}: the folder has no session.toml{hint}")
         return file
-    if not path.is_file():
+    if not is_file(path):
         raise RecordError(
             f"{path}: no such file or folder{nearest_file(path)};"
             " give a session's folder or its session.toml"
