@@ -199,3 +199,31 @@ def test_what_earlier_versions_left(tmp_path, capsys):
     assert ".a.12.partial: left by an interrupted run, removed" in said
     assert "a: put back" in said
     assert "kept as" in said
+
+
+def test_what_a_journal_may_name(tmp_path):
+    below = tmp_path / "session"
+    _start(below, {"session": "old"})
+    (tmp_path / "thesis").write_text("years of work")
+    for text in (
+        '{"undo": true, "there": {"../thesis": false}}',
+        f'{{"undo": true, "there": {{"{tmp_path / "thesis"}": false}}}}',
+        "[" * 10**5, "[]", "{}", '{"undo": true, "there": 3}', "\xff",
+    ):  # fmt: skip
+        (below / ".session.journal").write_text(text, encoding="latin-1")
+        with pytest.raises(RecordError, match="is not what Palpate leaves"):
+            disk.settle(below / "session")
+    assert (tmp_path / "thesis").exists()
+
+
+def test_what_is_no_file_or_elsewhere_is_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(RecordError, match="pipe: is no regular file"):
+        disk.write_bytes(tmp_path / "pipe", b"")
+    (tmp_path / "below").mkdir()
+    (tmp_path / "n01").symlink_to(tmp_path / "below" / "n01")
+    with pytest.raises(RecordError, match="a link leads out of the folder"):
+        _files(tmp_path, "new")
+    # One alone may lie anywhere.
+    disk.write_bytes(tmp_path / "n01", b"new")
+    assert (tmp_path / "below" / "n01").read_text() == "new"

@@ -79,6 +79,7 @@ def make_app() -> App:
         version=__version__,
         help_format="plaintext",
         error_console=Console(stderr=True),
+        suppress_keyboard_interrupt=False,
     )
     for name, (place, text) in _COMMANDS.items():
         app.command(f"palpate.app.commands.{place}", name=name, help=text)

@@ -183,18 +183,24 @@ class Estimate:
         for name in CONSTANT_NAMES:
             if self.identifiable[name] and not math.isfinite(getattr(self, name).value):
                 raise InputError(f"{name} is identifiable by `identifiable`, but has no value")
-        _check_material(
-            self.shear_modulus.value, self.poisson_ratio.value, self.young_modulus.value
-        )
+        values = self.shear_modulus.value, self.poisson_ratio.value, self.young_modulus.value
+        _check_ranges(*values)
+        # What the data do not determine is given for all of its range, each constant by itself.
+        if all(self.identifiable.values()):
+            _check_product(*values)
 
 
-def _check_material(shear: float, ratio: float, young: float) -> None:
-    """Refuse constants that no material has, or no one material; NaN is unknown."""
+def _check_ranges(shear: float, ratio: float, young: float) -> None:
+    """Refuse constants that no material has; NaN is unknown."""
     for name, modulus in (("shear_modulus", shear), ("young_modulus", young)):
         if modulus <= 0.0 or math.isinf(modulus):
             raise InputError(f"{name} is {modulus:g} Pa; must be positive and finite")
     if ratio <= -1.0 or ratio > 0.5:
         raise InputError(f"poisson_ratio is {ratio:g}; must be above -1, and 0.5 at most")
+
+
+def _check_product(shear: float, ratio: float, young: float) -> None:
+    """Refuse constants that belong to no one material."""
     expected = 2.0 * shear * (1.0 + ratio)
     # A person may have rounded all three.
     room = 2.0 * (1.0 + ratio) * _rounding(shear) + 2.0 * shear * _rounding(ratio)

@@ -159,8 +159,9 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     ------
     InputError                      as `result_folder`
     """
-    if target.is_dir():
-        raise InputError(f"{target}: is a folder; name a file with --out")
+    if target.exists() and not target.is_file():
+        kind = "a folder" if target.is_dir() else "no regular file"
+        raise InputError(f"{target}: is {kind}; name a file with --out")
     _refuse(target, _strange_file(target), force=force)
     with (
         placed([target], aside=lambda old: bool(_strange_file(old))) as (new,),
@@ -275,8 +276,8 @@ def _check_place(target: Path) -> None:
         )
     if target.is_symlink() or (target.exists() and not target.is_dir()):
         raise InputError(f"{target}: is not a folder; choose another name with --out")
-    here = Path.cwd()
-    if target in (here, *here.parents, Path.home()):
+    real, here = Path(os.path.realpath(target)), Path.cwd()
+    if real in (here, *here.parents, Path(os.path.expanduser("~"))):
         raise InputError(
             f"{target}: a result takes the place of a whole folder, and this one holds more than"
             " that; name a new folder in it with --out"
