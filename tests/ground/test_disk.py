@@ -31,7 +31,7 @@ def _files(folder: Path, text: str) -> None:
 
 
 def _folder(folder: Path, text: str) -> None:
-    with disk.placed([folder / "result"], Path.mkdir) as (staged,):
+    with disk.placed([folder / "result"], folder=True) as (staged,):
         (staged / "below").mkdir()
         for name in ("one", "below/two"):
             (staged / name).write_text(text)
@@ -157,9 +157,9 @@ def test_old_or_new_at_every_step(tmp_path, name, dies, capfd):
 def test_a_second_process_is_told_who_writes(tmp_path):
     target = tmp_path / "result"
     with (
-        disk.placed([target], Path.mkdir),
+        disk.placed([target], folder=True),
         pytest.raises(disk.InUseError, match=rf"being written by process {os.getpid()} on "),
-        disk.placed([target], Path.mkdir),
+        disk.placed([target], folder=True),
     ):
         raise AssertionError("the block must not run")
     # The lock of a process that was killed holds nobody up.
@@ -221,6 +221,16 @@ def test_what_is_no_file_or_elsewhere_is_not_replaced(tmp_path):
     with pytest.raises(RecordError, match="pipe: is no regular file"):
         disk.write_bytes(tmp_path / "pipe", b"")
     (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "thesis").write_text("years of work")
+    with pytest.raises(RecordError, match="below: is a folder"):
+        disk.write_bytes(tmp_path / "below", b"")
+    (tmp_path / "file").write_text("mine")
+    with (
+        pytest.raises(RecordError, match="file: is no folder"),
+        disk.placed([tmp_path / "file"], folder=True),
+    ):
+        raise AssertionError("the block must not run")
+    assert _content(tmp_path) == {"below/thesis": "years of work", "file": "mine"}
     (tmp_path / "n01").symlink_to(tmp_path / "below" / "n01")
     with pytest.raises(RecordError, match="a link leads out of the folder"):
         _files(tmp_path, "new")
