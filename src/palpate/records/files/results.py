@@ -96,18 +96,22 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
     _check_place(target)
     strange = partial(_strange_folder, kind=kind)
     _refuse(target, strange(target), force=force)
-    with placed([target], folder=True, aside=strange) as (new,), _parts_kept(new):
-        with disk_errors(target):
-            yield new
-            sums = file_sums((path for path in new.rglob("*") if path.is_file()), start=new)
-            head = f"# {RESULT_FORMAT} {kind}; `palpate verify` and `sha256sum -c` check it\n"
-            write_text(new / CONTENTS_FILE, head + sums_text(sums))
+    with (
+        placed([target], folder=True, aside=strange) as (new,),
+        _worth_keeping(parts_folder(new)),
+        disk_errors(target),
+    ):
+        yield new
+        sums = file_sums((path for path in new.rglob("*") if path.is_file()), start=new)
+        head = f"# {RESULT_FORMAT} {kind}; `palpate verify` and `sha256sum -c` check it\n"
+        write_text(new / CONTENTS_FILE, head + sums_text(sums))
+    shutil.rmtree(parts_folder(new), ignore_errors=True)
 
 
 @contextmanager
-def _parts_kept(folder: Path) -> Iterator[None]:
-    """Remove finished parts in the end, unless the block fails and they are worth keeping."""
-    start, parts = time.monotonic(), parts_folder(folder)
+def _worth_keeping(parts: Path) -> Iterator[None]:
+    """Remove finished parts where the block fails, unless they cost long work."""
+    start = time.monotonic()
     try:
         yield
     except BaseException:
@@ -117,7 +121,6 @@ def _parts_kept(folder: Path) -> Iterator[None]:
         else:
             shutil.rmtree(parts, ignore_errors=True)
         raise
-    shutil.rmtree(parts, ignore_errors=True)
 
 
 def parts_folder(folder: Path) -> Path:
