@@ -1,23 +1,14 @@
 """Files and folders appear whole or not at all, at whatever step a process dies or a disk fails."""
 
-import errno
-import io
 import os
 import signal
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from fault_injection import in_child
 
 from palpate import disk
 from palpate.errors import RecordError
-
-# Events of the interpreter by which something on the disk is changed or opened.
-_EVENTS = {
-    "open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "os.chmod", "os.truncate"
-}  # fmt: skip
-_OUTCOMES = ["done", "died", "refused", "done all the same", "another error"]
 
 
 def _file(folder: Path, text: str) -> None:
@@ -82,36 +73,6 @@ def _start(folder: Path, content: dict[str, str]) -> None:
         (folder / name).write_text(text)
 
 
-def _in_child(work: Callable[[], object], step: int, dies: bool) -> str:
-    """Run in a fork in which the disk fails, or the process dies, at the step of this number."""
-    child = os.fork()
-    if child:
-        return _OUTCOMES[os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])]
-    count = 0
-
-    def happens(*_: object) -> None:
-        nonlocal count
-        count += 1
-        if count == step and dies:
-            os._exit(_OUTCOMES.index("died"))
-        if count == step:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    fsync, exchanged = os.fsync, disk._exchanged
-    os.fsync = lambda handle: (happens(), fsync(handle))[1]
-    disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
-    sys.stderr = io.StringIO()
-    sys.addaudithook(lambda event, _: happens() if event in _EVENTS else None)
-    outcome = "another error"
-    try:
-        work()
-        outcome = "done" if count < step else "done all the same"
-    except RecordError:
-        outcome = "refused"
-    finally:
-        os._exit(_OUTCOMES.index(outcome))
-
-
 def _plain(content: dict[str, str]) -> dict[str, str]:
     """What a user sees: no hidden files, nothing in hidden folders."""
     return {name: text for name, text in content.items() if not name.startswith(".")}
@@ -128,7 +89,8 @@ def test_old_or_new_at_every_step(tmp_path, name, dies, capfd):
     while not outcomes or outcomes[-1] != "done":
         folder = tmp_path / str(len(outcomes))
         _start(folder, before)
-        outcomes.append(_in_child(lambda at=folder: work(at, "new"), len(outcomes) + 1, dies))
+        step = len(outcomes) + 1
+        outcomes.append(in_child(lambda at=folder: work(at, "new"), folder, step=step, dies=dies))
         if name in _NEVER_WITHOUT:
             assert _plain(_content(folder)) in (before, after), len(outcomes)
         disk.settle(folder / "session")
