@@ -109,9 +109,12 @@ def import_displacements(
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
     print_notes((*session.notes, *notes))
     # The targets are tried first: no one should wait for a result that cannot be kept.
-    place = _session_files(session, plan, force) if out is None else _folder(out, files, force)
     done: list[_Import] = []
-    with place as folder:
+    inputs = [*(item.file for item in plan), *session_files(session.path)]
+    inputs += [to_object] if to_object is not None else []
+    with (
+        _session_files(session, plan, force) if out is None else _folder(out, inputs, force)
+    ) as folder:
         for item in plan:
             measured = read_measured(kind, item.file, length_unit=length_unit, frame=item.frame)
             moved = on_object(measured, pose) if to_object is not None else measured
@@ -207,10 +210,10 @@ def _strangers(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
 
 
 @contextmanager
-def _folder(out: Path, files: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
+def _folder(out: Path, inputs: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
     """Where the CSV files are written in a result folder."""
     with result_folder(out, kind="import", force=force) as folder:
-        record_inputs(folder, [*files[:-1], *session_files(files[-1])])
+        record_inputs(folder, inputs)
         yield folder.joinpath
 
 
