@@ -60,7 +60,7 @@ def guarded(main: Main) -> Main:
 
 def _outcome(error: Exception, words: Sequence[str], said: str) -> tuple[str, int]:
     """What to say about an error that nobody expected, and the exit code."""
-    causes = [error]
+    causes: list[BaseException] = [error]
     while cause := causes[-1].__cause__ or causes[-1].__context__:
         causes.append(cause)
     if any(isinstance(cause, MemoryError) for cause in causes):
