@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from surfaces import box, sphere
 
-from palpate.errors import InputError, MeshError
+from palpate.errors import InputError, MeshError, RecordError
 from palpate.geometry import (
     TriangleMesh,
     checked_mesh,
@@ -229,7 +229,7 @@ def test_unit_must_be_positive(tmp_path):
 
 
 def test_ply_that_cannot_be_written_is_refused(tmp_path):
-    with pytest.raises(MeshError, match="cannot be written"):
+    with pytest.raises(RecordError, match="cannot be written"):
         write_mesh(tmp_path / "none" / "box.ply", box())
 
 

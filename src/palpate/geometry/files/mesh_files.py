@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from palpate.disk import write_bytes
 from palpate.errors import InputError, MeshError
 from palpate.files import damage, read_bytes
 from palpate.geometry.files.obj_file import parse_obj
@@ -102,7 +103,8 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
 
     Raises
     ------
-    MeshError                       unknown suffix, or the file cannot be written
+    MeshError                       unknown suffix
+    RecordError                     the file cannot be written; it is as it was
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -110,7 +112,9 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
         _write_ply(path, mesh)
     elif suffix in _TRIMESH_SUFFIXES:
         trimesh = late_import("trimesh", extra=None, purpose=f"writing {path.name}")
-        trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).export(path)
+        body = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+        content = body.export(file_type=suffix[1:])
+        write_bytes(path, content if isinstance(content, bytes) else content.encode())
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
         meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]).write(path)
@@ -124,6 +128,14 @@ def welded(mesh: TriangleMesh) -> TriangleMesh:
 
     Vertices closer than 1e-7 of the bounding box, or than the last digits of single precision,
     coincide. The first of each group stands for it; the order of the others is kept.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    TriangleMesh                    with as many triangles, in the same order
     """
     vertices = mesh.vertices
     span = float(np.ptp(vertices, axis=0).max())
@@ -217,7 +229,4 @@ def _write_ply(path: Path, mesh: TriangleMesh) -> None:
     face = np.zeros(len(mesh.triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
     face["count"] = 3
     face["index"] = mesh.triangles
-    try:
-        path.write_bytes(header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())
-    except OSError as error:
-        raise MeshError(f"{path}: cannot be written ({error.strerror})") from error
+    write_bytes(path, header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.disk import settle
 from palpate.errors import MeshError, RecordError
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
@@ -51,7 +52,7 @@ def read_session(
                                     names file, table and key
     MeshError                       a mesh that cannot be read or is not closed
     """
-    root = read_toml(_session_file(Path(path)))
+    root = read_toml(session_file(Path(path)))
     root.check_keys(_ROOT_KEYS)
     found = root.get("format")
     if found != SESSION_FORMAT:
@@ -86,9 +87,23 @@ def read_session(
         )
 
 
-def _session_file(path: Path) -> Path:
-    """The session file that a folder or a file name means."""
-    if os.path.isdir(path):
+def session_file(path: Path) -> Path:
+    """The session file that a folder or a file name means.
+
+    A change of it that was interrupted is undone first.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    RecordError                     there is none
+    InUseError                      it is being changed
+    """
+    folder = os.path.isdir(path)
+    settle(path / "session.toml" if folder else path)
+    if folder:
         file = path / "session.toml"
         if not is_file(file):
             others = sorted(p.name for p in path.glob("*.toml"))

@@ -16,8 +16,11 @@ from palpate.records.text.csv_table import (
     split_cells as split_cells,
     text_lines as text_lines,
 )
-from palpate.records.text.text_file import (
+from palpate.records.text.json_file import (
     json_text as json_text,
+    read_json as read_json,
+)
+from palpate.records.text.text_file import (
     read_text as read_text,
     write_text as write_text,
 )

@@ -87,7 +87,7 @@ class TomlTable:
         RecordError                     always
         """
         place = f"{self.name} {key}".strip()
-        raise RecordError(f"{self.file}: {place}: {what}")
+        raise RecordError(": ".join(filter(None, (str(self.file), place, what))))
 
     def check_keys(self, allowed: Sequence[str]) -> None:
         """Refuse keys that are not of the format, with the nearest one that is.
@@ -203,6 +203,54 @@ class TomlTable:
         if not _is_number(value):
             self.fail(key, f"is {quoted(value)}; must be a finite number{_RANGE}")
         return float(value)
+
+    def count(self, key: str) -> int:
+        """A whole number that is not negative.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            self.fail(key, f"is {quoted(value)}; must be a whole number, 0 or more")
+        return value
+
+    def boolean(self, key: str) -> bool:
+        """True or false.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, bool):
+            self.fail(key, f"is {quoted(value)}; must be true or false, without quotes")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self.fail(key, f"is {quoted(value)}; must be a list of texts in quotes")
+        return tuple(value)
 
     def vector(self, key: str) -> Vector3:
         """Three finite numbers.

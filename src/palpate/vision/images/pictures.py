@@ -124,6 +124,34 @@ def _read_picture(
     camera: Camera, path: Path, place: str
 ) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
     """Grey levels, saturated share and remarks of one file."""
+    stored, several, place = _stored(path, place, camera)
+    levels, remarks = _grey_levels(stored, place)
+    if several:
+        remarks.append("the file holds more pictures; the first was used")
+    return levels, _saturated_share(stored), remarks
+
+
+def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
+    """Grey levels of one picture file, as `read_pictures` takes them.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    (rows, columns) float32         255 is white
+
+    Raises
+    ------
+    RecordError                     missing, damaged, of another kind, not finite, of one grey
+    """
+    stored, _, place = _stored(path, "picture", None)
+    return _grey_levels(stored, place)[0]
+
+
+def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, bool, str]:
+    """Pixels of a file as they are stored, whether it holds more pictures, and its place."""
     try:
         content = read_bytes(path)
     except RecordError as error:
@@ -136,19 +164,16 @@ def _read_picture(
     except RecordError as error:
         raise RecordError(f"{place}: {error}") from error
     _check_size(camera, (stored.shape[1], stored.shape[0]), place)
-    levels, remarks = _grey_levels(stored, place)
-    if several:
-        remarks.append("the file holds more pictures; the first was used")
-    return levels, _saturated_share(stored), remarks
+    return stored, several, place
 
 
-def _check_size(camera: Camera, size: tuple[int, int], place: str) -> None:
+def _check_size(camera: Camera | None, size: tuple[int, int], place: str) -> None:
     columns, rows = size
     if columns * rows > _MOST_PIXELS:
         raise RecordError(
             f"{place}: has {columns} x {rows} pixels, more than any camera; is it a picture of one?"
         )
-    if camera.size is not None and camera.size != (columns, rows):
+    if camera is not None and camera.size not in (None, (columns, rows)):
         turned = "; the picture seems to be turned" if camera.size == (rows, columns) else ""
         raise CalibrationError(
             f"{place}: has {columns} x {rows} pixels, the camera was calibrated with"
