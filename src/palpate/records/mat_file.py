@@ -109,7 +109,8 @@ def _fits(parts: Elements, order: str) -> bool:
             return False
         count *= len(rest[1][1]) // width
         rest = rest[2:]
-    return sort not in (_CELL, _STRUCT, _OBJECT) or [kind for kind, _ in rest] == [_MATRIX] * count
+    whole = len(rest) == count and all(kind == _MATRIX for kind, _ in rest)
+    return whole or sort not in (_CELL, _STRUCT, _OBJECT)
 
 
 def _whole(data: memoryview, order: str) -> Sequence[int]:
