@@ -1,6 +1,7 @@
 """What one probing contributes to the estimation: measured displacements and their model."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -50,6 +51,7 @@ class ProbeObservations:
     tip_displacement : (3,) float [m] or None    of the contact point, NaN = not measured
     tip_displacement_std : (3,) float [m] or None
     response : ResponseModel                3 n rows, three more where the tip was measured
+    landmarks : name -> (k, 3) float [m]    places for messages, such as "the contact"
 
     Raises
     ------
@@ -65,6 +67,7 @@ class ProbeObservations:
     tip_displacement: Vector3 | None
     tip_displacement_std: Vector3 | None
     response: ResponseModel
+    landmarks: Mapping[str, Float[np.ndarray, "_ 3"]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "
