@@ -8,6 +8,10 @@ Depends on : `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
 Read first : `measure_motion.py`, then `fit_session.py`.
 """
 
+from palpate.pipeline.camera_survey import (
+    CameraSurvey as CameraSurvey,
+    survey_cameras as survey_cameras,
+)
 from palpate.pipeline.fit_session import (
     fit_session as fit_session,
     make_object_model as make_object_model,

@@ -47,6 +47,7 @@ from palpate.geometry import interpolation_matrix
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.progress import Progress, part_of, silent
 from palpate.records import DisplacementField, Probing, Session, require_probings
+from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
@@ -228,8 +229,9 @@ def session_observations(
             model.system, model.right, poisson_range=settings.poisson_range
         )
         responses = [reduced_response(reduced, row) for row in rows]
+    support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
     return [
-        _observations(probing, response)
+        _observations(probing, response, support)
         for probing, response in zip(session.probings, responses, strict=True)
     ]
 
@@ -303,7 +305,9 @@ def _tip_rows(
     )
 
 
-def _observations(probing: Probing, response: ProbeResponse) -> ProbeObservations:
+def _observations(
+    probing: Probing, response: ProbeResponse, support: Vertices
+) -> ProbeObservations:
     field = _measured(probing)
     return ProbeObservations(
         name=probing.name,
@@ -315,6 +319,7 @@ def _observations(probing: Probing, response: ProbeResponse) -> ProbeObservation
         tip_displacement=probing.tip_displacement,
         tip_displacement_std=probing.tip_displacement_std,
         response=response,
+        landmarks={"the contact": probing.contact.point[None], "the support": support},
     )
 
 

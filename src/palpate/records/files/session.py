@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.disk import settle
-from palpate.errors import MeshError, RecordError
+from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.contact import Contact, contact_profiles
@@ -17,7 +17,13 @@ from palpate.records.files.support import read_support
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.session import Session, Step
-from palpate.records.session_checks import check_contact, check_observed_points, plausibility_notes
+from palpate.records.session_checks import (
+    check_contact,
+    check_copies,
+    check_load,
+    check_observed_points,
+    plausibility_notes,
+)
 from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
 from palpate.shapes import Indices
 
@@ -72,7 +78,8 @@ def read_session(
     gravity = _only_key(root, "gravity", "acceleration")
     rig = _only_key(root, "rig", "cameras")
     with root.blamed():
-        return Session(
+        check_copies(tuple(probings))
+        session = Session(
             name=root.optional("name", root.text) or root.file.parent.name,
             path=root.file,
             mesh=mesh,
@@ -81,10 +88,11 @@ def read_session(
             density=body.optional("density", body.number),
             gravity=gravity.vector("acceleration") if gravity else None,
             rig=rig.existing_file("cameras") if rig else None,
-            notes=notes + plausibility_notes(mesh, tuple(probings)),
+            notes=notes,
             steps=_steps(root),
             metres_per_unit=metres,
         )
+    return replace(session, notes=notes + plausibility_notes(session))
 
 
 def session_file(path: Path) -> Path:
@@ -106,9 +114,9 @@ def session_file(path: Path) -> Path:
     if folder:
         file = path / "session.toml"
         if not is_file(file):
-            others = sorted(p.name for p in path.glob("*.toml"))
-            hint = f"; it has {others}: name one of them" if others else ""
-            raise RecordError(f"{path}: the folder has no session.toml{hint}")
+            others = sorted(map(quoted, (p.name for p in path.glob("*.toml") if is_file(p))))[:5]
+            hint = f"; it has {', '.join(others)}: name one of them" if others else ""
+            raise RecordError(f"{path}: the folder has no session file session.toml{hint}")
         return file
     if not is_file(path):
         raise RecordError(
@@ -201,6 +209,7 @@ def _probing(
         )
         if observations:
             check_contact(mesh, held, probing.contact)
+            check_load(mesh, probing)
         if field is not None:
             check_observed_points(mesh, held, field)
     return probing, notes

@@ -6,7 +6,10 @@ x_camera = R x_object + t, the centre of the first pixel is (0, 0).
 
 from pathlib import Path
 
+import numpy as np
+
 from palpate.errors import RecordError
+from palpate.files import damage
 from palpate.records.measured_points import MeasuredPoints, in_metres
 from palpate.records.program import CalibrationFile, Program
 from palpate.records.programs.dice import DICE
@@ -63,7 +66,10 @@ def read_measured(
     program = import_kinds().get(kind)
     if program is None or program.read_points is None:
         raise RecordError(f"kind is '{kind}'; must be one of {', '.join(import_kinds())}")
-    given = program.read_points(Path(path), frame)
+    # Infinities of a damaged file are refused below, not warned of.
+    cure = f"export it again from {kind}"
+    with damage(Path(path), cure, what="cannot be read"), np.errstate(all="ignore"):
+        given = program.read_points(Path(path), frame)
     return in_metres(given, Path(path), length_unit=length_unit, usual=program.usual_unit)
 
 
@@ -86,9 +92,10 @@ def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
     CalibrationError                contents that are missing or contradictory
     """
     file = CalibrationFile.read(path, length_unit)
-    for program in PROGRAMS:
-        if program.holds_rig and program.read_rig and program.holds_rig(file):
-            return program.read_rig(file)
+    with damage(path, "export the calibration again", what="cannot be read as a calibration"):
+        for program in PROGRAMS:
+            if program.holds_rig and program.read_rig and program.holds_rig(file):
+                return program.read_rig(file)
     known = ", ".join(program.calibrations for program in PROGRAMS if program.calibrations)
     raise RecordError(
         f"{path}: is no camera calibration{_holdings(file)}; known are rig.toml, {known}"
