@@ -1,5 +1,7 @@
 """What a session must satisfy beyond its syntax, and what looks implausible about it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from palpate.errors import InputError
@@ -10,13 +12,92 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records.contact import Contact
+from palpate.records.contact import RIGID, Contact
 from palpate.records.probing import DisplacementField, Probing, observed_rows
+from palpate.records.support import FREE, GIVEN, Support
 from palpate.shapes import Indices
 
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
 _UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
+
+
+def check_supports(
+    mesh: TriangleMesh, supports: Sequence[Support], probings: Sequence[Probing]
+) -> None:
+    """Refuse supports that touch, and motions and forces that do not belong to them.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    supports : sequence of Support
+    probings : sequence of Probing
+
+    Raises
+    ------
+    InputError                      the text names supports by their number from 1, and the probing
+    """
+    corners = [np.unique(mesh.triangles[support.triangles]) for support in supports]
+    for second in range(len(supports)):
+        for first in range(second):
+            shared = np.intersect1d(corners[first], corners[second]).size
+            if shared:
+                raise InputError(
+                    f"supports {first + 1} and {second + 1} share {shared} vertices, which cannot"
+                    " follow both; leave a row of free triangles between them"
+                )
+    given = [number for number, one in enumerate(supports, start=1) if one.motion == GIVEN]
+    for probing in probings:
+        _check_motion(probing, given)
+        if probing.contact.profile == RIGID and probing.contact.triangles is not None:
+            _check_pulled(probing, probing.contact.triangles, supports)
+
+
+def _check_motion(probing: Probing, given: Sequence[int]) -> None:
+    """Refuse a motion that is missing, or that no support asks for."""
+    place = f"probing '{probing.name}'"
+    has_motion = probing.support_motion is not None
+    if given and not has_motion and probing.support_displacement is None:
+        raise InputError(
+            f"{place}: the motion of support {given[0]} is to be given; name the file of its"
+            " displacements as support_displacement, or a rigid motion as support_motion"
+        )
+    if not given and (has_motion or probing.support_displacement is not None):
+        raise InputError(
+            f'{place}: gives a motion of the support, but no support has motion = "given"; say so'
+            " in [support], or leave it out"
+        )
+    if has_motion and len(given) > 1:
+        raise InputError(
+            f"{place}: support_motion is one motion, but that of {len(given)} supports is to be"
+            " given; give support_displacement, with points on each of them"
+        )
+
+
+def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Support]) -> None:
+    """Refuse a force on a support that cannot follow it, or that nothing reacts against."""
+    place = f"probing '{probing.name}'"
+    pulled = [
+        number
+        for number, one in enumerate(supports, start=1)
+        if np.array_equal(one.triangles, triangles)
+    ]
+    if not pulled or len(supports) < 2:
+        raise InputError(
+            f"{place}: its force acts on a support, but no other support is there to react against"
+            " it; select the other grip in a [[support]] of its own"
+        )
+    if supports[pulled[0] - 1].motion != FREE:
+        raise InputError(
+            f"{place}: its force acts on support {pulled[0]}, whose motion is"
+            f" '{supports[pulled[0] - 1].motion}'; a support that is pulled moves as the force"
+            ' makes it: say motion = "free", and give its measured points in the displacement file'
+        )
+    if probing.tip_displacement is not None:
+        raise InputError(
+            f"{place}: tip_displacement is of a tool's contact point, but the force acts on a"
+            " support; give the displacement of the grip in the displacement file"
+        )
 
 
 def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
@@ -32,6 +113,15 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
     ------
     InputError                      the text gives the distances
     """
+    if contact.triangles is not None:
+        shared = np.intersect1d(contact.triangles, held).size
+        if shared and contact.profile != RIGID:
+            raise InputError(
+                f"{shared} of the {contact.triangles.size} loaded triangles belong to the support;"
+                " a load there moves nothing: leave them out, or load the support as a whole with"
+                " contact = { support = 1 }"
+            )
+        return
     distance = triangle_distances(mesh, contact.point)
     gap = float(distance.min())
     radius = contact.radius
@@ -64,12 +154,12 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
 
 
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
-    """Refuse a field whose measured points all sit on the support, which does not move.
+    """Refuse a field whose measured points all sit on a support that does not move.
 
     Parameters
     ----------
     mesh : TriangleMesh
-    held : (k,) int                 triangles of the support
+    held : (k,) int                 triangles that do not move
     field : DisplacementField       on that mesh
 
     Raises
@@ -128,7 +218,10 @@ def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[st
             f"the largest displacement is {100.0 * largest / size:.0f} % of the object's size,"
             " outside small deformation; the estimate will be biased: press less."
         )
-    direction = probing.force / np.linalg.norm(probing.force)
+    size = float(np.linalg.norm(probing.force))
+    if probing.contact.triangles is not None or not size:
+        return notes
+    direction = probing.force / size
     triangle = int(triangle_distances(mesh, probing.contact.point).argmin())
     if float(unit_normals(mesh)[triangle] @ direction) > 0.5:
         notes.append(

@@ -2,8 +2,9 @@
 
 A measured force is an observation like any other: F_measured = F + noise, with the true force F
 unknown. For given constants the true forces are eliminated probing by probing (profile likelihood
-of a functional errors-in-variables model), and with them the motions of supports that are not known. No normaliser of an integral over F enters: it would
-favour large moduli by three force variances over the squared force for every probing.
+of a functional errors-in-variables model), and with them the motions of supports that are not
+known. No normaliser of an integral over F enters: it would favour large moduli by three force
+variances over the squared force for every probing.
 """
 
 from collections.abc import Sequence

@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from palpate.errors import RecordError
-from palpate.records.estimate import CONSTANT_NAMES, Constant, Estimate, ProbeEstimate, Status
+from palpate.records.estimate import (
+    CONSTANT_NAMES,
+    Constant,
+    Estimate,
+    ProbeEstimate,
+    Status,
+    SupportEstimate,
+)
 from palpate.records.text import json_text, read_text, write_text
 
 ESTIMATE_FORMAT = "palpate-estimate/1"
@@ -79,6 +86,14 @@ def _read_constant(content: Mapping[str, Any]) -> Constant:
     )
 
 
+def _read_support(content: Mapping[str, Any]) -> SupportEstimate:
+    parts = ("translation", "translation_std", "rotation", "rotation_std")
+    return SupportEstimate(
+        support=int(content["support"]),
+        **{name: tuple(_number(value) for value in content[name]) for name in parts},
+    )
+
+
 def _read_probe(content: Mapping[str, Any]) -> ProbeEstimate:
     error = content.get("prediction_error")
     return ProbeEstimate(
@@ -88,5 +103,6 @@ def _read_probe(content: Mapping[str, Any]) -> ProbeEstimate:
         rejected=int(content["rejected"]),
         rms_residual=_number(content["rms_residual"]),
         prediction_error=None if error is None else float(error),
+        supports=tuple(_read_support(one) for one in content.get("supports", ())),
         **{name: _read_constant(content[name]) for name in CONSTANT_NAMES},
     )
