@@ -29,6 +29,10 @@ from palpate.pipeline.motion_figures import (
     MotionFigures as MotionFigures,
     write_flow_document as write_flow_document,
 )
+from palpate.pipeline.moving_supports import (
+    moving_supports as moving_supports,
+    require_given_motions as require_given_motions,
+)
 from palpate.pipeline.object_model import (
     make_object_model as make_object_model,
     surface_load as surface_load,

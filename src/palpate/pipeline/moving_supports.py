@@ -134,6 +134,23 @@ def given_motion(session: Session, probing: Probing, support: MovingSupport) -> 
     return _fitted_motion(field, probing.name, support)
 
 
+def require_given_motions(session: Session) -> None:
+    """Refuse a session whose probings do not tell how its supports move, where they should.
+
+    Parameters
+    ----------
+    session : Session
+
+    Raises
+    ------
+    InputError                      as `given_motion`
+    """
+    for support in moving_supports(session):
+        for probing in session.probings:
+            if support.motion == GIVEN:
+                given_motion(session, probing, support)
+
+
 def _fitted_motion(field: DisplacementField, name: str, support: MovingSupport) -> GivenMotion:
     """Robust rigid motion of the points on a support, and a uniform strain in what it leaves."""
     chosen = observed_rows(field) & np.isin(field.surface.triangle, support.triangles)

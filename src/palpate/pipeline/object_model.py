@@ -87,6 +87,13 @@ class ObjectModel:
         """Whether probings give the motion of a support."""
         return any(support.motion == GIVEN for support in self.supports)
 
+    @property
+    def patch_of(self) -> Int[np.ndarray, " k"]:
+        """Which of the patches each probing has under its tool; -1: it pulls a support."""
+        order = list(self.patches)
+        keys = [_key(probing.contact) for probing in self.session.probings]
+        return np.array([order.index(key) if key in self.patches else -1 for key in keys])
+
     def lifts(self, probing: int) -> tuple[int, ...]:
         """Which motions are the shifts of the support that a probing pulls; none: it pulls none."""
         pulled = self.pulled(probing)
@@ -248,7 +255,7 @@ def _columns(
     patches, pressed = list(model.patches), list(model.pressed)
     columns, known = [], []
     if probing.contact.profile != RIGID:
-        columns.append(3 * patches.index(_key(probing.contact)) + np.arange(3))
+        columns.append(3 * model.patch_of[index] + np.arange(3))
     for load in probing.loads:
         if load.force is None:
             columns.append(3 * len(patches) + np.array([pressed.index(_key(load.contact))]))
@@ -296,12 +303,11 @@ def _force_on(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> csr_a
 def _tip_rows(
     model: ObjectModel, tips: ContactPoints, index: int, columns: Int[np.ndarray, " c"]
 ) -> PointRows:
-    key = _key(model.session.probings[index].contact)
-    patch = list(model.patches).index(key)
+    patch = int(model.patch_of[index])
     right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
     particular = np.zeros(3)
     if model.body is not None:
-        contact = model.patches[key]
+        contact = list(model.patches.values())[patch]
         nodes = model.system.surface.displacement
         at_tip = interpolation_matrix(
             nodes, np.array([contact.triangle]), contact.barycentric[None]
