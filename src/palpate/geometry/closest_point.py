@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.arrays import fixed_array
-from palpate.geometry.triangle_mesh import TriangleMesh
+from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
 
 _POINTS_A_BLOCK = 4096
@@ -31,14 +31,6 @@ class SurfacePoints:
     position: Points
     distance: PointScalars
 
-    def __post_init__(self) -> None:
-        triangle = fixed_array(self.triangle, name="triangle", shape=(None,), integer=True)
-        n = len(triangle)
-        object.__setattr__(self, "triangle", triangle)
-        for name, shape in (("barycentric", (n, 3)), ("position", (n, 3)), ("distance", (n,))):
-            array = fixed_array(getattr(self, name), name=name, shape=shape)
-            object.__setattr__(self, name, array)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSearch:
@@ -50,16 +42,17 @@ class SurfaceSearch:
     tree : cKDTree                  centres of spheres that cover the triangles
     radius : (s,) float [m]         of each sphere
     owner : (s,) int                triangle that each sphere covers a piece of
+    diagonal : float [m]            of the mesh
     """
 
     mesh: TriangleMesh
     tree: cKDTree
     radius: Float[np.ndarray, " s"]
     owner: Int[np.ndarray, " s"]
+    diagonal: float
 
     def closest(self, points: Points) -> SurfacePoints:
-        """Point of the surface nearest to each given point; see `closest_points`."""
-        points = fixed_array(points, name="points", shape=(None, 3))
+        """Point of the surface nearest to each of n finite points; see `closest_points`."""
         triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
         for begin in range(0, len(points), _POINTS_A_BLOCK):
             block = slice(begin, begin + _POINTS_A_BLOCK)
@@ -93,7 +86,7 @@ def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
     Ericson, Real-Time Collision Detection (2005), section 5.1.5, written over masks. Candidates
     come from spheres that cover the triangles, so the result is exact, not approximate.
     """
-    return surface_search(mesh).closest(points)
+    return surface_search(mesh).closest(fixed_array(points, name="points", shape=(None, 3)))
 
 
 def surface_search(mesh: TriangleMesh) -> SurfaceSearch:
@@ -113,7 +106,8 @@ def surface_search(mesh: TriangleMesh) -> SurfaceSearch:
     corner = mesh.vertices[mesh.triangles]
     limit = 2.0 * float(np.median(_sphere_radius(corner)))
     pieces, owner = small_pieces(corner, lambda piece: _sphere_radius(piece) > limit)
-    return SurfaceSearch(mesh, cKDTree(pieces.mean(axis=1)), _sphere_radius(pieces), owner)
+    tree, radius = cKDTree(pieces.mean(axis=1)), _sphere_radius(pieces)
+    return SurfaceSearch(mesh, tree, radius, owner, bounding_diagonal(mesh))
 
 
 def small_pieces(

@@ -14,6 +14,7 @@ from palpate.geometry import (
     bounding_diagonal,
     check_registration,
     closest_points,
+    free_motions_text,
     refined_surface,
     register,
 )
@@ -29,9 +30,9 @@ from palpate.vision import (
 
 PoseChoice = Literal["auto", "given", "register"]
 
-# Where the shape does not fix the pose, stereo points must lie this close to the mesh, in
-# diagonals: what the reader of displacement files allows too.
-_MAX_MESH_DISTANCE = 0.02
+# A registration that does not come to rest says nothing against a pose in which the points lie as
+# near to the mesh: half of them within its rms residual (of normal ones 68 % do).
+_MAX_MEDIAN_RESIDUAL = 1.0
 # A registration that moves the points by less than three of its standard deviations, or by less
 # than 0.2 % of the diagonal, says that the given pose is right.
 _MIN_SIGNIFICANCE = 3.0
@@ -68,7 +69,7 @@ def posed_rig(
     Raises
     ------
     CalibrationError                the rig does not fit the pictures, the object is not in view,
-                                    the pose is far off, or the shape does not fix it
+                                    or the pose is far off
     """
     _check_view(rig, pictures, mesh)
     prepared = prepare_pictures(rig, pictures)
@@ -92,23 +93,25 @@ def posed_rig(
         TriangleMesh(*refined_surface(mesh, pieces=_PIECES)),
         eye=eye,
     )
-    if choice == "auto" and _agrees(found, float(np.median(distance[near])), mesh):
-        return rig, checked.notes
-    return _registered(rig, found, checked.notes)
+    free = free_motions_text(found)
+    left = (f"the surface does not fix {free}: left as the pose of the rig says",) if free else ()
+    if choice == "auto" and _agrees(found, float(np.median(distance[near]))):
+        return rig, (*checked.notes, *left)
+    posed, note = _registered(rig, found)
+    return posed, (*checked.notes, note, *left)
 
 
-def _agrees(found: Registration, distance: float, mesh: TriangleMesh) -> bool:
+def _agrees(found: Registration, distance: float) -> bool:
     """True where the given pose explains the stereo points as well as the registered one.
 
-    Where the shape does not fix the pose, the points only have to lie close to the mesh.
+    `distance` [m] is the points' median from the mesh in the given pose.
     """
-    diagonal = bounding_diagonal(mesh)
-    if len(found.free):
-        return distance < _MAX_MESH_DISTANCE * diagonal
+    if not found.converged:
+        return distance < _MAX_MEDIAN_RESIDUAL * found.residual
     middle = found.T_mesh_points @ np.append(found.centre, 1.0)
     shift = float(np.linalg.norm(middle[:3] - found.centre))
     moved = np.hypot(shift, _turn(found.T_mesh_points) * found.size)
-    return bool(moved < max(_MIN_SIGNIFICANCE * found.weakest_std, _MIN_MOVE * diagonal))
+    return bool(moved < max(_MIN_SIGNIFICANCE * found.weakest_std, _MIN_MOVE * found.diagonal))
 
 
 def _turn(pose: Float[np.ndarray, "4 4"]) -> float:
@@ -116,10 +119,8 @@ def _turn(pose: Float[np.ndarray, "4 4"]) -> float:
     return float(np.arccos(np.clip((np.trace(pose[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
 
 
-def _registered(
-    rig: Rig, found: Registration, notes: tuple[str, ...]
-) -> tuple[Rig, tuple[str, ...]]:
-    """The rig with the object where the stereo points have it."""
+def _registered(rig: Rig, found: Registration) -> tuple[Rig, str]:
+    """The rig with the object where the stereo points have it, and what was done."""
     try:
         check_registration(found)
     except CalibrationError as error:
@@ -138,7 +139,7 @@ def _registered(
         f" {1e3 * found.residual:.2g} mm rms off the mesh, the pose is known to"
         f" {1e3 * found.weakest_std:.2g} mm in its weakest direction"
     )
-    return replace(rig, cameras=cameras), (*notes, note)
+    return replace(rig, cameras=cameras), note
 
 
 def _near_points(

@@ -9,7 +9,7 @@ from vision.textures import STILL, Speckle, affine, inverse_quadratic, noisy, pi
 
 from palpate.errors import InputError
 from palpate.vision.images.normalisation import make_normalised_image
-from palpate.vision.matching.dense_flow import _finished, dense_start
+from palpate.vision.matching.dense_flow import DenseStart, _finished, dense_start
 from palpate.vision.matching.sparse_flow import Samples
 
 SHAPE = (255, 301)
@@ -330,3 +330,21 @@ def test_rendered_solid(shared_data, name, step):
     assert np.percentile(wrong, 95) < 1.0
     # The reach of a refinement is 2 to 3 px.
     assert np.percentile(wrong, 99) < 2.0
+
+
+def test_any_number_of_places_is_sampled():
+    """More than the 32,766 columns of a picture that OpenCV maps at once; some beyond the edge."""
+    column, row = np.meshgrid(np.arange(60.0), np.arange(50.0))
+    flow = np.stack([0.1 * column - 0.3 * row, 0.2 * row + 1.0], axis=-1).astype(np.float32)
+    start = DenseStart(flow, column < 30.0)
+    place = np.random.default_rng(3).uniform(-4.0, [63.0, 53.0], size=(40_000, 2))
+    step, trusted = start.at(place)
+    x, y = place.T
+    inside = (place >= 0.0).all(axis=1) & (place <= [59.0, 49.0]).all(axis=1)
+    # OpenCV rounds places to a 32nd of a pixel: half of it times the slopes of the flow.
+    wanted = np.stack([0.1 * x - 0.3 * y, 0.2 * y + 1.0], axis=1)
+    np.testing.assert_allclose(step[inside], wanted[inside], atol=0.4 / 64.0 + 1e-5)
+    sure = np.abs(x - 29.5) > 1.0 / 64.0
+    np.testing.assert_array_equal(trusted[inside & sure], (x < 29.5)[inside & sure])
+    assert not trusted[(place < -1.0).any(axis=1) | (place > [60.0, 50.0]).any(axis=1)].any()
+    assert start.at(place[:0])[0].shape == (0, 2)

@@ -76,7 +76,16 @@ class Scores:
         return inverse @ (self.noise.sum(0) + ridge) @ inverse
 
     def curvature_variance(self, direction: Float[np.ndarray, " 2"]) -> float:
-        """Variance of a combination that the curvature of the misfit alone would claim."""
+        """Variance of a combination that the curvature of the misfit alone would claim.
+
+        Parameters
+        ----------
+        direction : (2,) float      see `directions`
+
+        Returns
+        -------
+        float [-]                   of that combination of (nu, log G)
+        """
         return float(direction @ _inverse(self.curvature.sum(0))[0] @ direction)
 
     def scatter(self, direction: Float[np.ndarray, " 2"]) -> "Scatter":
@@ -114,7 +123,7 @@ class Scatter:
 
     Parameters
     ----------
-    ratio : float               of variances
+    ratio : float [-]           of variances, >= 0
     degrees : float             degrees of freedom, about the number of probings
     """
 

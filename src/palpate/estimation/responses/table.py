@@ -32,7 +32,16 @@ class ResponseTable:
     response: tuple[Float[np.ndarray, "m _ _"], ...]
 
     def at(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "_ _"], ...]:
-        """Interpolated responses of all probings, transposed."""
+        """Interpolated responses of all probings.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]       within the range
+
+        Returns
+        -------
+        tuple of (c, r) float           `ResponseModel.value`, transposed
+        """
         weight = interpolation_weights(self.poisson_ratio, np.array([poisson_ratio]))[0]
         return tuple(np.einsum("m,mir->ir", weight, response) for response in self.response)
 

@@ -139,8 +139,17 @@ class Misfit:
         )
 
     def scaled(self, poisson_ratio: float, *, with_slope: bool = True) -> list[ScaledRows]:
-        """Rows of every probing in units of the noise, the response taken at one Poisson's
-        ratio."""
+        """Rows of every probing in units of the noise, the response taken at one Poisson's ratio.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]
+        with_slope : bool               False: the derivative is left at zero
+
+        Returns
+        -------
+        list of ScaledRows              one for each probing
+        """
         scaled = []
         for probe in self.probes:
             sigma = probe.sigma(self.level)

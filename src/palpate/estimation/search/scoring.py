@@ -124,7 +124,7 @@ def _step(
     nu: float,
     poisson_range: tuple[float, float],
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Scoring step of (nu, log G), forces and motions, and a standard error of nu and log G."""
+    """Scoring step of (nu, log G), of forces and motions, and a standard error of nu and log G."""
     normal, gradient = np.zeros((2, 2)), np.zeros(2)
     eliminated = []
     for probe in local:

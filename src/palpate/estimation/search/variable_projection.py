@@ -83,7 +83,16 @@ class FixedWeights:
     motion_std: Float[np.ndarray, "k q"]
 
     def only(self, chosen: int | Int[np.ndarray, " j"]) -> "FixedWeights":
-        """Some of the probings as a set of their own."""
+        """Some of the probings as a set of their own.
+
+        Parameters
+        ----------
+        chosen : int or (j,) int    their numbers
+
+        Returns
+        -------
+        FixedWeights                of 1 or j probings
+        """
         index = np.atleast_1d(chosen)
         by_probe = {
             item.name: getattr(self, item.name)[index]
@@ -93,7 +102,16 @@ class FixedWeights:
         return replace(self, **by_probe)
 
     def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> ProjectedProbes:
-        """Probings at Poisson's ratios inside the range, their true forces eliminated."""
+        """Probings with their true forces eliminated.
+
+        Parameters
+        ----------
+        poisson_ratio : (g,) float [-]  within the range of the table
+
+        Returns
+        -------
+        ProjectedProbes                 at every one of them
+        """
         weight = interpolation_weights(self.poisson_ratio, poisson_ratio)
         half = np.einsum("kaibj,gb->kgiaj", self.response_response, weight, optimize=True)
         square = (weight[:, None, None, :] @ half)[..., 0, :]

@@ -11,5 +11,6 @@ from palpate.geometry.registration.registration import (
     Registration as Registration,
     RegistrationSettings as RegistrationSettings,
     check_registration as check_registration,
+    free_motions_text as free_motions_text,
     register as register,
 )

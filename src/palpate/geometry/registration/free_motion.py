@@ -1,9 +1,9 @@
 """Motions of an object that points on its surface do not determine, found and named.
 
-The information that points hold about a motion is how far it moves them across the surface. Flat
-facets add information that the object does not have: a ball's facets, turned, no longer lie where
-they were. How much they add follows from the angles between neighbouring facets and is taken off,
-several times over.
+By its normals a mesh says how far a motion would move points across the surface, and so how much
+they know about it. The normals of facets, and of a mesh made from measured points, pretend more
+than the object has: a ball's facets turn, and a rough plate slides, without lying any worse on
+average. So a motion is made, forth and back, and what the points feel of it is compared.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from palpate.geometry.registration.surface_fit import Linearised, Pose, motion_pose, placed
+from palpate.geometry.closest_point import SurfaceSearch
+from palpate.geometry.registration.surface_fit import (
+    Linearised,
+    MeasuredPoints,
+    Pose,
+    linearised,
+    motion_pose,
+    placed,
+)
 from palpate.geometry.sides import CREASE_ANGLE
 from palpate.geometry.triangle_mesh import (
     TriangleMesh,
@@ -20,57 +28,47 @@ from palpate.geometry.triangle_mesh import (
     half_edges,
     unit_normals,
 )
-from palpate.shapes import Flags, Points, PointScalars, TriangleScalars, Vector3
+from palpate.shapes import Flags, Points, PointScalars, Vector3
 
+# A motion is tried so many of its claimed standard deviations far: if they are right, the squared
+# distances grow by a hundred times what chance makes of them.
+_TRIED_STDS = 10.0
 # Below this share of the points' motion a part of a motion is not mentioned.
 _MIN_NAMED = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Facets:
-    """How the facets of a mesh lie on the surface that they stand for.
+class SurfaceEdges:
+    """Where the faces of an object, or its surface, end.
 
     Attributes
     ----------
-    tilt : (m,) float [rad^2]       variance of the angle between a facet and the smooth surface,
-                                    both directions together
-    edge : (m, 3) bool              whether the side from corner k to k + 1 is an edge of the
-                                    object or the end of the surface
-    corner : (m, 3) bool            whether corner k touches one
+    side : (m, 3) bool              the side from corner k to k + 1 of each triangle is an edge
+    corner : (m, 3) bool            corner k touches one
     """
 
-    tilt: TriangleScalars
-    edge: Bool[np.ndarray, "m 3"]
+    side: Bool[np.ndarray, "m 3"]
     corner: Bool[np.ndarray, "m 3"]
 
 
-def facets_of(mesh: TriangleMesh) -> Facets:
-    """Tilt and edges of the facets of a mesh, open or closed.
-
-    A patch of a smooth surface, fitted by an equilateral triangle that turns by t to each of its
-    neighbours, has normals spread by t^2 / 4 about the facet's. Turns above the crease angle are
-    edges of the object.
-    """
+def surface_edges(mesh: TriangleMesh) -> SurfaceEdges:
+    """Edges of a mesh, open or closed: its rims, and where it turns by more than a crease."""
     # Vertices at one place are one: finer triangles of a surface may come unjoined.
     grain = 1e-9 * bounding_diagonal(mesh)
     _, vertex = np.unique(np.round(mesh.vertices / grain), axis=0, return_inverse=True)
     halves = half_edges(vertex.ravel()[mesh.triangles])
     pairs = halves.pairs()
     a, b = unit_normals(mesh)[pairs.T // 3]
-    turn = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ea,ea->e", a, b))
-    smooth = turn < CREASE_ANGLE
-    square, inner = np.zeros(len(halves.tail)), np.zeros(len(halves.tail), dtype=bool)
-    square[pairs[smooth]] = turn[smooth, None] ** 2
-    inner[pairs[smooth]] = True
-    joined = inner.reshape(-1, 3)
-    total, edges = square.reshape(-1, 3).sum(axis=1), joined.sum(axis=1)
+    inner = np.zeros(len(halves.tail), dtype=bool)
+    inner[pairs[np.einsum("ea,ea->e", a, b) > np.cos(CREASE_ANGLE)]] = True
     at_edge = np.zeros(len(mesh.vertices), dtype=bool)
     at_edge[halves.ends[halves.edge[~inner]]] = True
-    at_corner = at_edge[halves.tail].reshape(-1, 3)
-    return Facets(0.25 * total / np.maximum(edges, 1), ~joined, at_corner)
+    return SurfaceEdges(~inner.reshape(-1, 3), at_edge[halves.tail].reshape(-1, 3))
 
 
-def near_edges(mesh: TriangleMesh, at: Linearised, facets: Facets, reach: PointScalars) -> Flags:
+def near_edges(
+    mesh: TriangleMesh, at: Linearised, edges: SurfaceEdges, reach: PointScalars
+) -> Flags:
     """True for points whose nearest point is within reach of an edge of the object.
 
     They may belong to the face beyond the edge, and then say nothing about where on it they are.
@@ -79,7 +77,7 @@ def near_edges(mesh: TriangleMesh, at: Linearised, facets: Facets, reach: PointS
     ----------
     mesh : TriangleMesh
     at : Linearised                 n points
-    facets : Facets                 of the mesh
+    edges : SurfaceEdges            of the mesh
     reach : (n,) float [m]          how far noise may have moved each
 
     Returns
@@ -94,32 +92,60 @@ def near_edges(mesh: TriangleMesh, at: Linearised, facets: Facets, reach: PointS
     height = np.roll(at.barycentric, -2, axis=1) * double_area[:, None] / length
     place = np.einsum("nk,nka->na", at.barycentric, corner)
     away = np.linalg.norm(corner - place[:, None], axis=2)
-    close = (height <= reach[:, None]) & facets.edge[at.triangle]
-    close |= (away <= reach[:, None]) & facets.corner[at.triangle]
+    close = (height <= reach[:, None]) & edges.side[at.triangle]
+    close |= (away <= reach[:, None]) & edges.corner[at.triangle]
     return close.any(axis=1)
 
 
-def facet_information(
-    at: Linearised, tilt: PointScalars, weight: PointScalars
-) -> Float[np.ndarray, "6 6"]:
-    """Information about the scaled motions that is an effect of flat facets alone.
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Points at rest on a surface, of which motions are tried.
 
-    Parameters
+    Attributes
     ----------
-    at : Linearised                 n points
-    tilt : (n,) float [rad^2]       of the facet under each
-    weight : (n,) float             as in the normal equations
-
-    Returns
-    -------
-    (6, 6) float                    in units of `weight`
+    search : SurfaceSearch          of the surface
+    edges : SurfaceEdges            of the surface
+    points : MeasuredPoints         k points
+    pose : (4, 4) float             at which they lie best
+    at : Linearised                 there
+    reach : (k,) float [m]          how far noise may have moved each
     """
-    turned = np.cross(at.offset[:, None], np.eye(3)[None]).transpose(0, 2, 1)
-    moves = np.concatenate([-turned, np.broadcast_to(np.eye(3), turned.shape)], axis=2) @ at.scale
-    across = np.einsum("na,nai->ni", at.normal, moves)
-    share = 0.5 * tilt * weight
-    whole = np.einsum("nai,n,naj->ij", moves, share, moves)
-    return whole - np.einsum("ni,n,nj->ij", across, share, across)
+
+    search: SurfaceSearch
+    edges: SurfaceEdges
+    points: MeasuredPoints
+    pose: Pose
+    at: Linearised
+    reach: PointScalars
+
+    def felt_share(self, motion: Float[np.ndarray, "6"], std: float) -> float:
+        """Share of what the normals say about a motion that is true of its finite self.
+
+        The squared distances of the points are compared with those after the motion, made forth
+        and back. Flaws of the mesh leave them as large as they were, on average.
+
+        Parameters
+        ----------
+        motion : (6,) float         turn (rad) and shift (m) that moves the points by 1 m rms
+        std : float [m]             how well it is known if the normals are right
+
+        Returns
+        -------
+        float                       0 to 1: 1 where the normals are right, about 0 where the points
+                                    feel nothing
+        """
+        step = _TRIED_STDS * std
+        squares, weight = -2.0 * self.at.residual**2, self.at.sigma**-2
+        for way in (step, -step):
+            pose = motion_pose(way * motion, self.at.centre) @ self.pose
+            there = linearised(self.search, self.points, pose)
+            squares = squares + there.residual**2
+            at_edge = near_edges(self.search.mesh, there, self.edges, self.reach)
+            weight = np.where(at_edge, 0.0, weight)
+        moves = np.cross(motion[:3], self.at.offset) + motion[3:]
+        across = np.einsum("na,na->n", moves, self.at.normal)
+        claimed = 2.0 * step**2 * float(weight @ across**2)
+        return float(np.clip(weight @ squares / claimed, 0.0, 1.0)) if claimed > 0.0 else 0.0
 
 
 def holding(free: Float[np.ndarray, "k 6"], size: float) -> Float[np.ndarray, "k 6"]:

@@ -2,8 +2,8 @@
 
 Robust iterative closest points: the distance from the surface is brought to its least in a robust
 norm, from a rough start. Motions that the shape does not determine (of a ball about its centre, of
-a plate within its plane) are found from the information that the points hold about each motion,
-less what is an effect of the flat facets alone; they stay as they were at the start.
+a plate within its plane) are found by trying what the points feel of them; they stay as they were
+at the start.
 """
 
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ from palpate.geometry.registration.coarse_pose import (
     facing_surface,
 )
 from palpate.geometry.registration.free_motion import (
-    Facets,
-    facet_information,
-    facets_of,
+    SurfaceEdges,
+    Trial,
     holding,
     motion_texts,
     near_edges,
     nearest_pose,
+    surface_edges,
 )
 from palpate.geometry.registration.surface_fit import (
     Linearised,
@@ -44,14 +44,14 @@ from palpate.shapes import Flags, Points, PointScalars, Vector3
 
 # A pose has six unknowns; fewer than four times as many points leave no say to a robust norm.
 _MIN_POINTS = 24
-# Points that search, and that bring the fit near, where there are more.
+# Points that search, and that bring the fit near and try motions, where there are more.
 _SEARCH_POINTS, _NEAR_POINTS = 256, 1024
 # Residuals are taken to be correlated within so many compact groups at most: enough of them to
 # estimate a variance to a fifth, and few enough to be wider than a window of stereo matching.
 _MAX_GROUPS = 64
-# How often the facets' own information is taken off: as if their angles were twice as large.
-_FACET_ALLOWANCE = 4.0
 _MAX_STEPS = 60
+# What is free may show only once other motions are held: of six, each round finds one or more.
+_MAX_ROUNDS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class RegistrationSettings:
     distance : float [m]            how far it may be shifted
     blur : float [-]                a motion is not fixed where the points on the surface are not
                                     known along it to better than this share of the mesh's diagonal,
-                                    1 sigma: a third of a triangle of a mesh of some thousand
+                                    1 sigma: what flaws of mesh and cameras pretend to tell is worse
     most_points : int               an even sample of so many is used where there are more
 
     Raises
@@ -74,7 +74,7 @@ class RegistrationSettings:
 
     angle: float = float(np.radians(5.0))
     distance: float = 0.02
-    blur: float = 0.01
+    blur: float = 0.002
     most_points: int = 6000
 
     def __post_init__(self) -> None:
@@ -170,8 +170,8 @@ def register(
 
     Returns
     -------
-    Registration                    also where the shape does not fix the pose: `check_registration`
-                                    refuses that. Correlated residuals widen the covariance by one
+    Registration                    what the shape does not fix is as the start has it. Correlated
+                                    residuals widen the covariance by one
                                     factor: the variance of the sums over compact groups of points
                                     against that of as many independent points
 
@@ -196,44 +196,63 @@ def register(
     few = chosen.chosen(even_sample(chosen.point, _SEARCH_POINTS))
     pose = coarse_pose(search, few.point, guess, angle=settings.angle, distance=settings.distance)
     some = chosen.chosen(even_sample(chosen.point, _NEAR_POINTS))
-    near = fit_pose(search, some, pose, held=np.zeros((0, 6)), iterations=_MAX_STEPS)
-    facets = facets_of(surface)
-    known = _knowledge(search, chosen, near.pose, facets, settings.blur)
-    pose = nearest_pose(near.pose, guess, chosen.point, known.free, known.at.centre)
-    last = fit_pose(search, chosen, pose, held=known.held, iterations=_MAX_STEPS)
-    known = _knowledge(search, chosen, last.pose, facets, settings.blur)
-    return _registration(mesh, known, last.pose, near.iterations + last.iterations, last.converged)
+    edges, iterations = surface_edges(surface), 0
+    known = _knowledge(search, some, pose, edges, settings.blur)
+    for cloud in (some, *[chosen] * _MAX_ROUNDS):
+        free = len(known.free)
+        pose = nearest_pose(pose, guess, cloud.point, known.free, known.at.centre)
+        fit = fit_pose(search, cloud, pose, held=known.held, iterations=_MAX_STEPS)
+        pose, iterations = fit.pose, iterations + fit.iterations
+        known = _knowledge(search, chosen, pose, edges, settings.blur)
+        if cloud is chosen and len(known.free) == free:
+            break
+    converged = fit.converged and len(known.free) == free
+    return _registration(mesh, known, fit.pose, iterations, converged)
 
 
-def check_registration(registration: Registration, *, pose_is_good: bool = False) -> None:
+def check_registration(registration: Registration) -> None:
     """Refuse a registration that does not hold.
 
     Parameters
     ----------
     registration : Registration
-    pose_is_good : bool             the start is known to be right along the motions that the shape
-                                    does not fix
 
     Raises
     ------
-    CalibrationError                no convergence, points that do not lie on the mesh, a motion
-                                    that the shape does not fix
+    CalibrationError                no convergence, points that do not lie on the mesh
     """
     share = registration.residual / registration.diagonal
-    if not registration.converged or share > 0.03 or registration.inliers < 0.5:
+    rest = (
+        f"{1e3 * registration.residual:.2g} mm rms are left ({100 * share:.1f} % of its diagonal),"
+        f" {100 * registration.inliers:.0f} % of them agree"
+    )
+    if share > 0.03 or registration.inliers < 0.5:
         raise CalibrationError(
-            f"the points cannot be brought onto the mesh: {1e3 * registration.residual:.2g} mm rms"
-            f" are left ({100 * share:.1f} % of its diagonal), {100 * registration.inliers:.0f} %"
-            " of them agree; is it the mesh of this object, in the right unit, and the guess of the"
-            " pose within 5 degrees and 20 mm?"
+            f"the points cannot be brought onto the mesh: {rest}; is it the mesh of this object, in"
+            " the right unit, and the guess of the pose within 5 degrees and 20 mm?"
         )
-    if len(registration.free) and not pose_is_good:
-        texts = motion_texts(registration.free, registration.centre, registration.size)
+    if not registration.converged:
         raise CalibrationError(
-            f"the shape of the object does not fix its pose: {' and '.join(texts)} leaves the"
-            " measured points on the surface. Calibrate with the object's frame, show the cameras"
-            " an edge or a corner of it, or say that the pose of the rig is good"
+            f"the points do not come to rest on the mesh after {registration.iterations} steps:"
+            f" {rest}; its shape hardly tells where they belong: give a better guess of the pose"
         )
+
+
+def free_motions_text(registration: Registration) -> str:
+    """The motions that the shape does not fix, in words; empty where it fixes all.
+
+    Parameters
+    ----------
+    registration : Registration
+
+    Returns
+    -------
+    str                             as "sliding across (0.00, 0.00, 1.00) and turning about ..."
+    """
+    if not len(registration.free):
+        return ""
+    texts = motion_texts(registration.free, registration.centre, registration.size)
+    return " and ".join(texts)
 
 
 def _measured(
@@ -262,22 +281,30 @@ def _measured(
 
 
 def _knowledge(
-    search: SurfaceSearch, points: MeasuredPoints, pose: np.ndarray, facets: Facets, blur: float
+    search: SurfaceSearch,
+    points: MeasuredPoints,
+    pose: np.ndarray,
+    edges: SurfaceEdges,
+    blur: float,
 ) -> _Knowledge:
     """Split the motions into those that the points fix and the free ones."""
-    mesh, at = search.mesh, linearised(search, points, pose)
+    at = linearised(search, points, pose)
     robust = robust_residuals(at)
     inlier = robust.weight() > 0.0
-    used = inlier & ~near_edges(mesh, at, facets, robust.width * at.sigma)
+    reach = robust.width * at.sigma
+    used = inlier & ~near_edges(search.mesh, at, edges, reach)
     information, correlation = _information(at, robust, used)
-    share = used / at.sigma**2
-    plain = at.row.T @ (share[:, None] * at.row)
-    of_facets = facet_information(at, facets.tilt[at.triangle], share)
-    # Into units of the real information, which knows the residuals' scale and correlation.
-    of_facets *= np.trace(information) / max(float(np.trace(plain)), np.finfo(float).tiny)
-    values, vectors = np.linalg.eigh(information - _FACET_ALLOWANCE * of_facets)
-    fixed = values >= (blur * bounding_diagonal(mesh)) ** -2
+    values, vectors = np.linalg.eigh(information)
     motions = (at.scale @ vectors).T
+    rows = even_sample(points.point, _NEAR_POINTS)
+    rows = rows[used[rows]]
+    trial = Trial(search, edges, points.chosen(rows), pose, at.chosen(rows), reach[rows])
+    least = (blur * search.diagonal) ** -2
+    std = 1.0 / np.sqrt(np.maximum(values, least))
+    share = [trial.felt_share(motion, one) for motion, one in zip(motions, std, strict=True)]
+    # What is not felt is taken off twice: chance leaves a part of it where the fit came to rest.
+    values = values * (2.0 * np.array(share) - 1.0)
+    fixed = values >= least
     held = holding(motions[~fixed], _size(at))
     basis = unheld_basis(held @ at.scale)
     inner = basis @ np.linalg.pinv(basis.T @ information @ basis, hermitian=True) @ basis.T

@@ -4,14 +4,14 @@ A motion of the points is six numbers, a small turn about their centroid (rad) a
 Within the iteration they are scaled so that a unit moves the points by 1 m rms, whatever its kind.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
+from scipy.linalg import expm
 
 from palpate.geometry.closest_point import SurfaceSearch
-from palpate.geometry.triangle_mesh import bounding_diagonal, unit_normals
+from palpate.geometry.triangle_mesh import TriangleMesh, unit_normals
 from palpate.shapes import Indices, PointIndices, Points, PointScalars, Vector3
 
 # Tukey's constant for 95 % efficiency with normal errors; what is farther out has no say.
@@ -70,6 +70,11 @@ class Linearised:
     triangle: PointIndices
     barycentric: Points
 
+    def chosen(self, rows: Indices) -> "Linearised":
+        """Some of the points; motions still turn about the centre of all."""
+        names = ("offset", "normal", "row", "residual", "sigma", "triangle", "barycentric")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
@@ -86,12 +91,20 @@ def placed(pose: Pose, points: Points) -> Points:
 
 
 def motion_pose(motion: Float[np.ndarray, "6"], centre: Vector3) -> Pose:
-    """The rigid motion of a turn (rad) about a centre and a shift (m)."""
-    pose = np.eye(4)
-    turn = Rotation.from_rotvec(motion[:3]).as_matrix()
-    pose[:3, :3] = turn
-    pose[:3, 3] = centre - turn @ centre + motion[3:]
-    return pose
+    """The screw motion whose velocity, held for one second, is a turn about a centre and a shift.
+
+    Points go round on circles, not along their tangents: a ball turned about a point beside its
+    centre, and shifted back, stays where it is.
+
+    Parameters
+    ----------
+    motion : (6,) float             turn (rad) and shift (m)
+    centre : (3,) float [m]
+    """
+    rate = np.zeros((4, 4))
+    rate[:3, :3] = np.cross(motion[:3], np.eye(3)).T
+    rate[:3, 3] = motion[3:] - np.cross(motion[:3], centre)
+    return expm(rate)
 
 
 def motion_scale(offset: Points) -> Matrix6:
@@ -132,9 +145,9 @@ def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Lin
     mesh = search.mesh
     found = search.closest(place)
     away = place - found.position
-    normal = unit_normals(mesh)[found.triangle]
+    normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
     beyond = (found.barycentric <= 0.0).any(axis=1)
-    beyond &= found.distance > 1e-9 * bounding_diagonal(mesh)
+    beyond &= found.distance > 1e-9 * search.diagonal
     normal[beyond] = away[beyond] / found.distance[beyond, None]
     residual = np.einsum("na,na->n", normal, away)
     centre = place.mean(axis=0)
@@ -150,7 +163,7 @@ def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Lin
         normal=normal,
         row=row,
         residual=residual,
-        sigma=_sigma(residual, variance, 1e-7 * bounding_diagonal(mesh)),
+        sigma=_sigma(residual, variance, 1e-7 * search.diagonal),
         triangle=found.triangle,
         barycentric=found.barycentric,
     )
@@ -228,14 +241,13 @@ def fit_pose(
     -------
     Fit
     """
-    diagonal = bounding_diagonal(search.mesh)
     for done in range(1, iterations + 1):
         at = linearised(search, points, pose)
         weight = robust_residuals(at).weight() / at.sigma**2
         free = unheld_basis(held @ at.scale)
         row = at.row @ free
         matrix = row.T @ (weight[:, None] * row)
-        step = -_solved(matrix, row.T @ (weight * at.residual), diagonal)
+        step = -_solved(matrix, row.T @ (weight * at.residual), search.diagonal)
         pose = motion_pose(at.scale @ free @ step, at.centre) @ pose
         if step @ matrix @ step < _SMALL_STEP**2:
             return Fit(pose, done, True)

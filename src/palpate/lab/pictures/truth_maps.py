@@ -1,5 +1,6 @@
 """What the pictures really show, pixel by pixel: the truth to compare an estimate with."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -107,7 +108,7 @@ def truth_map(
     )
 
 
-def write_truth_map(path: Path, truth: TruthMap) -> None:
+def write_truth_map(path: Path | io.BytesIO, truth: TruthMap) -> None:
     """Write a truth map as `truth_nXX.npz`; the same map gives the same bytes.
 
     Entries: `shape`, `pixel` (int32), `X` and `U` (float32, m), `hidden_rest` and `hidden_loaded`
@@ -115,7 +116,7 @@ def write_truth_map(path: Path, truth: TruthMap) -> None:
 
     Parameters
     ----------
-    path : Path
+    path : Path, or bytes to be
     truth : TruthMap
     """
     np.savez_compressed(

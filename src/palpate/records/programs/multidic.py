@@ -11,16 +11,17 @@ from scipy.io import loadmat, whosmat
 from scipy.linalg import rq
 
 from palpate.errors import RecordError
+from palpate.files import checked_file, damage, read_bytes
 from palpate.records.program import (
     HDF5_MARK,
     CalibrationFile,
     Program,
     ProgramPoints,
+    checked_size,
     chosen_frame,
     make_pose,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import damage, read_bytes
 
 _PLACES = "Points3D"
 _MARK = b"MATLAB 5.0 MAT-file"
@@ -90,7 +91,7 @@ def _states_from_hdf5(path: Path) -> list[np.ndarray]:
         groups = [name for name in present if isinstance(file[name], h5py.Group)]
         name = _only_struct(path, [name for name in groups if _PLACES in file[name]], present)
         links = np.asarray(file[name][_PLACES]).ravel(order="F")
-        return [np.asarray(file[link], dtype=np.float64).T for link in links]
+        return [np.asarray(checked_size(file[link]), dtype=np.float64).T for link in links]
 
 
 def _states_from_version_5(path: Path) -> list[np.ndarray]:
@@ -189,13 +190,9 @@ def _transformations(path: Path) -> list[CalibrationFile]:
 
 def _content(path: Path) -> dict[str, Any]:
     """Fields of the one structure in a MATLAB file."""
-    read_bytes(path, 1)
-    try:
+    what = "is no MATLAB file of version 5 to 7.2"
+    with damage(checked_file(path), "save it with '-v7'", what=what):
         variables = loadmat(path, squeeze_me=True, simplify_cells=True)
-    except (ValueError, TypeError, NotImplementedError) as error:
-        raise RecordError(
-            f"{path}: is no MATLAB file of version 5 to 7.2 ({error}); save it with '-v7'"
-        ) from error
     for value in variables.values():
         if isinstance(value, dict) and "DLTparams" in value and "indCam" in value:
             return value

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -232,11 +231,8 @@ def _flow_start(
     old = np.stack([project(camera, place) for camera in scene.rig.cameras])
     target = np.full(old.shape, np.nan)
     for c, (first, second) in enumerate(zip(state.grey, now, strict=True)):
-        dense = dense_start(np.asarray(first), np.asarray(second))
-        at = old[c].astype(np.float32)[None]
-        step = cv2.remap(dense.flow, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-        trust = cv2.remap(dense.trusted.astype(np.float32), at, None, cv2.INTER_LINEAR)[0]
-        sure = scene.seen[:, c] & known & (trust > 0.5)
+        step, trusted = dense_start(np.asarray(first), np.asarray(second)).at(old[c])
+        sure = scene.seen[:, c] & known & trusted
         target[c, sure] = old[c, sure] + step[sure]
     found = triangulate(scene.rig, target, _START_ERROR_PX)
     good = (found.cameras >= 2) & (found.residual < _MAX_START_RESIDUAL_PX)

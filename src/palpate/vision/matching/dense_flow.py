@@ -56,6 +56,8 @@ _MIN_SIDE_PX = 2 * WINDOW
 _ROUGH_SCALE, _FINE_SCALE = 2, 1
 # Stiffness of the last search. OpenCV's 20 is too smooth where faces meet, 5 follows the noise.
 _STIFFNESS = 10.0
+# Places in a row of a list that is sampled.
+_FOLD = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +74,28 @@ class DenseStart:
 
     flow: Float[np.ndarray, "rows columns 2"]
     trusted: Bool[np.ndarray, "rows columns"]
+
+    def at(
+        self, place: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+        """Flow and trust at any number of places between pixels.
+
+        Parameters
+        ----------
+        place : (n, 2) float [px]       column and row
+
+        Returns
+        -------
+        flow : (n, 2) float32 [px]
+        trusted : (n,) bool             False beyond the picture
+        """
+        # OpenCV maps pictures of less than 32767 columns: the list is folded into rows.
+        folded = np.full((1 + len(place) // _FOLD, _FOLD, 2), -_FOLD, dtype=np.float32)
+        folded.reshape(-1, 2)[: len(place)] = place
+        layers = np.dstack([self.flow, self.trusted.astype(np.float32)])
+        found = cv2.remap(layers, folded, NOT_GIVEN, cv2.INTER_LINEAR)
+        found = found.reshape(-1, 3)[: len(place)]
+        return found[:, :2], found[:, 2] > 0.5
 
 
 # Of every pixel of the rest picture and of every pixel of the moved one: the motion into the other
