@@ -85,20 +85,30 @@ def multidic_states() -> list[np.ndarray]:
     return states
 
 
-def write_mat(path: Path, name: str, states: list[np.ndarray], *, version: str) -> Path:
+def write_mat(
+    path: Path, name: str, states: list[np.ndarray], *, version: str, criteria=()
+) -> Path:
     """A struct with Points3D as MultiDIC saves it (version 5), or DuoDIC (version 7.3)."""
+    fields = {"Points3D": states, **({"corrComb": criteria} if criteria else {})}
+    return write_cells(path, name, fields, version=version)
+
+
+def write_cells(path: Path, name: str, fields: dict, *, version: str) -> Path:
+    """A struct of cells of arrays, and a field with an array, in a MATLAB file."""
     if version == "5":
-        cell = np.empty((len(states), 1), dtype=object)
-        cell[:, 0] = states
-        savemat(path, {name: {"Faces": np.eye(3), "Points3D": cell}, "other": 1.0})
+        cells = {key: np.empty((len(states), 1), dtype=object) for key, states in fields.items()}
+        for key, states in fields.items():
+            cells[key][:, 0] = states
+        savemat(path, {name: {"Faces": np.eye(3), **cells}, "other": 1.0})
         return path
     # MATLAB puts 512 bytes of its own before the HDF5 part.
     with h5py.File(path, "w", userblock_size=512) as file:
-        links = np.empty((len(states), 1), dtype=h5py.ref_dtype)
-        for i, state in enumerate(states):
-            links[i, 0] = file.create_dataset(f"#refs#/{i}", data=state.T).ref
-        cell = file.create_dataset(f"{name}/Points3D", data=links, dtype=h5py.ref_dtype)
-        cell.attrs["MATLAB_class"] = b"cell"
+        for key, states in fields.items():
+            links = np.empty((len(states), 1), dtype=h5py.ref_dtype)
+            for i, state in enumerate(states):
+                links[i, 0] = file.create_dataset(f"#refs#/{key}{i}", data=state.T).ref
+            cell = file.create_dataset(f"{name}/{key}", data=links, dtype=h5py.ref_dtype)
+            cell.attrs["MATLAB_class"] = b"cell"
         file[f"{name}/Faces"] = np.eye(3)
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" "))

@@ -39,6 +39,7 @@ from palpate.records.files import (
 )
 from palpate.records.measured_points import (
     ImportedField as ImportedField,
+    MeasuredPoints as MeasuredPoints,
     on_object as on_object,
     on_surface as on_surface,
 )
@@ -46,6 +47,7 @@ from palpate.records.probing import (
     DisplacementField as DisplacementField,
     Images as Images,
     Probing as Probing,
+    measured_rows as measured_rows,
     observed_rows as observed_rows,
 )
 from palpate.records.programs import (

@@ -16,10 +16,13 @@ from palpate.errors import CalibrationError, InputError, RecordError
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
 from palpate.records.text import nearest_word, read_bytes
-from palpate.shapes import Flags, Matrix3, Points, Vector3
+from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
 # A printed rotation is this far from one at most; `Camera` refuses what is farther.
 _MAX_PRINTED_ERROR = 1e-6
+# Zero-mean normalised correlation below which a match is not believed: of what differs between two
+# windows of this one, noise (or another surface) has a quarter.
+LEAST_CORRELATION = 0.75
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
 
@@ -234,6 +237,8 @@ class ProgramPoints:
     std : (n, 3) float or None      one standard deviation of the displacement
     unit : str or None              of length, where the file names it
     notes : tuple of str            what was left out, in sentences about the file
+    score : (n,) float or None      zero-mean normalised correlation of each point's worst match, 1
+                                    at best; NaN where it is not told
     """
 
     points: Points
@@ -242,6 +247,7 @@ class ProgramPoints:
     std: Points | None = None
     unit: str | None = None
     notes: tuple[str, ...] = ()
+    score: PointScalars | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,6 +261,10 @@ class Program:
     read_points : callable or None  (path, frame) -> ProgramPoints; frame is the state, from 0, in
                                     files of several; None: the last one
     usual_unit : str or None        of results that name none; None: the user must say it
+    least_score : float or None     matches of a lower `ProgramPoints.score` are no measurements;
+                                    None: its files tell no correlation
+    correlates : bool               its displacements come from matched pictures, and a point that
+                                    contradicts all around it is a mistake
     calibrations : str              its calibration files, for messages
     holds_rig : callable or None    whether a CalibrationFile is of this program
     read_rig : callable or None     CalibrationFile -> Rig
@@ -264,6 +274,8 @@ class Program:
     results: str = ""
     read_points: Callable[[Path, int | None], ProgramPoints] | None = None
     usual_unit: str | None = None
+    least_score: float | None = None
+    correlates: bool = True
     calibrations: str = ""
     holds_rig: Callable[[CalibrationFile], bool] | None = None
     read_rig: Callable[[CalibrationFile], Rig] | None = None

@@ -38,6 +38,24 @@ def test_multidic(tmp_path, kind, name, version):
 
 
 @pytest.mark.parametrize("version", ["5", "7.3"])
+def test_multidic_poor_matches(tmp_path, version):
+    """1 - corrComb / 2 is the correlation; that of the first picture with itself is NaN."""
+    criteria = [np.full((4, 1), np.nan), np.full((4, 1), 0.02), np.array([[0.1, 0.6, 0.2, 0.1]]).T]
+    states = multidic_states()
+    path = write_mat(tmp_path / "a.mat", "DIC3D", states, version=version, criteria=criteria)
+    measured = read_measured("duodic", path)
+    assert list(measured_rows(measured.displacement)) == [True, False, True, False]
+    assert measured.poor == 1
+    assert read_measured("duodic", path, min_score=0.7).poor == 0
+    assert read_measured("duodic", path, frame=1).poor == 0
+    path = write_mat(
+        tmp_path / "a.mat", "DIC3D", states, version=version, criteria=[c[:3] for c in criteria]
+    )
+    with pytest.raises(RecordError, match="corrComb has 3 values for 4 points"):
+        read_measured("duodic", path)
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
 def test_multidic_refusals(tmp_path, version):
     states = multidic_states()
     path = tmp_path / "a.mat"

@@ -19,7 +19,7 @@ from palpate.app.terminal import (
     terminal_table,
 )
 from palpate.errors import InputError
-from palpate.pipeline import survey_field
+from palpate.pipeline import survey_field, without_contradicted
 from palpate.records import (
     ImportedField,
     ImportItem,
@@ -66,6 +66,7 @@ def import_displacements(
     to_object: Path | None = None,
     length_unit: Literal["um", "mm", "cm", "m", "in"] | None = None,
     frame: Annotated[list[int] | None, Parameter(consume_multiple=True, negative="")] = None,
+    min_score: float | None = None,
     drop_off_surface: Annotated[bool, Parameter(negative="")] = False,
     replace: Annotated[bool, Parameter(negative="")] = False,
     out: Path | None = None,
@@ -91,6 +92,9 @@ def import_displacements(
     frame
         State to read from files that hold several, from 0; one for all, or one for each probing.
         Default: the last one.
+    min_score
+        Least correlation of a match that counts as measured, -1 to 1, where the files tell it
+        (dice, opencorr, multidic, duodic). Default: 0.75.
     drop_off_surface
         Leave out measured points that are not on the object: background, tool, holder.
     replace
@@ -103,7 +107,11 @@ def import_displacements(
     print_notes((*session.notes, *notes))
     done = []
     for item in plan:
-        measured = read_measured(kind, item.file, length_unit=length_unit, frame=item.frame)
+        measured = read_measured(
+            kind, item.file, length_unit=length_unit, frame=item.frame, min_score=min_score
+        )
+        if import_kinds()[kind].correlates:
+            measured = without_contradicted(measured)
         placed = on_object(measured, pose) if to_object is not None else measured
         imported = on_surface(placed, session.mesh, drop_off_surface=drop_off_surface)
         done.append(_Import(item.probe, item.file, imported))
@@ -213,7 +221,9 @@ def _table(done: Sequence[_Import]) -> Table:
         read, field = item.imported, survey_field(item.imported.field)
         lengths = (read.median_distance, field.median_displacement, field.median_sigma)
         left_out = read.nowhere + read.off_surface
-        counts = (read.read, field.observed, read.failed, left_out)
+        counts = (
+            read.read, field.observed, read.failed, read.poor, read.contradicted, left_out
+        )  # fmt: skip
         digits = (".3f", ".3f", ".4f")
         rows.append(
             (item.name, item.file.name, *map(str, counts),
@@ -221,9 +231,22 @@ def _table(done: Sequence[_Import]) -> Table:
         )  # fmt: skip
     return terminal_table(
         "Imported displacements (lengths in mm)",
-        ("probing", "file", "points", "seen", "nan", "left out", "off", "|u|", "sigma"),
+        (
+            "probing",
+            "file",
+            "points",
+            "seen",
+            "nan",
+            "poor",
+            "odd",
+            "left out",
+            "off",
+            "|u|",
+            "sigma",
+        ),
         rows,
-        caption="seen: measured points; nan: failed ones, kept as rows of NaN; left out: failed"
+        caption="seen: measured points; nan: failed ones, kept as rows of NaN, some of them for a"
+        " poor correlation (--min-score) or a motion at odds with all around; left out: failed"
         " without a place, or off the surface; off: distance of the measured points from the"
         " surface; medians of off, |u| and sigma",
     )

@@ -13,6 +13,7 @@ from scipy.linalg import rq
 from palpate.errors import RecordError
 from palpate.records.program import (
     HDF5_MARK,
+    LEAST_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
@@ -22,7 +23,7 @@ from palpate.records.program import (
 from palpate.records.rig import Camera, Rig
 from palpate.records.text import damage, read_bytes
 
-_PLACES = "Points3D"
+_PLACES, _SCORES = "Points3D", "corrComb"
 _MARK = b"MATLAB 5.0 MAT-file"
 _MARK_HDF5 = b"MATLAB 7.3 MAT-file"
 _PATTERN = "DLTstruct_cam_*.mat"
@@ -38,7 +39,9 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     The file holds a struct (DIC3D, DIC3Dcombined, DIC3DPPresults, DIC3DpairResults, ...) with
     Points3D, a cell of one n x 3 array per picture; the first is the state at rest. The
     displacement is the difference, as their Disp.DispVec is. NaN marks points that were not
-    matched; where that is so at rest, they have no place either.
+    matched; where that is so at rest, they have no place either. Where there is corrComb, Ncorr's
+    criterion of the worse camera (the sum of squared differences of two windows of zero mean and
+    unit length), the score is 1 - corrComb / 2.
 
     Parameters
     ----------
@@ -55,7 +58,7 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     STEP4_PostProcessing.m: Disp.DispVec{ii} = Points3D{ii} - Points3D{1}; DuoDIC
     (github.com/SolavLab/DuoDIC), DuoDIC_STEP3_3D_reconstruction.m, saved with -v7.3.
     """
-    states = _states(path)
+    states, criteria = _states(path)
     if len(states) < 2:
         raise RecordError(
             f"{path}: Points3D holds {len(states)} state; the first is the rest, so a displacement"
@@ -69,11 +72,20 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
             " results of step 3 or 4"
         )
     state, notes = chosen_frame(path, frame, len(states))
-    return ProgramPoints(states[0], states[state] - states[0], notes=notes)
+    score = None
+    if len(criteria) == len(states):
+        # The first picture agrees with itself, which is NaN.
+        score = 1.0 - 0.5 * np.fmax(criteria[0], criteria[state]).ravel()
+        if len(score) != len(states[0]):
+            raise RecordError(
+                f"{path}: corrComb has {len(score)} values for {len(states[0])} points;"
+                " reconstruct them again"
+            )
+    return ProgramPoints(states[0], states[state] - states[0], score=score, notes=notes)
 
 
-def _states(path: Path) -> list[np.ndarray]:
-    """The arrays of Points3D, in time."""
+def _states(path: Path) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The arrays of Points3D, in time, and those of corrComb where it is there."""
     start = read_bytes(path, 520)
     with damage(path, "save it again in MATLAB"):
         if start.startswith(_MARK_HDF5) or HDF5_MARK in (start[:8], start[512:520]):
@@ -83,27 +95,31 @@ def _states(path: Path) -> list[np.ndarray]:
     raise RecordError(f"{path}: is not a MATLAB file of version 5 to 7.3; save it again in MATLAB")
 
 
-def _states_from_hdf5(path: Path) -> list[np.ndarray]:
-    """Points3D of a file of version 7.3, which is HDF5: arrays are transposed, cells are links."""
+def _states_from_hdf5(path: Path) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Cells of a file of version 7.3, which is HDF5: arrays are transposed, cells are links."""
     with h5py.File(path) as file:
         present = [name for name in file if not name.startswith("#")]
         groups = [name for name in present if isinstance(file[name], h5py.Group)]
         name = _only_struct(path, [name for name in groups if _PLACES in file[name]], present)
-        links = np.asarray(file[name][_PLACES]).ravel(order="F")
-        return [np.asarray(file[link], dtype=np.float64).T for link in links]
+        links = [np.asarray(file[name].get(key, [])).ravel() for key in (_PLACES, _SCORES)]
+        places, scores = (
+            [np.asarray(file[link], dtype=np.float64).T for link in cell] for cell in links
+        )
+        return places, scores
 
 
-def _states_from_version_5(path: Path) -> list[np.ndarray]:
-    """Points3D of a file of version 5 to 7."""
+def _states_from_version_5(path: Path) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Cells of a file of version 5 to 7."""
     kinds = {name: kind for name, _, kind in whosmat(path) if not name.startswith("__")}
     structs = [name for name, kind in kinds.items() if kind == "struct"]
     content = loadmat(path, variable_names=structs, simplify_cells=True)
     found = [name for name in structs if isinstance(content[name], dict)]
     name = _only_struct(path, [name for name in found if _PLACES in content[name]], list(kinds))
-    cell = np.asarray(content[name][_PLACES])
+    found = [content[name].get(key, np.array([], dtype=object)) for key in (_PLACES, _SCORES)]
     # A cell of one state comes as that state.
-    states = cell.ravel() if cell.dtype == object else [cell]
-    return [np.asarray(state, dtype=np.float64) for state in states]
+    cells = [cell.ravel() if cell.dtype == object else [cell] for cell in map(np.asarray, found)]
+    places, scores = ([np.asarray(state, dtype=np.float64) for state in cell] for cell in cells)
+    return places, scores
 
 
 def _only_struct(path: Path, names: Sequence[str], present: Sequence[str]) -> str:
@@ -253,6 +269,7 @@ MULTIDIC = Program(
     results=".mat",
     read_points=read_multidic_points,
     usual_unit="mm",
+    least_score=LEAST_CORRELATION,
     calibrations=f"MultiDIC ({_PATTERN})",
     holds_rig=_holds_rig,
     read_rig=read_multidic_rig,

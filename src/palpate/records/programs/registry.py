@@ -45,7 +45,12 @@ def kinds_text() -> str:
 
 
 def read_measured(
-    kind: str, path: Path | str, *, length_unit: str | None = None, frame: int | None = None
+    kind: str,
+    path: Path | str,
+    *,
+    length_unit: str | None = None,
+    frame: int | None = None,
+    min_score: float | None = None,
 ) -> MeasuredPoints:
     """Points and displacements of one result file, in metres, in the program's own frame.
 
@@ -55,16 +60,32 @@ def read_measured(
     path : path
     length_unit : str or None       um, mm, cm, m or in, where the file does not say
     frame : int or None             state, from 0, in files of several; None: the last one
+    min_score : float or None       least correlation of a match that counts, -1 to 1; None: the
+                                    program's own `least_score`
 
     Raises
     ------
-    RecordError                     unknown kind; not there, damaged, 2-D, nothing measured
+    RecordError                     unknown kind; not there, damaged, 2-D, nothing measured; a least
+                                    score that is no correlation, or of a file that tells none
     """
     program = import_kinds().get(kind)
     if program is None or program.read_points is None:
         raise RecordError(f"kind is '{kind}'; must be one of {', '.join(import_kinds())}")
+    if min_score is not None and not -1.0 <= min_score <= 1.0:
+        raise RecordError(f"--min-score is {min_score:g}; must be a correlation, -1 to 1")
     given = program.read_points(Path(path), frame)
-    return in_metres(given, Path(path), length_unit=length_unit, usual=program.usual_unit)
+    if min_score is not None and given.score is None:
+        raise RecordError(
+            f"{path}: tells no correlation of its points; leave --min-score out, or export them"
+            " with it"
+        )
+    return in_metres(
+        given,
+        Path(path),
+        length_unit=length_unit,
+        usual=program.usual_unit,
+        least_score=program.least_score if min_score is None else min_score,
+    )
 
 
 def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
