@@ -55,8 +55,11 @@ def traced(work: Callable[[], object]) -> list[str]:
     entered: list[str] = []
 
     def note(frame: FrameType, event: str, _argument: object) -> None:
-        file, name = frame.f_code.co_filename, frame.f_code.co_name
-        if event == "call" and file.startswith(_ROOT) and name != "<module>":
+        code = frame.f_code
+        # Bodies of modules and classes run once, when they are imported: no part of the fit.
+        imported = code.co_name == "<module>" or "__qualname__" in code.co_names
+        file = code.co_filename
+        if event == "call" and file.startswith(_ROOT) and not imported:
             entered.append(file.removeprefix(_ROOT))
 
     sys.setprofile(note)

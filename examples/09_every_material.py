@@ -44,7 +44,7 @@ def main() -> float:
     for nu in (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.49):
         start = perf_counter()
         weights, _ = model.coefficients(nu)
-        per_force = np.einsum("jc,jc->c", model.directions[:-1, row], weights)
+        per_force = np.einsum("jc,jc->c", model.directions[:, row], weights)
         quick = float(per_force @ FORCE) / SHEAR_MODULUS
         middle = perf_counter()
         body = make_elastic_map(system, shear_modulus=SHEAR_MODULUS, poisson_ratio=nu)

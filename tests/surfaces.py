@@ -6,19 +6,22 @@ from palpate.geometry import TriangleMesh, welded
 
 
 def box(size=(1.0, 1.0, 1.0), cells=1, origin=(0.0, 0.0, 0.0)) -> TriangleMesh:
-    """Box from `origin`, every face a grid of `cells` by `cells` squares cut in two."""
-    t = np.linspace(0.0, 1.0, cells + 1)
-    u, v = (grid.ravel() for grid in np.meshgrid(t, t, indexing="ij"))
-    a = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
-    quads = np.stack([a[:-1, :-1], a[1:, :-1], a[1:, 1:], a[:-1, 1:]], axis=-1).reshape(-1, 4)
-    flat = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    """Box from `origin`, edges cut into `cells`, all alike or by axis, every square cut in two."""
+    cells = np.broadcast_to(cells, 3)
     vertices, triangles = [], []
     for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        steps = [np.linspace(0.0, 1.0, cells[i] + 1) for i in (first, second)]
+        u, v = (grid.ravel() for grid in np.meshgrid(*steps, indexing="ij"))
+        a = np.arange(len(u)).reshape(cells[first] + 1, cells[second] + 1)
+        corners = [a[:-1, :-1], a[1:, :-1], a[1:, 1:], a[:-1, 1:]]
+        quads = np.stack(corners, axis=-1).reshape(-1, 4)
+        flat = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
         for side in (0.0, 1.0):
             face = np.zeros((len(u), 3))
             face[:, axis] = side
-            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = u, v
-            triangles.append((flat if side else flat[:, ::-1]) + len(u) * len(vertices))
+            face[:, first], face[:, second] = u, v
+            triangles.append((flat if side else flat[:, ::-1]) + sum(map(len, vertices)))
             vertices.append(face * np.asarray(size) + np.asarray(origin))
     return welded(TriangleMesh(np.concatenate(vertices), np.concatenate(triangles)))
 

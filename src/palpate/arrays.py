@@ -8,6 +8,9 @@ from numpy.typing import ArrayLike
 
 from palpate.errors import InputError
 
+# Nothing that is measured comes near this in SI units; its fourth power is still a number.
+LARGEST_NUMBER = 1e30
+
 
 def known_median(values: Float[np.ndarray, " k"]) -> float:
     """Median of what is finite; NaN of nothing.
@@ -49,19 +52,21 @@ def fixed_array(
     wanted = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
     try:
         array: np.ndarray = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not an array of numbers of shape {wanted}: {error}") from error
     fits = array.ndim == len(shape) and all(
         want is None or got == want for got, want in zip(array.shape, shape, strict=True)
     )
     if not fits:
         raise InputError(f"{name} has shape {array.shape}; must be {wanted}")
-    bad = np.isinf(array) if nan_allowed else ~np.isfinite(array)
+    bad = ~(np.abs(array) <= LARGEST_NUMBER)
+    if nan_allowed:
+        bad &= ~np.isnan(array)
     if np.any(bad):
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InputError(
             f"{name} has {int(bad.sum())} entries that are not finite, the first at index {where};"
-            " every entry must be a finite number"
+            f" every entry must be a finite number, {LARGEST_NUMBER:g} at most"
         )
     if integer:
         whole = array.astype(np.int64)

@@ -1,8 +1,31 @@
 """Error classes of Palpate. Bad input raises; a numerical outcome is data (`Status`)."""
 
+# A value is quoted up to here, and a whole message is no longer than a terminal shows.
+_MOST_QUOTED, _MOST_SAID = 80, 1200
+
+
+def quoted(value: object) -> str:
+    """A value as messages quote it: as Python writes it, without the middle where it is long.
+
+    Parameters
+    ----------
+    value : anything                that a user wrote
+    """
+    try:
+        return _cut(repr(value), _MOST_QUOTED)
+    except (ValueError, RecursionError):
+        return "a number of too many digits, or lists in lists without end"
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 3 :]}"
+
 
 class PalpateError(Exception):
     """Anything that Palpate raises on purpose; its text says what to do."""
+
+    def __str__(self) -> str:
+        return _cut(super().__str__(), _MOST_SAID)
 
 
 class InputError(PalpateError, ValueError):

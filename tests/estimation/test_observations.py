@@ -80,7 +80,7 @@ def test_a_body_force_alone_pushes() -> None:
 
     probe = _probe()
     silent = replace(probe, force=np.zeros(3))
-    with pytest.raises(InputError, match="has zero force and no body force"):
+    with pytest.raises(InputError, match="has zero force and no other load"):
         observed_rows_of(silent)
     heavy = replace(silent, response=Heavy(probe.response.offset))
     assert len(observed_rows_of(heavy).measured) == 3 * len(probe.position)

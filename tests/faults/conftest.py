@@ -1,13 +1,25 @@
 """Good examples that the kinds of broken input start from: folders made once, copied for each."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cube_session import SESSION
+from estimate_samples import sample_result
 from surfaces import box
 
 from palpate.geometry import write_mesh
+from palpate.records import (
+    read_session,
+    record_inputs,
+    result_file,
+    result_folder,
+    sealed,
+    session_files,
+    write_estimate,
+    write_text,
+)
 
 
 @pytest.fixture(scope="session")
@@ -23,4 +35,23 @@ def cube(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = np.hstack([top, moved, np.full((len(top), 1), 1e-4)])
     head = "x,y,z,ux,uy,uz,sigma"
     np.savetxt(folder / "n01.csv", rows, delimiter=",", header=head, comments="")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def results(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The session `cube`, a result of fitting it, a compression test and its result."""
+    folder = tmp_path_factory.mktemp("results")
+    shutil.copytree(cube, folder / "cube")
+    with result_folder(folder / "result", kind="fit") as made:
+        record_inputs(made, session_files(folder / "cube"))
+        session = read_session(folder / "cube")
+        write_estimate(made / "estimate.json", sample_result(session).estimate)
+        (made / "table.csv").write_text("1\n")
+    strain = np.linspace(0.0, 0.1, 40)
+    rows = np.stack([30.0 * strain, 1e5 * strain * np.pi * 0.025**2], axis=1)
+    np.savetxt(folder / "record.csv", rows, delimiter=",", header="displacement,force", comments="")
+    with result_file(folder / "young.json") as file:
+        content = {"format": "palpate-compression/1", "young_modulus": {"value": 1.0}}
+        write_text(file, sealed(content, [folder / "record.csv"], folder=folder))
     return folder

@@ -65,7 +65,8 @@ def entered_wrongly(importer: str, imported: str) -> bool:
     sub-room. Another room: from the room. The ground floor: from its file.
     """
     here, there = room_of(importer, ROOMS), room_of(imported, ROOMS)
-    if not there and imported not in ROOMS:  # ground floor
+    # The ground floor, and the package itself, which has the version.
+    if not there and (imported not in ROOMS or not imported):
         return False
     if here.split(".")[0] != there.split(".")[0]:
         return imported != there.split(".")[0]

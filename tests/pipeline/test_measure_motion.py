@@ -12,6 +12,7 @@ import pytest
 
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import closest_points
+from palpate.parts import content_digest
 from palpate.pipeline import (
     SessionFlow,
     fit_session,
@@ -21,7 +22,7 @@ from palpate.pipeline import (
 )
 from palpate.progress import Progress
 from palpate.records import DisplacementField, Session, read_rig, read_session
-from palpate.vision import JointFlow, Outcome
+from palpate.vision import FlowMethod, JointFlow, LangPaiFlow, Outcome
 
 GIVEN = {"method": JointFlow(step=8), "pose": "given"}
 
@@ -51,6 +52,42 @@ def sequence(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 @pytest.fixture(scope="module")
 def half_ball(shared_data: Path) -> Session:
     return read_session(shared_data / "halfball_images", probes=["n01"])
+
+
+class _Killed(BaseException):
+    """The process ends."""
+
+
+@pytest.mark.parametrize("method", [JointFlow(step=24), LangPaiFlow(step=8)], ids=["joint", "lang"])
+def test_an_interrupted_measurement_goes_on_to_the_same_bytes(
+    sequence: Path, tmp_path: Path, method: FlowMethod, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, parts = read_session(sequence), tmp_path / "parts"
+    options = {"method": method, "pose": "given"}
+    whole = measure_motion(session, **options)
+
+    def killed_after_the_first(stage: str, _: float) -> None:
+        if stage.startswith("s1"):
+            raise _Killed
+
+    with pytest.raises(_Killed):
+        measure_motion(session, **options, parts=parts, progress=killed_after_the_first)
+    asked = []
+    follow = type(method).follow
+    monkeypatch.setattr(type(method), "follow", lambda *given: (asked.append(1), follow(*given))[1])
+    again = measure_motion(session, **options, parts=parts)
+    assert len(asked) == 1
+    for before, after in zip(whole.motions, again.motions, strict=True):
+        assert content_digest(before) == content_digest(after)
+    # Other settings find nothing of it, nor do other pictures.
+    measure_motion(session, method=replace(method, subset=method.subset + 2), parts=parts)
+    assert len(asked) == 3
+    picture = sequence / "images" / "s2_c0.png"
+    content = picture.read_bytes()
+    cv2.imwrite(str(picture), cv2.imread(str(picture), 0)[::-1])
+    measure_motion(session, **options, parts=parts)
+    picture.write_bytes(content)
+    assert len(asked) == 5
 
 
 def test_a_translation_is_measured_to_hundredths_of_a_millimetre(sequence: Path) -> None:

@@ -1,81 +1,30 @@
-"""The command `palpate`: names its subcommands, turns errors into one line and an exit code."""
+"""The command `palpate`: turns errors and signals into one line and an exit code.
 
+Nothing heavy is imported here: a signal may come before the command line is read.
+"""
+
+import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from types import FrameType
+from typing import NoReturn
 
-from cyclopts import App, CycloptsError
-from rich.console import Console
-
-from palpate import __version__
+from palpate.app.guard import guarded
 from palpate.errors import NotConvergedError, PalpateError
 
 BAD_INPUT = 2
 NOT_OK = 3
-_INTERRUPTED = 130
-# Name: where it is, and what its help says.
-_COMMANDS = {
-    "fit": (
-        "fit:fit",
-        "Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
-    ),
-    "check": ("check:check", "Say everything about a session that can be said without solving."),
-    "flow": (
-        "flow:flow",
-        "Measure how the surface moved, from the pictures of calibrated cameras.",
-    ),
-    "import": (
-        "import_results:import_displacements",
-        "Take displacements measured by another program into a session.",
-    ),
-    "poke": (
-        "poke:poke",
-        "Press a tool on a session's object: how far it gives way, and where it strains.",
-    ),
-    "compression": (
-        "compression:compression",
-        "Young's modulus from compression tests of cylinders.",
-    ),
-    "reproduce": (
-        "reproduce:reproduce",
-        "Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
-    ),
-}
-# What `palpate lab` does where no word says it: `palpate lab CONFIG.toml OUT`.
-_MAKE = "make"
-_LAB_COMMANDS = {
-    _MAKE: ("lab:lab", "Measure a virtual specimen: pictures, forces and the truth as a session."),
-    "plan": (
-        "plan:plan",
-        "Say what the cameras of a session will see, and what precision to expect of it.",
-    ),
-}
-_LAB_WORDS = (*_LAB_COMMANDS, "--help", "-h", "--version")
+# What a shell makes of signals: 128 and their number.
+_BY_SIGNAL = 128
+_BROKEN_PIPE = _BY_SIGNAL + 13
+_STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
-def make_app() -> App:
-    """The command line; a subcommand's module is imported when it is called, not before.
-
-    Returns
-    -------
-    App                             that knows all subcommands by name
-    """
-    app = App(
-        name="palpate",
-        help="Elastic constants of a soft object, with intervals, from probings with a known"
-        " force.",
-        version=__version__,
-        help_format="plaintext",
-        error_console=Console(stderr=True),
-    )
-    for name, (place, text) in _COMMANDS.items():
-        app.command(f"palpate.app.commands.{place}", name=name, help=text)
-    lab = App(name="lab", help="Virtual measurements: made with their truth, or planned.")
-    for name, (place, text) in _LAB_COMMANDS.items():
-        lab.command(f"palpate.app.commands.{place}", name=name, help=text)
-    app.command(lab)
-    return app
-
-
+@guarded
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
@@ -85,25 +34,77 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    int                             0; 2 bad input, said in one message; 3 an estimate that is not
-                                    ok; 130 interrupted
+    int                             0; 2 bad input, or a disk that does not take the result, said in
+                                    one message; 3 an estimate that is not ok, or a result that
+                                    changed; 70 memory ran out, or an error of the program, reported
+                                    in a file; 128 and the signal's number where one stopped it: 130
+                                    interrupted, 143 terminated, 141 nobody reads what is printed
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["lab"] and words[1:2] and words[1] not in _LAB_WORDS:
-        words.insert(1, _MAKE)
     try:
-        outcome = make_app()(
-            words,
-            exit_on_error=False,
-            print_error=True,
-            result_action="return_value",
-        )
-    except CycloptsError:
-        return BAD_INPUT
+        with _stopped_by_signals():
+            _open_streams()
+            words = list(sys.argv[1:] if arguments is None else arguments)
+            code: int = import_module("palpate.app.arguments").run(words)
+            sys.stdout.flush()
+        return code
     except PalpateError as error:
-        print(f"palpate: {error}", file=sys.stderr)
+        _say(str(error))
         return NOT_OK if isinstance(error, NotConvergedError) else BAD_INPUT
-    except KeyboardInterrupt:
-        print("palpate: interrupted; nothing was written", file=sys.stderr)
-        return _INTERRUPTED
-    return outcome if isinstance(outcome, int) else 0
+    except KeyboardInterrupt as error:
+        number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
+        _say(f"stopped by {number.name}; nothing half done is left")
+        return _BY_SIGNAL + number
+    except OSError as error:
+        # What could not be printed must not come up again at the end of the process.
+        _discard_output()
+        if isinstance(error, BrokenPipeError):
+            return _BROKEN_PIPE
+        _say(f"{error.filename or 'output'}: {error.strerror or error}")
+        return BAD_INPUT
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):
+        print(f"palpate: {text}", file=sys.stderr)
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Have the signals that ask a process to end raise `KeyboardInterrupt` with their number."""
+
+    def stop(number: int, _: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt(number)
+
+    numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        numbers = []
+    # What whoever started the process has it ignore stays ignored.
+    handlers = {n: signal.getsignal(n) for n in numbers}
+    asked = {n: old for n, old in handlers.items() if old not in (signal.SIG_IGN, None)}
+    for number in asked:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, old in asked.items():
+            signal.signal(number, old)
+
+
+def _open_streams() -> None:
+    """Have closed standard streams lead nowhere, or the next file opened would be taken for one."""
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(handle)
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(2, "w", closefd=False)
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+        _say("note: standard output is closed: nothing is shown")
+
+
+def _discard_output() -> None:
+    """Have what is still to be printed go nowhere."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)

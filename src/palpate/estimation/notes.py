@@ -36,7 +36,7 @@ def fit_notes(
     notes = [*_noise_notes(misfit), *_interval_notes(uncertainty)]
     for probe in uncertainty.minimum.probes:
         if probe.force_weight < _MIN_FORCE_WEIGHT:
-            off = float(np.linalg.norm(probe.shift))
+            off = float(np.linalg.norm(probe.shift[:3]))
             notes.append(
                 f"The force of probing {probe.rows.name!r} disagrees with the others by {off:.1f}"
                 " of its standard deviations and was given little weight; check the sensor's scale."

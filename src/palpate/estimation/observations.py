@@ -1,6 +1,6 @@
 """What one probing contributes to the estimation: measured displacements and their model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -22,15 +22,16 @@ class ResponseModel(Protocol):
 
     Rows are 3 * point + component for all points of the probing, then, where the tip was measured,
     three rows for the contact point. Columns 0 to 2 belong to a unit force along x, y and z, column
-    3 to the body force; all are displacement times shear modulus, so that the displacement is
-    (value[:, :3] @ force + value[:, 3]) / shear_modulus.
+    3 to all known loads; these are displacement times shear modulus. Further columns, if any,
+    belong to motions of supports and are displacements themselves. The displacement is
+    (value[:, :3] @ force + value[:, 3]) / shear_modulus + value[:, 4:] @ motion.
     """
 
-    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
-        """Displacement times shear modulus [m Pa / N], column 3 [m Pa]."""
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
+        """Displacement times shear modulus [m Pa / N], column 3 [m Pa], then per unit of motion."""
         ...
 
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
+    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Derivative of `value` with respect to Poisson's ratio, same units."""
         ...
 
@@ -50,6 +51,10 @@ class ProbeObservations:
     tip_displacement : (3,) float [m] or None    of the contact point, NaN = not measured
     tip_displacement_std : (3,) float [m] or None
     response : ResponseModel                3 n rows, three more where the tip was measured
+    motion : (q,) float                     motions of supports, as many as the response has columns
+                                            for
+    motion_std : (q,) float                 1 sigma of each, zero = exact; a free motion has a large
+                                            one
 
     Raises
     ------
@@ -65,6 +70,8 @@ class ProbeObservations:
     tip_displacement: Vector3 | None
     tip_displacement_std: Vector3 | None
     response: ResponseModel
+    motion: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "
@@ -77,6 +84,8 @@ class ProbeObservations:
             "force_std": (3,),
             "tip_displacement": (3,),
             "tip_displacement_std": (3,),
+            "motion": (None,),
+            "motion_std": self.motion.shape,
         }
         for name, shape in shapes.items():
             value = getattr(self, name)
@@ -87,10 +96,12 @@ class ProbeObservations:
             object.__setattr__(self, name, array)
         _check_std(label + "std", self.std, self.displacement)
         _check_std(label + "tip_displacement_std", self.tip_displacement_std, self.tip_displacement)
-        if np.any(self.force_std < 0):
-            raise InputError(
-                f"{label}force_std is {self.force_std}; every component must be >= 0 (0 = exact)"
-            )
+        for name in ("force_std", "motion_std"):
+            if np.any(getattr(self, name) < 0):
+                raise InputError(
+                    f"{label}{name} is {getattr(self, name)}; every component must be >= 0 "
+                    "(0 = exact)"
+                )
 
 
 def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | None) -> None:
@@ -125,6 +136,7 @@ class ObservedRows:
     point : (p,) int                        index of the point in the probing; n = the tip
     position : (p, 3) float [m]             NaN for the tip
     force, force_std : (3,) float [N]
+    motion, motion_std : (q,) float
     response : ResponseModel
     """
 
@@ -139,12 +151,37 @@ class ObservedRows:
     position: Float[np.ndarray, "p 3"]
     force: Vector3
     force_std: Vector3
+    motion: Float[np.ndarray, " q"]
+    motion_std: Float[np.ndarray, " q"]
     response: ResponseModel
 
     @property
     def force_components(self) -> int:
         """How many components of the force are uncertain."""
         return int(np.count_nonzero(self.force_std))
+
+    @property
+    def fitted_components(self) -> int:
+        """How many components of the force and of the motions are fitted along."""
+        return self.force_components + int(np.count_nonzero(self.motion_std))
+
+    def load(self, shear_modulus: float, shift: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
+        """What the response's columns are multiplied with: force and known loads over the shear
+        modulus, motions; force and motions shifted by some of their sigmas."""
+        force = self.force + self.force_std * shift[:3]
+        pushed = np.append(force, 1.0) / shear_modulus
+        return np.concatenate([pushed, self.motion + self.motion_std * shift[3:]])
+
+    def per_shift(
+        self, response: Float[np.ndarray, "r c"], shear_modulus: float
+    ) -> Float[np.ndarray, "r n"]:
+        """Displacement per sigma of each component of the force and of the motions."""
+        forces = response[:, :3] * (self.force_std / shear_modulus)
+        return np.concatenate([forces, response[:, 4:] * self.motion_std], axis=1)
+
+    def prior(self, force_weight: float) -> Float[np.ndarray, " n"]:
+        """Weight of what was known before about each shift."""
+        return np.append(np.full(3, force_weight), np.ones(len(self.motion)))
 
     @property
     def has_claims(self) -> bool:
@@ -163,21 +200,22 @@ class ObservedRows:
         """Squared length of every point's vector of residuals, in the residuals' unit squared."""
         return np.add.reduceat(residual**2, self.start)
 
-    def value(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
-        """Response of the measured rows [m Pa / N], column 3 [m Pa]."""
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
+        """Response of the measured rows (`ResponseModel`)."""
         return self._measured_rows(self.response.value(poisson_ratio), poisson_ratio)
 
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
+    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
         """Derivative of `value` with respect to Poisson's ratio."""
         return self._measured_rows(self.response.slope(poisson_ratio), poisson_ratio)
 
     def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
         chosen = response if self.rows is None else response[self.rows]
-        if len(chosen) != len(self.measured) or not np.isfinite(chosen.sum()):
+        shape = (len(self.measured), 4 + len(self.motion))
+        if chosen.shape != shape or not np.isfinite(chosen.sum()):
             raise InputError(
                 f"probing {self.name!r}: the response at poisson_ratio {poisson_ratio:g} has shape"
                 f" {response.shape} and must be finite with three rows a point (and three for a"
-                " measured tip); check support, contact and mesh"
+                f" measured tip) and {shape[1]} columns; check support, contact and mesh"
             )
         return chosen
 
@@ -206,7 +244,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         )
     if not np.any(probe.force) and not np.any(probe.response.value(0.25)[:, 3]):
         raise InputError(
-            f"probing {probe.name!r} has zero force and no body force, so it says nothing about"
+            f"probing {probe.name!r} has zero force and no other load, so it says nothing about"
             " the constants; give the force on the object in newton, or leave the probing out"
         )
     rows = np.flatnonzero(seen)
@@ -224,6 +262,8 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         position=position,
         force=probe.force,
         force_std=probe.force_std,
+        motion=probe.motion,
+        motion_std=probe.motion_std,
         response=probe.response,
     )
 

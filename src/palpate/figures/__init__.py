@@ -3,10 +3,16 @@
 Purpose    : draw results with matplotlib, all in one style; only what a picture needs is computed.
 Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`.
 Gives      : matplotlib figures, PNG files, pixels.
-Depends on : `pipeline`, `vision`, `estimation`, `records`, `geometry`.
+Depends on : `pipeline`, `calibration`, `vision`, `estimation`, `records`, `geometry`.
 Read first : `style.py`, then `estimate.py` and `flow.py`.
 """
 
+from palpate.figures.calibration import (
+    board_figure as board_figure,
+    residual_figure as residual_figure,
+    rig_figure as rig_figure,
+    save_page as save_page,
+)
 from palpate.figures.displacement import displacement_figure as displacement_figure
 from palpate.figures.estimate import probings_figure as probings_figure, write_plots as write_plots
 from palpate.figures.flow import (
@@ -23,6 +29,7 @@ from palpate.figures.style import (
     Picture as Picture,
     figure_pixels as figure_pixels,
     open_frame as open_frame,
+    save_figure as save_figure,
     save_pixels as save_pixels,
     styled as styled,
 )

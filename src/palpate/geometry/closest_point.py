@@ -31,14 +31,6 @@ class SurfacePoints:
     position: Points
     distance: PointScalars
 
-    def __post_init__(self) -> None:
-        triangle = fixed_array(self.triangle, name="triangle", shape=(None,), integer=True)
-        n = len(triangle)
-        object.__setattr__(self, "triangle", triangle)
-        for name, shape in (("barycentric", (n, 3)), ("position", (n, 3)), ("distance", (n,))):
-            array = fixed_array(getattr(self, name), name=name, shape=shape)
-            object.__setattr__(self, name, array)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSearch:
@@ -60,8 +52,7 @@ class SurfaceSearch:
     diagonal: float
 
     def closest(self, points: Points) -> SurfacePoints:
-        """Point of the surface nearest to each given point; see `closest_points`."""
-        points = fixed_array(points, name="points", shape=(None, 3))
+        """Point of the surface nearest to each of n finite points; see `closest_points`."""
         triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
         for begin in range(0, len(points), _POINTS_A_BLOCK):
             block = slice(begin, begin + _POINTS_A_BLOCK)
@@ -95,7 +86,7 @@ def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
     Ericson, Real-Time Collision Detection (2005), section 5.1.5, written over masks. Candidates
     come from spheres that cover the triangles, so the result is exact, not approximate.
     """
-    return surface_search(mesh).closest(points)
+    return surface_search(mesh).closest(fixed_array(points, name="points", shape=(None, 3)))
 
 
 def surface_search(mesh: TriangleMesh) -> SurfaceSearch:

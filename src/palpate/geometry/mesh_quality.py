@@ -50,7 +50,16 @@ class MeshQuality:
 
 
 def mesh_quality(mesh: TriangleMesh) -> MeshQuality:
-    """Size, edge lengths and shape of the triangles of a surface without degenerate ones."""
+    """Size, edge lengths and shape of the triangles of a surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             without degenerate triangles
+
+    Returns
+    -------
+    MeshQuality
+    """
     corner = mesh.vertices[mesh.triangles]
     edge = np.roll(corner, -1, axis=1) - corner
     length = np.linalg.norm(edge, axis=2)

@@ -48,6 +48,10 @@ class TriangleMesh:
 def area_vectors(mesh: TriangleMesh) -> TriangleVectors:
     """Outward normal of every triangle times its area.
 
+    Parameters
+    ----------
+    mesh : TriangleMesh             of m triangles
+
     Returns
     -------
     (m, 3) float [m^2]              they sum to zero over a closed surface
@@ -57,12 +61,25 @@ def area_vectors(mesh: TriangleMesh) -> TriangleVectors:
 
 
 def triangle_areas(mesh: TriangleMesh) -> TriangleScalars:
-    """Area of every triangle, (m,) float [m^2]."""
+    """Area of every triangle.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             of m triangles
+
+    Returns
+    -------
+    (m,) float [m^2]                >= 0
+    """
     return np.linalg.norm(area_vectors(mesh), axis=1)
 
 
 def unit_normals(mesh: TriangleMesh) -> TriangleVectors:
     """Outward unit normal of every triangle.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             of m triangles
 
     Returns
     -------
@@ -106,7 +123,15 @@ def vertex_normals(vertices: Vertices, triangles: Triangles) -> Vertices:
 
 
 def enclosed_volume(mesh: TriangleMesh) -> float:
-    """Volume inside a closed surface [m^3]; negative where the normals point inward.
+    """Volume inside a closed surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed
+
+    Returns
+    -------
+    float [m^3]                     negative where the normals point inward
 
     Source
     ------
@@ -117,7 +142,16 @@ def enclosed_volume(mesh: TriangleMesh) -> float:
 
 
 def bounding_diagonal(mesh: TriangleMesh) -> float:
-    """Length of the diagonal of the box that holds all used vertices [m]."""
+    """Length of the diagonal of the box that holds all used vertices.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    float [m]                       > 0
+    """
     used = mesh.vertices[mesh.triangles.ravel()]
     return float(np.linalg.norm(used.max(axis=0) - used.min(axis=0)))
 

@@ -9,10 +9,13 @@ from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import numpy as np
 
-from palpate.errors import InputError
+from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.lab.bodies import TipName
 from palpate.shapes import Indices, Vector3
+
+# Of a picture: the largest chips have as many, and its truth maps take 100 bytes for each.
+_MOST_PIXELS = 1e8
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +35,8 @@ class Limit:
 Positive = Annotated[float, Limit("must be positive", lambda x: 0.0 < x < np.inf)]
 NotNegative = Annotated[float, Limit("must not be negative", lambda x: 0.0 <= x < np.inf)]
 Share = Annotated[float, Limit("must be in 0 to 1", lambda x: 0.0 <= x <= 1.0)]
-Count = Annotated[int, Limit("must be 1 or more", lambda x: x >= 1)]
-Pixels = Annotated[int, Limit("must be at least 32 px", lambda x: x >= 32)]
+Count = Annotated[int, Limit("must be 1 to 1000", lambda x: 1 <= x <= 1000)]
+Pixels = Annotated[int, Limit("must be 32 to 20000 px", lambda x: 32 <= x <= 20_000)]
 Direction = Annotated[
     Vector3, Limit("must be a direction, not zero", lambda x: np.linalg.norm(x) > 0.0)
 ]
@@ -50,8 +53,14 @@ class _Limited:
             for part in (hint, *get_args(hint)):
                 for limit in getattr(part, "__metadata__", ()):
                     if value is not None and not limit.holds(value):
-                        shown = f"{value:g}" if np.ndim(value) == 0 else np.array2string(value)
-                        raise InputError(f"{name} is {shown}; {limit.text}")
+                        raise InputError(f"{name} is {_shown(value)}; {limit.text}")
+
+
+def _shown(value: Any) -> str:
+    """A setting as a message shows it; a whole number may have any number of digits."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    return quoted(value.tolist() if isinstance(value, np.ndarray) else value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,6 +276,14 @@ class Head(_Limited):
     focal: Positive | None = None
     k1: float = 0.0
     file: str | None = None
+
+    def __post_init__(self) -> None:
+        _Limited.__post_init__(self)
+        if self.columns * self.rows > _MOST_PIXELS:
+            raise InputError(
+                f"columns x rows is {self.columns} x {self.rows}; must be {_MOST_PIXELS:.0e} pixels"
+                " at most"
+            )
 
 
 @dataclass(frozen=True, slots=True)

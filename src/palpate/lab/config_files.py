@@ -1,5 +1,6 @@
 """Configurations of the virtual facility from files: `palpate-lab/1`, in TOML."""
 
+from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -8,7 +9,8 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
-from palpate.geometry import read_mesh, triangle_areas
+from palpate.errors import quoted
+from palpate.geometry import enclosed_volume, read_mesh, triangle_areas
 from palpate.lab.bodies import SHAPES
 from palpate.lab.config import LabConfig, Probe, Specimen
 from palpate.records import TomlTable, read_support, read_toml
@@ -18,6 +20,8 @@ LAB_FORMAT = "palpate-lab/1"
 _APART = ("format", "specimen", "support", "probe")
 # Chords cut off a round body by the square of their length: a ninth of what the mesh loses.
 _ROUNDER = 3.0
+# What a specimen may be cut into: minutes of work and some gigabytes.
+_MOST_SQUARES, _MOST_TETRAHEDRA = 30_000, 300_000
 # The facility's own specimens stand on this plane.
 _BASE = {"point": [0, 0, 0], "normal": [0, 0, 1], "tolerance": 1e-9}
 
@@ -79,15 +83,38 @@ def _specimen(root: TomlTable) -> Specimen:
         table.check_keys(("shape", *shape.lengths, "edge", "element"))
         edge = table.number("edge")
         lengths = {name: table.number(name) for name in shape.lengths}
+        _check_edge(table, edge, lengths)
         with table.blamed():
             mesh = shape.make(edge=edge, **lengths)
-        body = shape.make(edge=edge / _ROUNDER, **lengths)
+            body = shape.make(edge=edge / _ROUNDER, **lengths)
     element = table.number("element") if "element" in table.values else edge
     if not element > 0.0:
         table.fail("element", f"is {element:g} m; must be positive")
-    support = dict(root.values.get("support", {"plane": _BASE}))
-    held = read_support(TomlTable(root.file, "[support]", support), body, metres_per_unit=1.0)
-    return Specimen(mesh, body, held, support, element)
+    # Six of root 2 even tetrahedra fill a cube of their edge.
+    least = (6.0 * np.sqrt(2.0) * abs(enclosed_volume(mesh)) / _MOST_TETRAHEDRA) ** (1.0 / 3.0)
+    if element < least:
+        table.fail(
+            "element",
+            f"is {element:g} m, which makes more than {_MOST_TETRAHEDRA} tetrahedra of the object;"
+            f" must be {least:.2g} m or more (missing: the edge)",
+        )
+    held_by = TomlTable(root.file, "", {"support": {"plane": _BASE}} | root.values).table("support")
+    held = read_support(held_by, body, metres_per_unit=1.0)
+    return Specimen(mesh, body, held, held_by.values, element)
+
+
+def _check_edge(table: TomlTable, edge: float, lengths: Mapping[str, float]) -> None:
+    """Refuse an edge so short that the surface would not fit into memory."""
+    # A box around it: a radius stands for two sides.
+    sides = [s for name, x in lengths.items() for s in ([2 * x] * 2 if "radius" in name else [x])]
+    area = sum(sides) ** 2 - sum(side**2 for side in sides)
+    least = np.sqrt(area / _MOST_SQUARES)
+    if 0.0 < edge < least and min(sides) > 0.0:
+        table.fail(
+            "edge",
+            f"is {edge:g} m, which makes more than {_MOST_SQUARES} triangles of the surface; must"
+            f" be {least:.2g} m or more",
+        )
 
 
 def _settings(table: TomlTable, kind: type[Settings], **given: Any) -> Settings:
@@ -116,7 +143,7 @@ def _value(table: TomlTable, key: str, hint: Any) -> Any:
     value = table.get(key)
     for kind, text in ((bool, "true or false"), (int, "a whole number")):
         if hint is kind and type(value) is not kind:
-            table.fail(key, f"is {value!r}; must be {text}")
+            table.fail(key, f"is {quoted(value)}; must be {text}")
     if hint is float:
         return table.number(key)
     if hint is str:

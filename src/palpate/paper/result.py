@@ -3,13 +3,14 @@
 import csv
 import io
 import math
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from palpate.disk import write_bytes
 from palpate.errors import InputError
 from palpate.figures import Picture, save_pixels
+from palpate.records import write_text
 
 Cell = str | int | float | None
 # What a page begins with: only such a one is replaced.
@@ -137,9 +138,8 @@ def write_result(folder: Path, result: PaperResult) -> None:
     for name, picture in result.pictures.items():
         save_pixels(picture, folder / f"{name}.png")
     section = _section(result, {name: f"{name}.png" for name in result.pictures}, "#")
-    (folder / "table.md").write_text(section, encoding="utf-8")
-    tables = csv_text([result.summary, *result.tables])
-    (folder / "table.csv").write_text(tables, encoding="utf-8")
+    write_text(folder / "table.md", section)
+    write_text(folder / "table.csv", csv_text([result.summary, *result.tables]))
 
 
 def check_page(page: Path) -> None:
@@ -183,10 +183,11 @@ def write_page(
         sections = []
         for experiment, result in results.items():
             for name in result.pictures:
-                shutil.copyfile(folders[experiment] / f"{name}.png", images / f"{name}.png")
+                picture = folders[experiment] / f"{name}.png"
+                write_bytes(images / picture.name, picture.read_bytes())
             links = {name: f"images/paper/{name}.png" for name in result.pictures}
             sections.append(_section(result, links, "##"))
-        page.write_text("\n".join([_heading(command), *sections]), encoding="utf-8")
+        write_text(page, "\n".join([_heading(command), *sections]))
     except OSError as error:
         raise InputError(
             f"{error.filename or page}: cannot be written ({error.strerror}); choose another place"

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,9 +11,18 @@ from jaxtyping import Float
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points
+from palpate.parts import Parts, content_digest
 from palpate.pipeline.object_pose import PoseChoice, posed_rig
 from palpate.progress import Progress, silent
-from palpate.records import DisplacementField, Images, Rig, Session, read_rig
+from palpate.records import (
+    DisplacementField,
+    Images,
+    Rig,
+    Session,
+    file_sums,
+    read_rig,
+    session_files,
+)
 from palpate.shapes import Indices
 from palpate.vision import (
     FlowMethod,
@@ -102,6 +113,7 @@ def measure_motion(
     method: FlowMethod = JointFlow(),
     pose: PoseChoice = "auto",
     progress: Progress = silent,
+    parts: Path | None = None,
 ) -> SessionFlow:
     """Measure how the object's surface moves in the pictures of a session.
 
@@ -112,6 +124,8 @@ def measure_motion(
     pose : "auto", "given" or "register"    whether the rig's pose of the object is believed: "auto"
                                     registers only where the pictures contradict it
     progress : callable             told what is done (text) and how far it is (0 to 1)
+    parts : Path or None           folder, there or not, that keeps finished instants, for a run
+                                    that is interrupted and started again
 
     Returns
     -------
@@ -127,6 +141,7 @@ def measure_motion(
         raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
     progress("cameras", 0.0)
     rig = read_rig(session.rig)
+    store = Parts(parts, "" if parts is None else _key(session, method, pose))
     total = sum(len(later) for _, _, later in sequences)
     motions: list[MeasuredMotion] = []
     notes: list[str] = []
@@ -141,7 +156,7 @@ def measure_motion(
             rig = rig if len(starts) > 1 else posed
             notes += pictures.notes + remarks
         start = starts[first.pattern]
-        for motion, remarks in _followed(session, probing, later, start, method):
+        for motion, remarks in _followed(session, probing, later, start, method, store):
             motions.append(motion)
             notes += remarks
             progress(f"{motion.name}, {len(motions)} of {total} instants", len(motions) / total)
@@ -238,9 +253,11 @@ def _followed(
     later: Sequence[_Instant],
     start: _Start,
     method: FlowMethod,
+    parts: Parts,
 ) -> Iterator[tuple[MeasuredMotion, tuple[str, ...]]]:
     """Motions of one sequence, in time, with what is remarkable about their pictures."""
     rig, reference, state = start
+    begun = {name: getattr(state, name) for name in getattr(state, "__dataclass_fields__", ())}
     for instant in later:
         head = instant.name, probing, instant.last, reference
         try:
@@ -248,9 +265,27 @@ def _followed(
         except InputError as error:
             yield MeasuredMotion(*head, None, None, str(error)), ()
             continue
-        state, flow = method.follow(state, pictures.grey)
-        vertices = method.vertices(flow, rig, session.mesh)
+        known = begun | {f"picture {c}": grey for c, grey in enumerate(pictures.grey)}
+        follow = partial(_follow, method, state, pictures, rig, session.mesh)
+        state, flow, vertices = parts.kept(f"{probing} {instant.name}", follow, known)
         yield MeasuredMotion(*head, flow, vertices, None), pictures.notes
+
+
+def _follow(
+    method: FlowMethod, state: Any, pictures: Pictures, rig: Rig, mesh: TriangleMesh
+) -> tuple[Any, RangeFlow, VertexDisplacement]:
+    """One instant: the method's state, the range flow and the vertices' displacement."""
+    after, flow = method.follow(state, pictures.grey)
+    return after, flow, method.vertices(flow, rig, mesh)
+
+
+def _key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
+    """What all instants depend on: the contents of the session's files, and how they are used."""
+    try:
+        sums = file_sums(session_files(session.path), start=session.path.parent)
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read ({error.strerror})") from error
+    return content_digest((sums, [p.name for p in session.probings], method, pose))
 
 
 def _read(session: Session, rig: Rig, instant: _Instant) -> Pictures:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from palpate.arrays import known_median
 from palpate.pipeline.measure_motion import MeasuredMotion
-from palpate.records import Camera, Rig, json_text
+from palpate.records import Camera, Rig, json_text, write_text
 from palpate.shapes import Flags
 from palpate.vision import (
     CAUSES,
@@ -146,7 +146,7 @@ def write_flow_document(
             {**asdict(motion), "files": names} for motion, names in zip(figures, files, strict=True)
         ],
     }
-    path.write_text(json_text(content), encoding="utf-8")
+    write_text(path, json_text(content))
 
 
 def _median_sigma(covariance: Float[np.ndarray, "k 3 3"], camera: Camera) -> dict[str, float]:

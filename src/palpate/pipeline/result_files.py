@@ -14,7 +14,7 @@ from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh
 from palpate.pipeline.measure_motion import MeasuredMotion, SessionFlow, vertex_field
 from palpate.pipeline.motion_figures import MotionFigures, motion_figures
-from palpate.records import Camera, Session, file_stem, write_displacement
+from palpate.records import Camera, Session, file_stem, write_displacement, write_text
 from palpate.shapes import Flags
 from palpate.vision import (
     Outcome,
@@ -259,7 +259,7 @@ def write_flow_vtp(path: Path, flow: RangeFlow, camera: Camera) -> None:
         "through_last": flow.through_last.astype(np.int32),
         "pixel": flow.pixel.astype(np.float32),
     }
-    path.write_text(_polydata(flow.point, arrays), encoding="ascii")
+    write_text(path, _polydata(flow.point, arrays))
 
 
 def _polydata(points: Float[np.ndarray, "n 3"], arrays: Mapping[str, np.ndarray]) -> str:

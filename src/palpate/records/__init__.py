@@ -17,21 +17,27 @@ from palpate.records.estimate import (
 )
 from palpate.records.files import (
     SESSION_FORMAT as SESSION_FORMAT,
+    Finding as Finding,
     ImportItem as ImportItem,
     default_folder as default_folder,
-    disk_errors as disk_errors,
     displacement_line as displacement_line,
     file_stem as file_stem,
+    file_sums as file_sums,
     import_plan as import_plan,
     named_displacements as named_displacements,
-    placed_files as placed_files,
+    parts_folder as parts_folder,
     read_displacement as read_displacement,
     read_estimate as read_estimate,
     read_import_pose as read_import_pose,
     read_rig as read_rig,
     read_session as read_session,
     read_support as read_support,
+    record_inputs as record_inputs,
+    result_file as result_file,
     result_folder as result_folder,
+    sealed as sealed,
+    session_files as session_files,
+    verify_result as verify_result,
     with_displacements as with_displacements,
     write_displacement as write_displacement,
     write_estimate as write_estimate,
@@ -50,6 +56,7 @@ from palpate.records.probing import (
     measured_rows as measured_rows,
     observed_rows as observed_rows,
 )
+from palpate.records.program import make_pose as make_pose
 from palpate.records.programs import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,
@@ -84,4 +91,5 @@ from palpate.records.text import (
     read_toml as read_toml,
     split_cells as split_cells,
     text_lines as text_lines,
+    write_text as write_text,
 )

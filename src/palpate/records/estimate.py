@@ -1,12 +1,16 @@
 """What an estimation gives: constants with intervals, per probing and for all of them."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from enum import StrEnum, auto
 from typing import Any
 
 from palpate.errors import InputError
 
+# Rounding of a product in double precision, with room.
+_EXACT = 1e-12
 CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"
@@ -104,8 +108,13 @@ class Constant:
     ci95: tuple[float, float]
 
     def __post_init__(self) -> None:
-        if self.ci95[0] > self.ci95[1]:
+        low, high = self.ci95
+        if low > high:
             raise InputError(f"ci95 is {self.ci95}; its lower end must not exceed its upper end")
+        if self.value < low or self.value > high:
+            raise InputError(f"the value {self.value:g} lies outside its ci95, {low:g} to {high:g}")
+        if self.std < 0.0:
+            raise InputError(f"std is {self.std:g}; must not be negative")
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +160,8 @@ class Estimate:
 
     Raises
     ------
-    InputError                      `identifiable` does not name exactly the three constants
+    InputError                      `identifiable` does not name exactly the three constants, or
+                                    something contradicts something else
     """
 
     status: Status
@@ -166,4 +176,36 @@ class Estimate:
     notes: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        _check_identifiable(self.identifiable)
+        told = Status.from_identifiable(self.identifiable)
+        # The other words speak of something else than what the data determine.
+        if self.status != told and self.status.value.endswith(("ok", "identifiable")):
+            raise InputError(f"status is '{self.status}'; by `identifiable` it must be '{told}'")
+        for name in CONSTANT_NAMES:
+            if self.identifiable[name] and not math.isfinite(getattr(self, name).value):
+                raise InputError(f"{name} is identifiable by `identifiable`, but has no value")
+        _check_material(
+            self.shear_modulus.value, self.poisson_ratio.value, self.young_modulus.value
+        )
+
+
+def _check_material(shear: float, ratio: float, young: float) -> None:
+    """Refuse constants that no material has, or no one material; NaN is unknown."""
+    for name, modulus in (("shear_modulus", shear), ("young_modulus", young)):
+        if modulus <= 0.0 or math.isinf(modulus):
+            raise InputError(f"{name} is {modulus:g} Pa; must be positive and finite")
+    if ratio <= -1.0 or ratio > 0.5:
+        raise InputError(f"poisson_ratio is {ratio:g}; must be above -1, and 0.5 at most")
+    expected = 2.0 * shear * (1.0 + ratio)
+    # A person may have rounded all three.
+    room = 2.0 * (1.0 + ratio) * _rounding(shear) + 2.0 * shear * _rounding(ratio)
+    if abs(young - expected) > room + _rounding(young) + _EXACT * expected:
+        raise InputError(
+            f"young_modulus is {young:g} Pa, but 2 G (1 + nu) is {expected:g} Pa, with"
+            f" G = {shear:g} Pa and nu = {ratio:g}"
+        )
+
+
+def _rounding(value: float) -> float:
+    """Half a unit of the last digit that a number is written with."""
+    exponent = Decimal(repr(value)).normalize().as_tuple().exponent
+    return 0.5 * 10.0**exponent if isinstance(exponent, int) else math.nan

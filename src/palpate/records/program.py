@@ -1,21 +1,21 @@
 """What Palpate asks of a program whose files it reads: a calibration, displacements, or both."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
-from xml.etree import ElementTree
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from palpate.errors import CalibrationError, InputError, RecordError
+from palpate.arrays import LARGEST_NUMBER
+from palpate.errors import CalibrationError, InputError, RecordError, quoted
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
-from palpate.records.text import nearest_word, read_bytes
+from palpate.records.text import TREE_SUFFIXES, nearest_word, read_tree
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
 # A printed rotation is this far from one at most; `Camera` refuses what is farther.
@@ -24,7 +24,8 @@ _MAX_PRINTED_ERROR = 1e-6
 # windows of this one, noise (or another surface) has a quarter.
 LEAST_CORRELATION = 0.75
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-_TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
+# A billion numbers are eight gigabytes.
+_MOST_NUMBERS = 10**9
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +58,12 @@ class CalibrationFile:
         RecordError                 not there, not text, broken XML or YAML
         """
         binary = path.is_dir() or path.suffix.lower() == ".mat"
-        return cls(path, None if binary else _parse(path), length_unit)
+        return cls(path, None if binary else read_tree(path), length_unit)
 
     def beside(self) -> "list[CalibrationFile]":
         """The YAML, JSON and XML files in this folder, by name."""
-        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in _TREE_SUFFIXES)
-        return [CalibrationFile(file, _parse(file), self.length_unit) for file in files]
+        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in TREE_SUFFIXES)
+        return [CalibrationFile(file, read_tree(file), self.length_unit) for file in files]
 
     def fail(self, what: str) -> NoReturn:
         """Raise a `CalibrationError` about this file."""
@@ -116,10 +117,14 @@ class CalibrationFile:
         """
         try:
             array = np.asarray(values, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise CalibrationError(f"{self.path}: {what} is {values!r}; must be numbers") from error
-        if not np.isfinite(array).all():
-            self.fail(f"{what} is {array.tolist()}; must be finite")
+        except (TypeError, ValueError, OverflowError) as error:
+            raise CalibrationError(
+                f"{self.path}: {what} is {quoted(values)}; must be numbers"
+            ) from error
+        if not (np.abs(array) <= LARGEST_NUMBER).all():
+            self.fail(
+                f"{what} is {quoted(array.tolist())}; must be finite, {LARGEST_NUMBER:g} at most"
+            )
         if shape is None:
             return array.ravel()
         if array.size != int(np.prod(shape)):
@@ -307,6 +312,22 @@ def chosen_frame(path: Path, frame: int | None, count: int = 1) -> tuple[int, tu
     return frame % count, ()
 
 
+def checked_size(array: Any) -> Any:
+    """An array of a file that is not yet read, if it can be: a header may claim any size.
+
+    Parameters
+    ----------
+    array : with a shape
+
+    Raises
+    ------
+    ValueError                      more numbers than any measurement has
+    """
+    if math.prod(array.shape) > _MOST_NUMBERS:
+        raise ValueError(f"it claims an array of {' x '.join(map(str, array.shape))} numbers")
+    return array
+
+
 def camera_matrix(inner: Sequence[float] | np.ndarray, skew: float = 0.0) -> Matrix3:
     """Intrinsic matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] of fx fy cx cy, all in pixels.
 
@@ -369,38 +390,3 @@ def nearest_rotation(matrix: Matrix3) -> Matrix3:
     """
     left, _, right = np.linalg.svd(matrix)
     return left @ right
-
-
-def _parse(path: Path) -> ElementTree.Element | dict[str, Any] | str:
-    """Content of a file: XML, YAML or JSON, or text."""
-    data = read_bytes(path)
-    if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        try:
-            return ElementTree.fromstring(data.lstrip())
-        except ElementTree.ParseError as error:
-            raise RecordError(f"{path}: is not valid XML: {error}") from error
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordError(
-            f"{path}: is not a text file in UTF-8, and no calibration of a known program"
-        ) from error
-    if path.suffix.lower() not in _TREE_SUFFIXES:
-        return text
-    # OpenCV's first line (%YAML:1.0) is no valid YAML.
-    body = text.partition("\n")[2] if text.startswith("%YAML") else text
-    try:
-        root = yaml.load(body, Loader=_Loader)  # a SafeLoader: plain values only
-    except yaml.YAMLError as error:
-        raise RecordError(f"{path}: is not valid YAML: {error}") from error
-    return root if isinstance(root, dict) else text
-
-
-class _Loader(yaml.SafeLoader):
-    """Plain values, and OpenCV's matrices as tables."""
-
-
-for _kind in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(
-        f"tag:yaml.org,2002:{_kind}", lambda loader, node: loader.construct_mapping(node, deep=True)
-    )

@@ -25,6 +25,7 @@ from palpate.vision.cameras import (
 from palpate.vision.images import (
     Pictures as Pictures,
     prepare_pictures as prepare_pictures,
+    read_grey as read_grey,
     read_pictures as read_pictures,
 )
 from palpate.vision.joint import (

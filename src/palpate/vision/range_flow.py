@@ -171,12 +171,25 @@ class FlowMethod(Protocol):
 
 
 def is_valid(flow: RangeFlow) -> Flags:
-    """True for the points whose displacement was accepted, (n,) bool."""
+    """True for the points whose displacement was accepted.
+
+    Parameters
+    ----------
+    flow : RangeFlow                of n points
+
+    Returns
+    -------
+    (n,) bool
+    """
     return flow.outcome == Outcome.VALID
 
 
 def cause_counts(flow: RangeFlow) -> dict[str, int]:
     """How many points were rejected for each cause.
+
+    Parameters
+    ----------
+    flow : RangeFlow
 
     Returns
     -------
@@ -187,7 +200,16 @@ def cause_counts(flow: RangeFlow) -> dict[str, int]:
 
 
 def measured_vertices(vertices: VertexDisplacement) -> Flags:
-    """True for vertices that have a displacement, (v,) bool."""
+    """True for vertices that have a displacement.
+
+    Parameters
+    ----------
+    vertices : VertexDisplacement   of v vertices
+
+    Returns
+    -------
+    (v,) bool
+    """
     return np.isfinite(vertices.displacement).all(axis=1)
 
 

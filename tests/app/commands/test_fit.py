@@ -166,7 +166,7 @@ def test_a_disk_that_fills_up_leaves_nothing(palpate, calls, cube_session, tmp_p
     monkeypatch.setattr(fit_command, "write_plots", write_plots)
     code, _, err = palpate("fit", cube_session)
     assert code == 2
-    assert "likelihood.png: cannot be written (No space left on device); nothing was left" in err
+    assert "cube-result: cannot be written (No space left on device); nothing was changed" in err
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
 
 

@@ -106,7 +106,7 @@ def test_the_table_is_printed_and_the_folder_written(palpate, measured, session,
     folder = tmp_path / "cube-flow"
     names = {path.name for path in folder.iterdir()}
     ends = (".csv", "_flow.npz", "_flow.vtp", ".png", "_quality.png")
-    assert names == {"flow.json", "contents.txt"} | {
+    assert names == {"flow.json", "contents.txt", "inputs.txt"} | {
         name + end for name in ("n01", "n01_1") for end in ends
     }
 
@@ -246,7 +246,7 @@ def test_a_disk_that_fills_up_leaves_nothing(palpate, measured, session, tmp_pat
     monkeypatch.setattr(result_files, "write_flow_npz", write_flow_npz)
     code, _, err = palpate("flow", session)
     assert code == 2
-    assert "n01_flow.npz: cannot be written (No space left on device); nothing was left" in err
+    assert "cube-flow: cannot be written (No space left on device); nothing was changed" in err
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
 
 

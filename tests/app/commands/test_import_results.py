@@ -151,7 +151,7 @@ def test_out_leaves_the_session_as_it_is(palpate, bare, top, tmp_path):
     code, out, _ = palpate("import", "vic3d", file, bare, "--out", "found")
     assert code == 0
     assert _tree(bare) == before
-    assert sorted(_tree(tmp_path / "found")) == ["contents.txt", "n01.csv"]
+    assert sorted(_tree(tmp_path / "found")) == ["contents.txt", "inputs.txt", "n01.csv"]
     assert "Add to probing 'n01': displacement = \"../found/n01.csv\"" in out
 
 
@@ -170,12 +170,41 @@ def test_existing_displacements_need_leave(palpate, bare, top, tmp_path):
     np.testing.assert_allclose(field.displacement[0], 3.0 * top[1][0], rtol=1e-15)
 
 
-def test_a_file_that_happens_to_be_there_needs_leave(palpate, bare, top, tmp_path):
+def test_a_file_that_happens_to_be_there_is_not_replaced(palpate, bare, top, tmp_path):
     (bare / "n01.csv").write_text("mine")
-    code, _, err = palpate("import", "vic3d", _vic3d(tmp_path / "n01.csv", top), bare)
+    before = _tree(bare)
+    command = ("import", "vic3d", _vic3d(tmp_path / "n01.csv", top), bare, "--replace")
+    code, _, err = palpate(*command)
     assert code == 2
-    assert "n01.csv: is there already; use --replace" in err
-    assert (bare / "n01.csv").read_text() == "mine"
+    assert "n01.csv: is there already, and the session does not name it for that probing" in err
+    assert _tree(bare) == before
+    assert palpate(*command, "--force")[0] == 0
+    assert (bare / "n01.csv.old").read_text() == "mine"
+    assert read_session(bare, probes=["n01"]).probings[0].displacement is not None
+
+
+def test_another_probings_displacement_is_not_replaced(palpate, bare, top, tmp_path):
+    file = _vic3d(tmp_path / "n01.csv", top)
+    assert palpate("import", "vic3d", file, bare)[0] == 0
+    session = bare / "session.toml"
+    text = session.read_text()
+    session.write_text(
+        text.replace('"n01"', '"x"').replace('"n02"', '"n01"').replace('"x"', '"n02"')
+    )
+    code, _, err = palpate("import", "vic3d", file, bare, "--probe", "n01", "--replace")
+    assert code == 2
+    assert "the session does not name it for that probing" in err
+
+
+def test_a_folder_is_never_moved_away(palpate, bare, top, tmp_path):
+    (bare / "n01.csv").mkdir()
+    (bare / "n01.csv" / "thesis").write_text("years of work")
+    before = _tree(bare)
+    file = _vic3d(tmp_path / "n01.csv", top)
+    code, _, err = palpate("import", "vic3d", file, bare, "--replace", "--force")
+    assert code == 2
+    assert "n01.csv: is a folder; move it" in err
+    assert _tree(bare) == before
 
 
 def test_the_source_is_never_replaced(palpate, bare, top):

@@ -210,7 +210,7 @@ def test_nothing_is_left_of_a_run_that_fails(bench, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device", "table.md")
 
     monkeypatch.setattr(reproduce_command, "write_result", full)
-    with pytest.raises(InputError, match=r"table\.md: cannot be written \(No space"):
+    with pytest.raises(InputError, match=r"paper-table1: cannot be written \(No space"):
         reproduce("table1")
     assert list(tmp_path.iterdir()) == []
 

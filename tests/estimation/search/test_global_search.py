@@ -10,6 +10,7 @@ from estimation.half_space import half_space_probes
 from palpate.estimation import ProbeObservations
 from palpate.estimation.noise.registry import NOISE_MODELS
 from palpate.estimation.responses.table import response_table
+from palpate.estimation.search import global_search
 from palpate.estimation.search.global_search import GlobalStart, fitted_parameters, global_start
 
 
@@ -93,3 +94,15 @@ def test_parameters_are_counted() -> None:
     probes = half_space_probes(np.random.default_rng(1), count=2, noise=1e-5, force_noise=0.1)
     probes[0] = replace(probes[0], force_std=np.array([0.1, 0.0, 0.1]))
     assert fitted_parameters(misfit_of(probes).probes) == 2 + 2 + 3
+
+
+def test_the_convex_start_explains_exact_data_whatever_the_force() -> None:
+    """At the middle of the range of Poisson's ratio, with forces that are off by half."""
+    probes = half_space_probes(
+        np.random.default_rng(2), count=2, grid=6, poisson_ratio=float(np.mean(RANGE))
+    )
+    rows = misfit_of([replace(probe, force=1.5 * probe.force) for probe in probes]).probes
+    residuals = global_search._convex_residuals(rows, response_table(rows, RANGE))
+    for probe, residual in zip(rows, residuals, strict=True):
+        # The table's interpolation, and 1e-12 added to normal equations of a condition near 1e3.
+        assert np.abs(residual).max() < 1e-5 * np.abs(probe.measured).max()

@@ -7,6 +7,7 @@ from palpate.geometry import closest_points
 from palpate.geometry.closest_point import surface_search
 from palpate.geometry.registration.surface_fit import (
     MeasuredPoints,
+    fit_pose,
     linearised,
     motion_pose,
     motion_scale,
@@ -76,3 +77,17 @@ def test_expected_noise_is_that_across_the_surface_at_the_pose():
     at = linearised(surface_search(mesh), MeasuredPoints(own, covariance), pose)
     # x of the points points along -z of the mesh.
     np.testing.assert_allclose(at.sigma, [2e-4, 2e-4, 0.0, 0.0], atol=1e-6)
+
+
+def test_a_step_is_a_tenth_of_the_object_at_most():
+    """From far away, across faces of a small box: the nearest points there are others anyway."""
+    mesh = box((0.01, 0.02, 0.02))
+    points = np.random.default_rng(3).normal(size=(200, 3))
+    points = 0.01 * points / np.abs(points).max(axis=1, keepdims=True) + [0.04, 0.01, 0.01]
+    fit = fit_pose(
+        surface_search(mesh), _measured(points), np.eye(4), held=np.zeros((0, 6)), iterations=1
+    )
+    moved = placed(fit.pose, points) - points
+    # The scaled motions move the points by their length, but for the square of the turn.
+    rms = np.sqrt((moved**2).sum(axis=1).mean())
+    np.testing.assert_allclose(rms, 0.1 * 0.03, rtol=0.02)

@@ -31,6 +31,39 @@ def made(tmp_path_factory):
     return folders
 
 
+class _Killed(BaseException):
+    """The process ends."""
+
+
+def test_an_interrupted_measurement_goes_on_to_the_same_bytes(made, tmp_path, monkeypatch):
+    (tmp_path / "config.toml").write_text(STAGE)
+    plan = read_lab_config(tmp_path / "config.toml")
+    variant, parts = choose_variant(), tmp_path / "parts"
+
+    def killed_in_the_last(stage, _):
+        if stage == f"step s{plan.stage.steps}":
+            raise _Killed
+
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    with pytest.raises(_Killed):
+        make_session(
+            plan, tmp_path / "first", variant=variant, progress=killed_in_the_last, parts=parts
+        )
+    taken = []
+    real = facility.photograph
+    monkeypatch.setattr(facility, "photograph", lambda *a, **k: (taken.append(1), real(*a, **k))[1])
+    make_session(plan, tmp_path / "second", variant=variant, parts=parts)
+    assert len(taken) == 1
+    names = sorted(path.relative_to(made["toy"]) for path in made["toy"].rglob("*.*"))
+    for name in names:
+        assert (tmp_path / "second" / name).read_bytes() == (made["toy"] / name).read_bytes()
+    # Another seed finds nothing of it.
+    (tmp_path / "third").mkdir()
+    make_session(replace(plan, seed=99), tmp_path / "third", variant=variant, parts=parts)
+    assert len(taken) == 1 + plan.stage.steps + 1
+
+
 def _truth(folder):
     return tomllib.loads((folder / "truth.toml").read_text())
 

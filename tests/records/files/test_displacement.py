@@ -84,9 +84,10 @@ def test_round_trip_through_another_unit(tmp_path, csv_file):
     np.testing.assert_allclose(again.displacement, field.displacement, rtol=5e-16)
 
 
-PLACES = st.tuples(st.floats(0.0, 0.04), st.floats(0.0, 0.04))
-MOVES = st.none() | st.tuples(*[st.floats(-1e3, 1e3)] * 3)
-STDS = st.tuples(*[st.floats(1e-300, 1e3)] * 3)
+PLACES = st.tuples(*[st.just(0.0) | st.floats(1e-29, 0.04)] * 2)
+# Less than 1e-30 is read as zero.
+MOVES = st.none() | st.tuples(*[st.floats(1e-29, 1e3) | st.floats(-1e3, -1e-29) | st.just(0.0)] * 3)
+STDS = st.tuples(*[st.floats(1e-29, 1e3)] * 3)
 
 
 @settings(max_examples=40, deadline=None)

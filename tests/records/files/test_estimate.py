@@ -42,15 +42,26 @@ def test_round_trip_is_exact(tmp_path):
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 CONSTANTS = st.builds(
-    lambda value, std, ends: Constant(value, std, (min(ends), max(ends))),
-    FINITE,
-    FINITE,
-    st.tuples(FINITE, FINITE),
+    lambda values, std: Constant(sorted(values)[1], std, (min(values), max(values))),
+    st.tuples(FINITE, FINITE, FINITE),
+    st.floats(0.0, allow_nan=False, allow_infinity=False),
 )
+
+
+@st.composite
+def materials(draw):
+    """G, nu and E of one material with intervals about them."""
+    ratio = draw(st.floats(-0.99, 0.5))
+    shear = draw(st.floats(1e-3, 1e12))
+    values = (shear, ratio, 2.0 * shear * (1.0 + ratio))
+    widths = draw(st.tuples(*[st.floats(0.0, 1e9)] * 3))
+    return [Constant(v, w, (v - w, v + w)) for v, w in zip(values, widths, strict=True)]
+
+
 COUNTS = st.integers(0, 10**9)
 PROBES = st.builds(
     ProbeEstimate,
-    st.text(),
+    st.text(min_size=1).filter(str.strip),
     CONSTANTS,
     CONSTANTS,
     CONSTANTS,
@@ -64,21 +75,24 @@ PROBES = st.builds(
 
 @settings(max_examples=40, deadline=None)
 @given(
-    constants=st.tuples(CONSTANTS, CONSTANTS, CONSTANTS),
+    constants=materials(),
     probes=st.lists(PROBES, max_size=3),
-    status=st.sampled_from(Status),
+    status=st.sampled_from([None, Status.NOT_CONVERGED]),
+    told=st.tuples(*[st.booleans()] * 3),
     seconds=st.dictionaries(st.text(), FINITE, max_size=3),
     notes=st.lists(st.text(), max_size=3),
 )
 def test_whatever_is_written_is_read_back(
-    tmp_path_factory, constants, probes, status, seconds, notes
+    tmp_path_factory, constants, probes, status, told, seconds, notes
 ):
     path = tmp_path_factory.mktemp("law") / "estimate.json"
     names = ("shear_modulus", "poisson_ratio", "young_modulus")
+    identifiable = dict(zip(names, told, strict=True))
     estimate = _estimate(
         **dict(zip(names, constants, strict=True)),
+        identifiable=identifiable,
         probes=tuple(probes),
-        status=status,
+        status=status or Status.from_identifiable(identifiable),
         seconds=seconds,
         notes=tuple(notes),
     )
@@ -100,10 +114,17 @@ def test_every_key_of_the_format_is_there(tmp_path):
 
 def test_unknown_numbers_become_null_and_come_back(tmp_path):
     probe = ProbeEstimate("n01", LOST, LOST, LOST, 3, 0, 0, NAN, None)
+    told = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
     settings = {"seed": np.int64(3), "range": np.array([0.0, np.nan]), "on": np.bool_(True)}
     write_estimate(
         tmp_path / "estimate.json",
-        _estimate(poisson_ratio=LOST, probes=(probe,), settings=settings),
+        _estimate(
+            poisson_ratio=LOST,
+            probes=(probe,),
+            settings=settings,
+            identifiable=told,
+            status=Status.from_identifiable(told),
+        ),
     )
     text = (tmp_path / "estimate.json").read_text()
     assert "NaN" not in text
@@ -124,10 +145,79 @@ def test_bad_files_are_refused(tmp_path):
     with pytest.raises(RecordError, match="not valid JSON"):
         read_estimate(path)
     path.write_text('{"format": "other/1"}')
-    with pytest.raises(RecordError, match="format is 'other/1'; this version reads"):
+    with pytest.raises(RecordError, match="format: is 'other/1'; this version reads"):
         read_estimate(path)
     path.write_text('{"format": "palpate-estimate/1", "status": "ok"}')
-    with pytest.raises(RecordError, match="is not a whole estimate"):
+    with pytest.raises(RecordError, match=r"estimate\.json: the key 'identifiable' is missing"):
+        read_estimate(path)
+    path.write_text("[" * 100_000)
+    with pytest.raises(RecordError, match="not valid JSON"):
+        read_estimate(path)
+    path.write_text("[]")
+    with pytest.raises(RecordError, match="must be an object"):
         read_estimate(path)
     with pytest.raises(RecordError, match="cannot be written"):
         write_estimate(tmp_path / "none" / "estimate.json", _estimate())
+
+
+def _set(*keys, to):
+    """Damage: another value at a place of the document."""
+
+    def damage(content):
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = to
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_set("identifiable", "poisson_ratio", to=False), "by `identifiable` it must be 'poisson_"),
+        (
+            _set("identifiable", "poisson_ratio", to="yes"),
+            r"\[identifiable\] poisson_ratio: is 'yes'",
+        ),
+        (_set("status", to="nothing_identifiable"), "by `identifiable` it must be 'ok'"),
+        (_set("status", to="fine"), "status: is 'fine'"),
+        (_set("status", to=["ok"]), r"status: is \['ok'\]"),
+        (_set("shear_modulus", "std", to=-1.0), r"\[shear_modulus\]: std is -1"),
+        (_set("shear_modulus", "value", to=None), "shear_modulus is identifiable .* has no value"),
+        (_set("shear_modulus", "value", to=True), r"\[shear_modulus\] value: is True"),
+        (_set("shear_modulus", "value", to=10**400), r"\[shear_modulus\] value: is 1000"),
+        (_set("shear_modulus", "value", to=math.nan), r"\[shear_modulus\] value: is nan"),
+        (_set("shear_modulus", "value", to=3e4), "the value 30000 lies outside its ci95"),
+        (_set("shear_modulus", "ci95", to=[2.2e4, 2.0e4]), "lower end must not exceed"),
+        (_set("shear_modulus", "ci95", to=[1.0]), "ci95: is .* two numbers"),
+        (_set("shear_modulus", "ci95", to={"0": 1, "1": 2}), "ci95: is .* two numbers"),
+        (_set("shear_modulus", to=3), r"shear_modulus: is 3; must be a table"),
+        (
+            _set("poisson_ratio", to={"value": 3.0, "std": 0.1, "ci95": [2, 4]}),
+            "poisson_ratio is 3",
+        ),
+        (_set("young_modulus", to={"value": 5.61e4, "std": 3e2, "ci95": [5e4, 6e4]}), "2 G"),
+        (_set("young_modulus", to={"value": -5.1e4, "std": 3e2, "ci95": [-6e4, 6e4]}), "positive"),
+        (_set("probes", to=3), "probes: is 3"),
+        (_set("probes", 0, "observed", to=-1), r"\[\[probes\]\] number 1 observed: is -1"),
+        (_set("probes", 0, "observed", to=4.5), "observed: is 4.5"),
+        (_set("probes", 0, "name", to=None), "name: is None"),
+        (_set("seconds", "total", to="long"), r"\[seconds\] total: is 'long'"),
+        (_set("notes", to="one"), "notes: is 'one'; must be a list"),
+        (_set("settings", to=[]), r"settings: is \[\]; must be a table"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(tmp_path, damage, message):
+    path = tmp_path / "estimate.json"
+    write_estimate(path, _estimate())
+    content = json.loads(path.read_text())
+    damage(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(RecordError, match=message):
+        read_estimate(path)
+
+
+def test_numbers_that_a_person_rounded_are_not_refused():
+    # 2 G (1 + nu) is 50820 Pa; two digits of it are 51 kPa.
+    rounded = Constant(5.1e4, 300.0, (5.0e4, 5.2e4))
+    assert _estimate(young_modulus=rounded).young_modulus.value == 5.1e4

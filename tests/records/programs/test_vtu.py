@@ -61,7 +61,7 @@ def test_vtu_that_is_no_surface_or_none_at_all(tmp_path):
     with pytest.raises(RecordError, match="cannot be read as VTU"):
         read_measured("vtu", path, length_unit="mm")
     path.unlink()
-    with pytest.raises(RecordError, match="no such file"):
+    with pytest.raises(RecordError, match="No such file"):
         read_measured("vtu", path, length_unit="mm")
     with pytest.raises(RecordError, match=r"is no \.vtu file"):
         read_measured("vtu", tmp_path / "a.vtp", length_unit="mm")

@@ -151,7 +151,7 @@ def test_the_first_of_several_pages_is_used_and_it_is_said(written):
     assert done
     seen = written(both.tobytes(), suffix=".tif")
     np.testing.assert_array_equal(seen.grey[0], GREY)
-    assert "the file holds 2 pictures; the first was used" in _note(seen)
+    assert "the file holds more pictures; the first was used" in _note(seen)
 
 
 def test_any_size_will_do_where_the_rig_does_not_say(written):
@@ -293,9 +293,9 @@ def test_decoding_works_without_an_error_stream(monkeypatch):
         raise OSError(9, "Bad file descriptor")
 
     monkeypatch.setattr(os, "dup", closed)
-    pixels, count = decode_picture(_encoded(GREY))
+    pixels, several = decode_picture(_encoded(GREY))
     np.testing.assert_array_equal(pixels, GREY)
-    assert count == 1
+    assert not several
 
 
 def test_what_cannot_be_read_is_refused(written, tmp_path):
@@ -381,6 +381,6 @@ def test_grey_levels_that_are_not_finite_are_refused(written):
 
 def test_other_types_of_grey_levels_are_refused(written, monkeypatch):
     _refused(written, "grey levels of type int32", _encoded(GREY.astype(np.int32), ".tif"))
-    monkeypatch.setattr(pictures, "decode_picture", lambda _content: (np.dstack([GREY] * 2), 1))
+    monkeypatch.setattr(pictures, "decode_picture", lambda _content: (np.dstack([GREY] * 2), False))
     with pytest.raises(RecordError, match=r"camera 'c0': .* has 2 channels; must be grey, RGB or"):
         written(_encoded(GREY))

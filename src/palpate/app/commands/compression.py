@@ -2,9 +2,10 @@
 
 import math
 import re
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -24,9 +25,10 @@ from palpate.records import (
     Constant,
     constant_text,
     interval_text,
-    json_text,
     modulus_unit,
-    placed_files,
+    result_file,
+    sealed,
+    write_text,
 )
 
 
@@ -43,6 +45,7 @@ def compression(
     displacement_column: str | None = None,
     force_column: str | None = None,
     out: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Young's modulus E = F l / (A delta) of one or more cylinders pressed between plates.
 
@@ -70,31 +73,38 @@ def compression(
         Name of the column, or a part of it; default: load or force.
     out
         JSON file for the result.
+    force
+        Write although something else than an unchanged result is there; that is kept beside it as
+        NAME.old.
     """
     strain_range = _strain_range(strain)
-    results = []
+    if out is not None and any(out.exists() and out.samefile(f) for f in files if f.exists()):
+        raise InputError(f"{out}: --out names one of the records; give the result its own name")
+    results: list[CompressionResult] = []
     notes: list[tuple[str, str]] = []
-    for file in files:
-        record = read_compression(
-            file,
-            displacement_unit=displacement_unit,
-            force_unit=force_unit,
-            displacement_column=displacement_column,
-            force_column=force_column,
-        )
-        result = compression_test(
-            record.displacement,
-            record.force,
-            diameter=_size(diameter, "diameter", record, record.diameter),
-            height=_size(height, "height", record, record.height),
-            strain_range=strain_range,
-            preload=preload,
-            source=str(file),
-        )
-        results.append(result)
-        notes += [(file.name, note) for note in (*record.notes, *result.notes)]
-    if out is not None:
-        _write(out, results)
+    # The target is tried first: no one should wait for a result that cannot be kept.
+    with nullcontext() if out is None else result_file(out, force=force) as staged:
+        for file in files:
+            record = read_compression(
+                file,
+                displacement_unit=displacement_unit,
+                force_unit=force_unit,
+                displacement_column=displacement_column,
+                force_column=force_column,
+            )
+            result = compression_test(
+                record.displacement,
+                record.force,
+                diameter=_size(diameter, "diameter", record, record.diameter),
+                height=_size(height, "height", record, record.height),
+                strain_range=strain_range,
+                preload=preload,
+                source=str(file),
+            )
+            results.append(result)
+            notes += [(file.name, note) for note in (*record.notes, *result.notes)]
+        if staged is not None:
+            write_text(staged, sealed(_content(results), files, folder=staged.parent))
     Console().print(_table(results))
     print_file_notes(notes, files=len(files))
     return 0
@@ -121,10 +131,10 @@ def _strain_range(text: str) -> tuple[float, float]:
     return (low / 100.0, high / 100.0) if match[4] else (low, high)
 
 
-def _write(path: Path, results: list[CompressionResult]) -> None:
-    """The series and each specimen as JSON, moduli in Pa; the file appears whole or not at all."""
+def _content(results: list[CompressionResult]) -> dict[str, Any]:
+    """The series and each specimen, moduli in Pa."""
     series = compression_series(results)
-    record = {
+    return {
         "format": "palpate-compression/1",
         "young_modulus": {
             "value": series.young_modulus,
@@ -133,8 +143,6 @@ def _write(path: Path, results: list[CompressionResult]) -> None:
         },
         "specimens": [asdict(result) for result in results],
     }
-    with placed_files([path]) as (staged,):
-        staged.write_text(json_text(record), encoding="utf-8")
 
 
 def _table(results: list[CompressionResult]) -> Table:

@@ -25,10 +25,11 @@ from palpate.pipeline import (
 from palpate.records import (
     Status,
     default_folder,
-    disk_errors,
     read_session,
+    record_inputs,
     require_probings,
     result_folder,
+    session_files,
     write_estimate,
 )
 
@@ -45,6 +46,7 @@ def fit(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     cache: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
 
@@ -68,6 +70,9 @@ def fit(
         40 degrees), or flat facets.
     cache
         Folder that keeps the surface integrals of this object for the next fit.
+    force
+        Write although something else than an unchanged result of this command is there; that is
+        kept beside it as NAME.old.
 
     Returns
     -------
@@ -77,8 +82,9 @@ def fit(
     console = Console()
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
-    with result_folder(target) as folder:
+    with result_folder(target, kind="fit", force=force) as folder:
         given = read_session(session, probes=probe)
+        record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)
         with progress_bar() as progress:
@@ -92,10 +98,9 @@ def fit(
                 progress=progress,
             )
             progress("tables and plots", 1.0)
-            with disk_errors(folder):
-                write_estimate(folder / "estimate.json", result.estimate)
-                write_residuals(folder, measured, result)
-                write_plots(folder, measured, result)
+            write_estimate(folder / "estimate.json", result.estimate)
+            write_residuals(folder, measured, result)
+            write_plots(folder, measured, result)
     estimate = result.estimate
     if len(estimate.probes) > 0:
         console.print(probes_table(estimate))

@@ -26,9 +26,11 @@ from palpate.progress import Progress
 from palpate.records import (
     Session,
     default_folder,
-    disk_errors,
+    parts_folder,
     read_session,
+    record_inputs,
     result_folder,
+    session_files,
 )
 
 if TYPE_CHECKING:
@@ -52,6 +54,7 @@ def flow(
     subset: int | None = None,
     step: int | None = None,
     pictures: bool = True,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Measure how the surface moved, from the pictures of calibrated cameras.
 
@@ -81,6 +84,9 @@ def flow(
         for joint.
     pictures
         With --no-pictures none are drawn.
+    force
+        Write although something else than an unchanged result of this command is there; that is
+        kept beside it as NAME.old.
 
     Returns
     -------
@@ -92,21 +98,23 @@ def flow(
     options = {name: value for name, value in asked.items() if value is not None}
     chosen = FLOW_METHODS[method](**options)
     # The target is tried first: no one should wait for a result that cannot be kept.
-    with result_folder(target) as folder:
+    with result_folder(target, kind="flow", force=force) as folder:
         given = read_session(session, probes=probe)
+        record_inputs(folder, session_files(session))
         print_notes(given.notes)
         start = time.perf_counter()
         with progress_bar() as progress:
             report = _with_rate(progress, _instants(given))
-            found = measure_motion(given, method=chosen, pose=pose, progress=report)
+            found = measure_motion(
+                given, method=chosen, pose=pose, progress=report, parts=parts_folder(folder)
+            )
             seconds = time.perf_counter() - start
             settings = {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)}
             heading = {"session": given.name, "settings": settings}
-            with disk_errors(folder):
-                figures = _write(
-                    folder, given, found, progress, heading=heading, measuring=seconds,
-                    pictures=pictures,
-                )  # fmt: skip
+            figures = _write(
+                folder, given, found, progress, heading=heading, measuring=seconds,
+                pictures=pictures,
+            )  # fmt: skip
     print_notes(note for note in found.notes if note not in given.notes)
     Console().print(flow_table(figures, found.rig))
     print_text(f"{_closing(figures, seconds)}\nResult in {target}")

@@ -1,7 +1,8 @@
 """`palpate import`: displacements measured by other programs into a session."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,6 +19,7 @@ from palpate.app.terminal import (
     print_text,
     terminal_table,
 )
+from palpate.disk import placed
 from palpate.errors import InputError
 from palpate.pipeline import survey_field, without_contradicted
 from palpate.records import (
@@ -31,12 +33,13 @@ from palpate.records import (
     named_displacements,
     on_object,
     on_surface,
-    placed_files,
     read_import_pose,
     read_measured,
     read_session,
+    record_inputs,
     require_probings,
     result_folder,
+    session_files,
     with_displacements,
     write_displacement,
 )
@@ -70,6 +73,7 @@ def import_displacements(
     drop_off_surface: Annotated[bool, Parameter(negative="")] = False,
     replace: Annotated[bool, Parameter(negative="")] = False,
     out: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Take over displacements that another image correlation program measured.
 
@@ -101,24 +105,28 @@ def import_displacements(
         Replace displacements that the session already has.
     out
         Write the CSV files into this result folder instead, and leave the session as it is.
+    force
+        Write although something else is there than what --replace speaks of, or than an unchanged
+        result of this command; that is kept beside it as NAME.old.
     """
     session, plan = _targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
     print_notes((*session.notes, *notes))
-    done = []
-    for item in plan:
-        measured = read_measured(
-            kind, item.file, length_unit=length_unit, frame=item.frame, min_score=min_score
-        )
-        if import_kinds()[kind].correlates:
-            measured = without_contradicted(measured)
-        placed = on_object(measured, pose) if to_object is not None else measured
-        imported = on_surface(placed, session.mesh, drop_off_surface=drop_off_surface)
-        done.append(_Import(item.probe, item.file, imported))
-    if out is None:
-        _write_into_session(session, done, replace=replace)
-    else:
-        _write_aside(session, done, out)
+    # The targets are tried first: no one should wait for a result that cannot be kept.
+    place = _session_files(session, plan, force) if out is None else _folder(out, files, force)
+    done: list[_Import] = []
+    with place as folder:
+        for item in plan:
+            measured = read_measured(
+                kind, item.file, length_unit=length_unit, frame=item.frame, min_score=min_score
+            )
+            if import_kinds()[kind].correlates:
+                measured = without_contradicted(measured)
+            moved = on_object(measured, pose) if to_object is not None else measured
+            imported = on_surface(moved, session.mesh, drop_off_surface=drop_off_surface)
+            done.append(_Import(item.probe, item.file, imported))
+            unit = session.metres_per_unit
+            write_displacement(folder(_csv_name(item.probe)), imported.field, metres_per_unit=unit)
     _report(session, done, out)
     return 0
 
@@ -159,44 +167,63 @@ def _targets(
     return session, plan
 
 
-def _write_into_session(session: Session, done: Sequence[_Import], *, replace: bool) -> None:
-    """The CSV files and the session that names them, together or not at all."""
+@contextmanager
+def _session_files(
+    session: Session, plan: Sequence[ImportItem], force: bool
+) -> Iterator[Callable[[str], Path]]:
+    """Where the CSV files are written; they and the session that names them change together."""
     folder = session.path.parent
-    targets = [folder / _csv_name(item) for item in done]
-    for target, item in zip(targets, done, strict=True):
-        if target.exists() and target.samefile(item.file):
+    names = {item.probe: _csv_name(item.probe) for item in plan}
+    targets = [folder / name for name in names.values()]
+    strangers = _strangers(session, plan)
+    if strangers and not force:
+        raise InputError(
+            f"{strangers[0]}: is there already, and the session does not name it for that probing;"
+            f" move it, write elsewhere with --out, or give --force to keep it as"
+            f" {strangers[0].name}.old"
+        )
+    with placed([*targets, session.path], aside=lambda path: path in strangers) as staged:
+        where = dict(zip(names.values(), staged, strict=False))
+        yield where.__getitem__
+        # As it is by now, and as bytes, so that line ends stay as they are.
+        text = session.path.read_bytes().decode("utf-8")
+        mark = "\ufeff" if text.startswith("\ufeff") else ""
+        edited = mark + with_displacements(text.removeprefix(mark), names)
+        staged[-1].write_bytes(edited.encode("utf-8"))
+
+
+def _strangers(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
+    """What stands in the way of the CSV files and is not the displacement that they replace."""
+    folder, strangers = session.path.parent, []
+    named = named_displacements(session.path)
+    for item in plan:
+        target = folder / _csv_name(item.probe)
+        if target.is_dir():
+            raise InputError(f"{target}: is a folder; move it, or write elsewhere with --out")
+        if not target.exists():
+            continue
+        if target.samefile(item.file):
             raise InputError(
                 f"{target}: the result would replace its own source; move the source elsewhere, or"
                 " write elsewhere with --out"
             )
-        if target.exists() and not replace:
-            raise InputError(
-                f"{target}: is there already; use --replace, or write elsewhere with --out"
-            )
-    # Bytes, so that line ends stay as they are.
-    text = session.path.read_bytes().decode("utf-8")
-    mark = "\ufeff" if text.startswith("\ufeff") else ""
-    names = {item.name: _csv_name(item) for item in done}
-    edited = mark + with_displacements(text.removeprefix(mark), names)
-    with placed_files([*targets, session.path]) as staged:
-        for path, item in zip(staged, done, strict=False):
-            write_displacement(path, item.imported.field, metres_per_unit=session.metres_per_unit)
-        staged[-1].write_bytes(edited.encode("utf-8"))
+        files = {name: folder / file for name, file in named.items()}
+        owners = [name for name, file in files.items() if file.exists() and target.samefile(file)]
+        if owners != [item.probe]:
+            strangers.append(Path(os.path.realpath(target)))
+    return strangers
 
 
-def _write_aside(session: Session, done: Sequence[_Import], out: Path) -> None:
-    """The CSV files in a result folder."""
-    with result_folder(out) as folder:
-        for item in done:
-            write_displacement(
-                folder / _csv_name(item),
-                item.imported.field,
-                metres_per_unit=session.metres_per_unit,
-            )
+@contextmanager
+def _folder(out: Path, files: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
+    """Where the CSV files are written in a result folder."""
+    with result_folder(out, kind="import", force=force) as folder:
+        record_inputs(folder, [*files[:-1], *session_files(files[-1])])
+        yield folder.joinpath
 
 
-def _csv_name(item: _Import) -> str:
-    return f"{item.name}.csv"
+def _csv_name(probe: str) -> str:
+    return f"{probe}.csv"
 
 
 def _report(session: Session, done: Sequence[_Import], out: Path | None) -> None:
@@ -205,7 +232,7 @@ def _report(session: Session, done: Sequence[_Import], out: Path | None) -> None
     notes = [(item.file.name, note) for item in done for note in item.imported.notes]
     print_file_notes(notes, files=len(done))
     for item in done:
-        name = _csv_name(item)
+        name = _csv_name(item.name)
         if out is None:
             line = f"{session.path}, probing '{item.name}': {displacement_line(name)}"
         else:

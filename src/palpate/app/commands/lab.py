@@ -22,7 +22,7 @@ from palpate.lab import (
     make_session,
     read_lab_config,
 )
-from palpate.records import result_folder
+from palpate.records import parts_folder, record_inputs, result_folder
 
 
 def lab(
@@ -32,6 +32,7 @@ def lab(
     *,
     seed: int | None = None,
     list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Measure a virtual specimen: its pictures, forces and the truth as a session folder.
 
@@ -45,6 +46,9 @@ def lab(
         Another seed than the configuration's: other noise, another texture, other misalignments.
     list_
         Only list what can be configured, and the built-in configurations.
+    force
+        Write although something else than an unchanged result of this command is there; that is
+        kept beside it as NAME.old.
 
     Returns
     -------
@@ -59,13 +63,17 @@ def lab(
             "give a configuration and a folder: palpate lab CONFIG.toml OUT; --list shows the"
             f" built-in ones: {', '.join(built_in())}"
         )
-    plan = read_lab_config(_file(config))
+    file = _file(config)
+    plan = read_lab_config(file)
     plan = plan if seed is None else replace(plan, seed=seed)
-    with result_folder(out) as folder:
+    with result_folder(out, kind="lab", force=force) as folder:
+        record_inputs(folder, [file])
         variant = choose_variant()
         print_notes([variant.why])
         with progress_bar() as progress:
-            make_session(plan, folder, variant=variant, progress=progress)
+            make_session(
+                plan, folder, variant=variant, progress=progress, parts=parts_folder(folder)
+            )
     print_text(_closing(plan, out), wrapped=False)
     return 0
 

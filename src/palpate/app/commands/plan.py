@@ -1,9 +1,11 @@
 """`palpate lab plan`: what cameras will see and which precision to expect of a session."""
 
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
+from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
@@ -11,7 +13,14 @@ from palpate.app.terminal import print_notes, print_text, progress_bar, terminal
 from palpate.errors import InputError
 from palpate.lab import choose_variant, planned_pictures
 from palpate.pipeline import MATCHING_NOISE, MeasurementPlan, plan_measurement
-from palpate.records import default_folder, modulus_unit, read_session, result_folder
+from palpate.records import (
+    default_folder,
+    modulus_unit,
+    read_session,
+    record_inputs,
+    result_folder,
+    session_files,
+)
 
 
 def plan(
@@ -22,6 +31,7 @@ def plan(
     poisson_ratio: float = 0.3,
     matching_noise: float = MATCHING_NOISE,
     out: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Say what to expect of a measurement: which precision, from which probings, in which view.
 
@@ -42,6 +52,9 @@ def plan(
     out
         Folder for the pictures. Default: the session's folder name followed by -plan, in the
         current folder.
+    force
+        Write although something else than an unchanged result of this command is there; that is
+        kept beside it as NAME.old.
 
     Returns
     -------
@@ -49,8 +62,9 @@ def plan(
         0.
     """
     target = out or default_folder(session, "plan")
-    with result_folder(target) as folder:
+    with result_folder(target, kind="lab plan", force=force) as folder:
         given = read_session(session)
+        record_inputs(folder, session_files(session))
         print_notes(given.notes)
         with progress_bar() as progress:
             found = plan_measurement(

@@ -18,7 +18,7 @@ from palpate.paper import (
     write_page,
     write_result,
 )
-from palpate.records import disk_errors, result_folder
+from palpate.records import result_folder
 
 ALL = "all"
 # Sessions stay in the result, so that a figure can be followed to its pictures.
@@ -32,6 +32,7 @@ def reproduce(
     out: Path | None = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
     page: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Repeat an experiment of the paper on the virtual bench, its own numbers beside.
 
@@ -46,6 +47,9 @@ def reproduce(
         Small pictures and few steps: a look, not a measurement.
     page
         Also write this Markdown page of all results, its pictures beside it.
+    force
+        Write although something else than an unchanged result of this command is there; that is
+        kept beside it as NAME.old.
 
     Returns
     -------
@@ -56,7 +60,7 @@ def reproduce(
     target = out or Path(f"paper-{experiment}")
     # A folder each, unless an experiment is alone.
     below = {name: name if len(names) > 1 else "" for name in names}
-    with result_folder(target) as folder, disk_errors(folder):
+    with result_folder(target, kind="reproduce", force=force) as folder:
         variant = choose_variant()
         print_notes([variant.why])
         with progress_bar() as progress:

@@ -72,7 +72,16 @@ class FieldBlocks:
     n_rows: int
 
     def by_row(self, node: int) -> Float[np.ndarray, "r fields"]:
-        """The fields against one node, one row a collocation point in the order of the blocks."""
+        """The fields against one node.
+
+        Parameters
+        ----------
+        node : int
+
+        Returns
+        -------
+        (r, fields) float           one row a collocation point, in the order of the blocks
+        """
         fields = self.values[:, node].transpose(0, 2, 1)
         return fields.reshape(-1, fields.shape[2])[: self.n_rows]
 

@@ -5,9 +5,8 @@ anew in a second or two.
 """
 
 import hashlib
-import os
-import tempfile
 import zipfile
+from contextlib import suppress
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from palpate.bem.integrals import BoundarySurface, FieldBlocks, Quadrature
 from palpate.bem.system.boundary import find_unknowns, place_collocation
 from palpate.bem.system.system import BoundarySystem, assemble_system
+from palpate.disk import InUseError, placed
 from palpate.errors import InputError
 
 # Raised by whoever changes what is stored or how it is computed.
@@ -96,17 +96,11 @@ def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
 
 
 def _write(path: Path, system: BoundarySystem) -> None:
-    """Write whole or not at all: into a file beside it, which then takes its name."""
+    """Write whole or not at all; who writes the same at the same time writes it for both."""
     path.parent.mkdir(parents=True, exist_ok=True)
     blocks = (system.traction_kernel, system.displacement_kernel)
     arrays: dict[str, Any] = {}
     for name, kernel in zip(_KERNELS, blocks, strict=True):
         arrays |= {f"{name}_values": kernel.values, f"{name}_rows": kernel.rows}
-    handle, partial = tempfile.mkstemp(dir=path.parent, suffix=".partial")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)
-        os.replace(partial, path)
-    except BaseException:
-        os.unlink(partial)
-        raise
+    with suppress(InUseError), placed([path]) as (staged,), staged.open("wb") as file:
+        np.savez(file, **arrays)

@@ -23,10 +23,11 @@ from palpate.bem.integrals import (
 )
 from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
 from palpate.errors import InputError, SingularSystemError
-from palpate.geometry import QuadraticNodes
+from palpate.geometry import QuadraticNodes, triangle_areas
 from palpate.threads import in_threads
 
-SMALLEST_RCOND = 1e-14
+# A body that floats has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
+SMALLEST_RCOND = 1e-13
 # Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
 # slope.
 _DOUBLES_A_PAIR = 22
@@ -65,8 +66,10 @@ class BoundarySystem:
 
     @property
     def traction_length(self) -> float:
-        """Size of the object [m]: scales tractions to displacements, so that columns are alike."""
-        return float(np.ptp(self.surface.mesh.vertices, axis=0).max())
+        """Size of the held triangles [m]: scales tractions to displacements, so that columns are
+        alike."""
+        areas = triangle_areas(self.surface.mesh)[self.surface.held]
+        return float(np.sqrt(areas.mean()))
 
     @property
     def size(self) -> int:

@@ -35,7 +35,16 @@ class LikelihoodMap:
 
     @staticmethod
     def height(share: float) -> float:
-        """Deviance at the edge of the joint region that holds a share of the probability."""
+        """Deviance at the edge of the joint region that holds a share of the probability.
+
+        Parameters
+        ----------
+        share : float [-]           between 0 and 1
+
+        Returns
+        -------
+        float [-]                   quantile of chi-squared with two degrees of freedom
+        """
         return float(chdtri(2, 1 - share))
 
 

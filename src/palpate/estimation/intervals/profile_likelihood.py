@@ -101,7 +101,7 @@ def _curve(weights: FixedWeights, grid: np.ndarray) -> ProfileCurve:
     probes = weights.at(grid)
     compliance, height = best_compliance(probes)
     _, lowest = sharpened_minimum(grid, height)
-    no_signal = float(weights.measured_measured.sum()) - lowest
+    no_signal = float(probes.yy.sum(0).min()) - lowest
     return ProfileCurve(probes, grid, compliance, np.maximum(height - lowest, 0.0), no_signal)
 
 

@@ -76,7 +76,16 @@ class Scores:
         return inverse @ (self.noise.sum(0) + ridge) @ inverse
 
     def curvature_variance(self, direction: Float[np.ndarray, " 2"]) -> float:
-        """Variance of a combination that the curvature of the misfit alone would claim."""
+        """Variance of a combination that the curvature of the misfit alone would claim.
+
+        Parameters
+        ----------
+        direction : (2,) float      see `directions`
+
+        Returns
+        -------
+        float [-]                   of that combination of (nu, log G)
+        """
         return float(direction @ _inverse(self.curvature.sum(0))[0] @ direction)
 
     def scatter(self, direction: Float[np.ndarray, " 2"]) -> "Scatter":
@@ -114,7 +123,7 @@ class Scatter:
 
     Parameters
     ----------
-    ratio : float               of variances
+    ratio : float [-]           of variances, >= 0
     degrees : float             degrees of freedom, about the number of probings
     """
 
@@ -228,7 +237,7 @@ def cramer_rao_bound(
             )
     rows = tuple(observed_rows_of(probe) for probe in probes)
     misfit = Misfit(rows, np.ones(GROUP_COUNT), Gaussian())
-    shifts = [np.zeros(3)] * len(rows)
+    shifts = [np.zeros(3 + len(probe.motion)) for probe in rows]
     information = np.zeros((2, 2))
     for local in misfit.linearised(misfit.scaled(poisson_ratio), 0.0, shear_modulus, shifts):
         turn = _projection(local, 1.0, 1.0)
@@ -251,21 +260,22 @@ def _scores(
     """Score, information, covariance of the score and curvature of one probing."""
     gram = probe.design.T @ probe.design
     turn = _projection(probe, noise.slope, force_slope)
-    force = turn[2:].T @ turn[2:]
+    prior_slope, prior_power = probe.rows.prior(force_slope), probe.rows.prior(force_power)
     projected = turn.T @ gram @ turn
-    information = noise.slope * projected + force_slope * force
-    spread = noise.power * noise.correlation.variance * projected + force_power * force
+    information = noise.slope * projected + (turn[2:].T * prior_slope) @ turn[2:]
+    spread = noise.power * noise.correlation.variance * projected
+    spread += (turn[2:].T * prior_power) @ turn[2:]
     weighted = probe.weighted_products()
-    weighted[2:5, 2:5] += probe.force_weight * np.eye(3)
-    solved = np.linalg.solve(weighted[2:5, 2:5], weighted[2:5, :2])
-    curvature = weighted[:2, :2] - weighted[:2, 2:5] @ solved
-    return weighted[:2, 5], information, spread, curvature
+    weighted[2:-1, 2:-1] += np.diag(probe.prior)
+    solved = np.linalg.solve(weighted[2:-1, 2:-1], weighted[2:-1, :2])
+    curvature = weighted[:2, :2] - weighted[:2, 2:-1] @ solved
+    return weighted[:2, -1], information, spread, curvature
 
 
 def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
-    """(5, 2) matrix that takes the force shifts out of the design of the constants."""
+    """(2 + n, 2) matrix that takes the n shifts out of the design of the constants."""
     gram = slope * (probe.design.T @ probe.design)
-    force = gram[2:, 2:] + force_slope * np.eye(3)
+    force = gram[2:, 2:] + np.diag(probe.rows.prior(force_slope))
     return np.vstack([np.eye(2), -np.linalg.solve(force, gram[2:, :2])])
 
 
@@ -295,11 +305,11 @@ def _noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
 
 
 def _absorbed(local: Sequence[LocalProbe]) -> float:
-    """Degrees of freedom of the displacements that the free forces take up."""
+    """Degrees of freedom of the displacements that the free forces and motions take up."""
     total = 0.0
     for probe in local:
         gram = probe.design[:, 2:].T @ probe.design[:, 2:]
-        total += float(np.trace(np.linalg.solve(gram + probe.force_weight * np.eye(3), gram)))
+        total += float(np.trace(np.linalg.solve(gram + np.diag(probe.prior), gram)))
     return total
 
 

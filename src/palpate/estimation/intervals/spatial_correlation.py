@@ -39,7 +39,7 @@ class CorrelationFactor:
 
 def correlation_factor(
     local: Sequence[LocalProbe],
-    projection: Sequence[Float[np.ndarray, "5 2"]],
+    projection: Sequence[Float[np.ndarray, "_ 2"]],
     *,
     score_variance: float,
 ) -> CorrelationFactor:
@@ -48,7 +48,7 @@ def correlation_factor(
     Parameters
     ----------
     local : sequence of LocalProbe      at the joint minimum
-    projection : (5, 2) for each        takes the forces out of the design
+    projection : (2 + n, 2) for each    takes forces and motions out of the design
     score_variance : float              mean square of the robust score
 
     Returns
@@ -90,8 +90,8 @@ class _BlockSums:
 
     score: Float[np.ndarray, "b 2"]
     information: Float[np.ndarray, "b 2 2"]
-    leak: Float[np.ndarray, "b 2 3"]
-    force_covariance: Float[np.ndarray, "3 3"]
+    leak: Float[np.ndarray, "b 2 n"]
+    shift_covariance: Float[np.ndarray, "n n"]
     points: int
 
     def merged(self, level: int) -> "_BlockSums":
@@ -100,8 +100,8 @@ class _BlockSums:
         return _BlockSums(
             self.score.reshape(count, -1, 2).sum(1),
             self.information.reshape(count, -1, 2, 2).sum(1),
-            self.leak.reshape(count, -1, 2, 3).sum(1),
-            self.force_covariance,
+            self.leak.reshape(count, -1, *self.leak.shape[1:]).sum(1),
+            self.shift_covariance,
             self.points,
         )
 
@@ -111,7 +111,7 @@ class _BlockSums:
         constants = np.einsum(
             "bij,jk,bkl,li->b", self.information, metric, self.information, metric
         )
-        leak = np.einsum("bij,jk,blk,li->b", self.leak, self.force_covariance, self.leak, metric)
+        leak = np.einsum("bij,jk,blk,li->b", self.leak, self.shift_covariance, self.leak, metric)
         return plain - constants - leak
 
 
@@ -121,26 +121,26 @@ def _block_sums(probe: LocalProbe, projection: np.ndarray) -> _BlockSums:
     order = morton_order(rows.position)
     order = order[: int(np.isfinite(rows.position[:, 0]).sum())]
     finest = min(_MAX_HALVINGS, int(np.log2(len(order) / _MIN_POINTS_PER_BLOCK)))
-    clean = probe.design @ projection
+    clean, shifts = probe.design @ projection, probe.design[:, 2:]
     row_score = rows.per_row(probe.weight) * probe.residual
     columns = np.concatenate(
         [
             clean * row_score[:, None],
             clean[:, [0]] * clean,
             clean[:, [1]] * clean,
-            clean[:, [0]] * probe.design[:, 2:],
-            clean[:, [1]] * probe.design[:, 2:],
+            clean[:, [0]] * shifts,
+            clean[:, [1]] * shifts,
         ],
         axis=1,
     )
     point_sums = np.add.reduceat(columns, rows.start, axis=0)[order]
     first = np.arange(2**finest) * len(order) // 2**finest
     sums = np.add.reduceat(point_sums, first, axis=0)
-    force = probe.design[:, 2:].T @ probe.design[:, 2:] + np.eye(3)
+    normal = shifts.T @ shifts + np.eye(shifts.shape[1])
     return _BlockSums(
         sums[:, :2],
         sums[:, 2:6].reshape(-1, 2, 2),
-        sums[:, 6:].reshape(-1, 2, 3),
-        np.linalg.inv(force),
+        sums[:, 6:].reshape(-1, 2, shifts.shape[1]),
+        np.linalg.inv(normal),
         len(order),
     )

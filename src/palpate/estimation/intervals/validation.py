@@ -30,7 +30,7 @@ class ProbeFit:
     residual : (n, 3) float [m]             measured minus predicted, NaN where not measured
     weight : (n, 3) float                   robust weight in [0, 1], 0 where not measured
     left_out_predicted : (n, 3) float [m] or None
-        from the constants of all other probings and the measured force
+        from the constants of all other probings and the measured force; motions as fitted
     """
 
     name: str
@@ -85,24 +85,25 @@ def probe_fits(
     fits = []
     for k, (probe, local) in enumerate(zip(probes, minimum.probes, strict=True)):
         n = len(probe.position)
-        force = probe.force + probe.force_std * local.shift
-        predicted = _predicted(probe, force, minimum.poisson_ratio, minimum.shear_modulus)
+        nu, load = minimum.poisson_ratio, local.rows.load(minimum.shear_modulus, local.shift)
+        predicted = _predicted(probe, nu, load)
         factor = np.zeros(n + 1)
         factor[local.rows.point] = relative_weight(noise, local.squared, local.rows.components)
         weight = np.where(np.isfinite(probe.displacement), factor[:n, None], 0.0)
         left = None
         if left_out is not None:
-            left = _predicted(probe, probe.force, float(left_out[k, 0]), float(left_out[k, 1]))
+            # The motion of its support cannot come from the others.
+            shift = np.where(np.arange(len(local.shift)) < 3, 0.0, local.shift)
+            nu, modulus = left_out[k].tolist()
+            left = _predicted(probe, nu, local.rows.load(modulus, shift))
         fits.append(ProbeFit(probe.name, predicted, probe.displacement - predicted, weight, left))
     return tuple(fits)
 
 
-def _predicted(
-    probe: ProbeObservations, force: np.ndarray, poisson_ratio: float, shear_modulus: float
-) -> np.ndarray:
+def _predicted(probe: ProbeObservations, poisson_ratio: float, load: np.ndarray) -> np.ndarray:
     """Displacement of every point of the probing, measured or not."""
     response = probe.response.value(poisson_ratio)[: 3 * len(probe.position)]
-    return ((response[:, :3] @ force + response[:, 3]) / shear_modulus).reshape(-1, 3)
+    return (response @ load).reshape(-1, 3)
 
 
 def probe_estimate(constants: IntervalSet, fit: ProbeFit) -> ProbeEstimate:

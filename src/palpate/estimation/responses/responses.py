@@ -80,7 +80,7 @@ class ProbeResponse:
     rows: ProbeRows
     seen: Callable[[float], Float[np.ndarray, "rows c"]]
 
-    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Displacement times shear modulus per unit force, and under the body force
         (`ResponseModel`)."""
         seen = self.seen(poisson_ratio)
@@ -99,7 +99,7 @@ class ProbeResponse:
             response[:, 3] = observed[:, 3] + factor * (observed[:, 4] + particular)
         return response
 
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows 4"]:
+    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Derivative of `value` with respect to Poisson's ratio, by a central difference (error
         1e-8)."""
         higher, lower = (self.value(poisson_ratio + step) for step in (_SLOPE_STEP, -_SLOPE_STEP))
@@ -144,7 +144,7 @@ def reduced_response(model: ReducedModel, rows: ProbeRows) -> ProbeResponse:
     -------
     ProbeResponse
     """
-    terms = [rows.seen(term) for term in model.directions[:-1, :, rows.columns]]
+    terms = [rows.seen(term) for term in model.directions[:, :, rows.columns]]
     projected = np.stack(terms, axis=2).transpose(1, 0, 2).copy()
 
     def seen(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:

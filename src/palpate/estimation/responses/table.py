@@ -24,15 +24,24 @@ class ResponseTable:
     ----------
     poisson_range : (float, float) [-]              ends, lower one first
     poisson_ratio : (m,) float [-]                  nodes, rising
-    response : tuple of (m, 4, r) float [m Pa/N]    one for each probing, column-major
+    response : tuple of (m, c, r) float             one for each probing, column-major
     """
 
     poisson_range: tuple[float, float]
     poisson_ratio: Float[np.ndarray, " m"]
-    response: tuple[Float[np.ndarray, "m 4 _"], ...]
+    response: tuple[Float[np.ndarray, "m _ _"], ...]
 
-    def at(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "4 _"], ...]:
-        """Interpolated responses of all probings, transposed."""
+    def at(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "_ _"], ...]:
+        """Interpolated responses of all probings.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]       within the range
+
+        Returns
+        -------
+        tuple of (c, r) float           `ResponseModel.value`, transposed
+        """
         weight = interpolation_weights(self.poisson_ratio, np.array([poisson_ratio]))[0]
         return tuple(np.einsum("m,mir->ir", weight, response) for response in self.response)
 

@@ -29,23 +29,23 @@ class GlobalStart:
     poisson_ratio : float [-]
     shear_modulus : float [Pa]
     level : (8,) float                  noise level of each group
-    shifts : tuple of (3,) float        true minus measured force of each probing, in sigmas
+    shifts : tuple of (n,) float        of the force and motions of each probing, in sigmas
     """
 
     poisson_ratio: float
     shear_modulus: float
     level: Float[np.ndarray, " 8"]
-    shifts: tuple[Float[np.ndarray, " 3"], ...]
+    shifts: tuple[Float[np.ndarray, " _"], ...]
 
 
 def fitted_parameters(probes: Sequence[ObservedRows]) -> int:
-    """Numbers that the residuals were fitted with: two constants and the uncertain forces.
+    """Numbers that the residuals were fitted with: two constants, uncertain forces and motions.
 
     Parameters
     ----------
     probes : sequence of ObservedRows
     """
-    return 2 + sum(probe.force_components for probe in probes)
+    return 2 + sum(probe.fitted_components for probe in probes)
 
 
 def global_start(
@@ -64,7 +64,7 @@ def global_start(
     GlobalStart
     """
     residuals = _convex_residuals(probes, table)
-    shifts = [np.zeros(3) for _ in probes]
+    shifts = [np.zeros(3 + len(probe.motion)) for probe in probes]
     for _ in range(_ROUNDS):
         level = noise_levels(probes, residuals, parameters=fitted_parameters(probes))
         weights = [
@@ -72,7 +72,7 @@ def global_start(
             for probe, residual in zip(probes, residuals, strict=True)
         ]
         force_weights = noise.weight(
-            np.array([shift @ shift for shift in shifts]),
+            np.array([shift[:3] @ shift[:3] for shift in shifts]),
             np.array([float(probe.force_components) for probe in probes]),
         )
         fixed = fixed_weights(probes, table, level, weights, force_weights)
@@ -80,26 +80,29 @@ def global_start(
         for k, (probe, response) in enumerate(zip(probes, table.at(nu), strict=True)):
             row_weight = probe.per_row(weights[k]) / probe.sigma(level) ** 2
             residuals[k], shifts[k] = _at_best_force(
-                probe, response / modulus, row_weight, float(force_weights[k])
+                probe, response.T, modulus, row_weight, float(force_weights[k])
             )
     return GlobalStart(nu, modulus, level, tuple(shifts))
 
 
 def _convex_residuals(probes: Sequence[ObservedRows], table: ResponseTable) -> list[np.ndarray]:
-    """Residuals of each probing fitted with a free force under a convex loss."""
+    """Residuals of each probing fitted with a free force and motions under a convex loss."""
     middle = table.at(float(np.mean(table.poisson_range)))
     weights = [1.0 / probe.unit**2 for probe in probes]
     residuals = [probe.measured for probe in probes]
     for _ in range(_CONVEX_ROUNDS):
         for k, probe in enumerate(probes):
-            columns = middle[k] if np.any(middle[k][3]) else middle[k][:3]
-            both = np.vstack([columns, probe.measured])
+            free = np.append([True, True, True, np.any(middle[k][3])], probe.motion_std > 0)
+            columns = middle[k][free]
+            known = probe.measured - probe.motion @ middle[k][4:]
+            both = np.vstack([columns, known])
             products = (both * weights[k]) @ both.T
             size = np.sqrt(np.maximum(np.diag(products)[:-1], np.finfo(float).tiny))
             unit = products[:-1, :-1] / np.outer(size, size) + 1e-12 * np.eye(len(size))
             fitted = np.linalg.solve(unit, products[:-1, -1] / size) / size
-            residuals[k] = probe.measured - fitted @ columns
-        level = noise_levels(probes, residuals, parameters=3 * len(probes))
+            residuals[k] = known - fitted @ columns
+        motions = sum(int(np.count_nonzero(probe.motion_std)) for probe in probes)
+        level = noise_levels(probes, residuals, parameters=3 * len(probes) + motions)
         for k, probe in enumerate(probes):
             sigma = probe.sigma(level)
             squared = probe.squared_length(residuals[k] / sigma)
@@ -110,13 +113,15 @@ def _convex_residuals(probes: Sequence[ObservedRows], table: ResponseTable) -> l
 
 def _at_best_force(
     probe: ObservedRows,
-    response: Float[np.ndarray, "4 r"],
+    response: Float[np.ndarray, "r c"],
+    shear_modulus: float,
     row_weight: Float[np.ndarray, " r"],
     force_weight: float,
-) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " 3"]]:
-    """Residuals of a probing at its best true force, and that force's shift in sigmas."""
-    plain = probe.measured - (probe.force @ response[:3] + response[3])
-    push = response[:3] * probe.force_std[:, None]
-    inner = (push * row_weight) @ push.T + force_weight * np.eye(3)
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " n"]]:
+    """Residuals of a probing at its best true force and motions, and their shifts in sigmas."""
+    prior = probe.prior(force_weight)
+    plain = probe.measured - response @ probe.load(shear_modulus, np.zeros(len(prior)))
+    push = probe.per_shift(response, shear_modulus).T
+    inner = (push * row_weight) @ push.T + np.diag(prior)
     shift = np.linalg.solve(inner, push @ (row_weight * plain))
     return plain - shift @ push, shift

@@ -2,8 +2,9 @@
 
 A measured force is an observation like any other: F_measured = F + noise, with the true force F
 unknown. For given constants the true forces are eliminated probing by probing (profile likelihood
-of a functional errors-in-variables model). No normaliser of an integral over F enters: it would
-favour large moduli by three force variances over the squared force for every probing.
+of a functional errors-in-variables model), and with them the motions of supports that are not
+known. No normaliser of an integral over F enters: it would favour large moduli by three force
+variances over the squared force for every probing.
 """
 
 from collections.abc import Sequence
@@ -28,52 +29,58 @@ class ScaledRows:
     ----------
     probe : ObservedRows
     measured : (r,) float [-]
-    base : (r, 4) float [Pa/N]      response at a reference Poisson's ratio, column 3 [Pa]
-    slope : (r, 4) float            its derivative with respect to Poisson's ratio, zero where not
+    base : (r, c) float             response at a reference Poisson's ratio, over the noise
+    slope : (r, c) float            its derivative with respect to Poisson's ratio, zero where not
                                     asked for
     """
 
     probe: ObservedRows
     measured: Float[np.ndarray, " r"]
-    base: Float[np.ndarray, "r 4"]
-    slope: Float[np.ndarray, "r 4"]
+    base: Float[np.ndarray, "r c"]
+    slope: Float[np.ndarray, "r c"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalProbe:
-    """One probing linearised at given constants and true force, in units of the noise.
+    """One probing linearised at given constants, true force and motions, in units of the noise.
 
     Parameters
     ----------
     rows : ObservedRows
-    table : (r, 6) float            slope of the prediction in nu, log G and the three force shifts,
-                                    and last the residual, measured minus predicted
+    table : (r, 3 + n) float        slope of the prediction in nu, log G and the n shifts, and last
+                                    the residual, measured minus predicted
     squared : (p,) float            squared residual of every point
     weight : (p,) float             robust weight of every point
-    shift : (3,) float              true minus measured force, in sigmas
+    shift : (n,) float              true minus measured force, then the same of the motions of
+                                    supports, in sigmas
     force_weight : float            robust weight of the measured force
     loss : float                    contribution to the misfit
     """
 
     rows: ObservedRows
-    table: Float[np.ndarray, "r 6"]
+    table: Float[np.ndarray, "r t"]
     squared: Float[np.ndarray, " p"]
     weight: Float[np.ndarray, " p"]
-    shift: Float[np.ndarray, " 3"]
+    shift: Float[np.ndarray, " n"]
     force_weight: float
     loss: float
 
     @property
-    def design(self) -> Float[np.ndarray, "r 5"]:
+    def design(self) -> Float[np.ndarray, "r d"]:
         """Slope of the prediction."""
-        return self.table[:, :5]
+        return self.table[:, :-1]
 
     @property
     def residual(self) -> Float[np.ndarray, " r"]:
         """Measured minus predicted."""
-        return self.table[:, 5]
+        return self.table[:, -1]
 
-    def weighted_products(self) -> Float[np.ndarray, "6 6"]:
+    @property
+    def prior(self) -> Float[np.ndarray, " n"]:
+        """Weight of what was known before about each shift."""
+        return self.rows.prior(self.force_weight)
+
+    def weighted_products(self) -> Float[np.ndarray, "t t"]:
         """Products of the table's columns under the robust weights, table' W table."""
         # One small product: a product with a vector would be threaded, at ten times the cost.
         return (self.table * self.rows.per_row(self.weight)[:, None]).T @ self.table
@@ -132,8 +139,17 @@ class Misfit:
         )
 
     def scaled(self, poisson_ratio: float, *, with_slope: bool = True) -> list[ScaledRows]:
-        """Rows of every probing in units of the noise, the response taken at one Poisson's
-        ratio."""
+        """Rows of every probing in units of the noise, the response taken at one Poisson's ratio.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]
+        with_slope : bool               False: the derivative is left at zero
+
+        Returns
+        -------
+        list of ScaledRows              one for each probing
+        """
         scaled = []
         for probe in self.probes:
             sigma = probe.sigma(self.level)
@@ -149,16 +165,16 @@ class Misfit:
         rows: Sequence[ScaledRows],
         offset: float,
         shear_modulus: float,
-        shifts: Sequence[Float[np.ndarray, " 3"]],
+        shifts: Sequence[Float[np.ndarray, " n"]],
     ) -> tuple[LocalProbe, ...]:
-        """Every probing at nu = reference + offset, a shear modulus and true forces.
+        """Every probing at nu = reference + offset, a shear modulus, true forces and motions.
 
         Parameters
         ----------
         rows : sequence of ScaledRows   response and slope at the reference
         offset : float [-]              in Poisson's ratio
         shear_modulus : float [Pa]      > 0
-        shifts : one (3,) float for each probing    true minus measured force, in sigmas
+        shifts : one (n,) float for each probing    see `LocalProbe.shift`
         """
         return tuple(
             _linearised(self.noise, row, offset, shear_modulus, shift)
@@ -171,20 +187,22 @@ def _linearised(
     rows: ScaledRows,
     offset: float,
     shear_modulus: float,
-    shift: Float[np.ndarray, " 3"],
+    shift: Float[np.ndarray, " n"],
 ) -> LocalProbe:
     probe = rows.probe
     response = rows.base if offset == 0 else rows.base + offset * rows.slope
-    load = np.append(probe.force + probe.force_std * shift, 1.0) / shear_modulus
-    predicted = response @ load
-    table = np.empty((len(predicted), 6))
+    load = probe.load(shear_modulus, shift)
+    pushed = response[:, :4] @ load[:4]
+    table = np.empty((len(pushed), 3 + len(shift)))
     table[:, 0] = rows.slope @ load
-    np.negative(predicted, out=table[:, 1])
-    np.multiply(response[:, :3], probe.force_std / shear_modulus, out=table[:, 2:5])
-    np.subtract(rows.measured, predicted, out=table[:, 5])
-    squared = probe.squared_length(table[:, 5])
-    length, count = np.array([shift @ shift]), np.array([float(probe.force_components)])
+    np.negative(pushed, out=table[:, 1])
+    table[:, 2:-1] = probe.per_shift(response, shear_modulus)
+    np.subtract(rows.measured, pushed + response[:, 4:] @ load[4:], out=table[:, -1])
+    squared = probe.squared_length(table[:, -1])
+    length = np.array([shift[:3] @ shift[:3]])
+    count = np.array([float(probe.force_components)])
     loss = noise.loss(squared, probe.components).sum() + noise.loss(length, count).sum()
+    loss += shift[3:] @ shift[3:]
     return LocalProbe(
         rows=probe,
         table=table,
@@ -197,13 +215,13 @@ def _linearised(
 
 
 def _at_best_force(noise: NoiseModel, rows: ScaledRows, shear_modulus: float) -> LocalProbe:
-    """One probing at its best true force, by reweighted least squares."""
-    shift = np.zeros(3)
+    """One probing at its best true force and motions, by reweighted least squares."""
+    shift = np.zeros(3 + len(rows.probe.motion))
     for _ in range(_MAX_FORCE_STEPS):
         local = _linearised(noise, rows, 0.0, shear_modulus, shift)
         products = local.weighted_products()
-        normal = products[2:5, 2:5] + local.force_weight * np.eye(3)
-        step = np.linalg.solve(normal, products[2:5, 5] - local.force_weight * shift)
+        normal = products[2:-1, 2:-1] + np.diag(local.prior)
+        step = np.linalg.solve(normal, products[2:-1, -1] - local.prior * shift)
         shift = shift + step
         if np.abs(step).max() < _FORCE_TOLERANCE * (1 + np.abs(shift).max()):
             return _linearised(noise, rows, 0.0, shear_modulus, shift)

@@ -50,7 +50,7 @@ def scored_minimum(
     shear_modulus: float,
     *,
     poisson_range: tuple[float, float],
-    shifts: Sequence[Float[np.ndarray, " 3"]] | None = None,
+    shifts: Sequence[Float[np.ndarray, " n"]] | None = None,
 ) -> Minimum:
     """Minimum of the misfit near a start.
 
@@ -60,14 +60,14 @@ def scored_minimum(
     poisson_ratio : float [-]       start
     shear_modulus : float [Pa]      start, > 0
     poisson_range : (float, float)  Poisson's ratio stays inside
-    shifts : one (3,) float for each probing, or None   start of the true forces, in sigmas
+    shifts : one (n,) float for each probing, or None   start of forces and motions, in sigmas
 
     Returns
     -------
     Minimum                         `converged` is false where the steps did not die out
     """
     nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
-    shifts = shifts or [np.zeros(3) for _ in misfit.probes]
+    shifts = shifts or [np.zeros(3 + len(probe.motion)) for probe in misfit.probes]
     for _ in range(_MAX_LINEARISATIONS):
         reference = nu
         rows = misfit.scaled(reference)
@@ -124,7 +124,7 @@ def _step(
     nu: float,
     poisson_range: tuple[float, float],
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Scoring step of (nu, log G) and of the forces, and a standard error of nu and log G."""
+    """Scoring step of (nu, log G), of forces and motions, and a standard error of nu and log G."""
     normal, gradient = np.zeros((2, 2)), np.zeros(2)
     eliminated = []
     for probe in local:
@@ -132,9 +132,9 @@ def _step(
         # Scoring, not plain reweighting: the mean slope of the score replaces the mean weight.
         factor = max(slope / float(probe.weight.mean()), _SMALLEST_SLOPE)
         products = probe.weighted_products()
-        inner, pull = factor * products[:5, :5], products[:5, 5]
-        force = inner[2:, 2:] + probe.force_weight * np.eye(3)
-        force_pull = pull[2:] - probe.force_weight * probe.shift
+        inner, pull = factor * products[:-1, :-1], products[:-1, -1]
+        force = inner[2:, 2:] + np.diag(probe.prior)
+        force_pull = pull[2:] - probe.prior * probe.shift
         solved = np.linalg.solve(force, np.column_stack([inner[2:, :2], force_pull]))
         normal += inner[:2, :2] - inner[:2, 2:] @ solved[:, :2]
         gradient += pull[:2] - inner[:2, 2:] @ solved[:, 2]

@@ -5,7 +5,8 @@ out in closed form in the eigenbasis of their 3 x 3 information. What is left of
 
     Q(beta) = yy - 2 beta yq + beta^2 qq - sum_j (beta c_j - beta^2 d_j)^2 / (1 + beta^2 lambda_j)
 
-with q the displacement times G under the measured force. With exact forces the sum is empty and the
+with q the displacement times G under the measured force. Motions of supports do not depend on beta;
+what they leave is formed first. With exact forces the sum is empty and the
 best beta is yq / qq; otherwise a few Newton steps from there, for all Poisson's ratios at once.
 
 Source
@@ -15,7 +16,7 @@ variables separate, SIAM J. Numer. Anal. 10 (1973).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -38,12 +39,12 @@ class ProjectedProbes:
 
     Parameters
     ----------
-    yy : (k, 1) float                   see the file's head
+    yy : (k, g) float                   see the file's head
     yq, qq : (k, g) float
     c, d, information : (k, g, 3) float  parts of the sum; information is lambda
     """
 
-    yy: Float[np.ndarray, "k 1"]
+    yy: Float[np.ndarray, "k g"]
     yq: Float[np.ndarray, "k g"]
     qq: Float[np.ndarray, "k g"]
     c: Float[np.ndarray, "k g 3"]
@@ -63,39 +64,59 @@ class FixedWeights:
     ----------
     poisson_range : (float, float) [-]
     poisson_ratio : (m,) float [-]                      nodes, rising
-    response_response : (k, m, 4, m, 4) float [Pa2/N2]  R' W R
-    response_measured : (k, m, 4) float [Pa/N]          R' W y
+    response_response : (k, m, c, m, c) float           R' W R
+    response_measured : (k, m, c) float                 R' W y
     measured_measured : (k,) float [-]                  y' W y
     force : (k, 3) float [N]
     force_root : (k, 3) float [N]                       1 sigma over the root of its robust weight
+    motion, motion_std : (k, q) float                   of supports, q = c - 4
     """
 
     poisson_range: tuple[float, float]
     poisson_ratio: Float[np.ndarray, " m"]
-    response_response: Float[np.ndarray, "k m 4 m 4"]
-    response_measured: Float[np.ndarray, "k m 4"]
+    response_response: Float[np.ndarray, "k m c m c"]
+    response_measured: Float[np.ndarray, "k m c"]
     measured_measured: Float[np.ndarray, " k"]
     force: Float[np.ndarray, "k 3"]
     force_root: Float[np.ndarray, "k 3"]
+    motion: Float[np.ndarray, "k q"]
+    motion_std: Float[np.ndarray, "k q"]
 
     def only(self, chosen: int | Int[np.ndarray, " j"]) -> "FixedWeights":
-        """Some of the probings as a set of their own."""
+        """Some of the probings as a set of their own.
+
+        Parameters
+        ----------
+        chosen : int or (j,) int    their numbers
+
+        Returns
+        -------
+        FixedWeights                of 1 or j probings
+        """
         index = np.atleast_1d(chosen)
-        return replace(
-            self,
-            response_response=self.response_response[index],
-            response_measured=self.response_measured[index],
-            measured_measured=self.measured_measured[index],
-            force=self.force[index],
-            force_root=self.force_root[index],
-        )
+        by_probe = {
+            item.name: getattr(self, item.name)[index]
+            for item in fields(self)
+            if item.name not in ("poisson_range", "poisson_ratio")
+        }
+        return replace(self, **by_probe)
 
     def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> ProjectedProbes:
-        """Probings at Poisson's ratios inside the range, their true forces eliminated."""
+        """Probings with their true forces eliminated.
+
+        Parameters
+        ----------
+        poisson_ratio : (g,) float [-]  within the range of the table
+
+        Returns
+        -------
+        ProjectedProbes                 at every one of them
+        """
         weight = interpolation_weights(self.poisson_ratio, poisson_ratio)
         half = np.einsum("kaibj,gb->kgiaj", self.response_response, weight, optimize=True)
         square = (weight[:, None, None, :] @ half)[..., 0, :]
         mixed = np.einsum("gm,kmi->kgi", weight, self.response_measured)
+        yy, mixed, square = self._without_motions(mixed, square)
         load = np.concatenate([self.force, np.ones((len(self.force), 1))], axis=1)
         carried = np.einsum("kgij,kj->kgi", square, load)
         root = self.force_root[:, None, :]
@@ -103,12 +124,35 @@ class FixedWeights:
         value, vector = np.linalg.eigh(inner)
         turn = vector.swapaxes(-1, -2)
         return ProjectedProbes(
-            yy=self.measured_measured[:, None],
+            yy=yy,
             yq=np.einsum("kgi,ki->kg", mixed, load),
             qq=np.einsum("kgi,ki->kg", carried, load),
             c=(turn @ (mixed[..., :3] * root)[..., None])[..., 0],
             d=(turn @ (carried[..., :3] * root)[..., None])[..., 0],
             information=np.maximum(value, 0.0),
+        )
+
+    def _without_motions(
+        self, mixed: Float[np.ndarray, "k g c"], square: Float[np.ndarray, "k g c c"]
+    ) -> tuple[Float[np.ndarray, "k g"], Float[np.ndarray, "k g 4"], Float[np.ndarray, "k g 4 4"]]:
+        """Products of what is left of the measurement and of the four pushing columns where known
+        motions are taken off and unknown ones are at their best."""
+        yy = np.repeat(self.measured_measured[:, None], mixed.shape[1], axis=1)
+        known = np.einsum("kgij,kj->kgi", square[..., 4:], self.motion)
+        yy = yy - np.einsum("kgi,ki->kg", 2 * mixed[..., 4:] - known[..., 4:], self.motion)
+        root = self.motion_std[:, None, :]
+        crossed = square[..., 4:, :4] * root[..., None]
+        rest = ((mixed - known)[..., 4:] * root)[..., None]
+        inner = square[..., 4:, 4:] * root[..., :, None] * root[..., None, :]
+        solved = np.linalg.solve(
+            inner + np.eye(inner.shape[-1]), np.concatenate([crossed, rest], axis=-1)
+        )
+        turn = crossed.swapaxes(-1, -2)
+        taken = turn @ solved
+        return (
+            yy - (rest * solved[..., -1:])[..., 0].sum(-1),
+            (mixed - known)[..., :4] - taken[..., -1],
+            square[..., :4, :4] - taken[..., :-1],
         )
 
 
@@ -137,21 +181,24 @@ def fixed_weights(
     products = np.stack(
         [
             _weighted_square(
-                np.vstack([response.reshape(4 * count, -1), probe.measured]),
+                np.vstack([response.reshape(-1, len(probe.measured)), probe.measured]),
                 probe.per_row(weight) / probe.sigma(level) ** 2,
             )
             for probe, response, weight in zip(probes, table.response, weights, strict=True)
         ]
     )
-    shape = (len(products), count, 4)
+    columns = 4 + len(probes[0].motion)
+    shape = (len(products), count, columns)
     return FixedWeights(
         table.poisson_range,
         table.poisson_ratio,
-        products[:, :-1, :-1].reshape(*shape, count, 4),
+        products[:, :-1, :-1].reshape(*shape, count, columns),
         products[:, :-1, -1].reshape(shape),
         products[:, -1, -1],
         np.stack([probe.force for probe in probes]),
         np.stack([probe.force_std for probe in probes]) / np.sqrt(force_weights)[:, None],
+        np.stack([probe.motion for probe in probes]),
+        np.stack([probe.motion_std for probe in probes]),
     )
 
 

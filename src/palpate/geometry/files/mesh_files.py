@@ -1,17 +1,19 @@
 """Triangle surfaces from and to files: PLY, OBJ, STL, OFF, MSH, VTU, VTP."""
 
 import re
-from io import StringIO
+from io import BytesIO
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from palpate.disk import write_bytes
 from palpate.errors import InputError, MeshError
-from palpate.geometry.files.vtp_file import read_vtp
+from palpate.files import damage, read_bytes
+from palpate.geometry.files.obj_file import parse_obj
+from palpate.geometry.files.vtp_file import parse_vtp
 from palpate.geometry.triangle_mesh import TriangleMesh, connected_groups
 from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
@@ -27,6 +29,20 @@ _FACETS = {
     "quad": [[0, 1, 2], [0, 2, 3]],
 }
 _TETRAHEDRON_FACES = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
+# The checks of a surface take seconds at this many, the model would take all memory long before.
+_MOST_TRIANGLES = 100_000
+# Solids and text take more bytes than the triangles that come of them.
+_MOST_BYTES = 10_000 * _MOST_TRIANGLES
+# Where files say, or show, how many cells they have.
+_CELLS = {
+    ".ply": re.compile(rb"element\s+face\s+(\d+)"),
+    ".off": re.compile(rb"^OFF\s+(?:#.*\s+)*\d+\s+(\d+)"),
+    ".vtp": re.compile(rb'NumberOfPolys="\s*(\d+)'),
+}
+_CELL_STARTS = {".obj": b"\nf ", ".stl": b"endfacet"}
+# Sizes of objects [m]: from the largest cell to a mountain. Beyond, a unit is wrong, and squares
+# and cubes of lengths would leave the range of numbers.
+_SPAN = (1e-6, 1e4)
 
 
 def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh:
@@ -55,14 +71,26 @@ def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh
             f"{path}: mesh files of type '{suffix}' are not read;"
             f" convert it to one of {' '.join(MESH_SUFFIXES)}"
         )
-    if not path.is_file():
-        raise MeshError(f"{path}: no such file; check the name (relative to session.toml)")
-    vertices, triangles = _raw_surface(path, suffix)
+    content = read_bytes(path, most=_MOST_BYTES, kind=MeshError)
+    _check_count(path, _claimed(content, suffix))
+    with damage(
+        path,
+        "open it in a mesh program and save it again",
+        what=f"cannot be read as a {suffix[1:].upper()} surface",
+        kind=MeshError,
+    ):
+        vertices, triangles = _raw_surface(path, content)
+        used = vertices[np.unique(triangles)]
     if len(triangles) == 0:
         raise MeshError(f"{path}: holds no triangles; give a closed triangle surface")
-    if not np.isfinite(vertices).all():
+    _check_count(path, len(triangles))
+    if not np.isfinite(used).all():
         raise MeshError(f"{path}: has vertices that are not finite; write the file again")
-    return welded(TriangleMesh(vertices=vertices * metres_per_unit, triangles=triangles))
+    _check_span(path, used * metres_per_unit)
+    try:
+        return welded(TriangleMesh(vertices=vertices * metres_per_unit, triangles=triangles))
+    except InputError as error:
+        raise MeshError(f"{path}: {error}") from error
 
 
 def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
@@ -75,7 +103,8 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
 
     Raises
     ------
-    MeshError                       unknown suffix, or the file cannot be written
+    MeshError                       unknown suffix
+    RecordError                     the file cannot be written; it is as it was
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -83,7 +112,9 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
         _write_ply(path, mesh)
     elif suffix in _TRIMESH_SUFFIXES:
         trimesh = late_import("trimesh", extra=None, purpose=f"writing {path.name}")
-        trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).export(path)
+        body = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+        content = body.export(file_type=suffix[1:])
+        write_bytes(path, content if isinstance(content, bytes) else content.encode())
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
         meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]).write(path)
@@ -97,6 +128,14 @@ def welded(mesh: TriangleMesh) -> TriangleMesh:
 
     Vertices closer than 1e-7 of the bounding box, or than the last digits of single precision,
     coincide. The first of each group stands for it; the order of the others is kept.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    TriangleMesh                    with as many triangles, in the same order
     """
     vertices = mesh.vertices
     span = float(np.ptp(vertices, axis=0).max())
@@ -109,47 +148,52 @@ def welded(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices=vertices[used], triangles=compact.reshape(-1, 3))
 
 
-def _raw_surface(path: Path, suffix: str) -> tuple[Vertices, Triangles]:
-    """Vertices and triangles as the file holds them."""
-    if suffix == ".vtp":
-        return read_vtp(path)
-    if suffix in _TRIMESH_SUFFIXES:
-        module = late_import("trimesh", extra=None, purpose=f"reading {path.name}")
-    else:
-        module = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
-    # The readers raise whatever their parsing ran into, and one of them ends the process.
-    try:
-        if suffix in _TRIMESH_SUFFIXES:
-            vertices, triangles = _plain_surface(module, path)
-        else:
-            vertices, triangles = _surface_of_cells(module.read(path))
-        return (
-            np.array(vertices, dtype=np.float64).reshape(-1, 3),
-            np.array(triangles, dtype=np.int64).reshape(-1, 3),
-        )
-    except (Exception, SystemExit) as error:
+def _claimed(content: bytes, suffix: str) -> int:
+    """Triangles or polygons that a file says it has, before anything is made of them."""
+    if suffix in _CELLS:
+        return sum(map(int, _CELLS[suffix].findall(content)))
+    return content.count(_CELL_STARTS[suffix]) if suffix in _CELL_STARTS else 0
+
+
+def _check_count(path: Path, count: int) -> None:
+    if count > _MOST_TRIANGLES:
         raise MeshError(
-            f"{path}: cannot be read as a {suffix[1:].upper()} surface ({error});"
-            " open it in a mesh program and save it again"
-        ) from error
+            f"{path}: has {count} triangles, too large: at most {_MOST_TRIANGLES} are read;"
+            " reduce it in a mesh program (decimate, remesh): 1000 to 10000 are enough for an"
+            " object"
+        )
 
 
-def _plain_surface(
-    trimesh: ModuleType, path: Path
-) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
-    """Vertices and triangles through trimesh, colours and textures left aside."""
-    if path.suffix.lower() != ".obj":
-        loaded = trimesh.load_mesh(path, process=False, maintain_order=True)
-        return loaded.vertices, loaded.faces
-    # Texture coordinates would split vertices, and half-textured files come out wrong: drop them.
-    kept = [
-        re.sub(r"(?<=\d)/\S*", "", line) if line[0] == "f" else line
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
-        if line.startswith(("v ", "f ", "v\t", "f\t"))
-    ]
-    text = StringIO("\n".join([*kept, ""]))
-    loaded = trimesh.load_mesh(text, file_type="obj", process=False, maintain_order=True)
-    return loaded.vertices, loaded.faces
+def _check_span(path: Path, vertices: Vertices) -> None:
+    """Refuse what no object measures, before lengths are squared."""
+    span, place = float(np.ptp(vertices, axis=0).max()), float(abs(vertices).max())
+    if not (_SPAN[0] <= span and place <= _SPAN[1]):
+        raise MeshError(
+            f"{path}: is {span:.3g} m across, and up to {place:.3g} m from the origin; an object"
+            f" must be {_SPAN[0]:g} m across or more, within {_SPAN[1]:g} m: check length_unit"
+        )
+
+
+def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
+    """Vertices and triangles as the file holds them."""
+    suffix = path.suffix.lower()
+    if suffix == ".vtp":
+        vertices, triangles = parse_vtp(content)
+    elif suffix == ".obj":
+        vertices, triangles = parse_obj(content)
+    elif suffix in _TRIMESH_SUFFIXES:
+        trimesh = late_import("trimesh", extra=None, purpose=f"reading {path.name}")
+        loaded = trimesh.load_mesh(
+            BytesIO(content), file_type=suffix[1:], process=False, maintain_order=True
+        )
+        vertices, triangles = loaded.vertices, loaded.faces
+    else:
+        meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
+        vertices, triangles = _surface_of_cells(meshio.read(path))
+    return (
+        np.array(vertices, dtype=np.float64).reshape(-1, 3),
+        np.array(triangles, dtype=np.int64).reshape(-1, 3),
+    )
 
 
 def _surface_of_cells(content: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
@@ -185,7 +229,4 @@ def _write_ply(path: Path, mesh: TriangleMesh) -> None:
     face = np.zeros(len(mesh.triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
     face["count"] = 3
     face["index"] = mesh.triangles
-    try:
-        path.write_bytes(header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())
-    except OSError as error:
-        raise MeshError(f"{path}: cannot be written ({error.strerror})") from error
+    write_bytes(path, header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())

@@ -3,58 +3,53 @@
 import base64
 import xml.etree.ElementTree as ElementTree
 import zlib
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from palpate.errors import MeshError
 from palpate.shapes import Triangles, Vertices
 
 _MARKER = b"<AppendedData"
+# Bytes of one block, a thousand times what VTK puts into it.
+_MOST_INFLATED = 2**25
 
 
-def read_vtp(path: Path) -> tuple[Vertices, Triangles]:
+def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
     """Vertices and triangles of a .vtp file, in its own unit; polygons are cut into fans.
 
     Text, base64 and raw appended arrays are read, with or without zlib compression.
 
     Parameters
     ----------
-    path : Path
+    content : bytes                 the whole file
 
     Raises
     ------
-    MeshError                       not a PolyData file, an array is missing or malformed
+    ValueError, TypeError, LookupError, SyntaxError, zlib.error     not a PolyData file, an array is
+                                    missing or malformed
 
     Source
     ------
     VTK file formats, "XML File Formats", https://docs.vtk.org
     """
-    try:
-        root, appended = _parsed(path.read_bytes())
-        data = root.find("PolyData")
-        if data is None:
-            raise ValueError("it holds no PolyData")
-        points, connectivity, offsets = [], [], []
-        first_point = 0
-        for piece in data.iter("Piece"):
-            xyz = _array(piece.find("Points/DataArray"), root, appended).reshape(-1, 3)
-            ring = _array(piece.find("Polys/DataArray[@Name='connectivity']"), root, appended)
-            ends = _array(piece.find("Polys/DataArray[@Name='offsets']"), root, appended)
-            points.append(xyz.astype(np.float64))
-            offsets.append(np.diff(ends.astype(np.int64), prepend=0))
-            connectivity.append(ring.astype(np.int64) + first_point)
-            first_point += len(xyz)
-        sizes = np.concatenate(offsets)
-        return np.concatenate(points), _fans(np.concatenate(connectivity), sizes)
-    except (ValueError, TypeError, KeyError, IndexError, zlib.error) as error:
-        raise MeshError(
-            f"{path}: cannot be read as a VTP surface ({error});"
-            " open it in a mesh program and save it again, e.g. as PLY"
-        ) from error
-    except ElementTree.ParseError as error:
-        raise MeshError(f"{path}: is not well-formed XML ({error}); save it again") from error
+    root, appended = _parsed(content)
+    data = root.find("PolyData")
+    if data is None:
+        raise ValueError("it holds no PolyData")
+    points, connectivity, offsets = [], [], []
+    first_point = 0
+    for piece in data.iter("Piece"):
+        xyz = _array(piece.find("Points/DataArray"), root, appended).reshape(-1, 3)
+        ring = _array(piece.find("Polys/DataArray[@Name='connectivity']"), root, appended)
+        ends = _array(piece.find("Polys/DataArray[@Name='offsets']"), root, appended)
+        sizes = np.diff(ends.astype(np.int64), prepend=0)
+        if (sizes < 0).any() or sizes.sum() > len(ring):
+            raise ValueError("its offsets do not fit its polygons")
+        points.append(xyz.astype(np.float64))
+        offsets.append(sizes)
+        connectivity.append(ring.astype(np.int64) + first_point)
+        first_point += len(xyz)
+    return np.concatenate(points), _fans(np.concatenate(connectivity), np.concatenate(offsets))
 
 
 def _fans(ring: np.ndarray, sizes: np.ndarray) -> Triangles:
@@ -113,8 +108,17 @@ def _payload(block: bytes, header: np.dtype, *, zipped: bool) -> bytes:
     sizes = np.frombuffer(block, header, first, offset=3 * header.itemsize).astype(np.int64)
     ends = (3 + first) * header.itemsize + np.cumsum(sizes)
     return b"".join(
-        zlib.decompress(block[end - size : end]) for end, size in zip(ends, sizes, strict=True)
+        _inflated(block[end - size : end]) for end, size in zip(ends, sizes, strict=True)
     )
+
+
+def _inflated(block: bytes) -> bytes:
+    """A compressed block, which VTK makes of 32 kB; much more is no block but a trap."""
+    unpacker = zlib.decompressobj()
+    plain = unpacker.decompress(block, _MOST_INFLATED)
+    if not unpacker.eof:
+        raise ValueError("a compressed block is cut off, or too large")
+    return plain
 
 
 def _from_base64(text: bytes, header: np.dtype, *, zipped: bool) -> bytes:

@@ -56,7 +56,17 @@ def compact_groups(points: Points, count: int) -> PointIndices:
 
 
 def even_sample(points: Points, count: int) -> Indices:
-    """Indices of points spread evenly: of each compact group the one nearest to its mean."""
+    """Points spread evenly: of each compact group the one nearest to its mean.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    count : int                     points wanted
+
+    Returns
+    -------
+    (k,) int                        indices, about `count`; all n where there are no more
+    """
     if len(points) <= count:
         return np.arange(len(points))
     label = compact_groups(points, count)
@@ -123,8 +133,10 @@ def coarse_pose(
     tries = _spread_starts(first - centre, 0.6 * angle, 0.6 * distance)
     place = np.stack([placed(motion_pose(motion, centre), first) for motion in tries])
     width = distance
+    # All tries are one cloud of points: their motions have one scale.
+    scale = motion_scale(first - centre)
     for _ in range(_ITERATIONS):
-        place = _stepped(place, tree, sample, normal, width)
+        place = _stepped(place, tree, sample, normal, scale, width)
         width = max(_SHRINK * width, spacing)
     best = _nearest_of_the_best(search, place, first)
     return _rigid(points, place[best])
@@ -157,6 +169,7 @@ def _stepped(
     tree: cKDTree,
     sample: Float[np.ndarray, "p 3"],
     normal: Float[np.ndarray, "p 3"],
+    scale: Float[np.ndarray, "6 6"],
     width: float,
 ) -> Float[np.ndarray, "s n 3"]:
     """One robust step of every try towards the tangent planes of the nearest samples."""
@@ -166,8 +179,6 @@ def _stepped(
     weight = 1.0 / (1.0 + (distance / width) ** 2) ** 2
     centre = place.mean(axis=1)
     offset = place - centre[:, None]
-    # All tries are one cloud of points: their motions have one scale.
-    scale = motion_scale(offset[0])
     row = np.concatenate([np.cross(offset, n), n], axis=2) @ scale
     weighted = (weight[..., None] * row).swapaxes(1, 2)
     matrix = weighted @ row

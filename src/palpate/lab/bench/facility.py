@@ -4,7 +4,9 @@ The session is an ordinary one and holds only what a bench would give. `truth.to
 maps beside it hold what was really there.
 """
 
-from collections.abc import Sequence
+import io
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -35,6 +37,7 @@ from palpate.lab.pictures import (
     truth_map,
     write_truth_map,
 )
+from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, read_rig, write_rig
 from palpate.shapes import Vertices
@@ -42,6 +45,8 @@ from palpate.vision import project
 
 # One stream of random numbers for each purpose, so that a further probing changes no other.
 _TEXTURE, _ARM, _SENSORS, _CALIBRATION, _PICTURES = range(5)
+# Contents of files by their names in the session's folder.
+_Files = dict[str, bytes]
 # Share of the object's vertices that every camera must see in its picture.
 _MIN_SEEN = 0.9
 
@@ -51,10 +56,15 @@ class _Bench:
 
     studio: Studio
 
-    def __init__(self, config: LabConfig, folder: Path) -> None:
+    def __init__(
+        self, config: LabConfig, folder: Path, variant: Variant, parts: Path | None
+    ) -> None:
         """Refuse what can be refused without finite elements or light."""
         mesh = config.specimen.mesh
         self.config, self.folder, self.rig = config, folder, _rig(config)
+        self.parts = Parts(
+            parts, "" if parts is None else content_digest((config, self.rig, variant.name))
+        )
         _check_view(self.rig, mesh)
         self.tips = [
             aim(probe, config.arm, mesh, rng=self.rng(_ARM, k))
@@ -79,16 +89,29 @@ class _Bench:
 
     def photograph(
         self, name: str, number: int, instants: Sequence[Vertices], rod: TriangleMesh | None = None
-    ) -> None:
-        """Take and keep one picture of every camera; several instants blur it."""
+    ) -> _Files:
+        """Take one picture of every camera; several instants blur it."""
         pictures = photograph(self.studio, instants, rod, rng=self.rng(_PICTURES, number))
-        for camera, picture in zip(self.rig.cameras, pictures, strict=True):
-            _, content = cv2.imencode(".png", picture)
-            (self.folder / "images" / f"{name}_{camera.name}.png").write_bytes(content.tobytes())
+        return {
+            f"images/{name}_{camera.name}.png": cv2.imencode(".png", picture)[1].tobytes()
+            for camera, picture in zip(self.rig.cameras, pictures, strict=True)
+        }
+
+    def take(self, name: str, measure: Callable[[], tuple[_Files, tuple[Table, Table]]]) -> None:
+        """Write down a part of the measurement, made now or by a run that was interrupted."""
+        files, tables = self.parts.kept(name, measure)
+        for file, content in files.items():
+            (self.folder / file).write_bytes(content)
+        self.measured.append(tables)
 
 
 def make_session(
-    config: LabConfig, folder: Path, *, variant: Variant, progress: Progress | None = None
+    config: LabConfig,
+    folder: Path,
+    *,
+    variant: Variant,
+    progress: Progress | None = None,
+    parts: Path | None = None,
 ) -> None:
     """Measure a virtual specimen: pictures, forces and truth into a folder.
 
@@ -100,6 +123,8 @@ def make_session(
     folder : Path                   an empty folder
     variant : Variant               of Mitsuba
     progress : callable or None     gets what is done (text) and how much of all (0 to 1)
+    parts : Path or None            folder, there or not, that keeps finished probings and steps,
+                                    for a run that is interrupted and started again
 
     Raises
     ------
@@ -107,7 +132,7 @@ def make_session(
                                     texture without contrast, a body that cannot be filled
     RecordError                     the folder cannot be written
     """
-    make_sessions([(config, folder)], variant=variant, progress=progress)
+    make_sessions([(config, folder)], variant=variant, progress=progress, parts=parts)
 
 
 def make_sessions(
@@ -115,6 +140,7 @@ def make_sessions(
     *,
     variant: Variant,
     progress: Progress | None = None,
+    parts: Path | None = None,
 ) -> None:
     """Measure virtual specimens, several sessions in one go.
 
@@ -125,7 +151,7 @@ def make_sessions(
     Parameters
     ----------
     wanted : sequence of (LabConfig, Path)      each with its own empty folder
-    variant, progress               as for `make_session`
+    variant, progress, parts        as for `make_session`
 
     Raises
     ------
@@ -134,7 +160,7 @@ def make_sessions(
     say = progress or silent
     groups: dict[object, list[_Bench]] = {}
     for config, folder in wanted:
-        groups.setdefault(_body_key(config), []).append(_Bench(config, folder))
+        groups.setdefault(_body_key(config), []).append(_Bench(config, folder, variant, parts))
     done = 0
     try:
         for benches in groups.values():
@@ -189,52 +215,74 @@ def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress
     for bench in benches:
         say("texture and light", 0.02)
         bench.put_up(variant)
-        bench.photograph("rest", 0, [bench.studio.mesh.vertices])
+        for file, content in bench.photograph("rest", 0, [bench.studio.mesh.vertices]).items():
+            (bench.folder / file).write_bytes(content)
     for k, probe in enumerate(config.probes):
         say(f"probing {probe.name}", 0.1 + 0.9 * k / len(tips))
         # Small elements under this tip only: a body for each is less than one for all.
-        body = body if k == 0 else _body(config, probe, tips[k])
-        # From nodal values to the drawn vertices: the same where cameras and mesh are.
-        carried: dict[bytes, csr_array] = {}
+        shared = _Shared(config, probe, tips[k], body if k == 0 else None)
         for bench in benches:
-            rest = bench.studio.mesh.vertices
-            if rest.tobytes() not in carried:
-                carried[rest.tobytes()] = surface_values(body.solid, rest)
-            _measure_probing(bench, body, carried[rest.tobytes()], k)
+            bench.take(f"probing {probe.name}", partial(_measure_probing, bench, shared, k))
     for bench in benches:
         write_session(bench.folder, bench.config, bench.measured)
 
 
-def _measure_probing(bench: _Bench, body: Body, carried: csr_array, k: int) -> None:
-    """One probing on one bench; `carried` takes nodal values to the drawn vertices."""
+class _Shared:
+    """A body for one probing, and what several benches ask of it; made when it is asked for."""
+
+    def __init__(self, config: LabConfig, probe: Probe, tip: Tip, body: Body | None) -> None:
+        self._config, self._probe, self._tip, self._body = config, probe, tip, body
+        self._carried: dict[bytes, csr_array] = {}
+
+    def body(self) -> Body:
+        """Finite elements, small ones under the tip."""
+        if self._body is None:
+            self._body = _body(self._config, self._probe, self._tip)
+        return self._body
+
+    def carried(self, rest: Vertices) -> csr_array:
+        """From nodal values to drawn vertices: the same where cameras and mesh are."""
+        if rest.tobytes() not in self._carried:
+            self._carried[rest.tobytes()] = surface_values(self.body().solid, rest)
+        return self._carried[rest.tobytes()]
+
+
+def _measure_probing(bench: _Bench, shared: _Shared, k: int) -> tuple[_Files, tuple[Table, Table]]:
+    """One probing on one bench: pictures and truth map; tables of the session and of the truth."""
     config, rig, mesh = bench.config, bench.rig, bench.studio.mesh
     probe, tip = config.probes[k], bench.tips[k]
     finite = config.material.law == "neo-hookean"
-    states = probe_body(body, probe, tip, sticking=config.arm.sticking, finite=finite)
-    before = mesh.vertices
+    states = probe_body(shared.body(), probe, tip, sticking=config.arm.sticking, finite=finite)
+    carried, before = shared.carried(mesh.vertices), mesh.vertices
+    files: _Files = {}
     for number, state in enumerate(states, start=1):
         after = mesh.vertices + carried @ state.displacement
         rod = rod_at(tip, state.place, rig.cameras)
         name = instant_name(probe, number)
-        bench.photograph(name, 1000 * (k + 1) + number, exposure(config, before, after), rod)
+        exposed = exposure(config, before, after)
+        files |= bench.photograph(name, 1000 * (k + 1) + number, exposed, rod)
         before = after
-    seen = truth_map(rig, mesh, after, tool=rod)
-    write_truth_map(bench.folder / f"truth_{probe.name}.npz", seen)
-    bench.measured.append(probe_tables(config, probe, tip, states, rng=bench.rng(_SENSORS, k)))
+    truth = io.BytesIO()
+    write_truth_map(truth, truth_map(rig, mesh, after, tool=rod))
+    files[f"truth_{probe.name}.npz"] = truth.getvalue()
+    return files, probe_tables(config, probe, tip, states, rng=bench.rng(_SENSORS, k))
 
 
 def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress) -> None:
     """A rigid object on a motion stage."""
     bench.put_up(variant)
     config, rest = bench.config, bench.studio.mesh.vertices
-    before, motions = rest, stage_motions(stage)
-    for k, motion in enumerate(motions):
-        name = f"s{k}"
-        say(f"step {name}", k / len(motions))
-        after = rest @ motion[:3, :3].T + motion[:3, 3]
-        bench.photograph(name, k, exposure(config, before, after))
-        before = after
-        bench.measured.append(step_tables(config, name, motion, rng=bench.rng(_SENSORS, k)))
+    motions = stage_motions(stage)
+    places = [rest @ motion[:3, :3].T + motion[:3, 3] for motion in motions]
+
+    def measure(k: int) -> tuple[_Files, tuple[Table, Table]]:
+        exposed = exposure(config, places[k - 1] if k else rest, places[k])
+        tables = step_tables(config, f"s{k}", motions[k], rng=bench.rng(_SENSORS, k))
+        return bench.photograph(f"s{k}", k, exposed), tables
+
+    for k in range(len(motions)):
+        say(f"step s{k}", k / len(motions))
+        bench.take(f"step {k}", partial(measure, k))
     write_session(bench.folder, config, bench.measured)
 
 

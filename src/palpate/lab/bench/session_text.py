@@ -11,7 +11,7 @@ from jaxtyping import Float
 from palpate.geometry import closest_points
 from palpate.lab.bodies import Press, Tip
 from palpate.lab.config import LabConfig, Probe
-from palpate.records import SESSION_FORMAT
+from palpate.records import SESSION_FORMAT, write_text
 
 Table = dict[str, Any]
 
@@ -138,4 +138,4 @@ def write_session(folder: Path, config: LabConfig, measured: Sequence[tuple[Tabl
         kind: truths,
     }
     for name, content in (("session.toml", session), ("truth.toml", truth)):
-        (folder / name).write_text(tomlkit.dumps(content), encoding="utf-8")
+        write_text(folder / name, tomlkit.dumps(content))

@@ -42,6 +42,8 @@ QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 _MIN_VOLUME = 0.3
 # Of the local edge; a larger gap means that the points are too far apart for the shape.
 _MAX_DEVIATION = 0.4
+# Elements along a body: candidates for points are many times finer still.
+_MOST_ACROSS = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +107,13 @@ def make_solid(
     for name, value in [("edge", edge)] + [("edge of a fine place", small) for *_, small in fine]:
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"{name} is {value}; must be positive, in metres")
+    least = float(np.ptp(mesh.vertices, axis=0).max()) / _MOST_ACROSS
+    finest = min([edge, *(small for *_, small in fine)])
+    if finest < least:
+        raise InputError(
+            f"elements of {finest:.2g} m are too small for a body of this size, which takes"
+            f" {least:.2g} m; under the tip: a larger tip, or a deeper or stronger push"
+        )
     for point, radius, _ in fine:
         fixed_array(point, name="point of a fine place", shape=(3,))
         if not (np.isfinite(radius) and radius >= 0.0):

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from jaxtyping import Float
@@ -107,7 +108,7 @@ def truth_map(
     )
 
 
-def write_truth_map(path: Path, truth: TruthMap) -> None:
+def write_truth_map(path: Path | IO[bytes], truth: TruthMap) -> None:
     """Write a truth map as `truth_nXX.npz`; the same map gives the same bytes.
 
     Entries: `shape`, `pixel` (int32), `X` and `U` (float32, m), `hidden_rest` and `hidden_loaded`
@@ -115,7 +116,7 @@ def write_truth_map(path: Path, truth: TruthMap) -> None:
 
     Parameters
     ----------
-    path : Path
+    path : Path, or a file that is open for writing
     truth : TruthMap
     """
     np.savez_compressed(

@@ -4,16 +4,9 @@ Purpose    : each format in one file, read with messages that name file, table a
 Takes      : paths, and records to write.
 Gives      : records in SI units; files and folders that appear whole or not at all.
 Depends on : `records.text`, `records.programs`, `geometry`, `shapes`, `errors`.
-Read first : `session.py`, then `atomic.py`.
+Read first : `session.py`, then `results.py`.
 """
 
-from palpate.records.files.atomic import (
-    default_folder as default_folder,
-    disk_errors as disk_errors,
-    file_stem as file_stem,
-    placed_files as placed_files,
-    result_folder as result_folder,
-)
 from palpate.records.files.displacement import (
     read_displacement as read_displacement,
     write_displacement as write_displacement,
@@ -23,6 +16,15 @@ from palpate.records.files.estimate import (
     write_estimate as write_estimate,
 )
 from palpate.records.files.import_pose import read_import_pose as read_import_pose
+from palpate.records.files.results import (
+    default_folder as default_folder,
+    file_stem as file_stem,
+    parts_folder as parts_folder,
+    record_inputs as record_inputs,
+    result_file as result_file,
+    result_folder as result_folder,
+    sealed as sealed,
+)
 from palpate.records.files.rig import (
     read_rig as read_rig,
     write_rig as write_rig,
@@ -38,4 +40,12 @@ from palpate.records.files.session_import import (
     named_displacements as named_displacements,
     with_displacements as with_displacements,
 )
+from palpate.records.files.sums import (
+    file_sums as file_sums,
+    session_files as session_files,
+)
 from palpate.records.files.support import read_support as read_support
+from palpate.records.files.verification import (
+    Finding as Finding,
+    verify_result as verify_result,
+)

@@ -1,15 +1,12 @@
 """Estimates to and from JSON in the format `palpate-estimate/1`."""
 
-import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palpate.errors import RecordError
 from palpate.records.estimate import CONSTANT_NAMES, Constant, Estimate, ProbeEstimate, Status
-from palpate.records.text import json_text, read_text, write_text
+from palpate.records.text import TomlTable, json_text, read_json, write_text
 
 ESTIMATE_FORMAT = "palpate-estimate/1"
 
@@ -40,53 +37,64 @@ def read_estimate(path: Path | str) -> Estimate:
 
     Raises
     ------
-    RecordError                     not there, not JSON, another format, a key missing
+    RecordError                     not there, not JSON, another format, a key missing or of the
+                                    wrong type, or an estimate that contradicts itself; the text
+                                    names the key
     """
-    try:
-        content = json.loads(read_text(Path(path)))
-    except json.JSONDecodeError as error:
-        raise RecordError(f"{path}: is not valid JSON: {error}") from error
-    found = content.get("format") if isinstance(content, dict) else None
+    root = read_json(Path(path))
+    found = root.values.get("format")
     if found != ESTIMATE_FORMAT:
-        raise RecordError(f"{path}: format is {found!r}; this version reads '{ESTIMATE_FORMAT}'")
-    try:
+        root.fail("format", f"is {found!r:.80}; this version reads '{ESTIMATE_FORMAT}'")
+    told = root.table("identifiable")
+    with root.blamed():
         return Estimate(
-            status=Status(content["status"]),
-            identifiable={name: content["identifiable"][name] for name in CONSTANT_NAMES},
-            probes=tuple(_read_probe(probe) for probe in content["probes"]),
-            seconds=content["seconds"],
-            method=content.get("method", ""),
-            settings=content.get("settings", {}),
-            notes=tuple(content.get("notes", ())),
-            **{name: _read_constant(content[name]) for name in CONSTANT_NAMES},
+            status=Status(root.choice("status", tuple(Status))),
+            identifiable={name: told.boolean(name) for name in CONSTANT_NAMES},
+            probes=tuple(map(_read_probe, root.tables("probes"))),
+            seconds=_numbers(root.table("seconds")),
+            method=root.optional("method", root.text) or "",
+            settings=_values(root.optional("settings", root.table)),
+            notes=tuple(root.optional("notes", root.texts) or ()),
+            **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RecordError(
-            f"{path}: is not a whole estimate (at {error}); write it again with 'palpate fit'"
-        ) from error
 
 
-def _number(value: float | None, unknown: float = math.nan) -> float:
-    return unknown if value is None else float(value)
+def _numbers(table: TomlTable) -> dict[str, float]:
+    return {key: table.number(key) for key in table.values}
 
 
-def _read_constant(content: Mapping[str, Any]) -> Constant:
-    low, high = content["ci95"]
-    return Constant(
-        value=_number(content["value"]),
-        std=_number(content["std"]),
-        ci95=(_number(low, -math.inf), _number(high, math.inf)),
+def _values(table: TomlTable | None) -> dict[str, Any]:
+    return {} if table is None else table.values
+
+
+def _known(table: TomlTable, key: str, unknown: float = math.nan) -> float:
+    """A number, or what null stands for."""
+    return unknown if table.get(key) is None else table.number(key)
+
+
+def _read_constant(table: TomlTable) -> Constant:
+    ends = table.get("ci95")
+    if not isinstance(ends, list) or len(ends) != 2:
+        table.fail("ci95", f"is {ends!r:.80}; must be two numbers in brackets")
+    pair = TomlTable(
+        table.file, f"{table.name} ci95", dict(zip(("low", "high"), ends, strict=True))
     )
+    low, high = _known(pair, "low", -math.inf), _known(pair, "high", math.inf)
+    with table.blamed():
+        return Constant(_known(table, "value"), _known(table, "std"), (low, high))
 
 
-def _read_probe(content: Mapping[str, Any]) -> ProbeEstimate:
-    error = content.get("prediction_error")
+def _read_probe(table: TomlTable) -> ProbeEstimate:
+    error = table.values.get("prediction_error")
+    constants = {
+        name: _read_constant(table.table(name, f"{table.name} [{name}]")) for name in CONSTANT_NAMES
+    }
     return ProbeEstimate(
-        name=content["name"],
-        observed=int(content["observed"]),
-        missing=int(content.get("missing", 0)),
-        rejected=int(content["rejected"]),
-        rms_residual=_number(content["rms_residual"]),
-        prediction_error=None if error is None else float(error),
-        **{name: _read_constant(content[name]) for name in CONSTANT_NAMES},
+        name=table.text("name"),
+        observed=table.count("observed"),
+        missing=table.optional("missing", table.count) or 0,
+        rejected=table.count("rejected"),
+        rms_residual=_known(table, "rms_residual"),
+        prediction_error=None if error is None else table.number("prediction_error"),
+        **constants,
     )

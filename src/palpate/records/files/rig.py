@@ -1,11 +1,13 @@
 """Rigs from files, and into the format `rig.toml`."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 import tomlkit
 
 from palpate.errors import CalibrationError, RecordError
+from palpate.files import is_file
 from palpate.records.program import CalibrationFile, make_pose
 from palpate.records.programs import read_calibration
 from palpate.records.quantities import FILE_LENGTH_UNITS
@@ -40,9 +42,9 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
     InputError                      length_unit is no known unit
     """
     path = Path(path)
-    if path.is_dir() and (path / _FILE).is_file():
+    if is_file(path / _FILE):
         path = path / _FILE
-    if not path.exists():
+    if not os.path.exists(path):
         raise RecordError(f"{path}: no such file{nearest_file(path)}")
     if path.suffix.lower() != ".toml":
         return read_calibration(path, length_unit=length_unit)

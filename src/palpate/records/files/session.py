@@ -1,12 +1,15 @@
 """Sessions from folders in the format `palpate-session/1`."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
+from palpate.disk import settle
 from palpate.errors import MeshError, RecordError
+from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.contact import Contact, contact_profiles
 from palpate.records.files.displacement import read_displacement
@@ -49,7 +52,7 @@ def read_session(
                                     names file, table and key
     MeshError                       a mesh that cannot be read or is not closed
     """
-    root = read_toml(_session_file(Path(path)))
+    root = read_toml(session_file(Path(path)))
     root.check_keys(_ROOT_KEYS)
     found = root.get("format")
     if found != SESSION_FORMAT:
@@ -84,16 +87,30 @@ def read_session(
         )
 
 
-def _session_file(path: Path) -> Path:
-    """The session file that a folder or a file name means."""
-    if path.is_dir():
+def session_file(path: Path) -> Path:
+    """The session file that a folder or a file name means.
+
+    A change of it that was interrupted is undone first.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    RecordError                     there is none
+    InUseError                      it is being changed
+    """
+    folder = os.path.isdir(path)
+    settle(path / "session.toml" if folder else path)
+    if folder:
         file = path / "session.toml"
-        if not file.is_file():
+        if not is_file(file):
             others = sorted(p.name for p in path.glob("*.toml"))
             hint = f"; it has {others}: name one of them" if others else ""
             raise RecordError(f"{path}: the folder has no session.toml{hint}")
         return file
-    if not path.is_file():
+    if not is_file(path):
         raise RecordError(
             f"{path}: no such file or folder{nearest_file(path)};"
             " give a session's folder or its session.toml"

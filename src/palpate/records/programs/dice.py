@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.io import netcdf_file
 
 from palpate.errors import RecordError
+from palpate.files import checked_file, damage, read_bytes
 from palpate.records.program import (
     HDF5_MARK,
     LEAST_CORRELATION,
@@ -17,12 +18,13 @@ from palpate.records.program import (
     Program,
     ProgramPoints,
     camera_matrix,
+    checked_size,
     chosen_frame,
     make_pose,
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import damage, read_bytes, read_text_table
+from palpate.records.text import read_text_table
 
 _PLACE = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
@@ -119,7 +121,7 @@ def _exodus_columns(path: Path, frame: int | None) -> tuple[Columns, tuple[str, 
             f"{path}: is not an Exodus file in NetCDF's classic, 64-bit offset or HDF5 form;"
             " write it again, or give DICe's text files"
         )
-    with damage(path, "write it again, or give DICe's text files"):
+    with damage(checked_file(path), "write it again, or give DICe's text files"):
         names, values = _nodal(_hdf5_arrays(path) if start == HDF5_MARK else _classic_arrays(path))
     _check_names(path, names)
     count = len(values[_MOVE[0]])
@@ -139,7 +141,7 @@ def _hdf5_arrays(path: Path) -> dict[str, np.ndarray]:
     """Arrays of an Exodus file in NetCDF-4, that is HDF5."""
     with h5py.File(path) as file:
         return {
-            name: np.asarray(item)
+            name: np.asarray(checked_size(item))
             for name, item in file.items()
             if isinstance(item, h5py.Dataset) and name.startswith(("name_nod", "vals_nod"))
         }

@@ -11,17 +11,18 @@ from scipy.io import loadmat, whosmat
 from scipy.linalg import rq
 
 from palpate.errors import RecordError
+from palpate.files import checked_file, damage, read_bytes
 from palpate.records.program import (
     HDF5_MARK,
     LEAST_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
+    checked_size,
     chosen_frame,
     make_pose,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import damage, read_bytes
 
 _PLACES, _SCORES = "Points3D", "corrComb"
 _MARK = b"MATLAB 5.0 MAT-file"
@@ -103,7 +104,8 @@ def _states_from_hdf5(path: Path) -> tuple[list[np.ndarray], list[np.ndarray]]:
         name = _only_struct(path, [name for name in groups if _PLACES in file[name]], present)
         links = [np.asarray(file[name].get(key, [])).ravel() for key in (_PLACES, _SCORES)]
         places, scores = (
-            [np.asarray(file[link], dtype=np.float64).T for link in cell] for cell in links
+            [np.asarray(checked_size(file[link]), dtype=np.float64).T for link in cell]
+            for cell in links
         )
         return places, scores
 
@@ -205,13 +207,9 @@ def _transformations(path: Path) -> list[CalibrationFile]:
 
 def _content(path: Path) -> dict[str, Any]:
     """Fields of the one structure in a MATLAB file."""
-    read_bytes(path, 1)
-    try:
+    what = "is no MATLAB file of version 5 to 7.2"
+    with damage(checked_file(path), "save it with '-v7'", what=what):
         variables = loadmat(path, squeeze_me=True, simplify_cells=True)
-    except (ValueError, TypeError, NotImplementedError) as error:
-        raise RecordError(
-            f"{path}: is no MATLAB file of version 5 to 7.2 ({error}); save it with '-v7'"
-        ) from error
     for value in variables.values():
         if isinstance(value, dict) and "DLTparams" in value and "indCam" in value:
             return value

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import RecordError
+from palpate.files import checked_file, damage
 from palpate.optional_imports import late_import
 from palpate.records.program import Program, ProgramPoints, chosen_frame
 from palpate.records.text import nearest_word
@@ -63,17 +64,11 @@ def _content(path: Path) -> Any:
         raise RecordError(
             f"{path}: is no .vtu file; save it as an unstructured grid of VTK (.vtu or .vtk)"
         )
-    if not path.is_file():
-        raise RecordError(f"{path}: no such file; check the name")
+    checked_file(path)
     meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
-    # The readers raise whatever their parsing ran into, and one of them ends the process.
-    try:
+    what = f"cannot be read as {path.suffix[1:].upper()}"
+    with damage(path, "open it in ParaView and save it again", what=what):
         return meshio.read(path)
-    except (Exception, SystemExit) as error:
-        raise RecordError(
-            f"{path}: cannot be read as {path.suffix[1:].upper()} ({error}); open it in ParaView"
-            " and save it again"
-        ) from error
 
 
 def _displacement(path: Path, data: Mapping[str, np.ndarray]) -> Points:

@@ -1,9 +1,9 @@
-"""Text files: TOML with messages that name the key, tables of numbers in any locale, JSON.
+"""Text files: TOML with messages that name the key, tables in any locale, XML, YAML, JSON.
 
 Purpose    : one reader for each kind of text, whoever wrote it.
 Takes      : paths.
-Gives      : `TomlTable`, `TextTable`, whole files as bytes or text.
-Depends on : `shapes`, `errors`.
+Gives      : `TomlTable`, `TextTable`, whole texts.
+Depends on : `shapes`, `files`, `errors`.
 Read first : `toml_table.py`, then `csv_table.py`.
 """
 
@@ -16,10 +16,11 @@ from palpate.records.text.csv_table import (
     split_cells as split_cells,
     text_lines as text_lines,
 )
-from palpate.records.text.text_file import (
-    damage as damage,
+from palpate.records.text.json_file import (
     json_text as json_text,
-    read_bytes as read_bytes,
+    read_json as read_json,
+)
+from palpate.records.text.text_file import (
     read_text as read_text,
     write_text as write_text,
 )
@@ -28,4 +29,8 @@ from palpate.records.text.toml_table import (
     nearest_file as nearest_file,
     nearest_word as nearest_word,
     read_toml as read_toml,
+)
+from palpate.records.text.tree_file import (
+    TREE_SUFFIXES as TREE_SUFFIXES,
+    read_tree as read_tree,
 )

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import RecordError
-from palpate.records.text.text_file import read_bytes
+from palpate.arrays import LARGEST_NUMBER
+from palpate.errors import RecordError, quoted
+from palpate.files import read_bytes
 
 _UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
 # How programs and the number formats of .NET and of Visual C++ write "no number".
@@ -30,6 +31,10 @@ _NO_NUMBER = {
     "\u221e",
 }
 _NO_NUMBER_START = ("nan", "1.#")
+# Three million rows of six numbers.
+_MOST_BYTES = 2**28
+# More characters than a line of any table has, and fewer than the splitting of cells allows.
+_LONGEST_LINE = 100_000
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -120,7 +125,7 @@ class TextTable:
         """
         found = {name: self.find(words, spelled=spelled) for name, words in wanted.items()}
         if missing := [name for name, column in found.items() if column is None]:
-            shown = ", ".join(column.name for column in self.columns[:12])
+            shown = ", ".join(column.name[:40] for column in self.columns[:12])
             more = ", ..." if len(self.columns) > 12 else ""
             raise RecordError(
                 f"{self.path}: the column '{missing[0]}' is missing; {why(missing)}; it has:"
@@ -162,8 +167,19 @@ class TextTable:
 
         Raises
         ------
-        RecordError                 text in a cell, a row that is too short or too long
+        RecordError                 text in a cell, a row that is too short or too long, a
+                                    number that nobody measures
         """
+        found = self._values(wanted)
+        if (beyond := np.argwhere(np.isfinite(found) & (np.abs(found) > LARGEST_NUMBER))).size:
+            row, k = beyond[0]
+            raise self._refused(self.numbers[row], wanted[k], f"{found[row, k]:g}")
+        # Squares of smaller ones would vanish.
+        found[np.abs(found) < 1.0 / LARGEST_NUMBER] = 0.0
+        return found
+
+    def _values(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
+        """As `values`, of any size."""
         count = len(self.columns)
         use = [column.index for column in wanted]
         if self.delimiter != " " and all(
@@ -198,13 +214,18 @@ class TextTable:
         if bare.startswith("inf"):
             return np.inf
         try:
-            return float(word)
+            # Python would read 1_0 as ten.
+            return float(word.replace("_", "?"))
         except ValueError as error:
-            name = column.name or column.index + 1
-            raise RecordError(
-                f"{self.path}: line {line}: column '{name}' holds '{word}'; must be a number"
-                " (NaN, or nothing, where it was not measured)"
-            ) from error
+            raise self._refused(line, column, word) from error
+
+    def _refused(self, line: int, column: Column, word: str) -> RecordError:
+        """The complaint about one cell."""
+        return RecordError(
+            f"{self.path}: line {line}: column {quoted(column.name or column.index + 1)} holds"
+            f" {quoted(word)}; must be a number, {LARGEST_NUMBER:g} at most (NaN, or nothing, where"
+            " it was not measured)"
+        )
 
 
 def missing_depth(missing: Collection[str]) -> str | None:
@@ -320,12 +341,22 @@ def text_lines(path: Path, *, cure: str) -> list[str]:
     ------
     RecordError                     not there, not readable, not text
     """
-    content = read_bytes(path)
+    lines = _decoded(path, read_bytes(path, most=_MOST_BYTES), cure).splitlines()
+    for number, line in enumerate(lines, start=1):
+        if len(line) > _LONGEST_LINE:
+            raise RecordError(
+                f"{path}: line {number}: has {len(line)} characters, which is no row of a table;"
+                f" {cure}"
+            )
+    return lines
+
+
+def _decoded(path: Path, content: bytes, cure: str) -> str:
     if content[:2] in _BYTE_ORDER_MARKS:
-        return content.decode("utf-16", errors="replace").splitlines()
+        return content.decode("utf-16", errors="replace")
     if b"\0" in content:
         raise RecordError(f"{path}: is not a text file; {cure}")
     try:
-        return content.decode("utf-8-sig").splitlines()
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace").splitlines()
+        return content.decode("cp1252", errors="replace")

@@ -1,38 +1,13 @@
 """Whole files, read and written with messages that name them."""
 
-import json
-import math
-import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
+from palpate.disk import write_bytes
 from palpate.errors import RecordError
+from palpate.files import read_bytes
 
-# What readers of binary files run into where bytes are missing or wrong.
-_DAMAGE = (
-    OSError, ValueError, TypeError, LookupError, AssertionError, EOFError, RuntimeError, zlib.error
-)  # fmt: skip
-
-
-def read_bytes(path: Path, count: int = -1) -> bytes:
-    """The first bytes of a file, or all of them.
-
-    Parameters
-    ----------
-    path : Path
-    count : int                     bytes to read; -1: all
-
-    Raises
-    ------
-    RecordError                     not there, or not readable
-    """
-    try:
-        with path.open("rb") as file:
-            return file.read(count)
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+# More than any text that a person writes or a calibration holds: its parsing would take minutes.
+_MOST_BYTES = 4 * 2**20
 
 
 def read_text(path: Path) -> str:
@@ -47,7 +22,7 @@ def read_text(path: Path) -> str:
     RecordError                     not there, not readable, not UTF-8
     """
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        return read_bytes(path, most=_MOST_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: is not a text file in UTF-8; save it as such") from error
 
@@ -62,58 +37,6 @@ def write_text(path: Path | str, text: str) -> None:
 
     Raises
     ------
-    RecordError                     the file cannot be written
+    RecordError                     the file cannot be written; it is as it was
     """
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
-
-
-@contextmanager
-def damage(path: Path, cure: str) -> Iterator[None]:
-    """Turn what a reader of a binary format runs into within the block into a message.
-
-    Parameters
-    ----------
-    path : Path                     the file that is read
-    cure : str                      what to do about a file with missing or wrong bytes
-
-    Raises
-    ------
-    RecordError                     as it is, or in place of what the reader raised
-    """
-    try:
-        yield
-    except RecordError:
-        raise
-    except _DAMAGE as error:
-        raise RecordError(f"{path}: is damaged or cut off ({error}); {cure}") from error
-
-
-def json_text(content: Mapping[str, Any]) -> str:
-    """JSON of a record, one indent a level; NaN and infinity, which JSON does not know, are null.
-
-    Parameters
-    ----------
-    content : mapping               NumPy's scalars and arrays become numbers and lists, what JSON
-                                    has no type for becomes text
-
-    Returns
-    -------
-    str                             ends with a line break
-    """
-    return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """The same in JSON's own types."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (bool, str, int)) or value is None:
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return _plain(value.tolist()) if hasattr(value, "tolist") else str(value)
+    write_bytes(Path(path), text.encode("utf-8", "surrogateescape"))

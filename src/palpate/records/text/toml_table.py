@@ -1,6 +1,6 @@
 """Reading TOML with messages that name the file, the table and the key."""
 
-import math
+import os
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,11 +11,19 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from palpate.errors import InputError, RecordError
+from palpate.arrays import LARGEST_NUMBER
+from palpate.errors import InputError, RecordError, quoted
+from palpate.files import damage, is_file
 from palpate.records.text.text_file import read_text
 from palpate.shapes import Vector3
 
 T = TypeVar("T")
+
+# Beside `LARGEST_NUMBER`: what is smaller and not zero is a slip.
+_SMALLEST_NUMBER = 1 / LARGEST_NUMBER
+_RANGE = f" (0, or {_SMALLEST_NUMBER:g} to {LARGEST_NUMBER:g} in size)"
+# Words are compared letter by letter: no name that is meant is longer.
+_LONGEST_WORD, _MOST_NAMES = 100, 1000
 
 
 def nearest_word(word: str, allowed: Sequence[str]) -> str:
@@ -30,7 +38,7 @@ def nearest_word(word: str, allowed: Sequence[str]) -> str:
     -------
     str                             e.g. "; did you mean 'force'?", or empty
     """
-    near = get_close_matches(word.lower(), allowed, n=1, cutoff=0.6)
+    near = get_close_matches(word.lower()[:_LONGEST_WORD], allowed, n=1, cutoff=0.6)
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
@@ -45,7 +53,10 @@ def nearest_file(path: Path) -> str:
     -------
     str                             as `nearest_word`; empty too where there is no such folder
     """
-    return nearest_word(path.name, sorted(file.name for file in path.parent.glob("*")))
+    try:
+        return nearest_word(path.name, sorted(os.listdir(path.parent))[:_MOST_NAMES])
+    except (OSError, ValueError):
+        return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +87,7 @@ class TomlTable:
         RecordError                     always
         """
         place = f"{self.name} {key}".strip()
-        raise RecordError(f"{self.file}: {place}: {what}")
+        raise RecordError(": ".join(filter(None, (str(self.file), place, what))))
 
     def check_keys(self, allowed: Sequence[str]) -> None:
         """Refuse keys that are not of the format, with the nearest one that is.
@@ -92,7 +103,7 @@ class TomlTable:
         for key in self.values:
             if key not in allowed:
                 near = nearest_word(key, allowed)
-                self.fail("", f"unknown key '{key}'{near} (allowed: {', '.join(allowed)})")
+                self.fail("", f"unknown key {quoted(key)}{near} (allowed: {', '.join(allowed)})")
 
     def get(self, key: str) -> Any:
         """Value of a key that must be there.
@@ -152,7 +163,7 @@ class TomlTable:
         """
         value = self.get(key)
         if not isinstance(value, str) or not value.strip():
-            self.fail(key, f"is {value!r}; must be a text in quotes")
+            self.fail(key, f"is {quoted(value)}; must be a text in quotes")
         return value
 
     def choice(self, key: str, allowed: Sequence[str]) -> str:
@@ -170,7 +181,7 @@ class TomlTable:
         value = self.text(key)
         if value not in allowed:
             near = nearest_word(value, allowed)
-            self.fail(key, f"is '{value}'{near} (allowed: {', '.join(allowed)})")
+            self.fail(key, f"is {quoted(value)}{near} (allowed: {', '.join(allowed)})")
         return value
 
     def number(self, key: str) -> float:
@@ -190,8 +201,56 @@ class TomlTable:
         """
         value = self.get(key)
         if not _is_number(value):
-            self.fail(key, f"is {value!r}; must be a finite number")
+            self.fail(key, f"is {quoted(value)}; must be a finite number{_RANGE}")
         return float(value)
+
+    def count(self, key: str) -> int:
+        """A whole number that is not negative.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            self.fail(key, f"is {value!r:.80}; must be a whole number, 0 or more")
+        return value
+
+    def boolean(self, key: str) -> bool:
+        """True or false.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, bool):
+            self.fail(key, f"is {value!r:.80}; must be true or false, without quotes")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     missing, or something else
+        """
+        value = self.get(key)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self.fail(key, f"is {value!r:.80}; must be a list of texts in quotes")
+        return tuple(value)
 
     def vector(self, key: str) -> Vector3:
         """Three finite numbers.
@@ -210,7 +269,7 @@ class TomlTable:
         """
         value = self.get(key)
         if not (isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))):
-            self.fail(key, f"is {value!r}; must be three finite numbers, e.g. [0, 0, -1.2]")
+            self.fail(key, f"is {quoted(value)}; must be three finite numbers, e.g. [0, 0, -1.2]")
         return np.array(value, dtype=np.float64)
 
     def number_or_vector(self, key: str) -> Vector3:
@@ -232,7 +291,9 @@ class TomlTable:
         if _is_number(value):
             return np.full(3, float(value))
         if not isinstance(value, list):
-            self.fail(key, f"is {value!r}; must be a finite number, or three of them in brackets")
+            self.fail(
+                key, f"is {quoted(value)}; must be a finite number, or three of them in brackets"
+            )
         return self.vector(key)
 
     def table(self, key: str, name: str | None = None) -> "TomlTable":
@@ -249,7 +310,7 @@ class TomlTable:
         """
         value = self.get(key)
         if not isinstance(value, dict):
-            self.fail(key, f"is {value!r}; must be a table")
+            self.fail(key, f"is {quoted(value)}; must be a table")
         return TomlTable(self.file, name or f"[{key}]", value)
 
     def tables(self, key: str, name: str | None = None) -> "tuple[TomlTable, ...]":
@@ -267,7 +328,7 @@ class TomlTable:
         value = self.get(key)
         items = value if isinstance(value, list) else [value]
         if not all(isinstance(item, dict) for item in items):
-            self.fail(key, f"is {value!r}; must be a table or a list of tables")
+            self.fail(key, f"is {quoted(value)}; must be a table or a list of tables")
         return tuple(
             TomlTable(self.file, name or f"[[{key}]] number {number}", item)
             for number, item in enumerate(items, start=1)
@@ -285,8 +346,8 @@ class TomlTable:
         RecordError                     missing, or no such file; the text offers the nearest name
         """
         path = self.file.parent / self.text(key)
-        if not path.is_file():
-            self.fail(key, f"no such file: {path}{nearest_file(path)}")
+        if not is_file(path):
+            self.fail(key, f"no such file: {quoted(str(path))[1:-1]}{nearest_file(path)}")
         return path
 
 
@@ -305,13 +366,13 @@ def read_toml(path: Path) -> TomlTable:
     ------
     RecordError                     not there, not readable, not TOML (with line and column)
     """
-    try:
-        return TomlTable(path, "", tomllib.loads(read_text(path)))
-    except tomllib.TOMLDecodeError as error:
-        raise RecordError(f"{path}: is not valid TOML: {error}") from error
+    text = read_text(path)
+    with damage(path, "correct it there", what="is not valid TOML"):
+        return TomlTable(path, "", tomllib.loads(text))
 
 
 def _is_number(value: object) -> bool:
-    """True for a finite int or float; a TOML boolean is none."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and math.isfinite(value)  # type: ignore[arg-type]
+    """True for a finite int or float of a size that can be measured; a TOML boolean is none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return value == 0 or _SMALLEST_NUMBER <= abs(value) <= LARGEST_NUMBER

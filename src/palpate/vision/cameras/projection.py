@@ -130,10 +130,7 @@ def normalised(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.nda
     pixels = np.ascontiguousarray(pixels, dtype=np.float64)
     directions = np.empty_like(pixels)
     reach = lens_reach(camera.distortion)
-    in_threads(
-        normalised_kernel, len(pixels), packed_camera(camera), reach, pixels, directions,
-        fewest=_MIN_PIXELS_PER_THREAD,
-    )  # fmt: skip
+    normalised_kernel(0, len(pixels), packed_camera(camera), reach, pixels, directions)
     return directions
 
 
@@ -175,7 +172,12 @@ def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 r
     """
     check_picture_size(camera, shape)
     row, column = np.indices(shape, dtype=np.float64).reshape(2, -1)
-    flat = normalised(camera, np.column_stack([column, row]))
+    pixels = np.column_stack([column, row])
+    flat = np.empty_like(pixels)
+    in_threads(
+        normalised_kernel, len(pixels), packed_camera(camera), lens_reach(camera.distortion),
+        pixels, flat, fewest=_MIN_PIXELS_PER_THREAD,
+    )  # fmt: skip
     return np.ascontiguousarray(flat.T).reshape(2, *shape)
 
 

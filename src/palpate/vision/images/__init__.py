@@ -22,7 +22,11 @@ from palpate.vision.images.normalisation import (
     make_normalised_image as make_normalised_image,
     moments as moments,
 )
-from palpate.vision.images.pictures import Pictures as Pictures, read_pictures as read_pictures
+from palpate.vision.images.pictures import (
+    Pictures as Pictures,
+    read_grey as read_grey,
+    read_pictures as read_pictures,
+)
 from palpate.vision.images.spline import (
     SplinePicture as SplinePicture,
     interpolate as interpolate,

@@ -17,11 +17,9 @@ import cv2
 import numpy as np
 
 from palpate.errors import RecordError
+from palpate.vision.images.picture_size import BMP, JPEG, PNG, TIFF
 
 PICTURE_KINDS = "PNG, JPEG, TIFF or BMP"
-_PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
-# Both byte orders, each plain and large.
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Start of the coded data of a JPEG's last scan, and end of its picture.
 _START_OF_SCAN, _END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
 # The error stream belongs to the whole process: one at a time may lead it elsewhere.
@@ -34,7 +32,7 @@ _DAMAGE = re.compile(r"Corrupt JPEG|[Pp]remature end|ERROR|error")
 _SOURCE = re.compile(r"^\[.*?\] global \S+ ")
 
 
-def decode_picture(content: bytes) -> tuple[np.ndarray, int]:
+def decode_picture(content: bytes) -> tuple[np.ndarray, bool]:
     """Pixels of the first picture of a file as they are stored: not converted, not turned.
 
     Parameters
@@ -45,7 +43,7 @@ def decode_picture(content: bytes) -> tuple[np.ndarray, int]:
     -------
     pixels : array                  (rows, columns) or (rows, columns, channels) with the channels
                                     blue, green, red, alpha
-    count : int                     pictures in the file, above 1 only for TIFF
+    several : bool                  the file, a TIFF, holds more pictures
 
     Raises
     ------
@@ -54,20 +52,20 @@ def decode_picture(content: bytes) -> tuple[np.ndarray, int]:
     """
     if not content:
         raise RecordError("is empty; copy or record it again")
-    if not content.startswith((_PNG, _JPEG, _BMP, *_TIFF)):
+    if not content.startswith((PNG, JPEG, BMP, *TIFF)):
         raise RecordError(
             f"is none of {PICTURE_KINDS} (it starts with {content[:8]!r}); copy or record it again"
         )
     pictures: Sequence[np.ndarray] = ()
     buffer = np.frombuffer(content, dtype=np.uint8)
     with _codec_messages() as messages, suppress(cv2.error):
-        if content.startswith(_TIFF):
-            _, pictures = cv2.imdecodemulti(buffer, cv2.IMREAD_UNCHANGED)
+        if content.startswith(TIFF):
+            _, pictures = cv2.imdecodemulti(buffer, cv2.IMREAD_UNCHANGED, range=(0, 2))
         elif (pixels := cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)) is not None:
             pictures = (pixels,)
     damage = [_SOURCE.sub("", line.strip()) for line in messages if _DAMAGE.search(line)]
     # In the coded data 0xFF is never followed by 0xD9.
-    if content.startswith(_JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
+    if content.startswith(JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
         damage.insert(0, "it has no end-of-image marker")
     if damage or not pictures:
         said = f" ({damage[0]})" if damage else ""
@@ -75,7 +73,7 @@ def decode_picture(content: bytes) -> tuple[np.ndarray, int]:
             f"is cut off or damaged, or of a kind that cannot be decoded{said}; it has"
             f" {len(content)} bytes: copy or record it again"
         )
-    return pictures[0], len(pictures)
+    return pictures[0], len(pictures) > 1
 
 
 @contextmanager

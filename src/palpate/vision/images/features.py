@@ -52,7 +52,16 @@ class Matches:
     second: Float[np.ndarray, "n 2"]
 
     def chosen(self, rows: np.ndarray) -> "Matches":
-        """The matches at some indices or flags, `rows` (k,) int or (n,) bool."""
+        """Some of the matches.
+
+        Parameters
+        ----------
+        rows : (k,) int or (n,) bool    indices or flags
+
+        Returns
+        -------
+        Matches
+        """
         return Matches(self.first[rows], self.second[rows])
 
 

@@ -1,5 +1,6 @@
 """Grey pictures of all cameras of a rig, at one instant, from files."""
 
+import os
 import re
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -9,8 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import CalibrationError, RecordError
+from palpate.files import read_bytes
 from palpate.records import Camera, Rig
 from palpate.vision.images.decoder import decode_picture
+from palpate.vision.images.picture_size import claimed_size
 
 CAMERA_FIELD = "{camera}"
 # Luminance of ITU-R BT.601, in OpenCV's order blue, green, red.
@@ -22,6 +25,8 @@ _MAX_CONSTANT_RANGE = 2
 # Cameras of 10, 12 and 14 bits put their levels at the low or at the high end of 16 bits.
 _WHITE_16 = [2**k - 1 for k in (10, 12, 14, 16)] + [2**16 - 2 ** (16 - k) for k in (10, 12, 14)]
 _MAX_NAMES = 8
+# The largest chips have 150 million.
+_MOST_PIXELS = 2e8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +81,7 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
     cameras_of: dict[str, list[str]] = {}
     for camera in rig.cameras:
         path = _picture_file(camera, pattern, folder, what)
-        place = f"{what}, camera '{camera.name}': {path}"
+        place = f"{what}, camera '{camera.name}'"
         levels, share, remarks = _read_picture(camera, path, place)
         grey.append(levels)
         saturated.append(share)
@@ -92,10 +97,10 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
 def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path:
     """The file of one camera; where it is missing, what is there instead."""
     path = folder / pattern.replace(CAMERA_FIELD, camera.name)
-    if path.exists():
+    if os.path.exists(path):
         return path
     place = f"{what}, camera '{camera.name}': {path}: no such file"
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise RecordError(f"{place}, for there is no folder {path.parent}")
     beside = sorted(entry.name for entry in path.parent.iterdir())
     head, *rest = (re.escape(part) for part in Path(pattern).name.split(CAMERA_FIELD))
@@ -119,24 +124,56 @@ def _read_picture(
     camera: Camera, path: Path, place: str
 ) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
     """Grey levels, saturated share and remarks of one file."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise RecordError(f"{place}: cannot be read ({error.strerror})") from error
-    try:
-        stored, count = decode_picture(content)
-    except RecordError as error:
-        raise RecordError(f"{place}: {error}") from error
-    _check_size(camera, stored, place)
+    stored, several, place = _stored(path, place, camera)
     levels, remarks = _grey_levels(stored, place)
-    if count > 1:
-        remarks.append(f"the file holds {count} pictures; the first was used")
+    if several:
+        remarks.append("the file holds more pictures; the first was used")
     return levels, _saturated_share(stored), remarks
 
 
-def _check_size(camera: Camera, stored: np.ndarray, place: str) -> None:
-    rows, columns = stored.shape[:2]
-    if camera.size is not None and camera.size != (columns, rows):
+def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
+    """Grey levels of one picture file, as `read_pictures` takes them.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    (rows, columns) float32         255 is white
+
+    Raises
+    ------
+    RecordError                     missing, damaged, of another kind, not finite, of one grey
+    """
+    stored, _, place = _stored(path, "picture", None)
+    return _grey_levels(stored, place)[0]
+
+
+def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, bool, str]:
+    """Pixels of a file as they are stored, whether it holds more pictures, and its place."""
+    try:
+        content = read_bytes(path)
+    except RecordError as error:
+        raise RecordError(f"{place}: {error}") from error
+    place = f"{place}: {path}"
+    if size := claimed_size(content):
+        _check_size(camera, size, place)
+    try:
+        stored, several = decode_picture(content)
+    except RecordError as error:
+        raise RecordError(f"{place}: {error}") from error
+    _check_size(camera, (stored.shape[1], stored.shape[0]), place)
+    return stored, several, place
+
+
+def _check_size(camera: Camera | None, size: tuple[int, int], place: str) -> None:
+    columns, rows = size
+    if columns * rows > _MOST_PIXELS:
+        raise RecordError(
+            f"{place}: has {columns} x {rows} pixels, more than any camera; is it a picture of one?"
+        )
+    if camera is not None and camera.size not in (None, (columns, rows)):
         turned = "; the picture seems to be turned" if camera.size == (rows, columns) else ""
         raise CalibrationError(
             f"{place}: has {columns} x {rows} pixels, the camera was calibrated with"

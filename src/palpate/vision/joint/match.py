@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.arrays import with_rows
 from palpate.vision.cameras import pixel_sizes
 from palpate.vision.images import SplinePicture
 from palpate.vision.joint.refinement import Limits, Match, refine_joint
@@ -84,7 +83,16 @@ def _refined(
 
 
 def used_cameras(match: Match) -> Bool[np.ndarray, "n c"]:
-    """True for cameras that took part in a match and found the window, (n, c) bool."""
+    """True for cameras that took part in a match and found the window.
+
+    Parameters
+    ----------
+    match : Match                   of n points in c cameras
+
+    Returns
+    -------
+    (n, c) bool
+    """
     return match.use & np.isfinite(match.left)
 
 
@@ -180,8 +188,10 @@ def _without_one_camera(
 def _replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
     """A match whose rows are replaced where the other one found something."""
     good = other.outcome == Outcome.VALID
-    pairs = zip(match, other, strict=True)
-    return Match(*(with_rows(old, rows[good], new[good]) for old, new in pairs))
+    result = Match(*(array.copy() for array in match))
+    for array, new in zip(result, other, strict=True):
+        array[rows[good]] = new[good]
+    return result
 
 
 def _second_tries(

@@ -18,7 +18,7 @@ from jaxtyping import Float, UInt8
 from palpate.errors import InputError
 from palpate.records import Camera
 from palpate.shapes import Flags, PointScalars
-from palpate.vision.cameras import Rectified, project, rays, rectify, remapped
+from palpate.vision.cameras import Rectified, normalised, project, rectify, remapped
 from palpate.vision.images import NormalisedImage, PreparedPictures, match_features
 
 # Side of the blocks of semi-global matching [px]: three to five speckles.
@@ -142,8 +142,10 @@ def _seen_by(
     camera: Camera, other: Camera, pixels: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
     """Pixels of another camera with the same centre, as a camera sees them."""
-    centre, direction = rays(other, pixels)
-    return project(camera, centre + direction)
+    # With one centre, a point anywhere on the ray will do.
+    place = np.column_stack([normalised(other, pixels), np.ones(len(pixels))])
+    pose = other.T_camera_object
+    return project(camera, (place - pose[:3, 3]) @ pose[:3, :3])
 
 
 def _row_offset(

@@ -1,0 +1,127 @@
+"""The command line's words: which commands there are, and what is run."""
+
+from cyclopts import App, CycloptsError
+from rich.console import Console
+
+from palpate import __version__
+
+_BAD_INPUT = 2
+# Name: where it is, and what its help says.
+_COMMANDS = {
+    "fit": (
+        "fit:fit",
+        "Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
+    ),
+    "check": ("check:check", "Say everything about a session that can be said without solving."),
+    "flow": (
+        "flow:flow",
+        "Measure how the surface moved, from the pictures of calibrated cameras.",
+    ),
+    "import": (
+        "import_results:import_displacements",
+        "Take displacements measured by another program into a session.",
+    ),
+    "poke": (
+        "poke:poke",
+        "Press a tool on a session's object: how far it gives way, and where it strains.",
+    ),
+    "compression": (
+        "compression:compression",
+        "Young's modulus from compression tests of cylinders.",
+    ),
+    "verify": (
+        "verify:verify",
+        "Say whether a result is as it was written, and made from what is there now.",
+    ),
+    "reproduce": (
+        "reproduce:reproduce",
+        "Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
+    ),
+}
+# Commands with commands of their own; the first of them is meant where no word says which, as in
+# `palpate lab CONFIG.toml OUT`.
+_GROUPS = {
+    "lab": (
+        "Virtual measurements: made with their truth, or planned.",
+        {
+            "make": (
+                "lab:lab",
+                "Measure a virtual specimen: pictures, forces and the truth as a session.",
+            ),
+            "plan": (
+                "plan:plan",
+                "Say what the cameras of a session will see, and what precision to expect of it.",
+            ),
+        },
+    ),
+    "calibrate": (
+        "Cameras from pictures of a flat target, and the target to print.",
+        {
+            "rig": ("calibrate:calibrate", "Calibrate one or more cameras from pictures."),
+            "board": ("calibrate:board", "Draw a ChArUco board in true size, with a ruler."),
+        },
+    ),
+}
+_HELP_WORDS = ("--help", "-h", "--version")
+
+
+def make_app() -> App:
+    """The command line; a subcommand's module is imported when it is called, not before.
+
+    Returns
+    -------
+    App                             that knows all subcommands by name
+    """
+    app = App(
+        name="palpate",
+        help="Elastic constants of a soft object, with intervals, from probings with a known"
+        " force.",
+        version=__version__,
+        help_format="plaintext",
+        error_console=Console(stderr=True),
+    )
+    for name, (place, text) in _COMMANDS.items():
+        app.command(f"palpate.app.commands.{place}", name=name, help=text)
+    for group, (summary, commands) in _GROUPS.items():
+        inner = App(name=group, help=summary)
+        for name, (place, text) in commands.items():
+            inner.command(f"palpate.app.commands.{place}", name=name, help=text)
+        app.command(inner)
+    return app
+
+
+def run(words: list[str]) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    words : list of str             of the command line, without the program's name
+
+    Returns
+    -------
+    int                             exit code; 2 where the words are no command
+
+    Raises
+    ------
+    PalpateError                    bad input
+    BrokenPipeError                 nobody reads what is printed
+    """
+    if words[1:] and words[0] in _GROUPS:
+        first, *others = _GROUPS[words[0]][1]
+        if words[1] not in (first, *others, *_HELP_WORDS):
+            words = [words[0], first, *words[1:]]
+    try:
+        outcome = make_app()(
+            words,
+            exit_on_error=False,
+            print_error=True,
+            result_action="return_value",
+        )
+    except CycloptsError:
+        return _BAD_INPUT
+    except SystemExit as error:
+        # How rich ends where nobody reads what it prints.
+        if isinstance(error.__context__, BrokenPipeError):
+            raise error.__context__ from None
+        raise
+    return outcome if isinstance(outcome, int) else 0

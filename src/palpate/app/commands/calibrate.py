@@ -1,0 +1,248 @@
+"""`palpate calibrate`: cameras from pictures of a board; and the board to print."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.calibration import (
+    AprilGrid,
+    Calibration,
+    CameraQuality,
+    Charuco,
+    Chessboard,
+    Circles,
+    Target,
+    calibrate as calibrate_cameras,
+    camera_quality,
+    find_boards,
+    find_pictures,
+    length_check,
+    length_sigma,
+    write_calibration,
+)
+from palpate.disk import placed
+from palpate.errors import InputError
+from palpate.figures import board_figure, residual_figure, rig_figure, save_figure, save_page
+from palpate.probe import metres_from_text
+from palpate.records import default_folder, record_inputs, result_folder
+
+_PAGES = (".pdf", ".png")
+_Kind = Literal["charuco", "chessboard", "circles", "asymmetric-circles", "aprilgrid"]
+
+
+def calibrate(
+    pictures: Path,
+    /,
+    *,
+    columns: int,
+    rows: int,
+    square: str,
+    target: _Kind = "charuco",
+    marker: str | None = None,
+    gap: str | None = None,
+    dictionary: str | None = None,
+    boards: int = 1,
+    out: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Calibrate one or more cameras from pictures of a flat target.
+
+    Lens and pose of every camera from one adjustment of all corners, with their covariance; written
+    as rig.toml and in the formats of OpenCV and Kalibr, with pictures of what is left.
+
+    Parameters
+    ----------
+    pictures
+        Folder with a folder of pictures for every camera; pictures of one instant have the same
+        name, the camera's own name within it apart.
+    columns
+        Squares in a row of a ChArUco board, inner corners of a chessboard, circles, tags.
+    rows
+        The same from top to bottom.
+    square
+        Side of a square with its unit, like 12mm; between circles their distance (of an asymmetric
+        grid that of its rows), of an AprilTag grid the side of a tag.
+    target
+        What the pictures show.
+    marker
+        Side of a ChArUco board's markers with its unit.
+    gap
+        White between two AprilTags with its unit.
+    dictionary
+        Of the markers. Default: 4x4_250, for AprilTags apriltag_36h11.
+    boards
+        How many ChArUco boards are in the scene; their markers are numbered on from board to board.
+    out
+        Result folder. Default: the pictures' folder name followed by -rig, in the current folder.
+    force
+        Write although something else is at that place; it is kept beside it as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    named = _named_target(target, columns, rows, square, marker, gap, dictionary)
+    targets = _boards(named, boards)
+    place = out or default_folder(pictures, "rig")
+    with result_folder(place, kind="calibrate", force=force) as folder:
+        files = find_pictures(pictures)
+        record_inputs(
+            folder, [path for by_instant in files.values() for path in by_instant.values()]
+        )
+        with progress_bar() as progress:
+            found = find_boards(files, targets, progress=progress)
+            progress("adjustment", 1.0)
+            calibration = calibrate_cameras(found, targets)
+        write_calibration(folder, calibration)
+        save_figure(residual_figure(calibration), folder / "residuals.png")
+        save_figure(rig_figure(calibration), folder / "rig.png")
+    print_notes(calibration.notes)
+    quality = camera_quality(calibration)
+    Console().print(_table(calibration, quality))
+    print_notes([text for camera in quality for text in camera.missing])
+    print_text(f"{_lengths(calibration)}Result in {place}")
+    return 0
+
+
+def board(
+    file: Path,
+    /,
+    *,
+    columns: int = 9,
+    rows: int = 7,
+    square: str = "20mm",
+    marker: str = "15mm",
+    dictionary: str = "4x4_250",
+    first: int = 0,
+    force: bool = False,
+) -> int:
+    """Draw a ChArUco board in true size, with a ruler to check the print.
+
+    Parameters
+    ----------
+    file
+        Ending .pdf or .png.
+    columns
+        Squares in a row.
+    rows
+        Rows of squares.
+    square
+        Side of a square with its unit.
+    marker
+        Side of a marker with its unit.
+    dictionary
+        Of the markers.
+    first
+        Number of the first marker; a second board goes on where the first one ends.
+    force
+        Replace a file of that name.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    if file.suffix.lower() not in _PAGES:
+        raise InputError(f"{file}: ends neither in .pdf nor in .png")
+    if file.exists() and not force:
+        raise InputError(
+            f"{file}: is there already; choose another name, or replace it with --force"
+        )
+    drawn = Charuco(
+        columns, rows, metres_from_text(square, name="--square"),
+        metres_from_text(marker, name="--marker"), dictionary, first,
+    )  # fmt: skip
+    page = board_figure(drawn)
+    with placed([file]) as (staged,):
+        save_page(page, staged, kind=file.suffix[1:].lower())
+    width, height = (25.4 * page.get_size_inches()).round(1)
+    print_text(
+        f"{file}: {width:g} x {height:g} mm; print it at 100 %, glue it to something flat, and"
+        " measure the ruler"
+    )
+    return 0
+
+
+def _named_target(
+    kind: str,
+    columns: int,
+    rows: int,
+    square: str,
+    marker: str | None,
+    gap: str | None,
+    dictionary: str | None,
+) -> Target:
+    side = metres_from_text(square, name="--square")
+    if kind == "chessboard":
+        return Chessboard(columns, rows, side)
+    if kind in ("circles", "asymmetric-circles"):
+        return Circles(columns, rows, side, kind == "asymmetric-circles")
+    needed, name = (gap, "--gap") if kind == "aprilgrid" else (marker, "--marker")
+    if needed is None:
+        raise InputError(f"a target of kind {kind} needs {name}, with its unit, like 9mm")
+    other = metres_from_text(needed, name=name)
+    if kind == "aprilgrid":
+        return AprilGrid(columns, rows, side, other, dictionary or "apriltag_36h11")
+    return Charuco(columns, rows, side, other, dictionary or "4x4_250")
+
+
+def _boards(target: Target, count: int) -> list[Target]:
+    """The target, and those beside it with the markers that follow."""
+    if count == 1:
+        return [target]
+    if not isinstance(target, Charuco) or count < 1:
+        raise InputError(f"--boards is {count}; only ChArUco boards can stand side by side")
+    step = target.columns * target.rows // 2
+    return [
+        Charuco(
+            target.columns, target.rows, target.square, target.marker, target.dictionary, k * step
+        )
+        for k in range(count)
+    ]
+
+
+def _table(calibration: Calibration, quality: tuple[CameraQuality, ...]) -> Table:
+    sigma = dict(zip(calibration.names, np.sqrt(np.diag(calibration.covariance)), strict=True))
+    rows = []
+    for camera, found in zip(calibration.cameras, quality, strict=True):
+        k = camera.matrix
+        fx, cx, cy = (f"{sigma[f'{camera.name}.{term}']:.2f}" for term in ("fx", "cx", "cy"))
+        worst = float(np.nanmax(found.rms))
+        rows.append(
+            (
+                camera.name, str(found.views), f"{found.corners} ({found.rejected} left out)",
+                f"{found.noise:.3f}", f"{worst:.3f}",
+                f"{k[0, 0]:.2f} ± {fx}", f"{k[0, 2]:.2f} ± {cx}, {k[1, 2]:.2f} ± {cy}",
+            )
+        )  # fmt: skip
+    columns = (
+        "camera", "views", "corners", "noise px", "worst region px", "focal length px", "centre px"
+    )  # fmt: skip
+    caption = (
+        "noise: standard deviation of a coordinate of a corner; worst region: rms distance in the"
+        " worst ninth of the picture; ±: one standard deviation"
+    )
+    return terminal_table("Cameras", columns, rows, caption=caption)
+
+
+def _lengths(calibration: Calibration) -> str:
+    """How well the rig measures lengths, where it has two cameras."""
+    if len(calibration.cameras) < 2:
+        return ""
+    text = (
+        f"Lengths measured with this rig are known to {100 * length_sigma(calibration):.2g} % of"
+        " the board's own\n"
+    )
+    check = length_check(calibration)
+    if check is None:
+        return text
+    error = 100 * check.scatter / np.sqrt(check.views)
+    return (
+        f"{text}Check: {check.views} boards that a second calibration was not shown are measured"
+        f" {100 * check.error:+.3f} ± {error:.3f} % too large\n"
+    )

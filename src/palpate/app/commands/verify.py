@@ -1,0 +1,39 @@
+"""`palpate verify`: whether a result is as it was written, and its inputs as they were."""
+
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from palpate.app.terminal import print_text, terminal_table
+from palpate.records import verify_result
+
+_NOT_OK = 3
+
+
+def verify(result: Path, /) -> int:
+    """Compare a result with the sums that it carries of itself and of what it was made from.
+
+    Parameters
+    ----------
+    result
+        A result folder, or the JSON file that `palpate compression` wrote.
+
+    Returns
+    -------
+    int
+        0, or 3 where something has changed since or contradicts itself.
+    """
+    found = verify_result(result)
+    wrong = [finding for finding in found if not finding.is_whole]
+    if wrong:
+        rows = [(finding.file, finding.role, finding.state) for finding in wrong]
+        Console().print(terminal_table(f"Changed in {result}", ("file", "role", "state"), rows))
+        shown = ", ".join(f"{finding.file} ({finding.state})" for finding in wrong[:3])
+        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        print(f"palpate: {result}: not as it was: {shown}{more}", file=sys.stderr)
+        return _NOT_OK
+    own = sum(finding.role == "result" for finding in found)
+    inputs = f"the {len(found) - own} files that it was made from"
+    print_text(f"{result}: its {own} files are as they were written, {inputs} as they were read")
+    return 0

@@ -1,0 +1,160 @@
+"""What keeps a command from ending in a traceback: plain output, quiet libraries, a report."""
+
+import codecs
+import logging
+import os
+import platform
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from importlib.metadata import distributions
+from io import StringIO
+from pathlib import Path
+
+from palpate import __version__
+
+try:
+    import resource
+except ModuleNotFoundError:  # Windows has no such limits
+    resource = None  # type: ignore[assignment]
+
+_BAD_INPUT = 2
+_UNEXPECTED = 70
+# Address space that the libraries and a small model need [bytes]; with less they end the process.
+_LEAST_MEMORY = 1.5 * 2**30
+_PLAIN = {"±": "+-", "µ": "u", "μ": "u"}
+Main = Callable[[Sequence[str] | None], int]
+
+
+def guarded(main: Main) -> Main:
+    """A command line whose unexpected errors become one line and a report, and an exit code.
+
+    Parameters
+    ----------
+    main : callable                 arguments -> exit code; raises what it did not expect
+
+    Returns
+    -------
+    callable                        the same, and 70 where memory ran out or the program failed
+    """
+
+    @wraps(main)
+    def safe(arguments: Sequence[str] | None = None) -> int:
+        if _too_little_memory():
+            return _UNEXPECTED
+        with _plain_output(), _quiet_libraries() as said:
+            try:
+                return main(arguments)
+            except Exception as error:  # noqa: BLE001 - the last guard is for all of them
+                words = sys.argv[1:] if arguments is None else arguments
+                text, code = _outcome(error, words, said.getvalue())
+                print(f"palpate: {text}", file=sys.stderr)
+                return code
+
+    return safe
+
+
+def _outcome(error: Exception, words: Sequence[str], said: str) -> tuple[str, int]:
+    """What to say about an error that nobody expected, and the exit code."""
+    causes: list[BaseException] = [error]
+    while cause := causes[-1].__cause__ or causes[-1].__context__:
+        causes.append(cause)
+    if any(isinstance(cause, MemoryError) for cause in causes):
+        why = " ".join(str(causes[-1]).split())
+        what = "memory ran out" + (f" ({why})" if why else "")
+        return f"{what}; use a coarser mesh or fewer points, or close other programs", _UNEXPECTED
+    place = traceback.extract_tb(causes[-1].__traceback__)[-1].filename
+    variables = [f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_")]
+    if variables and f"{os.sep}numba{os.sep}" in place:
+        return f"{causes[-1]} (numba); correct or unset {', '.join(variables)}", _BAD_INPUT
+    what = "lists in lists without end" if isinstance(error, RecursionError) else _first_line(error)
+    report = _written_report(error, words, said)
+    return (
+        f"an error of the program, not of yours ({what}); {report or 'no report could be written'}"
+        + (" says where: please send it to the developers" if report else ""),
+        _UNEXPECTED,
+    )
+
+
+def _first_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".splitlines()[0][:200]
+
+
+def _written_report(error: Exception, words: Sequence[str], said: str) -> Path | None:
+    """A file with all that a developer needs, in the current folder, else in the system's own."""
+    packages = sorted(f"{d.name} {d.version}" for d in distributions() if d.name)
+    text = "\n".join(
+        [
+            f"palpate {__version__}, Python {sys.version}, {platform.platform()}",
+            f"command: palpate {' '.join(words)}",
+            "",
+            *traceback.format_exception(error),
+            *([said] if said else []),
+            *packages,
+            "",
+        ]
+    )
+    name = f"palpate-error-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.txt"
+    for folder in (Path(), Path(tempfile.gettempdir())):
+        try:
+            (folder / name).write_text(text, encoding="utf-8", errors="backslashreplace")
+        except OSError:
+            continue
+        return folder / name
+    return None
+
+
+@contextmanager
+def _plain_output() -> Iterator[None]:
+    """Where a terminal's or a file's encoding lacks a character, another one is written for it."""
+    codecs.register_error("palpate", _replaced)
+    streams = [stream for stream in (sys.stdout, sys.stderr) if hasattr(stream, "reconfigure")]
+    before = [stream.errors for stream in streams]
+    for stream in streams:
+        stream.reconfigure(errors="palpate")
+    try:
+        yield
+    finally:
+        for stream, errors in zip(streams, before, strict=True):
+            stream.reconfigure(errors=errors)
+
+
+def _replaced(error: UnicodeError) -> tuple[str, int]:
+    """The characters of a text that cannot be encoded, in ASCII."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(letter, "?") for letter in text), error.end
+
+
+@contextmanager
+def _quiet_libraries() -> Iterator[StringIO]:
+    """Warnings and logs of libraries go into a text, for the report; none reaches the terminal."""
+    said = StringIO()
+    handler = logging.StreamHandler(said)
+    logging.captureWarnings(True)
+    logging.getLogger().addHandler(handler)
+    try:
+        yield said
+    finally:
+        logging.getLogger().removeHandler(handler)
+        logging.captureWarnings(False)
+
+
+def _too_little_memory() -> bool:
+    """Whether the process may have so little memory that the libraries could not even be loaded."""
+    if resource is None:
+        return False
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most == resource.RLIM_INFINITY or most >= _LEAST_MEMORY:
+        return False
+    print(
+        f"palpate: may use {most / 2**30:.2g} GiB of memory (ulimit -v), and needs"
+        f" {_LEAST_MEMORY / 2**30:g} GiB; raise the limit",
+        file=sys.stderr,
+    )
+    return True

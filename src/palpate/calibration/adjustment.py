@@ -1,0 +1,324 @@
+"""Bundle adjustment: cameras, their lenses and the poses of the boards, from all corners at once.
+
+Gauss-Newton on the distances in the pictures, every camera weighted with what its corners scatter.
+The unknowns are few (nine for a lens, six for a pose), so that the normal matrix is dense and its
+inverse, the covariance, whole.
+
+Source: Triggs et al., Bundle adjustment: a modern synthesis (2000); the noise of each camera is
+that of variance component estimation (Foerstner, 1979).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from palpate.calibration.lens_model import LENS_TERMS, seen_points
+from palpate.errors import CalibrationError
+from palpate.shapes import Points
+
+_LENS, _POSE = len(LENS_TERMS), 6
+_MAX_STEPS = 60
+# A step below this share of every standard deviation changes nothing that the corners could show.
+_SMALL_STEP = 1e-4
+# Noise levels that change by less have settled.
+_SETTLED = 1e-3
+_MAX_ROUNDS = 12
+# Corners farther off than this many times the noise are gross errors: one in 1e6 of a normal
+# distribution in two dimensions.
+_GROSS = 5.3
+# Directions of the unknowns, scaled to a unit diagonal, that the corners know worse are unknown.
+_LEAST_INFORMATION = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """Corners of boards found in pictures.
+
+    Attributes
+    ----------
+    camera, view : (m,) int         which camera saw it; which board at which instant
+    point : (m, 3) float [m]        its place on the board, frame of the board
+    pixel : (m, 2) float [px]
+    """
+
+    camera: Int[np.ndarray, " m"]
+    view: Int[np.ndarray, " m"]
+    point: Points
+    pixel: Float[np.ndarray, "m 2"]
+
+    def chosen(self, rows: Bool[np.ndarray, " m"]) -> "Corners":
+        """Some of the corners.
+
+        Parameters
+        ----------
+        rows : (m,) bool
+
+        Returns
+        -------
+        Corners
+        """
+        return Corners(self.camera[rows], self.view[rows], self.point[rows], self.pixel[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle:
+    """Cameras and boards.
+
+    Attributes
+    ----------
+    inner : (c, 9) float            `LENS_TERMS` of every camera
+    camera : (c, 4, 4) float [m]    pose: x_camera = camera x, x in the frame of the first camera
+    view : (v, 4, 4) float [m]      pose of every board: x = view x_board
+    """
+
+    inner: Float[np.ndarray, "c 9"]
+    camera: Float[np.ndarray, "c 4 4"]
+    view: Float[np.ndarray, "v 4 4"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """A bundle at the least squares of its corners.
+
+    Attributes
+    ----------
+    bundle : Bundle
+    residual : (m, 2) float [px]    pixel less projection, of all corners, gross errors included
+    good : (m,) bool                False: a gross error, without a say
+    noise : (c,) float [px]         standard deviation of a coordinate of a corner in each camera
+    covariance : (p, p) float       of the lens terms of all cameras (9 c), then of a turn [rad] and
+                                    a shift [m] of each camera but the first (6 (c - 1)), then of
+                                    the boards; a turn is of the camera's own frame
+    """
+
+    bundle: Bundle
+    residual: Float[np.ndarray, "m 2"]
+    good: Bool[np.ndarray, " m"]
+    noise: Float[np.ndarray, " c"]
+    covariance: Float[np.ndarray, "p p"]
+
+
+def adjust(bundle: Bundle, corners: Corners) -> Adjusted:
+    """Cameras, lenses and boards that bring all corners nearest to their pixels.
+
+    Parameters
+    ----------
+    bundle : Bundle                 a start, good to some per cent
+    corners : Corners               each view seen by one camera at least
+
+    Returns
+    -------
+    Adjusted
+
+    Raises
+    ------
+    CalibrationError                the views are too alike to determine all unknowns, or the steps
+                                    did not die out
+    """
+    noise = np.ones(len(bundle.inner))
+    good = np.ones(len(corners.pixel), dtype=bool)
+    for _ in range(_MAX_ROUNDS):
+        weight = good / noise[corners.camera] ** 2
+        bundle, equations = _least_squares(bundle, corners, weight)
+        inverse = _inverse(equations.normal_matrix(weight))
+        new = _noise(equations, inverse, corners.camera, weight, noise)
+        still = _without_gross_errors(equations.residual, corners, len(noise))
+        settled = np.all(np.abs(new / noise - 1.0) < _SETTLED) and np.array_equal(still, good)
+        noise, good = new, still
+        if settled:
+            break
+    return Adjusted(bundle, equations.residual, good, noise, inverse)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """Residuals of all corners and the derivatives of their projections.
+
+    A corner depends on the same unknowns as all others of its camera and view: a group. The pose of
+    the first camera, which is the frame, is counted among the unknowns and left out of all sums.
+    """
+
+    residual: Float[np.ndarray, "m 2"]
+    slope: Float[np.ndarray, "m 2 21"]
+    group: Int[np.ndarray, " m"]
+    unknowns: Int[np.ndarray, "g 21"]
+    free: Int[np.ndarray, " p"]
+
+    def normal_matrix(self, weight: Float[np.ndarray, " m"]) -> Float[np.ndarray, "p p"]:
+        """Sum of the products of the derivatives."""
+        matrix = np.zeros((len(self.free) + _POSE,) * 2)
+        for g, unknowns in enumerate(self.unknowns):
+            rows = self.group == g
+            slope = self.slope[rows].reshape(-1, unknowns.size)
+            both = slope.T @ (np.repeat(weight[rows], 2)[:, None] * slope)
+            matrix[np.ix_(unknowns, unknowns)] += both
+        return matrix[np.ix_(self.free, self.free)]
+
+    def right_side(self, weight: Float[np.ndarray, " m"]) -> Float[np.ndarray, " p"]:
+        """Sum of the products of derivatives and residuals."""
+        pull = np.einsum("m,mai,ma->mi", weight, self.slope, self.residual)
+        place = self.unknowns[self.group].ravel()
+        return np.bincount(place, pull.ravel(), len(self.free) + _POSE)[self.free]
+
+    def explained(self, inverse: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "m 2"]:
+        """Variance of the projection of every corner."""
+        whole = np.zeros((len(self.free) + _POSE,) * 2)
+        whole[np.ix_(self.free, self.free)] = inverse
+        part = whole[self.unknowns[:, :, None], self.unknowns[:, None, :]][self.group]
+        return np.einsum("mai,mij,maj->ma", self.slope, part, self.slope, optimize=True)
+
+
+def _least_squares(
+    bundle: Bundle, corners: Corners, weight: Float[np.ndarray, " m"]
+) -> tuple[Bundle, _Equations]:
+    """Levenberg and Marquardt's steps from a bundle to the nearest minimum."""
+
+    def cost(equations: _Equations) -> float:
+        return float(weight @ (equations.residual**2).sum(axis=1))
+
+    damping = 1e-3
+    here = _linearised(bundle, corners)
+    for _ in range(_MAX_STEPS):
+        matrix = here.normal_matrix(weight)
+        size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+        unit = matrix / np.outer(size, size) + damping * np.eye(len(size))
+        step = np.linalg.solve(unit, here.right_side(weight) / size) / size
+        trial = moved(bundle, step)
+        # A step too far may lead anywhere; it is not taken.
+        with np.errstate(all="ignore"):
+            there = _linearised(trial, corners)
+        if not cost(there) <= cost(here) * (1.0 + 1e-12):
+            damping = max(10.0 * damping, 1e-6)
+            continue
+        bundle, here = trial, there
+        damping = 0.1 * damping if damping > 1e-10 else 0.0
+        if float(step @ matrix @ step) < _SMALL_STEP**2:
+            return bundle, here
+    raise CalibrationError(
+        f"the cameras did not settle in {_MAX_STEPS} steps; are the board's dimensions right, and"
+        " do all views show the same board?"
+    )
+
+
+def _without_gross_errors(
+    residual: Float[np.ndarray, "m 2"], corners: Corners, cameras: int
+) -> Bool[np.ndarray, " m"]:
+    """Corners that are no gross errors; all of a view of which half would be some.
+
+    The width is from medians, which gross errors do not move: they cannot hide themselves.
+    """
+    length = np.linalg.norm(residual, axis=1)
+    # Median of the length of a normal vector in the plane: sqrt(2 log 2).
+    width = np.array(
+        [
+            np.median(length[corners.camera == c]) / np.sqrt(2.0 * np.log(2.0))
+            for c in range(cameras)
+        ]
+    )
+    near = length <= _GROSS * width[corners.camera]
+    share = np.bincount(corners.view, near) / np.maximum(np.bincount(corners.view), 1)
+    return near | (share[corners.view] < 0.5)
+
+
+def _inverse(matrix: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """Inverse of the normal matrix; refused where the corners leave a combination open."""
+    size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    if values[0] < _LEAST_INFORMATION:
+        raise CalibrationError(
+            "the views are too alike to tell focal length from distance: add views of the board"
+            " tilted by 20 to 45 degrees to the left, to the right, up and down"
+        )
+    return (vectors / values) @ vectors.T / np.outer(size, size)
+
+
+def _noise(
+    equations: _Equations,
+    inverse: Float[np.ndarray, "p p"],
+    camera: Int[np.ndarray, " m"],
+    weight: Float[np.ndarray, " m"],
+    noise: Float[np.ndarray, " c"],
+) -> Float[np.ndarray, " c"]:
+    """Scatter of the corners of each camera, what the unknowns took away added again."""
+    used = weight > 0.0
+    left = np.where(used, 2.0 - weight * equations.explained(inverse).sum(axis=1), 0.0)
+    square = np.where(used, (equations.residual**2).sum(axis=1), 0.0)
+    count = len(noise)
+    freedom = np.bincount(camera, left, count)
+    new = np.bincount(camera, square, count) / np.where(freedom > 0.0, freedom, np.inf)
+    # Corners without any scatter come from nowhere but a simulation.
+    return np.maximum(np.sqrt(new), 1e-9)
+
+
+def _linearised(bundle: Bundle, corners: Corners) -> _Equations:
+    """Residuals of all corners and the derivatives of their projections by all unknowns."""
+    c, v = corners.camera, corners.view
+    board = bundle.view[v]
+    turned = np.einsum("mij,mj->mi", board[:, :3, :3], corners.point)
+    place = turned + board[:, :3, 3]
+    pose = bundle.camera[c]
+    swung = np.einsum("mij,mj->mi", pose[:, :3, :3], place)
+    pixel, by_inner, by_point = seen_points(bundle.inner[c], swung + pose[:, :3, 3])
+    by_camera = np.concatenate([by_point @ _crossed(-swung), by_point], axis=2)
+    by_place = by_point @ pose[:, :3, :3]
+    by_view = np.concatenate([by_place @ _crossed(-turned), by_place], axis=2)
+    count, views = len(bundle.inner), len(bundle.view)
+    groups, group = np.unique(c * views + v, return_inverse=True)
+    of_camera, of_view = groups[:, None] // views, groups[:, None] % views
+    start_pose, start_view = _LENS * count, (_LENS + _POSE) * count
+    unknowns = np.concatenate(
+        [
+            _LENS * of_camera + np.arange(_LENS),
+            start_pose + _POSE * of_camera + np.arange(_POSE),
+            start_view + _POSE * of_view + np.arange(_POSE),
+        ],
+        axis=1,
+    )
+    return _Equations(
+        corners.pixel - pixel,
+        np.concatenate([by_inner, by_camera, by_view], axis=2),
+        group.ravel(),
+        unknowns,
+        np.delete(np.arange(start_view + _POSE * views), start_pose + np.arange(_POSE)),
+    )
+
+
+def _crossed(vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
+    """Matrices that take the cross product with vectors."""
+    x, y, z = vector.T
+    nil = np.zeros_like(x)
+    rows = [[nil, -z, y], [z, nil, -x], [-y, x, nil]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+
+
+def moved(bundle: Bundle, step: Float[np.ndarray, " p"]) -> Bundle:
+    """The bundle after a step of all unknowns.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    step : (p,) float               in the order of `Adjusted.covariance`
+
+    Returns
+    -------
+    Bundle
+    """
+    count = len(bundle.inner)
+    lens, rest = np.split(step, [_LENS * count])
+    pose, view = np.split(rest.reshape(-1, _POSE), [count - 1])
+    return replace(
+        bundle,
+        inner=bundle.inner + lens.reshape(count, _LENS),
+        camera=_turned(bundle.camera, np.vstack([np.zeros(_POSE), pose])),
+        view=_turned(bundle.view, view),
+    )
+
+
+def _turned(pose: Float[np.ndarray, "k 4 4"], step: Float[np.ndarray, "k 6"]) -> np.ndarray:
+    """Poses turned (about the origin of the frame they lead to) and shifted."""
+    result = pose.copy()
+    result[:, :3, :3] = Rotation.from_rotvec(step[:, :3]).as_matrix() @ pose[:, :3, :3]
+    result[:, :3, 3] += step[:, 3:]
+    return result

@@ -1,0 +1,172 @@
+"""A rig from pictures of boards: start, adjustment, and views that contradict the others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust
+from palpate.calibration.lens_model import LENS_TERMS, camera_matrix
+from palpate.calibration.sightings import Sightings
+from palpate.calibration.start import start_bundle
+from palpate.calibration.targets import Target
+from palpate.errors import CalibrationError
+from palpate.records import Camera
+
+# A view that leaves more than this many times what views usually leave shows something else than
+# the same flat board at one instant.
+_MAX_EXCESS = 3.0
+_POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Cameras from pictures of boards, with what is known of them.
+
+    Attributes
+    ----------
+    cameras : tuple of Camera       in the frame of the first
+    covariance : (p, p) float       of `names`
+    names : tuple of p str          lens terms of every camera, then the turn [rad] and shift [m] of
+                                    every camera but the first, e.g. "c1.fx", "c1.tx"
+    found : Sightings               views that were used
+    corners : Corners               with marks numbered alike in all cameras
+    adjusted : Adjusted
+    notes : tuple of str            what was left out, and why
+    """
+
+    cameras: tuple[Camera, ...]
+    covariance: Float[np.ndarray, "p p"]
+    names: tuple[str, ...]
+    found: Sightings
+    corners: Corners
+    adjusted: Adjusted
+    notes: tuple[str, ...]
+
+
+def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
+    """Calibrate all cameras together.
+
+    Parameters
+    ----------
+    found : Sightings
+    targets : sequence of Target    that they are of
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    CalibrationError                too few views, cameras that share none, views too alike, most
+                                    views contradict each other
+    """
+    bundle, corners = start_bundle(found, targets)
+    notes = list(found.notes)
+    views = np.arange(len(found.views))
+    while True:
+        adjusted = adjust(bundle, corners)
+        excess = view_rms(adjusted, corners, len(bundle.view))
+        bad = excess > _MAX_EXCESS * np.median(excess)
+        if not bad.any():
+            break
+        if bad.sum() > len(bad) // 3:
+            raise CalibrationError(
+                f"{int(bad.sum())} of {len(bad)} views contradict the others; is the board flat,"
+                " are its dimensions right, and did all cameras take each picture at one instant?"
+            )
+        notes += [
+            _complaint(found.views[views[v]], excess[v], corners, v)
+            for v in np.flatnonzero(bad).tolist()
+        ]
+        views = views[~bad]
+        bundle, corners = without_views(adjusted.bundle, corners, bad)
+    used = replace(
+        found,
+        views=tuple(found.views[v] for v in views),
+        targets=tuple(found.targets[v] for v in views),
+        corners=corners,
+    )
+    count = len(LENS_TERMS) * len(found.cameras) + 6 * (len(found.cameras) - 1)
+    return Calibration(
+        cameras_of(found, adjusted.bundle),
+        adjusted.covariance[:count, :count],
+        _names(found.cameras),
+        used,
+        corners,
+        adjusted,
+        tuple(notes),
+    )
+
+
+def view_rms(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarray, " v"]:
+    """What the adjustment leaves in every view, in units of the noise of its cameras.
+
+    Parameters
+    ----------
+    adjusted : Adjusted
+    corners : Corners               that it is of
+    count : int                     number of views
+
+    Returns
+    -------
+    (v,) float [-]                  root mean square of a coordinate
+    """
+    square = (adjusted.residual**2).mean(axis=1) / adjusted.noise[corners.camera] ** 2
+    total = np.bincount(corners.view, square, count)
+    return np.sqrt(total / np.maximum(np.bincount(corners.view, minlength=count), 1))
+
+
+def _complaint(name: str, excess: float, corners: Corners, view: int) -> str:
+    """Why a view was left out."""
+    cause = "is the board bent, blurred or partly covered there?"
+    if len(np.unique(corners.camera[corners.view == view])) > 1:
+        cause = "did the board move between the pictures of the cameras?"
+    return f"view '{name}' leaves {excess:.1f} times the usual error; left out: {cause}"
+
+
+def without_views(
+    bundle: Bundle, corners: Corners, bad: Bool[np.ndarray, " v"]
+) -> tuple[Bundle, Corners]:
+    """A bundle and its corners without some views; the others are numbered anew.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    corners : Corners
+    bad : (v,) bool                 views that go
+
+    Returns
+    -------
+    Bundle, Corners
+    """
+    keep = ~bad
+    number = np.cumsum(keep) - 1
+    left = corners.chosen(keep[corners.view])
+    return replace(bundle, view=bundle.view[keep]), replace(left, view=number[left.view])
+
+
+def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
+    """The cameras of a bundle.
+
+    Parameters
+    ----------
+    found : Sightings               their names and sizes
+    bundle : Bundle
+
+    Returns
+    -------
+    tuple of Camera
+    """
+    return tuple(
+        Camera(name, size, camera_matrix(inner), inner[4:], pose)
+        for name, size, inner, pose in zip(
+            found.cameras, found.sizes, bundle.inner, bundle.camera, strict=True
+        )
+    )
+
+
+def _names(cameras: Sequence[str]) -> tuple[str, ...]:
+    lens = [f"{camera}.{term}" for camera in cameras for term in LENS_TERMS]
+    return (*lens, *(f"{camera}.{term}" for camera in cameras[1:] for term in _POSE_TERMS))

@@ -1,0 +1,80 @@
+"""A calibration as files: rig.toml, its covariance, and the formats of OpenCV and Kalibr."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+from palpate.calibration.calibrate import Calibration
+from palpate.errors import RecordError
+from palpate.records import Camera, Rig, write_rig
+
+COVARIANCE_FORMAT = "palpate-rig-covariance/1"
+
+
+def write_calibration(folder: Path, calibration: Calibration) -> None:
+    """Write rig.toml, rig_covariance.npz, opencv.yml and kalibr.yaml.
+
+    Parameters
+    ----------
+    folder : Path                   exists
+    calibration : Calibration
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    if len(calibration.cameras) > 1:
+        write_rig(folder / "rig.toml", Rig(calibration.cameras, 0, str(folder)))
+        _write_kalibr(folder / "kalibr.yaml", calibration.cameras)
+    _write_opencv(folder / "opencv.yml", calibration.cameras)
+    np.savez_compressed(
+        folder / "rig_covariance.npz",
+        format=np.array(COVARIANCE_FORMAT),
+        names=np.array(calibration.names),
+        covariance=calibration.covariance,
+        corner_noise=calibration.adjusted.noise,
+    )
+
+
+def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:
+    """K1 D1 R1 T1 size1, K2 ... as `cv2.FileStorage` has them; lengths in metres."""
+    storage = cv2.FileStorage(str(path), cv2.FileStorage_WRITE)
+    if not storage.isOpened():
+        raise RecordError(f"{path}: cannot be written; check the folder's rights")
+    storage.write("length_unit", "m")
+    for number, camera in enumerate(cameras, start=1):
+        pose = camera.T_camera_object
+        storage.write(f"K{number}", np.array(camera.matrix))
+        storage.write(f"D{number}", np.array(camera.distortion[None]))
+        storage.write(f"R{number}", pose[:3, :3].copy())
+        storage.write(f"T{number}", pose[:3, 3:].copy())
+        if camera.size is not None:
+            storage.write(f"size{number}", np.array(camera.size)[None])
+    storage.release()
+
+
+def _write_kalibr(path: Path, cameras: Sequence[Camera]) -> None:
+    """A chain cam0, cam1, ...; the model radtan has no third radial term."""
+    chain = {}
+    for number, camera in enumerate(cameras):
+        k = camera.matrix
+        entry = {
+            "camera_model": "pinhole",
+            "intrinsics": [float(x) for x in (k[0, 0], k[1, 1], k[0, 2], k[1, 2])],
+            "distortion_model": "radtan",
+            "distortion_coeffs": [float(term) for term in camera.distortion[:4]],
+            "resolution": list(camera.size or ()),
+            "rostopic": f"/{camera.name}/image_raw",
+        }
+        if number:
+            before = cameras[number - 1].T_camera_object
+            step = camera.T_camera_object @ np.linalg.inv(before)
+            entry["T_cn_cnm1"] = step.tolist()
+        chain[f"cam{number}"] = entry
+    try:
+        path.write_text(yaml.safe_dump(chain, sort_keys=False), encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error

@@ -1,0 +1,204 @@
+"""How good a calibration is: what is left in cameras and regions, and which views are missing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.calibration.adjustment import Corners, adjust, moved
+from palpate.calibration.calibrate import Calibration, cameras_of, without_views
+from palpate.errors import CalibrationError
+from palpate.records import Rig
+from palpate.vision import project, triangulate
+
+# A picture is divided into so many regions each way.
+REGIONS = 3
+_ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "centre", "right")
+# Corners that say something about a region; a tilt that separates focal length from distance.
+_MIN_CORNERS, _MIN_TILT = 10, np.deg2rad(12.0)
+# One view in so many is kept out to check lengths with.
+_FOLD = 4
+# Step along each direction of the covariance, in standard deviations: lengths are linear in it.
+_STEP = 0.1
+# Points that are enough to know a scale from.
+_MAX_POINTS = 300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraQuality:
+    """What a calibration leaves in the pictures of one camera.
+
+    Attributes
+    ----------
+    name : str
+    views, corners, rejected : int  views that it saw, corners in them, gross errors among these
+    noise : float [px]              standard deviation of a coordinate of a corner
+    rms : Float (3, 3) [px]         root mean square distance by region of the picture, rows from
+                                    above; NaN where no corner was
+    seen : (3, 3) int               corners in each region
+    missing : tuple of str          what to add, in words
+    """
+
+    name: str
+    views: int
+    corners: int
+    rejected: int
+    noise: float
+    rms: Float[np.ndarray, "3 3"]
+    seen: Int[np.ndarray, "3 3"]
+    missing: tuple[str, ...]
+
+
+def camera_quality(calibration: Calibration) -> tuple[CameraQuality, ...]:
+    """Quality of every camera.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    tuple of CameraQuality
+    """
+    return tuple(_quality(calibration, c) for c in range(len(calibration.cameras)))
+
+
+def _quality(calibration: Calibration, c: int) -> CameraQuality:
+    adjusted, corners = calibration.adjusted, calibration.corners
+    mine = corners.camera == c
+    good = mine & adjusted.good
+    size = np.array(calibration.found.sizes[c])
+    cell = np.clip(REGIONS * corners.pixel[good] / size, 0, REGIONS - 1e-9).astype(np.int64)
+    number = REGIONS * cell[:, 1] + cell[:, 0]
+    seen = np.bincount(number, minlength=REGIONS**2)
+    square = np.bincount(number, (adjusted.residual[good] ** 2).sum(axis=1), REGIONS**2)
+    rms = np.sqrt(np.where(seen > 0, square / np.maximum(seen, 1), np.nan))
+    shape = (REGIONS, REGIONS)
+    views = np.unique(corners.view[mine])
+    name = calibration.cameras[c].name
+    pose = adjusted.bundle.camera[c] @ adjusted.bundle.view[views]
+    missing = [*_missing_regions(name, seen.reshape(shape)), *_missing_tilts(name, pose)]
+    return CameraQuality(
+        name, len(views), int(mine.sum()), int(mine.sum() - good.sum()), float(adjusted.noise[c]),
+        rms.reshape(shape), seen.reshape(shape), tuple(missing),
+    )  # fmt: skip
+
+
+def _missing_regions(name: str, seen: Int[np.ndarray, "3 3"]) -> list[str]:
+    """Parts of the picture where no board was."""
+    empty = [f"{_ROWS[row]} {_COLUMNS[column]}" for row, column in np.argwhere(seen < _MIN_CORNERS)]
+    if not empty:
+        return []
+    return [f"{name}: no board in the {', '.join(empty)} of the picture: show it there too"]
+
+
+def _missing_tilts(name: str, pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
+    """Sides to which no board was tilted."""
+    normal = pose[:, :3, 2]
+    # Toward the camera: down is +y in its frame, right +x.
+    normal = normal * -np.sign(np.einsum("va,va->v", normal, pose[:, :3, 3]))[:, None]
+    sideways = np.arctan2(normal[:, 0], -normal[:, 2])
+    upward = np.arctan2(-normal[:, 1], -normal[:, 2])
+    sides = {
+        "to the right": sideways.max(initial=0.0),
+        "to the left": -sideways.min(initial=0.0),
+        "up": upward.max(initial=0.0),
+        "down": -upward.min(initial=0.0),
+    }
+    wanting = [side for side, tilt in sides.items() if tilt < _MIN_TILT]
+    return [f"{name}: tilt the board {', '.join(wanting)}, by 20 to 45 degrees"] if wanting else []
+
+
+@dataclass(frozen=True, slots=True)
+class LengthCheck:
+    """Lengths on boards that took no part in the calibration they are measured with.
+
+    Attributes
+    ----------
+    views : int                     boards measured
+    error : float [-]               mean of measured over true, less one
+    scatter : float [-]             standard deviation of one of them
+    """
+
+    views: int
+    error: float
+    scatter: float
+
+
+def length_check(calibration: Calibration) -> LengthCheck | None:
+    """Calibrate without some of the views and measure the board in these.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    LengthCheck or None             None for a single camera, too few views, or too few that two
+                                    cameras share
+    """
+    corners, views = calibration.corners, len(calibration.found.views)
+    held = np.arange(views) % _FOLD == 0
+    if len(calibration.cameras) < 2 or views < 3 * _FOLD:
+        return None
+    bundle, rest = without_views(calibration.adjusted.bundle, corners, held)
+    try:
+        adjusted = adjust(bundle, rest)
+    except CalibrationError:
+        return None
+    rig = Rig(cameras_of(calibration.found, adjusted.bundle), 0, "calibration")
+    scales = [_scale(rig, corners.chosen(corners.view == v)) for v in np.flatnonzero(held)]
+    known = np.array([scale for scale in scales if scale is not None])
+    if len(known) < 2:
+        return None
+    return LengthCheck(len(known), float(known.mean() - 1.0), float(known.std(ddof=1)))
+
+
+def _scale(rig: Rig, corners: Corners) -> float | None:
+    """Size of a board as measured over its true one, where two cameras see a good part of it.
+
+    Source
+    ------
+    Umeyama, Least-squares estimation of transformation parameters between two point patterns (1991)
+    """
+    points, number = np.unique(corners.point, axis=0, return_inverse=True)
+    pixels = np.full((len(rig.cameras), len(points), 2), np.nan)
+    pixels[corners.camera, number.ravel()] = corners.pixel
+    found = triangulate(rig, pixels, 1.0).point
+    seen = np.isfinite(found[:, 0])
+    if seen.sum() < _MIN_CORNERS:
+        return None
+    true = points[seen] - points[seen].mean(axis=0)
+    return float(np.linalg.svd(true.T @ found[seen], compute_uv=False).sum() / (true**2).sum())
+
+
+def length_sigma(calibration: Calibration) -> float:
+    """Standard deviation of the scale of lengths measured with the rig where the boards were.
+
+    What all lengths have in common, from the covariance alone: an error of the board's own
+    dimensions is not in it.
+
+    Parameters
+    ----------
+    calibration : Calibration       of two cameras at least
+
+    Returns
+    -------
+    float [-]
+    """
+    corners, bundle = calibration.corners, calibration.adjusted.bundle
+    pose = bundle.view[corners.view]
+    points = np.einsum("mij,mj->mi", pose[:, :3, :3], corners.point) + pose[:, :3, 3]
+    points = points[:: max(len(points) // _MAX_POINTS, 1)]
+    pixels = np.stack([project(camera, points) for camera in calibration.cameras])
+
+    def size(step: Float[np.ndarray, " p"]) -> float:
+        whole = np.concatenate([step, np.zeros(6 * len(bundle.view))])
+        rig = Rig(cameras_of(calibration.found, moved(bundle, whole)), 0, "calibration")
+        place = triangulate(rig, pixels, 1.0).point
+        return float(np.sqrt(np.nanvar(place, axis=0).sum()))
+
+    values, vectors = np.linalg.eigh(calibration.covariance)
+    steps = _STEP * np.sqrt(np.maximum(values, 0.0)) * vectors
+    true = size(np.zeros(len(values)))
+    return float(np.linalg.norm([(size(step) / true - 1.0) / _STEP for step in steps.T]))

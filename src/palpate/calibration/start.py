@@ -1,0 +1,167 @@
+"""First guess of lenses and poses: each camera alone, then the cameras among each other."""
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from palpate.calibration.adjustment import Bundle, Corners
+from palpate.calibration.lens_model import camera_matrix
+from palpate.calibration.sightings import Sightings
+from palpate.calibration.targets import Target
+from palpate.errors import CalibrationError
+from palpate.records import make_pose
+
+# Poses of a board from one camera alone are good to a few degrees, or per cent of its distance;
+# those of two instants differ by more.
+_MAX_APART = 0.1
+# Views of a camera below which its lens cannot be told from the boards' poses.
+_MIN_VIEWS = 3
+Pose = Float[np.ndarray, "4 4"]
+
+
+def start_bundle(found: Sightings, targets: Sequence[Target]) -> tuple[Bundle, Corners]:
+    """Cameras and boards to start the adjustment from.
+
+    Parameters
+    ----------
+    found : Sightings
+    targets : sequence of Target    that they are of
+
+    Returns
+    -------
+    bundle : Bundle
+    corners : Corners               those found; marks of boards that look the same after half a
+                                    turn are numbered alike in all cameras
+
+    Raises
+    ------
+    CalibrationError                too few views of a camera; cameras that share no view
+    """
+    inner, poses = [], []
+    for c, name in enumerate(found.cameras):
+        lens, seen = _alone(found, c)
+        if len(seen) < _MIN_VIEWS:
+            raise CalibrationError(
+                f"camera '{name}': the board was found in {len(seen)} views; at least {_MIN_VIEWS}"
+                " are needed, and 15 to 25 tilted to all sides are good"
+            )
+        inner.append(lens)
+        poses.append(seen)
+    camera, view, turned = _placed(found, targets, poses)
+    mark = found.mark.copy()
+    for c, v in turned:
+        rows = (found.corners.camera == c) & (found.corners.view == v)
+        mark[rows] = np.asarray(targets[found.targets[v]].turned)[mark[rows]]
+    point = found.corners.point.copy()
+    for k, target in enumerate(targets):
+        rows = np.array(found.targets)[found.corners.view] == k
+        point[rows] = target.points[mark[rows]]
+    corners = Corners(found.corners.camera, found.corners.view, point, found.corners.pixel)
+    return Bundle(np.stack(inner), np.stack(camera), np.stack(view)), corners
+
+
+def _alone(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, Pose]]:
+    """Lens of one camera and the poses of the boards that it sees."""
+    mine = found.corners.chosen(found.corners.camera == c)
+    views = np.unique(mine.view)
+    points = [mine.point[mine.view == v].astype(np.float32) for v in views]
+    pixels = [mine.pixel[mine.view == v].astype(np.float32) for v in views]
+    if len(views) < _MIN_VIEWS:
+        return np.zeros(9), {int(v): np.eye(4) for v in views}
+    size = found.sizes[c]
+    # Where few views leave it open, a lens without its third term starts nearer.
+    _, matrix, lens, turn, shift = cv2.calibrateCamera(
+        points, pixels, size, camera_matrix(np.zeros(9)), np.zeros(5), flags=cv2.CALIB_FIX_K3
+    )
+    inner = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens.ravel()[:5]])
+    poses = {
+        int(v): make_pose(Rotation.from_rotvec(r.ravel()).as_matrix(), t.ravel())
+        for v, r, t in zip(views, turn, shift, strict=True)
+    }
+    return inner, poses
+
+
+def _placed(
+    found: Sightings, targets: Sequence[Target], poses: Sequence[Mapping[int, Pose]]
+) -> tuple[list[Pose], list[Pose], list[tuple[int, int]]]:
+    """Poses of cameras and views in the first camera's frame; (camera, view) that are turned."""
+    camera: dict[int, Pose] = {0: np.eye(4)}
+    view: dict[int, Pose] = dict(poses[0])
+    turned: list[tuple[int, int]] = []
+    while len(camera) < len(poses):
+        left = [c for c in range(len(poses)) if c not in camera]
+        best = max(left, key=lambda c: len(view.keys() & poses[c].keys()))
+        shared = sorted(view.keys() & poses[best].keys())
+        if not shared:
+            names = ", ".join(f"'{found.cameras[c]}'" for c in left)
+            raise CalibrationError(
+                f"cameras {names} share no view of a board with the others: take pictures of the"
+                " board where two cameras see it at the same instant; files of one instant must"
+                " have the same name in every camera's folder"
+            )
+        turns = {v: half_turn(targets[found.targets[v]]) for v in poses[best]}
+        pose, flipped, apart = _agreed(view, poses[best], shared, turns)
+        if apart > _MAX_APART:
+            raise CalibrationError(
+                f"camera '{found.cameras[best]}' and the others do not see the board at the same"
+                f" place: its poses differ by {100 * apart:.0f} % of the distance in the median of"
+                f" {len(shared)} common views; were pictures of the same name taken at the same"
+                " instant? To calibrate the lens of one camera alone, give its own folder"
+            )
+        camera[best] = pose
+        turned += [(best, v) for v in flipped]
+        for v, seen in poses[best].items():
+            view.setdefault(v, np.linalg.inv(pose) @ seen)
+    return [camera[c] for c in range(len(poses))], [view[v] for v in range(len(view))], turned
+
+
+def half_turn(target: Target) -> Pose | None:
+    """The motion that takes a target onto its equal-looking self; None where there is none.
+
+    Parameters
+    ----------
+    target : Target
+
+    Returns
+    -------
+    (4, 4) float [m] or None        in the target's frame
+    """
+    if target.turned is None:
+        return None
+    pose = np.diag([-1.0, -1.0, 1.0, 1.0])
+    pose[:3, 3] = target.points[0] + target.points[-1]
+    return pose
+
+
+def _agreed(
+    view: Mapping[int, Pose],
+    seen: Mapping[int, Pose],
+    shared: Sequence[int],
+    turns: Mapping[int, Pose | None],
+) -> tuple[Pose, list[int], float]:
+    """The pose of a camera on which most views agree, the views that are turned for it, and how far
+    the median view is from it."""
+    tries: list[list[Pose]] = []
+    for v in shared:
+        back = np.linalg.inv(view[v])
+        ways = [np.eye(4)] if turns[v] is None else [np.eye(4), turns[v]]
+        tries.append([seen[v] @ way @ back for way in ways])
+    size = np.median([np.linalg.norm(view[v][:3, 3]) for v in shared])
+
+    def apart(a: Pose, b: Pose) -> float:
+        turn = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).magnitude()
+        return float(turn + np.linalg.norm(a[:3, 3] - b[:3, 3]) / size)
+
+    def cost(pose: Pose) -> float:
+        return float(np.median([min(apart(pose, other) for other in ways) for ways in tries]))
+
+    best = min((pose for ways in tries for pose in ways), key=cost)
+    flipped = [
+        v
+        for v, ways in zip(shared, tries, strict=True)
+        if len(ways) > 1 and apart(best, ways[1]) < apart(best, ways[0])
+    ]
+    return best, flipped, cost(best)

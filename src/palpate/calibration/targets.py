@@ -1,0 +1,314 @@
+"""Targets to calibrate with: where their marks are, and how a picture of them is read."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from palpate.errors import InputError
+from palpate.shapes import Points
+
+Grey = UInt8[np.ndarray, "rows columns"]
+# Half side of the window in which a corner's place is refined: of what is free around it, and [px].
+_FREE_SHARE, _MIN_WINDOW_PX, _MAX_WINDOW_PX = 0.9, 2, 11
+# Larger pictures are searched at a part of their size, and the corners refined in the whole.
+_MAX_SEARCHED_PX = 1600
+_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
+DICTIONARIES = {
+    name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name)
+    for name in dir(cv2.aruco)
+    if name.startswith("DICT_")
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """Marks of a target found in a picture.
+
+    Attributes
+    ----------
+    mark : (k,) int                 their numbers on the target
+    pixel : (k, 2) float [px]       column and row; the centre of the first pixel is (0, 0)
+    """
+
+    mark: Int[np.ndarray, " k"]
+    pixel: Float[np.ndarray, "k 2"]
+
+
+@runtime_checkable
+class Target(Protocol):
+    """A flat pattern whose marks can be found in a picture."""
+
+    @property
+    def points(self) -> Points:
+        """Place of every mark in the target's frame, z = 0, (n, 3) float [m]."""
+
+    @property
+    def turned(self) -> Int[np.ndarray, " n"] | None:
+        """Numbers of the marks after half a turn, where the target then looks the same; or None."""
+
+    def find(self, picture: Grey) -> Sighting:
+        """Marks that a picture shows; none where the target is not seen.
+
+        Parameters
+        ----------
+        picture : (rows, columns) uint8
+
+        Returns
+        -------
+        Sighting
+        """
+
+
+def _grid(columns: int, rows: int, spacing: float) -> Points:
+    """Places of a grid, row by row."""
+    if min(columns, rows) < 2 or not spacing > 0.0:
+        raise InputError(
+            f"a target of {columns} x {rows} marks {spacing:g} m apart; must have two or more each"
+            " way, at a distance above 0"
+        )
+    place = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    return spacing * np.column_stack([place, np.zeros(len(place))])
+
+
+@dataclass(frozen=True, slots=True)
+class Chessboard:
+    """A chessboard; its marks are the inner corners.
+
+    Parameters
+    ----------
+    columns, rows : int             inner corners, one less than squares
+    square : float [m]              side of a square
+    """
+
+    columns: int
+    rows: int
+    square: float
+
+    @property
+    def points(self) -> Points:
+        """See `Target`."""
+        return _grid(self.columns, self.rows, self.square)
+
+    @property
+    def turned(self) -> Int[np.ndarray, " n"] | None:
+        """See `Target`; half a turn swaps black and white unless both numbers are alike."""
+        return np.arange(self.columns * self.rows)[::-1].copy()
+
+    def find(self, picture: Grey) -> Sighting:
+        """See `Target`; all corners or none."""
+        small, scale = _shrunk(picture)
+        size, flags = (self.columns, self.rows), cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
+        if not found:
+            flags |= cv2.CALIB_CB_EXHAUSTIVE
+            found, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
+        seen = _whole(found, pixel)
+        if len(seen.mark) == 0:
+            return seen
+        # The search is good to a third of a pixel, the saddle of the grey levels to a thirtieth.
+        place = scale * (seen.pixel + 0.5) - 0.5
+        return Sighting(seen.mark, _refined(picture, place, self.points, 0.5 * self.square))
+
+
+@dataclass(frozen=True, slots=True)
+class Circles:
+    """A grid of dark circles on white; its marks are their centres.
+
+    Parameters
+    ----------
+    columns, rows : int             circles; of an asymmetric grid those of a row, and the rows
+    spacing : float [m]             between centres; of an asymmetric grid half the distance of
+                                    neighbours in a row, which is the distance of the rows
+    asymmetric : bool               every other row is shifted
+    """
+
+    columns: int
+    rows: int
+    spacing: float
+    asymmetric: bool = False
+
+    @property
+    def points(self) -> Points:
+        """See `Target`."""
+        grid = _grid(self.columns, self.rows, self.spacing)
+        if self.asymmetric:
+            row = np.rint(grid[:, 1] / self.spacing)
+            grid[:, 0] = 2.0 * grid[:, 0] + self.spacing * (row % 2)
+        return grid
+
+    @property
+    def turned(self) -> Int[np.ndarray, " n"] | None:
+        """See `Target`; an asymmetric grid of an even number of rows looks different."""
+        if self.asymmetric and self.rows % 2 == 0:
+            return None
+        return np.arange(self.columns * self.rows)[::-1].copy()
+
+    def find(self, picture: Grey) -> Sighting:
+        """See `Target`; all circles or none."""
+        kind = cv2.CALIB_CB_ASYMMETRIC_GRID if self.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
+        found, pixel = cv2.findCirclesGrid(picture, (self.columns, self.rows), flags=kind)
+        return _whole(found, pixel)
+
+
+@dataclass(frozen=True, slots=True)
+class Charuco:
+    """A chessboard with a marker in every white square; parts of it are enough.
+
+    Parameters
+    ----------
+    columns, rows : int             squares
+    square, marker : float [m]      sides
+    dictionary : str                of the markers, one of `DICTIONARIES`
+    first : int                     number of its first marker: boards beside each other differ
+    """
+
+    columns: int
+    rows: int
+    square: float
+    marker: float
+    dictionary: str = "4x4_250"
+    first: int = 0
+
+    @property
+    def points(self) -> Points:
+        """See `Target`."""
+        return np.asarray(self._board().getChessboardCorners(), dtype=np.float64)
+
+    @property
+    def turned(self) -> Int[np.ndarray, " n"] | None:
+        """See `Target`; its markers say which way up it is."""
+        return None
+
+    def find(self, picture: Grey) -> Sighting:
+        """See `Target`."""
+        board = self._board()
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
+        if ids is None or len(ids) < 4:
+            return _NOTHING
+        mark = ids.ravel().astype(np.int64)
+        free = 0.5 * (self.square - self.marker)
+        return Sighting(mark, _refined(picture, corners.reshape(-1, 2), self.points[mark], free))
+
+    def drawing(self, pixels_per_square: int) -> Grey:
+        """The board as it is printed.
+
+        Parameters
+        ----------
+        pixels_per_square : int
+
+        Returns
+        -------
+        (rows, columns) uint8       without a margin
+        """
+        size = (self.columns * pixels_per_square, self.rows * pixels_per_square)
+        return np.asarray(self._board().generateImage(size))
+
+    def _board(self) -> cv2.aruco.CharucoBoard:
+        if not 0.0 < self.marker < self.square or min(self.columns, self.rows) < 3:
+            raise InputError(
+                f"a board of {self.columns} x {self.rows} squares of {1e3 * self.square:g} mm with"
+                f" markers of {1e3 * self.marker:g} mm; must have 3 x 3 squares or more, and"
+                " markers smaller than the squares"
+            )
+        dictionary = _dictionary(self.dictionary)
+        count = self.columns * self.rows // 2
+        if self.first + count > len(dictionary.bytesList):
+            raise InputError(
+                f"the board needs markers {self.first} to {self.first + count - 1}; the dictionary"
+                f" {self.dictionary} has {len(dictionary.bytesList)}: choose a larger one"
+            )
+        ids = np.arange(self.first, self.first + count)
+        size = (self.columns, self.rows)
+        return cv2.aruco.CharucoBoard(size, self.square, self.marker, dictionary, ids)
+
+
+@dataclass(frozen=True, slots=True)
+class AprilGrid:
+    """A grid of AprilTags or ArUco markers; its marks are their four corners each.
+
+    Parameters
+    ----------
+    columns, rows : int             tags
+    tag, gap : float [m]            side of a tag, white between two of them
+    dictionary : str                one of `DICTIONARIES`
+    first : int                     number of the first tag
+    """
+
+    columns: int
+    rows: int
+    tag: float
+    gap: float
+    dictionary: str = "apriltag_36h11"
+    first: int = 0
+
+    @property
+    def points(self) -> Points:
+        """See `Target`; tag by tag, from its first corner clockwise."""
+        corner = _grid(self.columns, self.rows, self.tag + self.gap)
+        square = self.tag * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+        return (corner[:, None] + square).reshape(-1, 3)
+
+    @property
+    def turned(self) -> Int[np.ndarray, " n"] | None:
+        """See `Target`; its tags say which way up it is."""
+        return None
+
+    def find(self, picture: Grey) -> Sighting:
+        """See `Target`."""
+        detector = cv2.aruco.ArucoDetector(_dictionary(self.dictionary))
+        corners, ids, _ = detector.detectMarkers(picture)
+        if ids is None:
+            return _NOTHING
+        number = ids.ravel().astype(np.int64) - self.first
+        known = (number >= 0) & (number < self.columns * self.rows)
+        if not known.any():
+            return _NOTHING
+        pixel = np.stack(corners).reshape(-1, 4, 2)[known].reshape(-1, 2).astype(np.float64)
+        mark = (4 * number[known, None] + np.arange(4)).ravel()
+        # A tag's rim is as wide as one of its eight modules.
+        free = 0.75 * min(self.gap, self.tag / 8.0)
+        return Sighting(mark, _refined(picture, pixel, self.points[mark], free))
+
+
+_NOTHING = Sighting(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    if name not in DICTIONARIES:
+        raise InputError(f"no dictionary of markers '{name}'; known: {', '.join(DICTIONARIES)}")
+    return cv2.aruco.getPredefinedDictionary(DICTIONARIES[name])
+
+
+def _whole(found: bool, pixel: np.ndarray | None) -> Sighting:
+    """All marks of a target, or none."""
+    if not found or pixel is None:
+        return _NOTHING
+    pixel = pixel.reshape(-1, 2).astype(np.float64)
+    return Sighting(np.arange(len(pixel)), pixel)
+
+
+def _shrunk(picture: Grey) -> tuple[Grey, float]:
+    """A picture small enough to be searched, and how many pixels one of its own stands for."""
+    scale = max(picture.shape) / _MAX_SEARCHED_PX
+    if scale <= 1.0:
+        return picture, 1.0
+    scale = float(np.ceil(scale))
+    rows, columns = (int(size // scale) for size in picture.shape)
+    whole = picture[: int(rows * scale), : int(columns * scale)]
+    return np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)), scale
+
+
+def _refined(
+    picture: Grey, pixel: Float[np.ndarray, "k 2"], points: Points, free: float
+) -> Float[np.ndarray, "k 2"]:
+    """Corners refined by the grey levels around them, `free` [m] of other corners."""
+    apart = np.linalg.norm(pixel[1:] - pixel[:-1], axis=1)
+    real = np.linalg.norm(points[1:] - points[:-1], axis=1)
+    pixels_per_metre = float(np.median(apart / real))
+    half = int(np.clip(_FREE_SHARE * free * pixels_per_metre, _MIN_WINDOW_PX, _MAX_WINDOW_PX))
+    start = np.array(pixel, dtype=np.float32, order="C").reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _STOP)
+    return refined.reshape(-1, 2).astype(np.float64)

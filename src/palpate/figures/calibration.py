@@ -1,0 +1,165 @@
+"""Pictures of a calibration: residuals and coverage of every camera, the rig; boards to print."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+from palpate.calibration import REGIONS, Calibration, Charuco
+from palpate.figures.style import BLUE, GREY, INK, ORANGE, styled
+from palpate.records import camera_centre
+
+_INCH = 0.0254
+_WIDTH = 3.2  # of one camera's panel [inches]
+# Arrows of residuals: the noise is drawn as long as this share of the picture's width.
+_ARROW = 0.02
+_MAX_ARROWS = 3000
+# Sampling of a printed board: a module of a marker is a whole number of pixels.
+_PIXELS_PER_SQUARE = 240
+
+
+@styled
+def residual_figure(calibration: Calibration) -> Figure:
+    """What the adjustment leaves at every corner, a panel for each camera.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    Figure
+    """
+    cameras, corners = calibration.cameras, calibration.corners
+    ratio = max(rows / columns for columns, rows in calibration.found.sizes)
+    figure = Figure(figsize=(_WIDTH * len(cameras), _WIDTH * ratio + 0.55), layout="constrained")
+    for c, camera in enumerate(cameras):
+        axes = figure.add_subplot(1, len(cameras), c + 1)
+        columns, rows = calibration.found.sizes[c]
+        noise = float(calibration.adjusted.noise[c])
+        for good, colour in ((True, BLUE), (False, ORANGE)):
+            mine = np.flatnonzero((corners.camera == c) & (calibration.adjusted.good == good))
+            mine = mine[:: len(mine) // _MAX_ARROWS + 1]
+            away = _ARROW * columns / noise * calibration.adjusted.residual[mine]
+            axes.quiver(
+                *corners.pixel[mine].T, *away.T, angles="xy", scale_units="xy", scale=1.0,
+                color=colour, width=0.0022,
+            )  # fmt: skip
+        for k in range(1, REGIONS):
+            axes.axvline(k * columns / REGIONS, color=GREY, linewidth=0.3)
+            axes.axhline(k * rows / REGIONS, color=GREY, linewidth=0.3)
+        axes.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xticks=[], yticks=[])
+        axes.set_title(f"{camera.name}: {noise:.3f} px", parse_math=False)
+    figure.supxlabel(
+        "residuals of the corners, the noise 2 % of the width; orange: gross errors, left out",
+        fontsize=7.0,
+    )
+    return figure
+
+
+@styled
+def rig_figure(calibration: Calibration) -> Figure:
+    """Cameras and boards in space, seen from the side and above.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    Figure                          lengths in mm
+    """
+    figure = Figure(figsize=(5.2, 4.4), layout="constrained")
+    axes: Axes3D = figure.add_subplot(projection="3d")
+    corners = calibration.corners
+    boards = []
+    for v, pose in enumerate(calibration.adjusted.bundle.view):
+        point = corners.point[corners.view == v]
+        low, high = point.min(axis=0), point.max(axis=0)
+        rim = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+        flat = np.column_stack([rim, np.zeros(4)])[[0, 1, 2, 3, 0]]
+        boards.append(1e3 * (flat @ pose[:3, :3].T + pose[:3, 3]))
+    axes.add_collection3d(Line3DCollection(boards, colors=GREY, linewidths=0.5))
+    size = 0.15 * np.linalg.norm(np.mean([board.mean(axis=0) for board in boards], axis=0))
+    frusta = []
+    for camera in calibration.cameras:
+        centre, turn = 1e3 * camera_centre(camera), camera.T_camera_object[:3, :3]
+        half = np.array([camera.matrix[0, 2] / camera.matrix[0, 0],
+                         camera.matrix[1, 2] / camera.matrix[1, 1], 1.0])  # fmt: skip
+        sides = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]]) * half
+        corner = centre + size * sides @ turn
+        frusta += [np.stack([centre, point]) for point in corner]
+        frusta.append(corner[[0, 1, 2, 3, 0]])
+        axes.text(*centre, f" {camera.name}", color=INK, parse_math=False)
+    axes.add_collection3d(Line3DCollection(frusta, colors=BLUE, linewidths=1.0))
+    every = np.concatenate([*boards, *frusta])
+    axes.set(
+        xlim=(every[:, 0].min(), every[:, 0].max()),
+        ylim=(every[:, 1].min(), every[:, 1].max()),
+        zlim=(every[:, 2].min(), every[:, 2].max()),
+        xlabel="x mm", ylabel="y mm", zlabel="z mm",
+    )  # fmt: skip
+    axes.set_aspect("equal")
+    # The cameras look along +z; shown as in the room: depth to the right, down down.
+    axes.view_init(elev=-60.0, azim=-80.0)
+    return figure
+
+
+@styled
+def board_figure(board: Charuco) -> Figure:
+    """A board in true size with a ruler below, for a printer that does not scale.
+
+    Parameters
+    ----------
+    board : Charuco
+
+    Returns
+    -------
+    Figure                          its size in inches is that of the paper needed
+    """
+    width, height = board.columns * board.square / _INCH, board.rows * board.square / _INCH
+    margin, foot = 0.4, 0.85
+    total = (width + 2 * margin, height + margin + foot)
+    figure = Figure(figsize=total)
+    axes = figure.add_axes(
+        (margin / total[0], foot / total[1], width / total[0], height / total[1])
+    )
+    axes.imshow(
+        board.drawing(_PIXELS_PER_SQUARE), cmap="gray", vmin=0, vmax=255, interpolation="none"
+    )
+    axes.set_axis_off()
+    length = 0.01 * int(100 * board.columns * board.square)
+    ruler = figure.add_axes(
+        (margin / total[0], 0.5 / total[1], length / _INCH / total[0], 0.12 / total[1])
+    )
+    ruler.set(xlim=(0, 100 * length), ylim=(0, 1), yticks=[])
+    ruler.set_xticks(np.arange(0, 100 * length + 0.5))
+    ruler.tick_params(labelsize=5.5, length=2)
+    figure.text(
+        margin / total[0], 0.08 / total[1],
+        "cm: print at 100 % and measure this ruler\n"
+        f"{board.columns} x {board.rows}, {1e3 * board.square:g} and {1e3 * board.marker:g} mm,"
+        f" {board.dictionary}, first {board.first}",
+        fontsize=5.5,
+    )  # fmt: skip
+    return figure
+
+
+@styled
+def save_page(figure: Figure, path: Path, *, kind: str, dots_per_inch: float = 600.0) -> None:
+    """Write a figure in its true size.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : Path
+    kind : str                      "pdf" or "png"
+    dots_per_inch : float           of a PNG
+
+    Raises
+    ------
+    OSError                         the file cannot be written
+    """
+    figure.savefig(path, dpi=dots_per_inch, format=kind)

@@ -1,0 +1,65 @@
+"""XML, YAML and JSON, told apart by their content."""
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import yaml
+
+from palpate.errors import RecordError
+from palpate.files import checked_file, damage, read_bytes
+
+TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
+# YAML is parsed at a tenth of a megabyte a second; a calibration has some kilobytes.
+_MOST_BYTES = 2**20
+_CURE = "export the calibration again"
+
+
+def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
+    """Content of a file: XML, YAML or JSON, or text.
+
+    Parameters
+    ----------
+    path : Path                     YAML and JSON have a suffix of `TREE_SUFFIXES`
+
+    Raises
+    ------
+    RecordError                     not there, not text, broken XML or YAML, a key that is twice
+    """
+    data = read_bytes(path)
+    if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        with damage(path, _CURE, what="is not valid XML"):
+            return ElementTree.fromstring(data.lstrip())
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordError(
+            f"{path}: is not a text file in UTF-8, and no calibration of a known program"
+        ) from error
+    if path.suffix.lower() not in TREE_SUFFIXES:
+        return text
+    # OpenCV's first line (%YAML:1.0) is no valid YAML.
+    body = text.partition("\n")[2] if text.startswith("%YAML") else text
+    checked_file(path, most=_MOST_BYTES)
+    with damage(path, _CURE, what="is not valid YAML"):
+        root = yaml.load(body, Loader=_Loader)  # a SafeLoader: plain values only
+    return root if isinstance(root, dict) else text
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain values, and OpenCV's matrices as tables; no key twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A table; YAML forbids a key that is there twice, the parser lets it pass."""
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise ValueError(f"line {key.start_mark.line + 1}: '{key.value}' is there twice")
+            seen.add(str(key.value))
+        return super().construct_mapping(node, deep=deep)
+
+
+for _kind in ("opencv-matrix", "opencv-nd-matrix"):
+    _Loader.add_constructor(
+        f"tag:yaml.org,2002:{_kind}", lambda loader, node: loader.construct_mapping(node, deep=True)
+    )

@@ -1,0 +1,73 @@
+"""Size that a picture file says it has, read before any of its pixels is decoded."""
+
+import struct
+
+PNG, JPEG, BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
+# Both byte orders, each plain and large.
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# Markers of JPEG that begin a frame: 0xC0 to 0xCF but for tables and arithmetic coding's settings.
+_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_WIDTH, _HEIGHT = 256, 257
+# Bytes of a number of each of TIFF's types that a size may have: SHORT, LONG, LONG8.
+_FORMATS = {3: "H", 4: "I", 16: "Q"}
+
+
+def claimed_size(content: bytes) -> tuple[int, int] | None:
+    """Columns and rows of the first picture in a PNG, JPEG, TIFF or BMP file.
+
+    Parameters
+    ----------
+    content : bytes                 the whole file
+
+    Returns
+    -------
+    (int, int) or None              columns, rows; None where the header is cut off or is none
+
+    Source
+    ------
+    PNG specification, 11.2.2; ITU-T T.81, B.2.2; TIFF 6.0, section 2, and the BigTIFF design;
+    BITMAPINFOHEADER of Windows.
+    """
+    try:
+        if content.startswith(PNG):
+            return struct.unpack_from(">II", content, 16)
+        if content.startswith(BMP):
+            # The old header, of 12 bytes, has shorter numbers; a height below zero turns the rows.
+            old = struct.unpack_from("<I", content, 14) == (12,)
+            columns, rows = struct.unpack_from("<HH" if old else "<ii", content, 18)
+            return abs(columns), abs(rows)
+        if content.startswith(TIFF):
+            return _tiff_size(content)
+        return _jpeg_size(content) if content.startswith(JPEG) else None
+    except struct.error:
+        return None
+
+
+def _jpeg_size(content: bytes) -> tuple[int, int] | None:
+    """From the first frame, segment by segment."""
+    place = 2
+    while True:
+        mark, kind, length = struct.unpack_from(">BBH", content, place)
+        if mark != 0xFF:
+            return None
+        if kind in _FRAMES:
+            rows, columns = struct.unpack_from(">HH", content, place + 5)
+            return columns, rows
+        # A marker may be preceded by any number of 0xFF.
+        place += 1 if kind == 0xFF else 2 + length
+
+
+def _tiff_size(content: bytes) -> tuple[int, int] | None:
+    """From the first directory."""
+    order = "<" if content.startswith(b"II") else ">"
+    large = content[2:4] in (b"+\0", b"\0+")
+    head, count, entry, value = ("Q", "Q", 20, 12) if large else ("I", "H", 12, 8)
+    (place,) = struct.unpack_from(order + head, content, 8 if large else 4)
+    (entries,) = struct.unpack_from(order + count, content, place)
+    place += struct.calcsize(order + count)
+    found = {}
+    for start in range(place, place + entry * min(entries, 4096), entry):
+        tag, kind = struct.unpack_from(order + "HH", content, start)
+        if tag in (_WIDTH, _HEIGHT) and kind in _FORMATS:
+            (found[tag],) = struct.unpack_from(order + _FORMATS[kind], content, start + value)
+    return (found[_WIDTH], found[_HEIGHT]) if len(found) == 2 else None

@@ -1,0 +1,51 @@
+"""Corners of boards as cameras of a known rig see them."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palpate.calibration.adjustment import Bundle, Corners
+from palpate.calibration.lens_model import seen_points
+
+SIZE = (1280, 1024)
+
+
+def board_points(columns: int = 9, rows: int = 7, square: float = 0.012) -> np.ndarray:
+    """Inner corners of a chessboard, centred, (n, 3) float [m]."""
+    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    return np.column_stack([square * (grid - grid.mean(axis=0)), np.zeros(len(grid))])
+
+
+def true_bundle(rng: np.random.Generator, *, cameras: int = 3, views: int = 25) -> Bundle:
+    """Cameras 60 mm apart that look at boards about 0.35 m away, tilted by up to 40 degrees."""
+    inner = np.array([1800.0, 1805.0, 642.0, 508.0, -0.11, 0.09, 3e-4, -5e-4, 0.02])
+    lens = inner * (1.0 + 0.01 * rng.normal(size=(cameras, 9)))
+    pose = np.tile(np.eye(4), (cameras, 1, 1))
+    for c in range(cameras):
+        turn = np.deg2rad([0.0, -9.0 * c, 1.0 * c])
+        pose[c, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        pose[c, :3, 3] = [-0.06 * c, 0.002 * c, 0.004 * c]
+    view = np.tile(np.eye(4), (views, 1, 1))
+    for v in range(views):
+        tilt = np.deg2rad(rng.uniform(-40.0, 40.0, 3) * [1.0, 1.0, 2.0])
+        view[v, :3, :3] = Rotation.from_rotvec(tilt).as_matrix()
+        view[v, :3, 3] = rng.uniform(-1.0, 1.0, 3) * [0.05, 0.04, 0.05] + [0.05, 0.0, 0.36]
+    return Bundle(lens, pose, view)
+
+
+def seen_corners(
+    bundle: Bundle, points: np.ndarray, rng: np.random.Generator, *, noise: float
+) -> Corners:
+    """Every corner within the picture of each camera, a dozen at least, with normal errors."""
+    parts = []
+    for c, (inner, pose) in enumerate(zip(bundle.inner, bundle.camera, strict=True)):
+        for v, view in enumerate(bundle.view):
+            whole = pose @ view
+            place = points @ whole[:3, :3].T + whole[:3, 3]
+            pixel, _, _ = seen_points(np.tile(inner, (len(place), 1)), place)
+            inside = ((pixel > 5.0) & (pixel < np.array(SIZE) - 6.0)).all(axis=1)
+            if inside.sum() < 12:
+                continue
+            which = np.full(int(inside.sum()), c), np.full(int(inside.sum()), v)
+            parts.append((*which, points[inside], pixel[inside]))
+    camera, view, point, pixel = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Corners(camera, view, point, pixel + noise * rng.normal(size=pixel.shape))

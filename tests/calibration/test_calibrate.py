@@ -1,0 +1,251 @@
+"""From drawn pictures to a rig: targets, half turns, views that contradict, files."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from calibration.boards import board_points, seen_corners, true_bundle
+from calibration.drawn_boards import draw_board
+
+from palpate.app.cli import main
+from palpate.calibration import (
+    AprilGrid,
+    Charuco,
+    Chessboard,
+    Circles,
+    Sightings,
+    calibrate,
+    camera_quality,
+    length_check,
+    length_sigma,
+    write_calibration,
+)
+from palpate.calibration.adjustment import Bundle, Corners
+from palpate.calibration.calibrate import cameras_of
+from palpate.errors import CalibrationError
+from palpate.records import Rig, read_rig
+from palpate.vision import project, triangulate
+
+_SIZE = (640, 512)
+
+
+def _scene(rng: np.random.Generator, board: Chessboard | Charuco, views: int) -> Bundle:
+    """Two cameras of 640 x 512 pixels that see the whole board in every view."""
+    truth = true_bundle(rng, cameras=2, views=views)
+    inner = truth.inner.copy()
+    inner[:, :4] *= 0.5
+    view = truth.view.copy()
+    middle = board.points.mean(axis=0)
+    view[:, :3, 3] = [0.03, 0.0, 0.36] - np.einsum("vij,j->vi", view[:, :3, :3], middle)
+    view[:, :3, 3] += rng.uniform(-0.015, 0.015, (views, 3))
+    return Bundle(inner, truth.camera, view)
+
+
+def _write(folder: Path, truth: Bundle, texture: np.ndarray, extent: tuple[float, float]) -> None:
+    rng = np.random.default_rng(8)
+    for c, inner in enumerate(truth.inner):
+        (folder / f"c{c}").mkdir(parents=True)
+        for v, view in enumerate(truth.view):
+            picture = draw_board(texture, extent, inner, truth.camera[c] @ view, _SIZE, rng=rng)
+            cv2.imwrite(str(folder / f"c{c}" / f"c{c}_{v:02d}.png"), picture)
+
+
+def test_charuco_from_pictures_to_rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = Charuco(9, 7, 0.012, 0.009)
+    truth = _scene(np.random.default_rng(3), board, 6)
+    _write(tmp_path / "boards", truth, board.drawing(60), (9 * 0.012, 7 * 0.012))
+    monkeypatch.chdir(tmp_path)
+    words = "calibrate boards --columns 9 --rows 7 --square 12mm --marker 9mm --out rig"
+    assert main(words.split()) == 0
+    said = capsys.readouterr()
+    assert "known to" in said.out
+    rig = read_rig(tmp_path / "rig")
+    assert [camera.name for camera in rig.cameras] == ["c0", "c1"]
+    with np.load(tmp_path / "rig" / "rig_covariance.npz") as stored:
+        sigma = np.sqrt(np.diag(stored["covariance"]))[:18].reshape(2, 9)
+        # Four rays a pixel and noise of 2 grey levels.
+        assert stored["corner_noise"].max() < 0.15
+    for camera, inner, std in zip(rig.cameras, truth.inner, sigma, strict=True):
+        k = camera.matrix
+        error = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]]) - inner[:4]
+        assert np.abs(error / std[:4]).max() < 4.0
+        # The board fills a third of the picture in six views.
+        assert std[:4].max() < 5.0
+    # Mostly across: the distance of the cameras, good to a thousandth or so in six views.
+    away = rig.cameras[1].T_camera_object[0, 3] - truth.camera[1, 0, 3]
+    assert abs(away) < 5e-4
+    files = {path.name for path in (tmp_path / "rig").iterdir()}
+    assert {"rig.toml", "rig_covariance.npz", "opencv.yml", "kalibr.yaml", "residuals.png"} <= files
+    for other in ("opencv.yml", "kalibr.yaml"):
+        again = read_rig(tmp_path / "rig" / other)
+        np.testing.assert_allclose(
+            again.cameras[1].T_camera_object, rig.cameras[1].T_camera_object, atol=1e-12
+        )
+        np.testing.assert_allclose(again.cameras[0].matrix, rig.cameras[0].matrix, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "target",
+    [Chessboard(9, 6, 0.012), AprilGrid(5, 4, 0.016, 0.005), Circles(7, 5, 0.016)],
+    ids=["chessboard", "aprilgrid", "circles"],
+)
+def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles) -> None:
+    rng = np.random.default_rng(4)
+    inner = np.array([900.0, 900.0, 319.5, 255.5, -0.1, 0.05, 0.0, 0.0, 0.0])
+    pixels_per_metre, margin = 10000, 0.02
+    points = target.points
+    width, height = points[:, :2].max(axis=0) + 2 * margin
+    texture = np.full(
+        (int(height * pixels_per_metre), int(width * pixels_per_metre)), 255, np.uint8
+    )
+    at = np.rint((points[:, :2] + margin) * pixels_per_metre).astype(int)
+    if isinstance(target, Circles):
+        for x, y in at:
+            # In sixteenths of a pixel; its centre is half a pixel from its corner.
+            cv2.circle(texture, (int(16 * x - 8), int(16 * y - 8)), 16 * 50, 0, -1, shift=4)
+    elif isinstance(target, AprilGrid):
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        for k, (x, y) in enumerate(at[::4]):
+            texture[y : y + 160, x : x + 160] = cv2.aruco.generateImageMarker(dictionary, k, 160)
+    else:
+        side = round(target.square * pixels_per_metre)
+        for i in range(-1, target.rows):
+            for j in range(-1, target.columns):
+                if (i + j) % 2 == 0:
+                    y, x = margin * pixels_per_metre + side * np.array([i, j])
+                    texture[int(y) : int(y) + side, int(x) : int(x) + side] = 0
+    pose = true_bundle(rng, cameras=1, views=1).view[0]
+    pose[:3, 3] = np.array([0.0, 0.0, 0.3]) - pose[:3, :3] @ np.append(
+        (points.max(axis=0) / 2)[:2], 0
+    )
+    shifted = pose.copy()
+    shifted[:3, 3] += pose[:3, :3] @ [-margin, -margin, 0.0]
+    extent = (texture.shape[1] / pixels_per_metre, texture.shape[0] / pixels_per_metre)
+    picture = draw_board(texture, extent, inner, shifted, _SIZE, rng=rng, parts=3)
+    found = target.find(picture)
+    assert len(found.mark) == len(points)
+    bundle = Bundle(inner[None], np.eye(4)[None], pose[None])
+    truth = seen_corners(bundle, points, rng, noise=0.0).pixel
+    turned = np.arange(len(points)) if target.turned is None else target.turned
+    errors = [np.linalg.norm(found.pixel - truth[order[found.mark]], axis=1) for order in
+              (np.arange(len(points)), turned)]  # fmt: skip
+    error = min(errors, key=lambda e: float(np.median(e)))
+    # The drawing has texels of a third of a pixel. A tag's corner has one dark quarter out of four,
+    # and the middle of a circle's picture is not that of the circle.
+    limit = {Chessboard: 0.1, AprilGrid: 0.2, Circles: 0.15}[type(target)]
+    assert np.sqrt((error**2).mean() / 2.0) < limit
+
+
+def _sightings(corners: Corners, board: Chessboard, cameras: int, views: int) -> Sightings:
+    points = board.points
+    mark = np.linalg.norm(corners.point[:, None] - points, axis=2).argmin(axis=1)
+    return Sightings(
+        tuple(f"c{c}" for c in range(cameras)), ((1280, 1024),) * cameras,
+        tuple(f"{v:02d}" for v in range(views)), (0,) * views, corners, mark, (),
+    )  # fmt: skip
+
+
+def _synthetic(
+    seed: int, *, cameras: int = 3, views: int = 14
+) -> tuple[Sightings, Chessboard, Bundle]:
+    rng = np.random.default_rng(seed)
+    board = Chessboard(9, 7, 0.012)
+    middle = board.points.mean(axis=0)
+    truth = true_bundle(rng, cameras=cameras, views=views)
+    truth.view[:, :3, 3] -= np.einsum("vij,j->vi", truth.view[:, :3, :3], middle)
+    corners = seen_corners(truth, board_points() + middle, rng, noise=0.1)
+    return _sightings(corners, board, cameras, views), board, truth
+
+
+def test_boards_seen_upside_down_are_turned_alike() -> None:
+    found, board, truth = _synthetic(10)
+    turned = (found.corners.camera == 1) & (found.corners.view % 3 == 0)
+    mark = np.where(turned, board.turned[found.mark], found.mark)
+    point = np.where(turned[:, None], board.points[mark], found.corners.point)
+    found = replace(found, mark=mark, corners=replace(found.corners, point=point))
+    result = calibrate(found, [board])
+    assert not result.notes
+    np.testing.assert_allclose(result.adjusted.noise, 0.1, rtol=0.1)
+    for camera, pose in zip(result.cameras, truth.camera, strict=True):
+        # A turn of the third camera, which sees parts of the boards, goes with its centre.
+        np.testing.assert_allclose(camera.T_camera_object, pose, atol=2e-2)
+
+
+def test_a_board_that_moved_between_the_cameras_is_named() -> None:
+    found, board, _ = _synthetic(11)
+    moved = (found.corners.camera == 1) & (found.corners.view == 5)
+    assert moved.sum() > 30
+    pixel = found.corners.pixel + np.where(moved[:, None], [4.0, -3.0], 0.0)
+    result = calibrate(replace(found, corners=replace(found.corners, pixel=pixel)), [board])
+    assert len(result.notes) == 1
+    assert "'05'" in result.notes[0]
+    assert "move" in result.notes[0]
+    assert len(result.found.views) == 13
+    np.testing.assert_allclose(result.adjusted.noise, 0.1, rtol=0.15)
+
+
+def test_pictures_of_different_instants_are_refused() -> None:
+    found, board, _ = _synthetic(12)
+    view = np.where(found.corners.camera == 1, (found.corners.view + 3) % 14, found.corners.view)
+    with pytest.raises(CalibrationError, match="same instant"):
+        calibrate(replace(found, corners=replace(found.corners, view=view)), [board])
+
+
+def test_lengths_are_as_good_as_said() -> None:
+    """The scale of a rig against its true one, over seeds: its claimed sigma holds."""
+    ratios = []
+    for seed in range(20, 26):
+        found, board, truth = _synthetic(seed, cameras=2)
+        result = calibrate(found, [board])
+        sigma = length_sigma(result)
+        pose = truth.view[found.corners.view]
+        points = np.einsum("mij,mj->mi", pose[:, :3, :3], found.corners.point) + pose[:, :3, 3]
+        pixels = np.stack([project(camera, points) for camera in cameras_of(found, truth)])
+        measured = triangulate(Rig(result.cameras, 0, ""), pixels, 0.1).point
+        scale = np.sqrt(measured.var(axis=0).sum() / points.var(axis=0).sum())
+        ratios.append((scale - 1.0) / sigma)
+        check = length_check(result)
+        assert check is not None
+        # Three quarters of the views have a larger sigma, and four boards have their own noise.
+        assert abs(check.error) < 5.0 * sigma
+    # Root mean square of six: 0.37 to 1.6 in 99 % of all draws.
+    assert 0.37 < np.sqrt(np.mean(np.square(ratios))) < 1.6
+
+
+def test_what_is_missing_is_said() -> None:
+    found, board, _ = _synthetic(13, cameras=1)
+    quality = camera_quality(calibrate(found, [board]))[0]
+    assert quality.views == 14
+    assert quality.noise == pytest.approx(0.1, rel=0.1)
+    low = found.corners.pixel[:, 0] < 0.6 * 1280
+    corners = found.corners.chosen(low)
+    enough = np.bincount(corners.view, minlength=14) >= 12
+    low[low] = enough[corners.view]
+    corners = found.corners.chosen(low)
+    kept, number = np.unique(corners.view, return_inverse=True)
+    part = replace(
+        found, corners=replace(corners, view=number), mark=found.mark[low],
+        views=tuple(found.views[v] for v in kept), targets=(0,) * len(kept),
+    )  # fmt: skip
+    missing = " ".join(camera_quality(calibrate(part, [board]))[0].missing)
+    assert "upper right" in missing
+    assert "lower right" in missing
+    assert "middle centre" not in missing
+
+
+def test_covariance_goes_with_its_names(tmp_path: Path) -> None:
+    found, board, _ = _synthetic(14, cameras=2)
+    result = calibrate(found, [board])
+    write_calibration(tmp_path, result)
+    with np.load(tmp_path / "rig_covariance.npz") as stored:
+        assert stored["names"].tolist() == list(result.names)
+        assert stored["covariance"].shape == (24, 24)
+        np.testing.assert_array_equal(stored["covariance"], result.covariance)
+    sigma = dict(zip(result.names, np.sqrt(np.diag(result.covariance)), strict=True))
+    # 14 views of 63 corners of 0.1 px: a focal length of 1800 px to about half a pixel.
+    assert 0.05 < sigma["c0.fx"] < 2.0
+    assert sigma["c1.tx"] < 1e-4

@@ -1,0 +1,230 @@
+"""Kinds of results that are not Palpate's, were changed, or contradict themselves."""
+
+import fcntl
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from faults.kind import Kind, replaced, written
+
+FIT = ("fit", "cube", "--out", "result")
+POKE = ("poke", "cube", "--force", "0", "0", "-1", "--at", "0.02", "0.02", "0.04", "--result")
+SIZES = ("--diameter", "50mm", "--height", "30mm")
+COMPRESSION = ("compression", "record.csv", *SIZES, "--out")
+_HELD = []
+
+
+def _value(*keys: str | int, to: Any) -> Callable[[Path], object]:
+    """Damage: another value in the estimate, whatever its sum says."""
+
+    def damage(folder: Path) -> None:
+        path = folder / "result" / "estimate.json"
+        content = place = json.loads(path.read_text())
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = to
+        path.write_text(json.dumps(content))
+
+    return damage
+
+
+def _made(name: str) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).mkdir()
+
+
+def _gone(name: str) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).unlink()
+
+
+def _linked(name: str, target: str) -> Callable[[Path], object]:
+    def damage(folder: Path) -> None:
+        (folder / name).symlink_to(target)
+
+    return damage
+
+
+def _result_in(name: str) -> Callable[[Path], object]:
+    """Damage: the result stands under another name, with something of the user's in it."""
+
+    def damage(folder: Path) -> None:
+        shutil.copytree(folder / "result", folder / name)
+        (folder / name / "notes.txt").write_text("mine")
+
+    return damage
+
+
+def _locked(name: str) -> Callable[[Path], object]:
+    """Damage: another process is writing there."""
+
+    def damage(folder: Path) -> None:
+        lock = folder / f".{name}.lock"
+        lock.write_text("process 4711 on another")
+        _HELD.append(lock.open())
+        fcntl.flock(_HELD[-1], fcntl.LOCK_EX)
+
+    return damage
+
+
+def _nothing(_: Path) -> None:
+    pass
+
+
+def _contradiction(name: str, damage: Callable[[Path], object], *says: str) -> Kind:
+    return Kind(f"an estimate with {name}", damage, (*POKE, "result"), says, example="results")
+
+
+def _refused(name: str, damage: Callable[[Path], object], command: tuple, *says: str) -> Kind:
+    return Kind(name, damage, command, says, example="results")
+
+
+_FIT_KINDS = [
+    _refused("a result that was edited", replaced("result/estimate.json", "ok", "OK"), FIT,
+             "result: is a result that was changed since: estimate.json (changed)", "--force"),
+    _refused("a result with one file more", written("result/notes.txt", "mine"), FIT,
+             "notes.txt (not listed)", "--out"),
+    _refused("a result with one file less", _gone("result/table.csv"), FIT,
+             "table.csv (missing)"),
+    _refused("a result with a link in it", _linked("result/link", ".."), FIT,
+             "link (not listed)"),
+    _refused("a result of an earlier version",
+             written("result/contents.txt", "palpate result folder; files:\nestimate.json\n"), FIT,
+             "earlier version", "--force"),
+    _refused("a result whose contents are binary", written("result/contents.txt", b"\xff\xfe"), FIT,
+             "no result of Palpate's"),
+    _refused("a result without contents", _gone("result/contents.txt"), FIT,
+             "no result of Palpate's", "estimate.json"),
+    _refused("a folder of the user's as --out", written("cube/diary.txt", "mine"),
+             ("fit", "cube", "--out", "cube"), "cube: holds files that are no result of Palpate's"),
+    _refused("a file as --out of fit", _nothing, ("fit", "cube", "--out", "record.csv"),
+             "record.csv: is not a folder"),
+    _refused("a link to a folder as --out", _linked("link", "result"), (*FIT[:-1], "link"),
+             "link: is not a folder"),
+    _refused("a dangling link as --out", _linked("link", "nowhere"), (*FIT[:-1], "link"),
+             "link: is not a folder"),
+    _refused("the current folder as --out", _nothing, (*FIT[:-1], "."), "more than that"),
+    _refused("the folder above as --out", _nothing, (*FIT[:-1], ".."), "more than that"),
+    _refused("the root as --out", _nothing, (*FIT[:-1], "/"), "more than that"),
+    _refused("--out below a file", _nothing, (*FIT[:-1], "record.csv/below"), "is not a folder"),
+    _refused("--out below no folder", _nothing, (*FIT[:-1], "none/below"), "is not a folder"),
+    _refused("a result that another process is writing", _locked("result"), FIT,
+             "result: is being written by process 4711 on another", "wait"),
+    _refused("a result of fit as --out of flow", _nothing, ("flow", "cube", "--out", "result"),
+             "is a result of `palpate fit`"),
+    _refused("a result of fit as --out of lab", _nothing, ("lab", "demo", "result"),
+             "is a result of `palpate fit`"),
+    _refused("the default result holds something of the user's", _result_in("cube-result"),
+             ("fit", "cube"), "notes.txt (not listed)"),
+]  # fmt: skip
+
+_COMPRESSION_KINDS = [
+    _refused("--out of compression is the record", _nothing, (*COMPRESSION, "record.csv"),
+             "record.csv: --out names one of the records"),
+    _refused("--out of compression is the record, by another name",
+             _linked("same.csv", "record.csv"), (*COMPRESSION, "same.csv"),
+             "--out names one of the records"),
+    _refused("--out of compression is the record, by force", _nothing,
+             (*COMPRESSION, "record.csv", "--force"), "--out names one of the records"),
+    _refused("--out of compression is another record", written("other.csv", "1,2\n"),
+             (*COMPRESSION, "other.csv"), "other.csv: is no result of Palpate's", "--force"),
+    _refused("--out of compression is empty", written("other.json", ""),
+             (*COMPRESSION, "other.json"), "is no result of Palpate's"),
+    _refused("--out of compression is a JSON of the user's", written("other.json", '{"a": 1}'),
+             (*COMPRESSION, "other.json"), "is no result of Palpate's"),
+    _refused("--out of compression is a list", written("other.json", "[1, 2]"),
+             (*COMPRESSION, "other.json"), "is no result of Palpate's"),
+    _refused("--out of compression is nested deep", written("other.json", "[" * 100_000),
+             (*COMPRESSION, "other.json"), "is no result of Palpate's"),
+    _refused("--out of compression is binary", written("other.json", b"\xff\x00"),
+             (*COMPRESSION, "other.json"), "is no result of Palpate's"),
+    _refused("--out of compression is a dangling link", _linked("other.json", "nowhere"),
+             (*COMPRESSION, "other.json"), "is no result of Palpate's"),
+    _refused("--out of compression was edited", replaced("young.json", "1.0", "2.0"),
+             (*COMPRESSION, "young.json"), "young.json: is a result that was changed since"),
+    _refused("--out of compression was spaced anew", replaced("young.json", "{", "{ "),
+             (*COMPRESSION, "young.json"), "is a result that was changed since"),
+    _refused("--out of compression is a folder", _made("other"), (*COMPRESSION, "other"),
+             "other: is a folder"),
+    _refused("--out of compression is in no folder", _nothing, (*COMPRESSION, "none/a.json"),
+             "cannot be written"),
+    _refused("--out of compression is being written", _locked("young.json"),
+             (*COMPRESSION, "young.json"), "is being written by process 4711"),
+]  # fmt: skip
+
+_ESTIMATE_KINDS = [
+    _contradiction("a constant that is not told and status ok",
+                   _value("identifiable", "poisson_ratio", to=False), "status is 'ok'"),
+    _contradiction("a status of its own", _value("status", to="fine"), "status: is 'fine'"),
+    _contradiction("a status that is no text", _value("status", to=3), "status: is 3"),
+    _contradiction("a negative std", _value("young_modulus", "std", to=-1.0), "std is -1"),
+    _contradiction("nu = 3", _value("poisson_ratio", to={"value": 3, "std": 0, "ci95": [3, 3]}),
+                   "poisson_ratio is 3"),
+    _contradiction("nu = -1", _value("poisson_ratio", to={"value": -1, "std": 0, "ci95": [-1, 0]}),
+                   "poisson_ratio is -1"),
+    _contradiction("G < 0", _value("shear_modulus", to={"value": -1, "std": 0, "ci95": [-1, 0]}),
+                   "shear_modulus is -1 Pa; must be positive"),
+    _contradiction("another E than 2 G (1 + nu)",
+                   _value("young_modulus", to={"value": 71234.5, "std": 1, "ci95": [0, 1e5]}),
+                   "young_modulus is 71234.5 Pa, but 2 G (1 + nu) is"),
+    _contradiction("a value outside its interval", _value("shear_modulus", "ci95", to=[1, 2]),
+                   "lies outside its ci95, 1 to 2"),
+    _contradiction("an interval the wrong way round", _value("shear_modulus", "ci95", to=[2, 1]),
+                   "lower end"),
+    _contradiction("an interval of one end", _value("shear_modulus", "ci95", to=[1]), "ci95: is [1]"),
+    _contradiction("an interval that is a number", _value("shear_modulus", "ci95", to=1), "ci95: is 1"),
+    _contradiction('"yes" for true', _value("identifiable", "poisson_ratio", to="yes"),
+                   "poisson_ratio: is 'yes'", "true or false"),
+    _contradiction("1 for true", _value("identifiable", "poisson_ratio", to=1), "is 1", "true or false"),
+    _contradiction("true for a number", _value("shear_modulus", "value", to=True), "value: is True"),
+    _contradiction("NaN", _value("shear_modulus", "value", to=float("nan")), "value: is nan"),
+    _contradiction("infinity", _value("shear_modulus", "std", to=float("inf")), "std: is inf"),
+    _contradiction("no value of what is told", _value("shear_modulus", "value", to=None),
+                   "shear_modulus is identifiable", "no value"),
+    _contradiction("a text for a number", _value("shear_modulus", "value", to="21 kPa"), "is '21 kPa'"),
+    _contradiction("a number for a constant", _value("shear_modulus", to=3), "must be a table"),
+    _contradiction("a number for all probings", _value("probes", to=3), "probes: is 3"),
+    _contradiction("numbers for probings", _value("probes", to=[3]), "probes: is [3]"),
+    _contradiction("a nameless probing", _value("probes", 0, "name", to=""), "number 1 name"),
+    _contradiction("half a point", _value("probes", 0, "observed", to=0.5), "observed: is 0.5"),
+    _contradiction("fewer than no points", _value("probes", 0, "rejected", to=-1), "rejected: is -1"),
+    _contradiction("no key of a probing", _value("probes", 0, to={}), "is missing"),
+    _contradiction("seconds in words", _value("seconds", to={"total": "long"}), "total: is 'long'"),
+    _contradiction("seconds that are a list", _value("seconds", to=[]), "seconds: is []"),
+    _contradiction("settings that are a text", _value("settings", to="usual"), "settings: is 'usual'"),
+    _contradiction("a note that is no text", _value("notes", to=[3]), "notes: is [3]"),
+    _contradiction("a method that is no text", _value("method", to=3), "method: is 3"),
+    _contradiction("another format", _value("format", to="palpate-estimate/9"), "palpate-estimate/9"),
+    _contradiction("no format", _value("format", to=None), "format: is None"),
+    _contradiction("an empty file", written("result/estimate.json", ""), "not valid JSON"),
+    _contradiction("half a file", written("result/estimate.json", '{"format": "pal'), "not valid JSON"),
+    _contradiction("a list", written("result/estimate.json", "[1]"), "must be an object"),
+    _contradiction("nesting without end", written("result/estimate.json", "[" * 100_000),
+                   "not valid JSON"),
+    _contradiction("bytes that are no text", written("result/estimate.json", b"\xff\xfe"), "UTF-8"),
+]  # fmt: skip
+
+_VERIFY_KINDS = [
+    Kind(f"verify: {name}", damage, ("verify", "result"), says, example="results", code=3)
+    for name, damage, says in (
+        ("an edited file", written("result/table.csv", "2\n"), ("table.csv (changed)",)),
+        ("a file more", written("result/more.csv", "2\n"), ("more.csv (not listed)",)),
+        ("a file less", _gone("result/table.csv"), ("table.csv (missing)",)),
+        ("a changed input", replaced("cube/session.toml", "-1.2", "-1.3"),
+         ("../cube/session.toml (changed)",)),
+        ("a missing input", _gone("cube/n01.csv"), ("../cube/n01.csv (missing)",)),
+        ("an edited list of inputs", written("result/inputs.txt", ""), ("inputs.txt (changed)",)),
+    )
+] + [
+    _refused("verify: a folder of the user's", _nothing, ("verify", "cube"), "cube: is no result"),
+    _refused("verify: a file of the user's", _nothing, ("verify", "record.csv"), "is no result"),
+    _refused("verify: nothing there", _nothing, ("verify", "none"), "none: cannot be read"),
+    _refused("verify: an earlier version", written("result/contents.txt", "palpate result folder"),
+             ("verify", "result"), "is no result", "earlier versions"),
+    Kind("verify: an edited file of compression", replaced("young.json", "1.0", "2.0"),
+         ("verify", "young.json"), ("young.json (changed)",), example="results", code=3),
+    Kind("verify: a changed record", written("record.csv", "1,2\n"),
+         ("verify", "young.json"), ("record.csv (changed)",), example="results", code=3),
+]  # fmt: skip
+
+KINDS = [*_FIT_KINDS, *_COMPRESSION_KINDS, *_ESTIMATE_KINDS, *_VERIFY_KINDS]

@@ -1,0 +1,201 @@
+"""Files and folders appear whole or not at all, at whatever step a process dies or a disk fails."""
+
+import errno
+import io
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from palpate import disk
+from palpate.errors import RecordError
+
+# Events of the interpreter by which something on the disk is changed or opened.
+_EVENTS = {
+    "open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "os.chmod", "os.truncate"
+}  # fmt: skip
+_OUTCOMES = ["done", "died", "refused", "done all the same", "another error"]
+
+
+def _file(folder: Path, text: str) -> None:
+    disk.write_bytes(folder / "a", text.encode())
+
+
+def _files(folder: Path, text: str) -> None:
+    with disk.placed([folder / name for name in ("n01", "n02", "session")]) as staged:
+        for path in staged:
+            path.write_text(text)
+
+
+def _folder(folder: Path, text: str) -> None:
+    with disk.placed([folder / "result"], Path.mkdir) as (staged,):
+        (staged / "below").mkdir()
+        for name in ("one", "below/two"):
+            (staged / name).write_text(text)
+
+
+def _folder_in_two_steps(folder: Path, text: str) -> None:
+    """As where the system cannot exchange two names."""
+    exchanged, disk._exchanged = disk._exchanged, lambda *_: False
+    try:
+        _folder(folder, text)
+    finally:
+        disk._exchanged = exchanged
+
+
+def _kept(folder: Path, text: str) -> None:
+    """As with --force: a file that is no result stays under another name."""
+    with disk.placed([folder / "a"], aside=lambda path: path.read_text() == "old") as (staged,):
+        staged.write_text(text)
+
+
+# What is done, and what is there before.
+_OPERATIONS = {
+    "file": (_file, {"a": "old"}),
+    "new file": (_file, {}),
+    "files, some new": (_files, {"n01": "old", "session": "old"}),
+    "folder": (_folder, {"result/one": "old", "result/below/two": "old"}),
+    "folder in two steps": (_folder_in_two_steps, {"result/one": "old", "result/below/two": "old"}),
+    "new folder": (_folder, {}),
+    "file kept aside": (_kept, {"a": "old"}),
+}
+# A reader finds the old or the new state at any moment, without waiting for the next command.
+_IN_STEPS = ("folder in two steps", "file kept aside")
+_NEVER_WITHOUT = ("file", "new file", "folder", "new folder")
+
+
+def _content(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def _start(folder: Path, content: dict[str, str]) -> None:
+    folder.mkdir(exist_ok=True)
+    for name, text in content.items():
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_text(text)
+
+
+def _in_child(work: Callable[[], object], step: int, dies: bool) -> str:
+    """Run in a fork in which the disk fails, or the process dies, at the step of this number."""
+    child = os.fork()
+    if child:
+        return _OUTCOMES[os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])]
+    count = 0
+
+    def happens(*_: object) -> None:
+        nonlocal count
+        count += 1
+        if count == step and dies:
+            os._exit(_OUTCOMES.index("died"))
+        if count == step:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    fsync, exchanged = os.fsync, disk._exchanged
+    os.fsync = lambda handle: (happens(), fsync(handle))[1]
+    disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
+    sys.stderr = io.StringIO()
+    sys.addaudithook(lambda event, _: happens() if event in _EVENTS else None)
+    outcome = "another error"
+    try:
+        work()
+        outcome = "done" if count < step else "done all the same"
+    except RecordError:
+        outcome = "refused"
+    finally:
+        os._exit(_OUTCOMES.index(outcome))
+
+
+def _plain(content: dict[str, str]) -> dict[str, str]:
+    """What a user sees: no hidden files, nothing in hidden folders."""
+    return {name: text for name, text in content.items() if not name.startswith(".")}
+
+
+@pytest.mark.parametrize("dies", [True, False])
+@pytest.mark.parametrize("name", list(_OPERATIONS))
+def test_old_or_new_at_every_step(tmp_path, name, dies, capfd):
+    work, before = _OPERATIONS[name]
+    _start(tmp_path / "whole", before)
+    work(tmp_path / "whole", "new")
+    after = _content(tmp_path / "whole")
+    outcomes, states = [], []
+    while not outcomes or outcomes[-1] != "done":
+        folder = tmp_path / str(len(outcomes))
+        _start(folder, before)
+        outcomes.append(_in_child(lambda at=folder: work(at, "new"), len(outcomes) + 1, dies))
+        if name in _NEVER_WITHOUT:
+            assert _plain(_content(folder)) in (before, after), len(outcomes)
+        disk.settle(folder / "session")
+        states.append(_plain(_content(folder)))
+        work(folder, "again")
+        again = {key: text.replace("new", "again") for key, text in after.items()}
+        found = _content(folder)
+        # What is kept under another name twice is not lost.
+        assert found | again == found, len(outcomes)
+        more = found.keys() - again.keys()
+        assert not more or (name in _IN_STEPS and {found[key] for key in more} == {"old"})
+    assert set(outcomes) <= {"done", "died"} if dies else {"done", "refused", "done all the same"}
+    if name not in _IN_STEPS:
+        # Nothing between; what was refused has changed nothing.
+        assert [state for state in states if state not in (before, after)] == []
+        assert states[0] == before or not dies
+        assert states[-1] == after
+        for outcome, state in zip(outcomes, states, strict=True):
+            assert outcome != "refused" or state == before
+        # From some step on the new state.
+        assert not dies or states == sorted(states, key=lambda state: state == after)
+    # The work has as many steps as it takes to be safe: a loop that ends at once tests nothing.
+    assert len(outcomes) > 5
+
+
+def test_a_second_process_is_told_who_writes(tmp_path):
+    target = tmp_path / "result"
+    with (
+        disk.placed([target], Path.mkdir),
+        pytest.raises(disk.InUseError, match=rf"being written by process {os.getpid()} on "),
+        disk.placed([target], Path.mkdir),
+    ):
+        raise AssertionError("the block must not run")
+    # The lock of a process that was killed holds nobody up.
+    (tmp_path / ".result.lock").write_text("process 1 on this host")
+    _folder(tmp_path, "new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["result"]
+
+
+def test_a_signal_waits_until_all_is_in_place(tmp_path, monkeypatch):
+    _start(tmp_path, {"session": "old"})
+    real = os.replace
+
+    def replace(*names):
+        signal.raise_signal(signal.SIGINT)
+        return real(*names)
+
+    def work():
+        with disk.placed([tmp_path / name for name in ("n01", "session")]) as staged:
+            for path in staged:
+                path.write_text("new")
+            monkeypatch.setattr(os, "replace", replace)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    monkeypatch.undo()
+    assert _content(tmp_path) == {"n01": "new", "session": "new"}
+
+
+def test_what_earlier_versions_left(tmp_path, capsys):
+    _start(tmp_path, {".a.12.partial": "half", ".a.12.older": "whole", ".b.7.older": "b"})
+    (tmp_path / "b").write_text("newer")
+    _file(tmp_path, "new")
+    assert _content(tmp_path) == {"a": "new", ".b.7.older": "b", "b": "newer"}
+    disk.write_bytes(tmp_path / "b", b"new")
+    assert _content(tmp_path) == {"a": "new", "b": "new", "b.old": "b"}
+    said = capsys.readouterr().err
+    assert ".a.12.partial: left by an interrupted run, removed" in said
+    assert "a: put back" in said
+    assert "kept as" in said

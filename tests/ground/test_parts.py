@@ -1,0 +1,81 @@
+"""Parts of long work are read as they were made, and only by the work that made them."""
+
+import pickle
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from palpate.parts import Parts, content_digest
+from palpate.records import Constant, Status
+
+PART = (
+    np.arange(6.0).reshape(2, 3)[:, ::-1],
+    {"status": Status.OK, "constant": Constant(1.0, np.float64(0.1), (0.5, 1.5)), "text": b"x"},
+    [None, True, 3, np.nan],
+)
+
+
+def _made(asked, part):
+    asked.append(1)
+    return part
+
+
+def test_a_part_is_made_once_and_read_to_the_last_bit(tmp_path):
+    asked = []
+    store = Parts(tmp_path / "parts", "key")
+    first = store.kept("one", lambda: _made(asked, PART))
+    again = store.kept("one", lambda: _made(asked, PART))
+    assert content_digest(first) == content_digest(again) == content_digest(PART)
+    assert len(asked) == 1
+    store.kept("two", lambda: _made(asked, PART))
+    Parts(tmp_path / "parts", "other").kept("one", lambda: _made(asked, PART))
+    assert len(asked) == 3
+    Parts(None).kept("one", lambda: _made(asked, PART))
+    assert len(asked) == 4
+
+
+def test_known_objects_are_put_in_again(tmp_path):
+    store, large = Parts(tmp_path, "key"), np.zeros(10**6)
+    store.kept("one", lambda: {"large": large, "small": 1}, {"field": large})
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 1000
+    other = np.ones(3)
+    assert store.kept("one", dict, {"field": other})["large"] is other
+    # A part that rests on something that is not there is made anew.
+    assert store.kept("one", lambda: "new") == "new"
+
+
+def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
+    store = Parts(tmp_path, "key")
+    store.kept("one", lambda: PART)
+    (file,) = tmp_path.iterdir()
+    content = file.read_bytes()
+
+    class Evil:
+        def __reduce__(self):
+            return (exec, ("raise SystemExit",))
+
+    for bad in (b"", content[:-10], content[: len(content) // 2], pickle.dumps((Evil(),))):
+        file.write_bytes(bad)
+        assert store.kept("one", lambda: "new") == "new"
+
+
+@dataclass(frozen=True)
+class _Pair:
+    first: object
+    second: object
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (_Pair("ab", "c"), _Pair("a", "bc")),
+        (np.zeros(3), np.zeros((3, 1))),
+        (np.zeros(1), np.zeros(1, dtype=np.float32)),
+        ([1, [2]], [1, 2]),
+        ({"a": 1}, {"a": 1.0}),
+        (np.zeros(2000), np.eye(1, 2000, 1000)[0]),
+    ],
+)
+def test_digests_tell_apart(one, other):
+    assert content_digest(one) != content_digest(other)
