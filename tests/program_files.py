@@ -138,3 +138,19 @@ def dice_gold(path: Path) -> dict[str, np.ndarray]:
 def gold_columns(gold: dict[str, np.ndarray], *names: str) -> np.ndarray:
     """Some of them side by side."""
     return np.stack([gold[name] for name in names], axis=1)
+
+
+def cv_pixels(points: np.ndarray, matrix: np.ndarray, lens: list[float]) -> np.ndarray:
+    """Pixels of points in the camera's frame by OpenCV's formula, with skew."""
+    x, y = (points[:, :2] / points[:, 2:]).T
+    k1, k2, p1, p2, k3 = [*lens, 0.0, 0.0][:5]
+    r2 = x**2 + y**2
+    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    bent = np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2),
+            y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y,
+            np.ones(len(x)),
+        ]
+    )
+    return (matrix @ bent)[:2].T

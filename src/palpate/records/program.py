@@ -15,7 +15,7 @@ from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
-from palpate.records.text import TREE_SUFFIXES, nearest_word, read_tree
+from palpate.records.text import TREE_SUFFIXES, nearest_word, read_toml, read_tree
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
 # A printed rotation is this far from one at most; `Camera` refuses what is farther.
@@ -58,6 +58,8 @@ class CalibrationFile:
         RecordError                 not there, not text, broken XML or YAML
         """
         binary = path.is_dir() or path.suffix.lower() == ".mat"
+        if path.suffix.lower() == ".toml":
+            return cls(path, read_toml(path).values, length_unit)
         return cls(path, None if binary else read_tree(path), length_unit)
 
     def beside(self) -> "list[CalibrationFile]":

@@ -12,10 +12,12 @@ from palpate.records.program import CalibrationFile, Program
 from palpate.records.programs.dice import DICE
 from palpate.records.programs.kalibr import KALIBR
 from palpate.records.programs.matchid import MATCHID
+from palpate.records.programs.matlab import MATLAB
 from palpate.records.programs.multidic import MULTIDIC
 from palpate.records.programs.opencorr import OPENCORR
 from palpate.records.programs.opencv import OPENCV
 from palpate.records.programs.pyvale import PYVALE
+from palpate.records.programs.toml_cameras import TOML_CAMERAS
 from palpate.records.programs.vic3d import VIC3D
 from palpate.records.programs.vtu import VTU
 from palpate.records.rig import Rig
@@ -27,9 +29,11 @@ PROGRAMS: tuple[Program, ...] = (
     MATCHID,
     PYVALE,
     OPENCORR,
+    MATLAB,
     MULTIDIC,
     VTU,
     KALIBR,
+    TOML_CAMERAS,
     OPENCV,
 )
 
