@@ -14,7 +14,10 @@ from palpate.pipeline.fit_session import (
     session_observations as session_observations,
     surface_load as surface_load,
 )
-from palpate.pipeline.imported_points import without_contradicted as without_contradicted
+from palpate.pipeline.imported_points import (
+    triangulated as triangulated,
+    without_contradicted as without_contradicted,
+)
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,

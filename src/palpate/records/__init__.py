@@ -49,6 +49,7 @@ from palpate.records.measured_points import (
     on_object as on_object,
     on_surface as on_surface,
 )
+from palpate.records.picture_tracks import PictureTracks as PictureTracks
 from palpate.records.probing import (
     DisplacementField as DisplacementField,
     Images as Images,
@@ -56,7 +57,7 @@ from palpate.records.probing import (
     measured_rows as measured_rows,
     observed_rows as observed_rows,
 )
-from palpate.records.program import make_pose as make_pose
+from palpate.records.program import ProgramPoints as ProgramPoints, make_pose as make_pose
 from palpate.records.programs import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
+from palpate.records.picture_tracks import PictureTracks
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
 from palpate.records.text import TREE_SUFFIXES, nearest_word, read_toml, read_tree
@@ -267,6 +268,7 @@ class Program:
     results : str                   its result files, for the help
     read_points : callable or None  (path, frame) -> ProgramPoints; frame is the state, from 0, in
                                     files of several; None: the last one
+    read_tracks : callable or None  (path, frame) -> PictureTracks, of results not yet in space
     usual_unit : str or None        of results that name none; None: the user must say it
     least_score : float or None     matches of a lower `ProgramPoints.score` are no measurements;
                                     None: its files tell no correlation
@@ -280,6 +282,7 @@ class Program:
     kinds: tuple[str, ...] = ()
     results: str = ""
     read_points: Callable[[Path, int | None], ProgramPoints] | None = None
+    read_tracks: Callable[[Path, int | None], PictureTracks] | None = None
     usual_unit: str | None = None
     least_score: float | None = None
     correlates: bool = True

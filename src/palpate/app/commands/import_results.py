@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -21,7 +22,7 @@ from palpate.app.terminal import (
 )
 from palpate.disk import placed
 from palpate.errors import InputError
-from palpate.pipeline import survey_field, without_contradicted
+from palpate.pipeline import survey_field, triangulated, without_contradicted
 from palpate.records import (
     ImportedField,
     ImportItem,
@@ -35,6 +36,7 @@ from palpate.records import (
     on_surface,
     read_import_pose,
     read_measured,
+    read_rig,
     read_session,
     record_inputs,
     require_probings,
@@ -66,6 +68,7 @@ def import_displacements(
     /,
     *,
     probe: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
+    rig: Path | None = None,
     to_object: Path | None = None,
     length_unit: Literal["um", "mm", "cm", "m", "in"] | None = None,
     frame: Annotated[list[int] | None, Parameter(consume_multiple=True, negative="")] = None,
@@ -88,6 +91,9 @@ def import_displacements(
     probe
         Names of the probings, in the order of the files, or of the frames of one file. Default:
         the files' names without suffix.
+    rig
+        Calibration of the cameras, where the files hold matches in their pictures (multidic and
+        duodic, step 2); the points are then in its frame.
     to_object
         TOML file with the place of the program's frame: length_unit, R and t (or T, 4 x 4), where
         x_object = R x_file + t. Default: both frames are the same.
@@ -112,13 +118,22 @@ def import_displacements(
     session, plan = _targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
     print_notes((*session.notes, *notes))
+    in_space = None
+    if rig is not None:
+        # Of the files, --length-unit says the unit of what has lengths: the calibration.
+        in_space = partial(triangulated, rig=read_rig(rig, length_unit=length_unit))
     # The targets are tried first: no one should wait for a result that cannot be kept.
     place = _session_files(session, plan, force) if out is None else _folder(out, files, force)
     done: list[_Import] = []
     with place as folder:
         for item in plan:
             measured = read_measured(
-                kind, item.file, length_unit=length_unit, frame=item.frame, min_score=min_score
+                kind,
+                item.file,
+                length_unit=None if in_space else length_unit,
+                frame=item.frame,
+                min_score=min_score,
+                in_space=in_space,
             )
             if import_kinds()[kind].correlates:
                 measured = without_contradicted(measured)

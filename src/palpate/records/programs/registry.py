@@ -4,11 +4,13 @@ Every program has its own conventions; its file says them. In a `Rig` all are th
 x_camera = R x_object + t, the centre of the first pixel is (0, 0).
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 from palpate.errors import RecordError
 from palpate.records.measured_points import MeasuredPoints, in_metres
-from palpate.records.program import CalibrationFile, Program
+from palpate.records.picture_tracks import PictureTracks
+from palpate.records.program import CalibrationFile, Program, ProgramPoints
 from palpate.records.programs.dice import DICE
 from palpate.records.programs.kalibr import KALIBR
 from palpate.records.programs.matchid import MATCHID
@@ -55,6 +57,7 @@ def read_measured(
     length_unit: str | None = None,
     frame: int | None = None,
     min_score: float | None = None,
+    in_space: Callable[[PictureTracks], ProgramPoints] | None = None,
 ) -> MeasuredPoints:
     """Points and displacements of one result file, in metres, in the program's own frame.
 
@@ -66,18 +69,25 @@ def read_measured(
     frame : int or None             state, from 0, in files of several; None: the last one
     min_score : float or None       least correlation of a match that counts, -1 to 1; None: the
                                     program's own `least_score`
+    in_space : callable or None     triangulates matches in pictures; None: the file has places
 
     Raises
     ------
-    RecordError                     unknown kind; not there, damaged, 2-D, nothing measured; a least
-                                    score that is no correlation, or of a file that tells none
+    RecordError                     unknown kind, or one without matches in pictures; not there,
+                                    damaged, 2-D, nothing measured; a least score that is no
+                                    correlation, or of a file that tells none
     """
     program = import_kinds().get(kind)
     if program is None or program.read_points is None:
         raise RecordError(f"kind is '{kind}'; must be one of {', '.join(import_kinds())}")
     if min_score is not None and not -1.0 <= min_score <= 1.0:
         raise RecordError(f"--min-score is {min_score:g}; must be a correlation, -1 to 1")
-    given = program.read_points(Path(path), frame)
+    if in_space is None:
+        given = program.read_points(Path(path), frame)
+    elif program.read_tracks is not None:
+        given = in_space(program.read_tracks(Path(path), frame))
+    else:
+        raise RecordError(f"{path}: files of {kind} hold places, no pixels; leave --rig out")
     if min_score is not None and given.score is None:
         raise RecordError(
             f"{path}: tells no correlation of its points; leave --min-score out, or export them"
