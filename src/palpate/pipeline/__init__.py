@@ -16,6 +16,10 @@ from palpate.pipeline.fit_session import (
     fit_session as fit_session,
     session_observations as session_observations,
 )
+from palpate.pipeline.imported_points import (
+    triangulated as triangulated,
+    without_contradicted as without_contradicted,
+)
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,
