@@ -5,11 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cube_session import SESSION
 from estimate_samples import sample_result
-from surfaces import box
+from faults.samples import (
+    STEPS,
+    write_cube,
+    write_meshes,
+    write_pictures,
+    write_results,
+    write_rigs,
+    write_texts,
+)
 
-from palpate.geometry import write_mesh
 from palpate.records import (
     read_session,
     record_inputs,
@@ -26,15 +32,37 @@ from palpate.records import (
 def cube(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of displacements: a cube of 40 mm held at z = 0, pressed from above."""
     folder = tmp_path_factory.mktemp("cube")
-    mesh = box(size=(0.04, 0.04, 0.04), cells=3)
-    write_mesh(folder / "mesh.ply", mesh)
-    (folder / "session.toml").write_text(SESSION)
-    top = mesh.vertices[mesh.vertices[:, 2] > 0.0]
-    height = top[:, 2:] / 0.04
-    moved = np.array([3e-4, 0.0, -4e-4]) * height
-    rows = np.hstack([top, moved, np.full((len(top), 1), 1e-4)])
-    head = "x,y,z,ux,uy,uz,sigma"
-    np.savetxt(folder / "n01.csv", rows, delimiter=",", header=head, comments="")
+    write_cube(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with its surface in every format."""
+    folder = tmp_path_factory.mktemp("meshes")
+    write_meshes(folder)
+    write_cube(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def motion(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rigid motion: the cube, pictures of two steps in every format, a rig of every program."""
+    folder = tmp_path_factory.mktemp("motion")
+    write_cube(folder)
+    write_rigs(folder)
+    write_pictures(folder)
+    (folder / "session.toml").write_text(STEPS)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def others(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cube, and results of other programs, a pose, a compression test, the facility's plans."""
+    folder = tmp_path_factory.mktemp("others")
+    write_cube(folder)
+    write_results(folder)
+    write_texts(folder)
     return folder
 
 
