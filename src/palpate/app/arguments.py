@@ -4,8 +4,11 @@ from cyclopts import App, CycloptsError
 from rich.console import Console
 
 from palpate import __version__
+from palpate.errors import InputError
 
 _BAD_INPUT = 2
+# What Python's float takes and no option means.
+_NO_NUMBERS = ("nan", "inf", "infinity")
 # Name: where it is, and what its help says.
 _COMMANDS = {
     "fit": (
@@ -91,6 +94,16 @@ def make_app() -> App:
     return app
 
 
+def _check_numbers(words: list[str]) -> None:
+    """Refuse options that are no finite number: Python takes nan and infinity for numbers."""
+    option = ""
+    for word in words:
+        if word.startswith("--"):
+            option, _, word = word.partition("=")
+        if option and word.lower().lstrip("+-") in _NO_NUMBERS:
+            raise InputError(f"{option} is {word}; must be a finite number")
+
+
 def run(words: list[str]) -> int:
     """Run a command.
 
@@ -111,6 +124,7 @@ def run(words: list[str]) -> int:
         first, *others = _GROUPS[words[0]][1]
         if words[1] not in (first, *others, *_HELP_WORDS):
             words = [words[0], first, *words[1:]]
+    _check_numbers(words)
     try:
         outcome = make_app()(
             words,
