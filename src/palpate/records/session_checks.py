@@ -167,7 +167,7 @@ def check_load(mesh: TriangleMesh, probing: Probing) -> None:
 
 def _pascals(value: float) -> str:
     factor, unit = modulus_unit(value)
-    return f"{value / factor:.2g} {unit}"
+    return f"{float(f'{value / factor:.2g}'):g} {unit}"
 
 
 def modulus_range(mesh: TriangleMesh, force: float, moved: float) -> tuple[float, float]:
