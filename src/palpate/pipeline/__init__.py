@@ -8,9 +8,17 @@ Depends on : `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
 Read first : `measure_motion.py`, then `fit_session.py`.
 """
 
+from palpate.pipeline.camera_survey import (
+    CameraSurvey as CameraSurvey,
+    survey_cameras as survey_cameras,
+)
 from palpate.pipeline.fit_session import (
     fit_session as fit_session,
     session_observations as session_observations,
+)
+from palpate.pipeline.imported_points import (
+    triangulated as triangulated,
+    without_contradicted as without_contradicted,
 )
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,

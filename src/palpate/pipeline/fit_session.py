@@ -35,6 +35,7 @@ from palpate.records import (
     SupportEstimate,
     require_probings,
 )
+from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
@@ -168,11 +169,18 @@ def session_observations(
             model.system, model.right, poisson_range=settings.poisson_range
         )
         responses = [reduced_response(reduced, row) for row in rows]
-    return [_observations(session, model, k, response) for k, response in enumerate(responses)]
+    support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
+    return [
+        _observations(session, model, k, response, support) for k, response in enumerate(responses)
+    ]
 
 
 def _observations(
-    session: Session, model: ObjectModel, index: int, response: ProbeResponse
+    session: Session,
+    model: ObjectModel,
+    index: int,
+    response: ProbeResponse,
+    support: Vertices,
 ) -> ProbeObservations:
     probing = session.probings[index]
     field = _measured(probing)
@@ -187,6 +195,7 @@ def _observations(
         tip_displacement=probing.tip_displacement,
         tip_displacement_std=probing.tip_displacement_std,
         response=response,
+        landmarks={"the contact": probing.contact.point[None], "the support": support},
         motion=motion,
         motion_std=motion_std,
     )

@@ -130,12 +130,17 @@ def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
     Parameters
     ----------
     session : Session
-    surveys : sequence of ProbingSurvey     of all its probings
+    surveys : sequence of ProbingSurvey     of all its probings; none where there are steps
 
     Returns
     -------
     str                             sentences
     """
+    if session.steps:
+        return (
+            f"{len(session.steps)} steps of a rigid motion: `palpate flow` measures them; they hold"
+            " no force, so nothing about stiffness."
+        )
     unread = [p.name for p in session.probings if p.displacement is None and p.images is not None]
     if len(unread) == len(surveys):
         return (

@@ -51,17 +51,20 @@ from palpate.records.files import (
 )
 from palpate.records.measured_points import (
     ImportedField as ImportedField,
+    MeasuredPoints as MeasuredPoints,
     on_object as on_object,
     on_surface as on_surface,
 )
+from palpate.records.picture_tracks import PictureTracks as PictureTracks
 from palpate.records.probing import (
     DisplacementField as DisplacementField,
     Images as Images,
     Load as Load,
     Probing as Probing,
+    measured_rows as measured_rows,
     observed_rows as observed_rows,
 )
-from palpate.records.program import make_pose as make_pose
+from palpate.records.program import ProgramPoints as ProgramPoints, make_pose as make_pose
 from palpate.records.programs import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,

@@ -38,6 +38,12 @@ _ADVICE = {
         f"only Poisson's ratio is identifiable: check the force, {_SCALE_CURE}"
     ),
     "nothing_identifiable": f"no constant is identifiable: {_SCALE_CURE}",
+    "model_contradicted": (
+        "the model does not explain what was measured, so the constants may be far off and their"
+        " intervals too narrow: the notes say where; check the support, the contact (point, radius,"
+        " force), the place of the points on the mesh, and whether the material is the same"
+        " everywhere and in all directions"
+    ),
     "not_converged": (
         "the search for the constants stopped early: look at the plots for outliers, and check"
         " that force, contact point and displacements belong together"
@@ -56,6 +62,7 @@ class Status(StrEnum):
     POISSON_RATIO_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
     SHEAR_MODULUS_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
     NOTHING_IDENTIFIABLE = auto()
+    MODEL_CONTRADICTED = auto()
     NOT_CONVERGED = auto()
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from palpate.disk import settle
-from palpate.errors import MeshError, RecordError
+from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.files.displacement import read_displacement
@@ -21,7 +21,13 @@ from palpate.records.files.support import read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.session import Session, Step
-from palpate.records.session_checks import check_contact, check_observed_points, plausibility_notes
+from palpate.records.session_checks import (
+    check_contact,
+    check_copies,
+    check_load,
+    check_observed_points,
+    plausibility_notes,
+)
 from palpate.records.support import Support
 from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
 
@@ -77,7 +83,8 @@ def read_session(
     gravity = _only_key(root, "gravity", "acceleration")
     rig = _only_key(root, "rig", "cameras")
     with root.blamed():
-        return Session(
+        check_copies(tuple(probings))
+        session = Session(
             name=root.optional("name", root.text) or root.file.parent.name,
             path=root.file,
             mesh=mesh,
@@ -86,11 +93,12 @@ def read_session(
             density=body.optional("density", body.number),
             gravity=gravity.vector("acceleration") if gravity else None,
             rig=rig.existing_file("cameras") if rig else None,
-            notes=notes + plausibility_notes(mesh, tuple(probings)),
+            notes=notes,
             steps=_steps(root),
             metres_per_unit=metres,
             supports=supports,
         )
+    return replace(session, notes=notes + plausibility_notes(session))
 
 
 def session_file(path: Path) -> Path:
@@ -112,9 +120,9 @@ def session_file(path: Path) -> Path:
     if folder:
         file = path / "session.toml"
         if not is_file(file):
-            others = sorted(p.name for p in path.glob("*.toml"))
-            hint = f"; it has {others}: name one of them" if others else ""
-            raise RecordError(f"{path}: the folder has no session.toml{hint}")
+            others = sorted(map(quoted, (p.name for p in path.glob("*.toml") if is_file(p))))[:5]
+            hint = f"; it has {', '.join(others)}: name one of them" if others else ""
+            raise RecordError(f"{path}: the folder has no session file session.toml{hint}")
         return file
     if not is_file(path):
         raise RecordError(
@@ -218,8 +226,9 @@ def _probing(
             support_motion=read_support_motion(table, metres_per_unit=metres),
         )
         if observations:
-            for one in (contact, *(load.contact for load in loads)):
-                check_contact(mesh, held, one)
+            for each in (contact, *(load.contact for load in loads)):
+                check_contact(mesh, held, each)
+            check_load(mesh, probing)
         if field is not None:
             check_observed_points(mesh, still, field)
     return probing, notes + support_notes
