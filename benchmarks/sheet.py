@@ -108,8 +108,10 @@ def main() -> None:
     inverse = np.linalg.inv(flow.covariance[valid])
     claimed = np.sqrt(np.einsum("ni,nij,nj->n", error, inverse, error).mean() / 3.0)
     rms = 1e6 * np.sqrt((error**2).mean(axis=0))
-    print(f"{len(valid)} points, {100 * valid.mean():.1f} % valid, {seconds:.0f} s; rms error"
-          f" {rms[0]:.2f}, {rms[1]:.2f}, {rms[2]:.2f} um; error over claimed sigma {claimed:.2f}")  # fmt: skip
+    print(
+        f"{len(valid)} points, {100 * valid.mean():.1f} % valid, {seconds:.0f} s; rms error"
+        f" {rms[0]:.2f}, {rms[1]:.2f}, {rms[2]:.2f} um; error over claimed sigma {claimed:.2f}"
+    )
 
 
 if __name__ == "__main__":
