@@ -72,7 +72,7 @@ def disturbed(
     """One probing with noise, outliers, missing rows and a force error, claims as configured."""
     n = len(probe.position)
     sigma = np.tile(disturbance.noise, (n, 1))
-    moved = probe.displacement + disturbance.noise_over_claim * sigma * _unit_noise(
+    moved = probe.displacement + disturbance.noise_over_claim * sigma * unit_noise(
         probe.position, disturbance.correlation_length, rng
     )
     wild = rng.random(n) < disturbance.outliers
@@ -154,10 +154,10 @@ def _named(values: Float[np.ndarray, "3"]) -> dict[str, float]:
     return {name: round(float(value), 4) for name, value in zip(NAMES, values, strict=True)}
 
 
-def _unit_noise(
+def unit_noise(
     position: Float[np.ndarray, "n 3"], length: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Noise of variance one, with a Gaussian correlation where a length is given."""
+    """Noise of variance one, with a Gaussian correlation where a length is given [m]."""
     if length <= 0:
         return rng.normal(size=position.shape)
     squared = ((position[:, None] - position[None]) ** 2).sum(-1)

@@ -56,9 +56,9 @@ def write_bytes(path: Path, content: bytes) -> None:
 @contextmanager
 def placed(
     targets: Sequence[Path],
-    make: Callable[[Path], object] = Path.touch,
     *,
-    aside: Callable[[Path], bool] = lambda _: False,
+    folder: bool = False,
+    aside: Callable[[Path], object] = lambda _: False,
 ) -> Iterator[tuple[Path, ...]]:
     """Files, or one folder, to write to; they take their places when the block ends well.
 
@@ -69,8 +69,8 @@ def placed(
     ----------
     targets : sequence of Path      final names, in folders that are there; the last one stands
                                     for all where another process asks who is writing
-    make : callable                 `Path.touch`, or `Path.mkdir` for a folder
-    aside : callable                whether what is there by then is to be kept, as NAME.old
+    folder : bool                   the one target is a folder
+    aside : callable                true for what is to be kept as NAME.old, asked in the end
 
     Yields
     ------
@@ -83,6 +83,7 @@ def placed(
     InUseError                      another process is writing there; before the block runs
     """
     finals = [Path(os.path.realpath(target)) for target in targets]
+    _check_places(finals, folder)
     staged = tuple(_beside(final, "partial") for final in finals)
     with _locked(finals[-1]):
         try:
@@ -92,7 +93,7 @@ def placed(
                     _write_journal(finals, undo=False)
             for path, final in zip(staged, finals, strict=True):
                 with _refused(final):
-                    make(path)
+                    path.mkdir() if folder else path.touch()
             yield staged
             with _unbroken(), _refused(finals[-1]):
                 for path in staged:
@@ -118,11 +119,28 @@ def settle(target: Path) -> None:
     InUseError                      the change is not interrupted: another process is at it
     """
     final = Path(os.path.realpath(target))
-    with _refused(final):
+    interrupted = False
+    # Whoever reads the file says what is wrong with its place.
+    with suppress(OSError):
         interrupted = _journal(_beside(final, "journal")).undo
     if interrupted:
         with _locked(final), _refused(final):
             _tidy([final])
+
+
+def _check_places(finals: Sequence[Path], folder: bool) -> None:
+    """Refuse what cannot be replaced, or not together."""
+    for final in finals:
+        if final.exists() and not (final.is_dir() if folder else final.is_file()):
+            wrong = "a folder" if final.is_dir() else "no regular file"
+            raise RecordError(
+                f"{final}: is {'no folder' if folder else wrong}; choose another place"
+            )
+        if final.parent != finals[-1].parent:
+            raise RecordError(
+                f"{final}: a link leads out of the folder of {finals[-1]}, and both are to change"
+                " together; put the file itself there"
+            )
 
 
 @contextmanager
@@ -166,8 +184,11 @@ def _opened_lock(path: Path, final: Path) -> int:
 
 def _tidy(finals: Sequence[Path]) -> None:
     """Undo, remove or put back what interrupted processes left of these files, and name it."""
-    if _undo(_beside(finals[-1], "journal")):
-        _say(f"{finals[-1]}: a change that an interrupted run had begun was undone")
+    journal = _beside(finals[-1], "journal")
+    if journal.exists():
+        done = "was undone" if _journal(journal).undo else "was tidied up"
+        _undo(journal)
+        _say(f"{finals[-1]}: what an interrupted run had begun {done}")
     for final in finals:
         # The number of the process is what earlier versions put into these names.
         pattern = re.compile(rf"\.{re.escape(final.name)}\.(\d+\.)?(partial|draft|older)")
@@ -188,7 +209,7 @@ def _say(text: str) -> None:
 
 
 def _put_in_place(
-    staged: Sequence[Path], finals: Sequence[Path], aside: Callable[[Path], bool]
+    staged: Sequence[Path], finals: Sequence[Path], aside: Callable[[Path], object]
 ) -> None:
     """Give files or a folder their names."""
     for path, final in zip(staged, finals, strict=True):
@@ -240,14 +261,14 @@ def _place_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
     _write_journal(finals, undo=True)
     for path, final in zip(staged, finals, strict=True):
         os.replace(path, final)
-        _sync(final.parent)
+    _sync(finals[-1].parent)
     _write_journal(finals, undo=False)
 
 
 def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
     """Write which files are being changed, which were there, and whether that is to be undone."""
     journal, draft = _beside(finals[-1], "journal"), _beside(finals[-1], "draft")
-    there = {str(final): _beside(final, "older").exists() for final in finals}
+    there = {final.name: _beside(final, "older").exists() for final in finals}
     draft.write_text(json.dumps({"undo": undo, "there": there}), encoding="utf-8")
     _sync(draft)
     os.replace(draft, journal)
@@ -266,23 +287,31 @@ def _journal(path: Path) -> _Journal:
     """What a journal says; nothing where there is none."""
     if not path.exists():
         return _Journal(False, {})
-    return _Journal(**json.loads(path.read_text(encoding="utf-8")))
+    try:
+        journal = _Journal(**json.loads(path.read_text(encoding="utf-8")))
+        if all(Path(name).name == name for name in journal.there):
+            return journal
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        pass
+    # It may come from anywhere with a session, and must not reach beyond its folder.
+    raise RecordError(f"{path}: is not what Palpate leaves of an interrupted run; remove it")
 
 
-def _undo(path: Path) -> bool:
+def _undo(path: Path) -> None:
     """Undo what a journal says is to be undone, again if need be; remove what belongs to it."""
     journal = _journal(path)
     for name, was_there in journal.there.items():
-        final, older = Path(name), _beside(Path(name), "older")
+        final = path.with_name(name)
+        older = _beside(final, "older")
         if journal.undo and older.exists():
             os.replace(older, final)
         elif journal.undo and not was_there:
             final.unlink(missing_ok=True)
         _remove(older)
         _remove(_beside(final, "partial"))
-        _sync(final.parent)
+    if journal.there:
+        _sync(path.parent)
     _remove(path)
-    return journal.undo
 
 
 def _exchanged(first: Path, second: Path) -> bool:

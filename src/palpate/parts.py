@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from palpate import __version__
+import palpate
 from palpate.disk import write_bytes
 
 T = TypeVar("T")
@@ -76,7 +76,7 @@ def content_digest(value: Any) -> str:
     -------
     str                             64 hexadecimal digits; another for another version of Palpate
     """
-    digest = hashlib.sha256(__version__.encode())
+    digest = hashlib.sha256(palpate.__version__.encode())
     _feed(digest, value)
     return digest.hexdigest()
 

@@ -1,5 +1,6 @@
 """The command line: exit codes, one clear message, a fast start."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -7,6 +8,8 @@ import time
 import pytest
 
 from palpate import __version__
+from palpate.app.commands import fit as fit_command
+from palpate.errors import InputError
 
 
 def test_version(palpate):
@@ -49,3 +52,62 @@ def test_bad_input_ends_with_two_and_one_message(palpate, arguments, message):
     assert out == ""
     assert message in err
     assert "Traceback" not in err
+
+
+_SCRIPT = "import sys; from palpate.app.cli import main; sys.exit(main(['--help']))"
+
+
+@pytest.mark.parametrize(
+    ("redirection", "code", "message"),
+    [
+        ("| true; exit ${PIPESTATUS[0]}", 141, ""),
+        ("> /dev/full", 2, "palpate: output: No space left on device\n"),
+        (">&-", 0, "palpate: note: standard output is closed: nothing is shown\n"),
+        ("<&- >&- 2>&-", 0, ""),
+    ],
+)
+def test_output_that_goes_nowhere(redirection, code, message):
+    command = ["bash", "-c", f'"$0" -c "$1" {redirection}', sys.executable, _SCRIPT]
+    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (code, message)
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_a_signal_ends_with_one_line_and_leaves_nothing(
+    palpate, cube_session, tmp_path, monkeypatch, number, code
+):
+    before = signal.getsignal(number)
+    monkeypatch.setattr(fit_command, "fit_session", lambda *_, **__: signal.raise_signal(number))
+    found, out, err = palpate("fit", cube_session)
+    assert (found, out) == (code, "")
+    assert err == f"palpate: stopped by {number.name}; nothing half done is left\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["cube"]
+    assert signal.getsignal(number) is before
+
+
+def test_a_signal_that_is_turned_into_another_error_is_one_still(
+    palpate, cube_session, monkeypatch
+):
+    def fit_session(*_, **__):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt as error:
+            raise RuntimeError("as the interpreter does while it makes a class") from error
+
+    monkeypatch.setattr(fit_command, "fit_session", fit_session)
+    assert palpate("fit", cube_session)[0] == 143
+
+
+def test_a_signal_that_is_ignored_stays_ignored(palpate, cube_session, monkeypatch):
+    def fit_session(*_, **__):
+        signal.raise_signal(signal.SIGHUP)
+        raise InputError("went on")
+
+    monkeypatch.setattr(fit_command, "fit_session", fit_session)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert palpate("fit", cube_session) == (2, "", "palpate: went on\n")
+    finally:
+        signal.signal(signal.SIGHUP, before)

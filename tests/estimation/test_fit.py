@@ -35,7 +35,14 @@ def test_exact_data_give_exact_constants(poisson_ratio: float, force_noise: floa
 
 def test_auxetic_on_request() -> None:
     probes = _probes(count=3, poisson_ratio=-0.4)
-    assert fit(probes).estimate.poisson_ratio.value == 0.0
+    # The end of the range is no measurement, and the model with it does not fit.
+    bounded = fit(probes).estimate
+    assert bounded.status is Status.MODEL_CONTRADICTED
+    assert not bounded.identifiable["poisson_ratio"]
+    assert bounded.poisson_ratio.ci95 == (0.0, 0.4999)
+    assert any(
+        "lead beyond the range of Poisson's ratio, whose end, 0," in n for n in bounded.notes
+    )
     wide = fit(probes, settings=FitSettings(poisson_range=(-0.99, 0.4999))).estimate
     # Exact data: only rounding is left.
     assert wide.poisson_ratio.value == pytest.approx(-0.4, abs=1e-8)

@@ -55,3 +55,41 @@ def results(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         content = {"format": "palpate-compression/1", "young_modulus": {"value": 1.0}}
         write_text(file, sealed(content, [folder / "record.csv"], folder=folder))
     return folder
+
+
+@pytest.fixture(scope="session")
+def tension(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bar of 40 mm between a grip whose motion is given and one that a load cell pulls."""
+    folder = tmp_path_factory.mktemp("tension")
+    mesh = box(size=(0.04, 0.01, 0.01), cells=(4, 2, 2))
+    write_mesh(folder / "mesh.ply", mesh)
+    (folder / "session.toml").write_text(TENSION)
+    (folder / "side.txt").write_text("# a free triangle\n40\n")
+    grip = np.array([[0.0, y, z] for y in (0.001, 0.009) for z in (0.001, 0.009)])
+    side = np.array([[x, 0.0, 0.005] for x in (0.01, 0.02, 0.03)])
+    head = "x,y,z,ux,uy,uz"
+    for name, points in (("foot.csv", grip), ("n01.csv", side)):
+        rows = np.hstack([points, points * [5e-4, -1e-4, -1e-4] + [1e-4, 0.0, 0.0]])
+        np.savetxt(folder / name, rows, delimiter=",", header=head, comments="")
+    return folder
+
+
+TENSION = """\
+format = "palpate-session/1"
+[object]
+mesh = "mesh.ply"
+length_unit = "m"
+[[support]]
+plane = { point = [0, 0, 0], normal = [1, 0, 0], tolerance = 1e-6 }
+motion = "given"
+[[support]]
+plane = { point = [0.04, 0, 0], normal = [1, 0, 0], tolerance = 1e-6 }
+motion = "free"
+[[probe]]
+name = "n01"
+contact = { support = 2 }
+force = [2, 0, 0]
+force_std = [0.002, 0.5, 0.5]
+displacement = "n01.csv"
+support_displacement = "foot.csv"
+"""

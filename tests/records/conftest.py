@@ -48,6 +48,7 @@ def session_folder(tmp_path: Path) -> Path:
     moved = np.stack([0.0 * free[:, 0], 0.0 * free[:, 0], -0.05 * free[:, 2]], axis=1)
     rows = [",".join(f"{x:.9g}" for x in row) for row in np.hstack([free, moved])]
     (tmp_path / "n01.csv").write_text("\n".join(["x,y,z,ux,uy,uz", *rows]) + "\n")
+    rows = [",".join(f"{x:.9g}" for x in row) for row in np.hstack([free, 0.98 * moved])]
     rows[3] = ",".join([*rows[3].split(",")[:3], "nan", "0", "0"])
     (tmp_path / "n02.csv").write_text("\n".join(["x,y,z,ux,uy,uz", *rows]) + "\n")
     return tmp_path

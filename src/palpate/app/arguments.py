@@ -79,6 +79,7 @@ def make_app() -> App:
         version=__version__,
         help_format="plaintext",
         error_console=Console(stderr=True),
+        suppress_keyboard_interrupt=False,
     )
     for name, (place, text) in _COMMANDS.items():
         app.command(f"palpate.app.commands.{place}", name=name, help=text)
@@ -88,6 +89,24 @@ def make_app() -> App:
             inner.command(f"palpate.app.commands.{place}", name=name, help=text)
         app.command(inner)
     return app
+
+
+def completed(words: list[str]) -> list[str]:
+    """The words of a command line with the command of a group that is meant where none is said.
+
+    Parameters
+    ----------
+    words : list of str             `lab bench.toml out`
+
+    Returns
+    -------
+    list of str                     `lab make bench.toml out`
+    """
+    if words[1:] and words[0] in _GROUPS:
+        first, *others = _GROUPS[words[0]][1]
+        if words[1] not in (first, *others, *_HELP_WORDS):
+            return [words[0], first, *words[1:]]
+    return words
 
 
 def run(words: list[str]) -> int:
@@ -106,13 +125,9 @@ def run(words: list[str]) -> int:
     PalpateError                    bad input
     BrokenPipeError                 nobody reads what is printed
     """
-    if words[1:] and words[0] in _GROUPS:
-        first, *others = _GROUPS[words[0]][1]
-        if words[1] not in (first, *others, *_HELP_WORDS):
-            words = [words[0], first, *words[1:]]
     try:
         outcome = make_app()(
-            words,
+            completed(words),
             exit_on_error=False,
             print_error=True,
             result_action="return_value",

@@ -72,7 +72,10 @@ def _say(text: str) -> None:
 def _stopped_by_signals() -> Iterator[None]:
     """Have the signals that ask a process to end raise `KeyboardInterrupt` with their number."""
 
+    came: list[int] = []
+
     def stop(number: int, _: FrameType | None) -> NoReturn:
+        came.append(number)
         raise KeyboardInterrupt(number)
 
     numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]
@@ -85,6 +88,11 @@ def _stopped_by_signals() -> Iterator[None]:
         signal.signal(number, stop)
     try:
         yield
+    except BaseException:
+        if came:
+            # Whatever it was turned into on its way up.
+            raise KeyboardInterrupt(came[0]) from None
+        raise
     finally:
         for number, old in asked.items():
             signal.signal(number, old)

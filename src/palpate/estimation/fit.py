@@ -12,6 +12,7 @@ from palpate.estimation.intervals import (
     LikelihoodMap,
     ProbeFit,
     Uncertainty,
+    contradiction,
     identifiable_constants,
     interval_set,
     likelihood_map,
@@ -19,6 +20,7 @@ from palpate.estimation.intervals import (
     probe_fits,
     scores_of,
     uncertainty_of,
+    with_open_ratio,
     with_prior_ranges,
     with_systematic_errors,
 )
@@ -108,7 +110,13 @@ def fit(
     singles = _single_constants(misfit, joint, settings) if len(rows) > 1 else [reported]
     progress("validation", 0.95)
     fits = probe_fits(probes, misfit.noise, joint)
-    status = Status.from_identifiable(identifiable) if minimum.converged else Status.NOT_CONVERGED
+    contradictions = [c for c in map(contradiction, probes, fits) if c is not None]
+    status = Status.from_identifiable(identifiable)
+    if contradictions:
+        status = Status.MODEL_CONTRADICTED
+    if not minimum.converged:
+        status = Status.NOT_CONVERGED
+    exact = [probe.name for probe in probes if not probe.force_std.any()]
     estimate = Estimate(
         status=status,
         shear_modulus=reported.shear_modulus,
@@ -118,8 +126,8 @@ def fit(
         probes=tuple(map(probe_estimate, singles, fits)),
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
-        settings=asdict(settings),
-        notes=fit_notes(misfit, joint, identifiable),
+        settings=asdict(settings) | {"exact_forces": exact},
+        notes=fit_notes(misfit, joint, identifiable, contradictions),
     )
     return FitResult(estimate, likelihood_map(joint, ranged), fits, intervals)
 
@@ -167,9 +175,11 @@ def _intervals(
 ) -> tuple[IntervalSet, IntervalSet, dict[str, bool]]:
     """Intervals as the noise alone gives them, within prior ranges, and what is identifiable."""
     intervals = interval_set(uncertainty, settings.interval)
-    identifiable = identifiable_constants(intervals, uncertainty.weights)
-    ranged = with_prior_ranges(intervals, identifiable, uncertainty.weights)
-    return intervals, ranged, identifiable
+    told, weights = intervals, uncertainty.weights
+    if uncertainty.is_beyond_range():
+        told = with_open_ratio(intervals, weights)
+    identifiable = identifiable_constants(told, weights)
+    return intervals, with_prior_ranges(told, identifiable, weights), identifiable
 
 
 def _single_constants(

@@ -1,14 +1,26 @@
 """What the reader of an estimate must know, in full sentences."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from palpate.estimation.intervals import Uncertainty, identifiable_combination
+from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
 from palpate.estimation.observations import CLAIMED_GROUPS, GROUP_COUNT
 from palpate.estimation.search import Misfit
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
+# Where the model fails, and what is most often wrong there.
+_SUSPECTS = {
+    "the contact": (
+        "the contact's point, radius or profile, the direction of the force, or a mesh too coarse"
+        " there"
+    ),
+    "the support": "a support that slips, gives, or reaches farther or less far than was said",
+}
+_OTHER_SUSPECTS = (
+    "points that are misplaced on the mesh, or material that is not the same everywhere and in all"
+    " directions; or the support"
+)
 _WORDS = {
     "poisson_ratio": "Poisson's ratio",
     "shear_modulus": "the shear modulus",
@@ -19,15 +31,20 @@ _MIN_FORCE_WEIGHT = 0.5
 
 
 def fit_notes(
-    misfit: Misfit, uncertainty: Uncertainty, identifiable: Mapping[str, bool]
+    misfit: Misfit,
+    uncertainty: Uncertainty,
+    identifiable: Mapping[str, bool],
+    contradictions: Sequence[Contradiction],
 ) -> tuple[str, ...]:
-    """Sentences about noise, correlation, disagreement, doubted forces, what is not identifiable.
+    """Sentences about noise, correlation, disagreement, doubted forces, what is not identifiable,
+    and what contradicts the model.
 
     Parameters
     ----------
     misfit : Misfit
     uncertainty : Uncertainty       of all probings
     identifiable : constant's name -> bool
+    contradictions : sequence of Contradiction
 
     Returns
     -------
@@ -41,6 +58,20 @@ def fit_notes(
                 f"The force of probing {probe.rows.name!r} disagrees with the others by {off:.1f}"
                 " of its standard deviations and was given little weight; check the sensor's scale."
             )
+    notes += map(_contradiction_note, contradictions)
+    if uncertainty.is_beyond_range():
+        notes.append(
+            "The data lead beyond the range of Poisson's ratio, whose end,"
+            f" {uncertainty.minimum.poisson_ratio:g}, is therefore no measurement: give a wider"
+            " poisson_range if the material may be there, else look for what contradicts the model."
+        )
+    exact = [probe.name for probe in misfit.probes if not probe.force_std.any()]
+    if exact:
+        whose = "every probing" if len(exact) == len(misfit.probes) else ", ".join(exact)
+        notes.append(
+            f"No force_std is given for {whose}: the force was taken as exact, and the intervals"
+            " leave its error out."
+        )
     if not identifiable["poisson_ratio"]:
         notes.append(
             "Poisson's ratio cannot be told; what the data do tell is"
@@ -83,3 +114,13 @@ def _interval_notes(uncertainty: Uncertainty) -> list[str]:
                 " what their uncertainties explain; its interval was widened accordingly."
             )
     return notes
+
+
+def _contradiction_note(found: Contradiction) -> str:
+    near = f"near {found.landmark}, " if found.landmark else ""
+    place = ", ".join(f"{1e3 * x:.1f}" for x in found.place)
+    return (
+        f"The model contradicts probing {found.name!r}: {100.0 * found.share:.2g} % of the motion"
+        f" is left over and not noise, most of it {near}around ({place}) mm. It may be"
+        f" {_SUSPECTS.get(found.landmark, _OTHER_SUSPECTS)}."
+    )

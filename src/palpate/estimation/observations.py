@@ -1,5 +1,6 @@
 """What one probing contributes to the estimation: measured displacements and their model."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -55,6 +56,7 @@ class ProbeObservations:
                                             for
     motion_std : (q,) float                 1 sigma of each, zero = exact; a free motion has a large
                                             one
+    landmarks : name -> (k, 3) float [m]    places for messages, such as "the contact"
 
     Raises
     ------
@@ -72,6 +74,7 @@ class ProbeObservations:
     response: ResponseModel
     motion: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    landmarks: Mapping[str, Float[np.ndarray, "_ 3"]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "

@@ -18,7 +18,7 @@ from palpate.bem import (
 )
 from palpate.errors import InputError
 from palpate.geometry import interpolation_matrix
-from palpate.pipeline.fit_session import surface_load
+from palpate.pipeline.object_model import surface_load
 from palpate.probe import find_contact_patch
 from palpate.progress import Progress, silent
 from palpate.records import Contact, Session, require_probings

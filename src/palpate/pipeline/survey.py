@@ -95,7 +95,9 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
     """
     mesh, contact, field = session.mesh, probing.contact, probing.displacement
     distance = triangle_distances(mesh, contact.point)
-    patch = np.flatnonzero(distance < (contact.radius or np.nextafter(distance.min(), np.inf)))
+    patch = contact.triangles
+    if patch is None:
+        patch = np.flatnonzero(distance < (contact.radius or np.nextafter(distance.min(), np.inf)))
     corner = mesh.vertices[mesh.triangles[patch]]
     edge = float(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean())
     elements = contact.radius / edge if contact.radius else np.nan
@@ -128,12 +130,17 @@ def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
     Parameters
     ----------
     session : Session
-    surveys : sequence of ProbingSurvey     of all its probings
+    surveys : sequence of ProbingSurvey     of all its probings; none where there are steps
 
     Returns
     -------
     str                             sentences
     """
+    if session.steps:
+        return (
+            f"{len(session.steps)} steps of a rigid motion: `palpate flow` measures them; they hold"
+            " no force, so nothing about stiffness."
+        )
     unread = [p.name for p in session.probings if p.displacement is None and p.images is not None]
     if len(unread) == len(surveys):
         return (

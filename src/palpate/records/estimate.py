@@ -38,6 +38,12 @@ _ADVICE = {
         f"only Poisson's ratio is identifiable: check the force, {_SCALE_CURE}"
     ),
     "nothing_identifiable": f"no constant is identifiable: {_SCALE_CURE}",
+    "model_contradicted": (
+        "the model does not explain what was measured, so the constants may be far off and their"
+        " intervals too narrow: the notes say where; check the support, the contact (point, radius,"
+        " force), the place of the points on the mesh, and whether the material is the same"
+        " everywhere and in all directions"
+    ),
     "not_converged": (
         "the search for the constants stopped early: look at the plots for outliers, and check"
         " that force, contact point and displacements belong together"
@@ -56,6 +62,7 @@ class Status(StrEnum):
     POISSON_RATIO_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
     SHEAR_MODULUS_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
     NOTHING_IDENTIFIABLE = auto()
+    MODEL_CONTRADICTED = auto()
     NOT_CONVERGED = auto()
 
     @property
@@ -118,6 +125,26 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
+class SupportEstimate:
+    """How a support moved in one probing; NaN where that was not estimated.
+
+    Parameters
+    ----------
+    support : int                       its number, from 1
+    translation : 3 float [m]           of its middle
+    translation_std : 3 float [m]       one standard deviation
+    rotation : 3 float [rad]            axis times angle, about its middle
+    rotation_std : 3 float [rad]
+    """
+
+    support: int
+    translation: tuple[float, ...]
+    translation_std: tuple[float, ...]
+    rotation: tuple[float, ...]
+    rotation_std: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ProbeEstimate:
     """The constants as one probing alone determines them, and how well it was explained.
 
@@ -130,6 +157,7 @@ class ProbeEstimate:
     rejected : int                  points that the robust loss all but switched off
     rms_residual : float [m]        over the observed points, joint estimate
     prediction_error : float [m] or None    rms residual when this probing was left out
+    supports : tuple of SupportEstimate     those that move
     """
 
     name: str
@@ -141,6 +169,7 @@ class ProbeEstimate:
     rejected: int
     rms_residual: float
     prediction_error: float | None
+    supports: tuple[SupportEstimate, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,18 +212,24 @@ class Estimate:
         for name in CONSTANT_NAMES:
             if self.identifiable[name] and not math.isfinite(getattr(self, name).value):
                 raise InputError(f"{name} is identifiable by `identifiable`, but has no value")
-        _check_material(
-            self.shear_modulus.value, self.poisson_ratio.value, self.young_modulus.value
-        )
+        values = self.shear_modulus.value, self.poisson_ratio.value, self.young_modulus.value
+        _check_ranges(*values)
+        # What the data do not determine is given for all of its range, each constant by itself.
+        if all(self.identifiable.values()):
+            _check_product(*values)
 
 
-def _check_material(shear: float, ratio: float, young: float) -> None:
-    """Refuse constants that no material has, or no one material; NaN is unknown."""
+def _check_ranges(shear: float, ratio: float, young: float) -> None:
+    """Refuse constants that no material has; NaN is unknown."""
     for name, modulus in (("shear_modulus", shear), ("young_modulus", young)):
         if modulus <= 0.0 or math.isinf(modulus):
             raise InputError(f"{name} is {modulus:g} Pa; must be positive and finite")
     if ratio <= -1.0 or ratio > 0.5:
         raise InputError(f"poisson_ratio is {ratio:g}; must be above -1, and 0.5 at most")
+
+
+def _check_product(shear: float, ratio: float, young: float) -> None:
+    """Refuse constants that belong to no one material."""
     expected = 2.0 * shear * (1.0 + ratio)
     # A person may have rounded all three.
     room = 2.0 * (1.0 + ratio) * _rounding(shear) + 2.0 * shear * _rounding(ratio)

@@ -6,10 +6,17 @@ from pathlib import Path
 import numpy as np
 
 from palpate.arrays import fixed_array
-from palpate.errors import InputError
+from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
+from palpate.records.contact import RIGID
 from palpate.records.probing import Probing
+from palpate.records.support import Support
+from palpate.records.support_checks import check_supports
 from palpate.shapes import Indices, Vector3
+
+# Osmium [kg/m^3]; ten times the earth's gravity [m/s^2]: beyond it a unit is mistaken.
+_DENSEST = 22600.0
+_LARGEST_GRAVITY = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +63,16 @@ class Session:
                                     distinct, the first is the initial one; none where there are
                                     probings
     metres_per_unit : float [m]     of the lengths in the session's files; all here are in metres
+    supports : tuple of Support     what `held_triangles` consists of; one that does not move where
+                                    none is given
 
     Raises
     ------
     InputError                      neither probings nor steps, or both; twin names; one step alone;
-                                    a support that is empty or the whole surface; pictures that are
-                                    needed without a rig; gravity without density
+                                    a support that is empty, one triangle or the whole surface; two
+                                    that share vertices; motions that are not given, or not asked
+                                    for; pictures that are needed without a rig; gravity without
+                                    density, or one of them beyond what there is
     """
 
     name: str
@@ -75,6 +86,7 @@ class Session:
     notes: tuple[str, ...]
     steps: tuple[Step, ...] = ()
     metres_per_unit: float = 1.0
+    supports: tuple[Support, ...] = ()
 
     def __post_init__(self) -> None:
         held = fixed_array(self.held_triangles, name="held_triangles", shape=(None,), integer=True)
@@ -84,8 +96,14 @@ class Session:
         held = np.unique(held)
         held.setflags(write=False)
         object.__setattr__(self, "held_triangles", held)
-        if self.density is not None and not (np.isfinite(self.density) and self.density > 0.0):
-            raise InputError(f"density is {self.density}; must be positive, in kg/m^3")
+        if not self.supports and len(held):
+            object.__setattr__(self, "supports", (Support(held),))
+        check_supports(self.mesh, self.supports, self.probings)
+        if self.density is not None and not 0.0 < self.density <= _DENSEST:
+            raise InputError(
+                f"density is {self.density}; must be positive and at most {_DENSEST:g} kg/m^3,"
+                " the densest metal's"
+            )
         if self.gravity is not None:
             gravity = fixed_array(self.gravity, name="gravity", shape=(3,))
             object.__setattr__(self, "gravity", gravity)
@@ -93,6 +111,18 @@ class Session:
                 raise InputError(
                     "gravity is given without a density; give it in kg/m^3, or leave gravity out if"
                     " the rest state was measured under gravity too"
+                )
+            if np.linalg.norm(gravity) > _LARGEST_GRAVITY:
+                raise InputError(
+                    f"gravity is {np.linalg.norm(gravity):.4g} m/s^2; the earth's is 9.81, at most"
+                    f" {_LARGEST_GRAVITY:g} is taken: is it in mm/s^2?"
+                )
+            pulled = [one.name for one in self.probings if one.contact.profile == RIGID]
+            if pulled:
+                raise InputError(
+                    f"probing '{pulled[0]}' has its force on a support, and there is gravity: its"
+                    " share of the weight is not known; measure the rest state under gravity too,"
+                    " and leave [gravity] out"
                 )
 
 
@@ -136,7 +166,7 @@ def _check_contents(session: Session) -> None:
     if len(set(names)) < len(names):
         twins = sorted({name for name in names if names.count(name) > 1})
         kind = "probings" if probings else "steps"
-        raise InputError(f"{kind} share the names {twins}; names must be distinct")
+        raise InputError(f"{kind} share the name {quoted(twins[0])}; names must be distinct")
     blind = [item.name for item in probings if item.images and item.displacement is None]
     if session.rig is None and (steps or blind):
         whose = f"probing '{blind[0]}' has" if blind else "the steps have"
@@ -157,6 +187,11 @@ def _check_support(held: Indices, triangle_count: int) -> None:
         raise InputError(
             f"the support names triangles {held.min()} to {held.max()}, but the mesh has"
             f" {triangle_count} (0 to {triangle_count - 1})"
+        )
+    if len(np.unique(held)) == 1:
+        raise InputError(
+            f"the support is one triangle (number {held[0]}): how it is held cannot be resolved"
+            " there; select all that is held, or refine the mesh there"
         )
     if len(np.unique(held)) == triangle_count:
         raise InputError(

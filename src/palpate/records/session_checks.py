@@ -2,25 +2,42 @@
 
 import numpy as np
 
-from palpate.errors import InputError
+from palpate.errors import InputError, quoted
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
+    enclosed_volume,
     mesh_quality,
+    triangle_areas,
     triangle_distances,
     unit_normals,
 )
-from palpate.records.contact import Contact
+from palpate.records.contact import RIGID, Contact
 from palpate.records.probing import DisplacementField, Probing, observed_rows
+from palpate.records.quantities import modulus_unit
+from palpate.records.session import Session
 from palpate.shapes import Indices
 
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
 _UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
+# Young's moduli: of diamond; and of a body of 1 kg/m^3, the lightest solid, that is as high as its
+# own weight lets it be. No gel is softer than a pascal.
+_STIFFEST, _SOFTEST, _SOFTEST_PER_METRE = 1.2e12, 1.0, 9.81
+# Beyond these a force in another unit is more likely: brain tissue has 1 kPa, wood along its grain
+# 10 GPa.
+_DOUBTED_MODULUS = (1e2, 1e10)
+# The strongest steels yield here [Pa].
+_STRONGEST = 3e9
+_EARTH = 9.81
+# Foams have 10 to 100 kg/m^3.
+_LIGHTEST = 5.0
+# Of the surface: a smaller support is more likely one that was missed.
+_SMALLEST_SUPPORT = 2e-3
 
 
 def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
-    """Refuse a contact patch that misses the surface or reaches into the support.
+    """Refuse a contact patch that misses the surface, is wider than it, or reaches the support.
 
     Parameters
     ----------
@@ -32,15 +49,30 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
     ------
     InputError                      the text gives the distances
     """
+    if contact.triangles is not None:
+        shared = np.intersect1d(contact.triangles, held).size
+        if shared and contact.profile != RIGID:
+            raise InputError(
+                f"{shared} of the {contact.triangles.size} loaded triangles belong to the support;"
+                " a load there moves nothing: leave them out, or load the support as a whole with"
+                " contact = { support = 1 }"
+            )
+        return
     distance = triangle_distances(mesh, contact.point)
     gap = float(distance.min())
     radius = contact.radius
+    size = bounding_diagonal(mesh)
+    if radius is not None and 2.0 * radius > size:
+        raise InputError(
+            f"the contact is wider than the body: its radius is {radius:.3g} m, the mesh is"
+            f" {size:.3g} m across; check the radius and length_unit"
+        )
     reach = 3.0 * mesh_quality(mesh).edge_mean if radius is None else radius
     if gap >= reach:
         what = "three mean edge lengths" if radius is None else "its radius"
         raise InputError(
             f"the contact misses the surface: its point is {gap:.4g} m away from it, {what} is"
-            f" {reach:.3g} m (the mesh is {bounding_diagonal(mesh):.3g} m across);"
+            f" {reach:.3g} m (the mesh is {size:.3g} m across);"
             " check the point and length_unit"
         )
     if radius is None:
@@ -64,12 +96,12 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
 
 
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
-    """Refuse a field whose measured points all sit on the support, which does not move.
+    """Refuse a field that shows no motion: none at all, or only of a support that does not move.
 
     Parameters
     ----------
     mesh : TriangleMesh
-    held : (k,) int                 triangles of the support
+    held : (k,) int                 triangles that do not move
     field : DisplacementField       on that mesh
 
     Raises
@@ -77,6 +109,12 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
     InputError
     """
     measured = observed_rows(field)
+    if not field.displacement[measured].any():
+        raise InputError(
+            f"the displacement of all {int(measured.sum())} measured points of {field.source} is"
+            " exactly zero: nothing moved, which says nothing about stiffness; were the pictures at"
+            " rest compared with themselves?"
+        )
     corners = mesh.triangles[field.surface.triangle[measured]]
     is_held = np.zeros(len(mesh.vertices), dtype=bool)
     is_held[mesh.triangles[held]] = True
@@ -90,23 +128,143 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
         )
 
 
-def plausibility_notes(mesh: TriangleMesh, probings: tuple[Probing, ...]) -> tuple[str, ...]:
+def check_load(mesh: TriangleMesh, probing: Probing) -> None:
+    """Refuse a force that no material answers with the displacement that was measured.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    probing : Probing
+
+    Raises
+    ------
+    InputError                      the text tells the modulus, pressure or motion that it means
+    """
+    size, force = bounding_diagonal(mesh), float(np.linalg.norm(probing.force))
+    moved, radius = _largest_displacement(probing), probing.contact.radius
+    if moved > size:
+        raise InputError(
+            f"the largest displacement is {moved:.3g} m, more than the body of {size:.3g} m across:"
+            f" a held body does not move so far; {_UNIT_HINT}, and the unit of the displacements"
+        )
+    low, high = modulus_range(mesh, force, moved)
+    pressure = 0.0 if radius is None else force / (np.pi * radius**2)
+    if low > _STIFFEST:
+        what = f"a Young's modulus of {_pascals(low)} or more, stiffer than diamond"
+    elif high < max(_SOFTEST, _SOFTEST_PER_METRE * size):
+        what = f"a Young's modulus of {_pascals(high)} or less, of a body too soft for its weight"
+    elif pressure > _STRONGEST:
+        what = f"a pressure of {_pascals(pressure)} at the contact, more than any steel bears"
+        if moved:
+            what += f", and a Young's modulus of about {_pascals(float(np.sqrt(low * high)))}"
+    else:
+        return
+    raise InputError(
+        f"a force of {force:.3g} N, with a displacement of {moved:.3g} m at most of a body of"
+        f" {size:.3g} m, means {what}; is the force in N? Check length_unit and the contact radius"
+    )
+
+
+def _pascals(value: float) -> str:
+    factor, unit = modulus_unit(value)
+    return f"{value / factor:.2g} {unit}"
+
+
+def modulus_range(mesh: TriangleMesh, force: float, moved: float) -> tuple[float, float]:
+    """Between which Young's moduli a body lies that a force moves so far, to an order of magnitude.
+
+    A body of thickness t and length L is loaded the stiff way through its thickness, F t / (L^2 u),
+    and the soft way by bending, F L^3 / (t^4 u).
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    force : float [N]
+    moved : float [m]               largest displacement; 0: none was measured
+
+    Returns
+    -------
+    (float, float) [Pa]             (0, infinity) where nothing moved
+    """
+    if moved == 0.0:
+        return 0.0, np.inf
+    length = bounding_diagonal(mesh)
+    # Exact for a square rod, two thirds of a cube's side, twice a plate's thickness.
+    thickness = 4.0 * enclosed_volume(mesh) / float(triangle_areas(mesh).sum())
+    return (
+        force * thickness / (length**2 * moved),
+        force * length**3 / (thickness**4 * moved),
+    )
+
+
+def check_copies(probings: tuple[Probing, ...]) -> None:
+    """Refuse one measurement that stands for two probings: counted twice, it would look surer.
+
+    Parameters
+    ----------
+    probings : tuple of Probing
+
+    Raises
+    ------
+    InputError                      two share half of their rows or more; the text names both
+    """
+    earlier: list[tuple[Probing, set[bytes]]] = []
+    for probing in probings:
+        if probing.displacement is None:
+            continue
+        rows = _moved_rows(probing.displacement)
+        for twin, others in earlier:
+            shared = len(rows & others)
+            if 2 * shared >= min(len(rows), len(others)):
+                raise InputError(
+                    f"{shared} of {len(rows)} points of probing {quoted(probing.name)} have the"
+                    f" same displacement, digit by digit, as in probing {quoted(twin.name)};"
+                    " noise makes any two measurements differ: name the file that belongs to each,"
+                    " or leave one out"
+                )
+        earlier.append((probing, rows))
+
+
+def _moved_rows(field: DisplacementField) -> set[bytes]:
+    """Place and displacement of the points that were seen to move, one entry each."""
+    rows = np.hstack([field.points, field.displacement])[observed_rows(field)]
+    return {row.tobytes() for row in rows[rows[:, 3:].any(axis=1)]}
+
+
+def plausibility_notes(session: Session) -> tuple[str, ...]:
     """Sentences about sizes and signs that are possible but more likely a mistake.
 
     Parameters
     ----------
-    mesh : TriangleMesh             in metres
-    probings : tuple of Probing
+    session : Session
 
     Returns
     -------
     tuple of str                    full sentences
     """
+    mesh = session.mesh
     size = bounding_diagonal(mesh)
     notes = []
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {_UNIT_HINT}.")
-    for probing in probings:
+    if session.probings:
+        area = triangle_areas(mesh)
+        share = float(area[session.held_triangles].sum() / area.sum())
+        if share < _SMALLEST_SUPPORT:
+            notes.append(
+                f"The support is {100.0 * share:.2g} % of the surface"
+                f" ({len(session.held_triangles)} triangles): is it all that is held? Check the"
+                " selectors in [support]."
+            )
+    if session.gravity is not None and abs(np.linalg.norm(session.gravity) / _EARTH - 1.0) > 0.01:
+        notes.append(
+            f"Gravity is {np.linalg.norm(session.gravity):.3g} m/s^2; the earth's is {_EARTH}."
+        )
+    if session.density is not None and session.density < _LIGHTEST:
+        notes.append(
+            f"The density is {session.density:.3g} kg/m^3, lighter than foam: is it in g/cm^3?"
+        )
+    for probing in session.probings:
         notes += [f"Probing {probing.name}: {text}" for text in _probing_notes(mesh, probing, size)]
     return tuple(notes)
 
@@ -115,7 +273,7 @@ def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[st
     notes = []
     doubt = f"against an object of {size:.3g} m: {_UNIT_HINT}."
     radius = probing.contact.radius
-    if radius is not None and not 1e-3 * size <= radius <= 0.5 * size:
+    if radius is not None and radius < 1e-3 * size:
         notes.append(f"the contact radius of {radius:.3g} m is implausible {doubt}")
     largest = _largest_displacement(probing)
     moved = f"the largest displacement of {largest:.3g} m is implausibly"
@@ -128,7 +286,26 @@ def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[st
             f"the largest displacement is {100.0 * largest / size:.0f} % of the object's size,"
             " outside small deformation; the estimate will be biased: press less."
         )
-    direction = probing.force / np.linalg.norm(probing.force)
+    return notes + _force_notes(mesh, probing, largest)
+
+
+def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[str]:
+    notes: list[str] = []
+    force = float(np.linalg.norm(probing.force))
+    if not force:
+        return notes
+    modulus = float(np.sqrt(np.prod(modulus_range(mesh, force, largest)))) if largest else 0.0
+    if largest and not _DOUBTED_MODULUS[0] <= modulus <= _DOUBTED_MODULUS[1]:
+        notes.append(
+            f"the force of {force:.3g} N and the largest displacement of {largest:.3g} m mean a"
+            f" Young's modulus of about {_pascals(modulus)},"
+            f" {'softer' if modulus < 1e5 else 'stiffer'} than what is usually probed; is it in N?"
+        )
+    if probing.force_std is not None and np.linalg.norm(probing.force_std) > force:
+        notes.append("force_std exceeds the force itself; check both.")
+    if probing.contact.triangles is not None:
+        return notes
+    direction = probing.force / force
     triangle = int(triangle_distances(mesh, probing.contact.point).argmin())
     if float(unit_normals(mesh)[triangle] @ direction) > 0.5:
         notes.append(

@@ -88,7 +88,7 @@ def measured(monkeypatch):
         notes=("rest_c1.png: 16 bit a pixel, made 8.",),
     )
 
-    def measure_motion(session, *, method, pose, progress):
+    def measure_motion(session, *, method, pose, progress, parts):
         told.asked.append((session, method, pose))
         progress("points [a]", 0.5)
         return SessionFlow(rig(), tuple(told.motions), told.notes)

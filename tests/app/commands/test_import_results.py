@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fault_injection import in_child
 from program_files import (
     DICE_NAMES,
     dice_states,
@@ -13,6 +14,7 @@ from program_files import (
 )
 from surfaces import box
 
+from palpate.app.cli import main
 from palpate.geometry import write_mesh
 from palpate.records import observed_rows, read_displacement, read_session
 
@@ -194,6 +196,32 @@ def test_another_probings_displacement_is_not_replaced(palpate, bare, top, tmp_p
     code, _, err = palpate("import", "vic3d", file, bare, "--probe", "n01", "--replace")
     assert code == 2
     assert "the session does not name it for that probing" in err
+
+
+def test_the_old_session_or_the_new_one_wherever_it_is_killed(palpate, bare, top, tmp_path):
+    file = _vic3d(tmp_path / "n01.csv", top)
+    assert palpate("import", "vic3d", file, bare)[0] == 0
+    _vic3d(file, (top[0], 3.0 * top[1]))
+    command = ["import", "vic3d", str(file), "--probe", "n01", "--replace"]
+    before = _tree(bare)
+    assert palpate(*command[:3], bare, *command[3:])[0] == 0
+    after, step, outcome, seen = _tree(bare), 0, None, []
+    while outcome != "done":
+        # Every third step: the steps of a change have a test of their own.
+        step += 3
+        folder = tmp_path / f"session{step}"
+        folder.mkdir()
+        for name, content in before.items():
+            (folder / name).write_bytes(content)
+        words = [*command[:3], str(folder), *command[3:]]
+        outcome = in_child(lambda words=words: main(words), folder, step=step, dies=True)
+        assert (folder / "session.toml").is_file()
+        read_session(folder, probes=["n01"])
+        seen.append({name: found for name, found in _tree(folder).items() if name[0] != "."})
+        assert seen[-1] in (before, after)
+    assert seen[0] == before
+    assert seen[-1] == after
+    assert len(seen) > 5
 
 
 def test_a_folder_is_never_moved_away(palpate, bare, top, tmp_path):

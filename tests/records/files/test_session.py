@@ -30,7 +30,9 @@ def test_a_good_session_is_read_in_si_units(session_folder):
 def test_a_file_name_is_as_good_as_its_folder(session_folder):
     (session_folder / "session.toml").rename(session_folder / "other.toml")
     assert read_session(session_folder / "other.toml").name == "test cube"
-    with pytest.raises(RecordError, match=r"no session\.toml; it has \['other\.toml'\]"):
+    with pytest.raises(
+        RecordError, match=r"no session file session\.toml; it has 'other\.toml': name"
+    ):
         read_session(session_folder)
 
 
@@ -80,6 +82,8 @@ def test_every_length_is_converted(edited):
 
 @pytest.mark.parametrize(("unit", "metres"), [("in", 0.0254), ("cm", 0.01), ("mm", 0.001)])
 def test_every_unit_has_its_length(edited, unit, metres):
+    # A thousandth of the size bears a millionth of the force.
+    edited("force = [0, 0, -1.2]", "force = [0, 0, -1.2e-6]")
     session = read_session(edited('length_unit = "m"', f'length_unit = "{unit}"'))
     assert enclosed_volume(session.mesh) == pytest.approx((0.04 * metres) ** 3, rel=1e-12)
     assert session.probings[0].contact.radius == pytest.approx(0.006 * metres, rel=1e-15)
@@ -126,7 +130,7 @@ BAD_TEXT = [
     (
         'name = "n02"',
         'name = "n01"',
-        r"probings share the names \['n01'\]; names",
+        "probings share the name 'n01'; names",
     ),
     ('name = "n02"', "", r"\[\[probe\]\] number 2: the key 'name' is missing"),
     ('"n01.csv"', '"n03.csv"', "'n01' displacement: no such file: .*did you mean 'n0"),
@@ -174,7 +178,7 @@ def test_a_session_of_nothing_is_refused(session_folder):
 def test_missing_paths_are_named(tmp_path):
     with pytest.raises(RecordError, match="no such file or folder"):
         read_session(tmp_path / "nothing")
-    with pytest.raises(RecordError, match=r"the folder has no session.toml$"):
+    with pytest.raises(RecordError, match=r"the folder has no session file session.toml$"):
         read_session(tmp_path)
 
 
@@ -303,9 +307,14 @@ def test_mesh_in_millimetres_declared_metres_is_noted(session_folder):
     text = text.replace("[0.04, 0.02, 0.03]", "[40, 20, 30]")
     (session_folder / "session.toml").write_text(text)
     write_mesh(session_folder / "mesh.ply", box(size=(40.0, 40.0, 40.0), cells=4))
-    row = "20,10,40,0,0,-1e-4\n"
-    for name in ("n01.csv", "n02.csv"):
-        (session_folder / name).write_text("x,y,z,ux,uy,uz\n" + row)
+    for name, x in (("n01.csv", 20), ("n02.csv", 25)):
+        (session_folder / name).write_text(f"x,y,z,ux,uy,uz\n{x},10,40,0,0,-1e-4\n")
+    with pytest.raises(RecordError, match="of a body too soft for its weight"):
+        read_session(session_folder)
+    # With a force that could be, the size is still doubted.
+    (session_folder / "session.toml").write_text(
+        text.replace("-1.2]", "-1e5]").replace("-1, 0, 0", "-1e5, 0, 0")
+    )
     notes = read_session(session_folder).notes
     assert "69.3 m across, an implausible size: is the mesh in another unit" in notes[0]
     assert any("n02: the largest displacement of 0.0001 m is implausibly small" in n for n in notes)
@@ -317,13 +326,72 @@ def test_mesh_in_millimetres_declared_metres_is_noted(session_folder):
         ("force = [0, 0, -1.2]", "force = [0, 0, 1.2]", "the tool pulls"),
         ("[0, 0, -0.0021]", "[0, 0, 0.0021]", "the tip moved against the force"),
         ("[0, 0, -0.0021]", "[0, 0, -0.009]", "13 % of the object's size, outside small"),
-        ("[0, 0, -0.0021]", "[0, 0, -2.1]", "implausibly large"),
-        ("radius = 0.006", "radius = 0.00001", "contact radius of 1e-05 m is implausible"),
+        ("[0, 0, -0.0021]", "[0, 0, -0.04]", "implausibly large"),
+        ("force = [0, 0, -1.2]", "force = [0, 0, -2e-3]", "of about 60 Pa, softer"),
+        ("force_std = 0.012", "force_std = 12", "force_std exceeds the force"),
+        ("radius = 0.006", "radius = 0.00003", "contact radius of 3e-05 m is implausible"),
     ],
 )
 def test_likely_mistakes_are_noted(edited, old, new, message):
     notes = read_session(edited(old, new)).notes
     assert any("Probing n01" in note and message in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[0, 0, -0.0021]", "[0, 0, -0.1]", "more than the body of 0.0693 m across"),
+        # A cube of 40 mm that 1e12 N press by 2 mm: F / (s d) = 1e16 Pa.
+        (
+            "force = [0, 0, -1.2]",
+            "force = [0, 0, -1e12]",
+            r"of \de\+06 GPa or more, stiffer than dia",
+        ),
+        (
+            "force = [0, 0, -1.2]",
+            "force = [0, 0, -1e-6]",
+            r"of 0\.\d+ Pa or less, of a body too soft",
+        ),
+        # 1 MN over a circle of 6 mm.
+        (
+            "force = [0, 0, -1.2]",
+            "force = [0, 0, -1e6]",
+            r"a pressure of 8\.8 GPa at the contact, more than .* about 30 GPa",
+        ),
+        ("radius = 0.006", "radius = 0.036", "the contact is wider than the body"),
+    ],
+)
+def test_what_no_body_does_is_refused(edited, old, new, message):
+    with pytest.raises(RecordError, match=f"'n01': .*{message}"):
+        read_session(edited(old, new))
+
+
+def test_a_field_without_any_motion_is_refused(session_folder):
+    (session_folder / "n01.csv").write_text(
+        "x,y,z,ux,uy,uz\n0.01,0.01,0.04,0,0,0\n0.02,0.01,0.04,0,-0.0,0\n0.02,0.02,0.04,nan,0,0\n"
+    )
+    with pytest.raises(RecordError, match=r"of all 2 measured points of .* is exactly zero"):
+        read_session(session_folder)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_one_measurement_for_two_probings_is_refused(edited, shared):
+    folder = edited('"n02.csv"', '"n01.csv"') if shared else edited("n02", "n02")
+    if not shared:
+        (folder / "n02.csv").write_bytes((folder / "n01.csv").read_bytes())
+    with pytest.raises(
+        RecordError, match=r"probing 'n02' have the same displacement, .* in probing 'n01'"
+    ):
+        read_session(folder)
+    assert len(read_session(folder, probes=["n02"]).probings) == 1
+
+
+def test_a_support_of_one_triangle_is_refused(edited):
+    plane = "plane = { point = [0, 0, 0], normal = [0, 0, 2], tolerance = 1e-6 }"
+    folder = edited(plane, 'triangles = "held.txt"')
+    (folder / "held.txt").write_text("5\n")
+    with pytest.raises(RecordError, match=r"support is one triangle \(number 5\)"):
+        read_session(folder)
 
 
 def test_shared_sessions_are_read(shared_data):

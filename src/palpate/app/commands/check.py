@@ -8,13 +8,24 @@ from rich.table import Table
 
 from palpate.app.terminal import number_text, print_text, terminal_table
 from palpate.geometry import mesh_quality, triangle_areas
-from palpate.pipeline import NEAR_RADII, ProbingSurvey, session_outlook, survey_probing
-from palpate.records import Session, read_session, require_probings
+from palpate.pipeline import (
+    NEAR_RADII,
+    CameraSurvey,
+    ProbingSurvey,
+    moving_supports,
+    require_given_motions,
+    session_outlook,
+    survey_cameras,
+    survey_probing,
+)
+from palpate.records import Session, read_session
 from palpate.shapes import Vector3
 
 
 def check(session: Path, /) -> int:
     """Say everything about a session that can be said without solving.
+
+    Reads all that `fit` and `flow` would: surface, displacements, cameras, every picture.
 
     Parameters
     ----------
@@ -22,13 +33,17 @@ def check(session: Path, /) -> int:
         Folder of the session, or a session file in it.
     """
     given = read_session(session)
-    require_probings(given)
+    require_given_motions(given)
+    cameras, remarks = survey_cameras(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
     console = Console()
     print_text(f"{given.name} ({given.path})")
     console.print(_mesh_table(given))
-    console.print(_probings_table(surveys))
-    for note in given.notes:
+    if surveys:
+        console.print(_probings_table(surveys))
+    if cameras:
+        console.print(_cameras_table(cameras))
+    for note in (*given.notes, *remarks):
         print_text(f"Note: {note}")
     print_text(session_outlook(given, surveys))
     return 0
@@ -36,8 +51,10 @@ def check(session: Path, /) -> int:
 
 def _mesh_table(session: Session) -> Table:
     quality = mesh_quality(session.mesh)
+    moves = moving_supports(session)
     held = float(triangle_areas(session.mesh)[session.held_triangles].sum())
     support = f"{len(session.held_triangles)} triangles, {1e4 * held:.4g} cm^2"
+    moving = [(one.number, f"{one.motion}, {len(one.triangles)} triangles") for one in moves]
     edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
     gravity, density = session.gravity, session.density
     rows = (
@@ -49,6 +66,7 @@ def _mesh_table(session: Session) -> Table:
         ("worst aspect (longest edge / height)", f"{quality.worst_aspect:.2f}"),
         ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
         ("support", f"{support}, {100.0 * held / quality.area:.1f} % of all"),
+        *((f"support {n} moves", motion) for n, motion in moving),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
         ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),
     )
@@ -77,4 +95,27 @@ def _probings_table(surveys: list[ProbingSurvey]) -> Table:
         caption="patch: triangles under the tool; elem: elements per contact radius; snr: median"
         " |u| over sigma; along: the same along the surface; near: measured points within"
         f" {NEAR_RADII:g} contact radii",
+    )
+
+
+def _cameras_table(surveys: tuple[CameraSurvey, ...]) -> Table:
+    rows = []
+    for s in surveys:
+        sizes = dict.fromkeys(f"{p.size[0]} x {p.size[1]}" for p in s.pictures)
+        low = min((p.grey[0] for p in s.pictures), default=np.nan)
+        high = max((p.grey[1] for p in s.pictures), default=np.nan)
+        white = max((p.saturated for p in s.pictures), default=np.nan)
+        rows.append(
+            (
+                s.name, str(len(s.pictures)), ", ".join(sizes) or "-",
+                f"{number_text(low, '.0f')} to {number_text(high, '.0f')}",
+                number_text(100.0 * white, ".2g"), number_text(100.0 * s.sees, ".0f"),
+            )
+        )  # fmt: skip
+    return terminal_table(
+        f"{len(surveys)} cameras",
+        ("camera", "pictures", "size px", "grey", "white %", "sees %"),
+        rows,
+        caption="grey: 1st to 99th percentile over all pictures, 255 is white; white: pixels at the"
+        " white end of the worst picture; sees: vertices of the mesh inside the picture",
     )

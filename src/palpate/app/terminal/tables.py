@@ -114,7 +114,13 @@ def constants_table(estimate: Estimate) -> Table:
         values = constant_text(constant, factor=factor), interval_text(constant, factor=factor)
         rows.append((label, *values, unit, "yes" if estimate.identifiable[name] else "no"))
     columns = ("constant", "value ± 1 sigma", "95 % interval", "unit", "identifiable")
-    return terminal_table("Elastic constants", columns, rows)
+    caption = ""
+    if exact := len(estimate.settings.get("exact_forces", ())):
+        caption = (
+            f"95 % interval: with the force of {exact} of {len(estimate.probes)} probings taken as"
+            " exact, for no force_std is given"
+        )
+    return terminal_table("Elastic constants", columns, rows, caption=caption)
 
 
 def probes_table(estimate: Estimate) -> Table:

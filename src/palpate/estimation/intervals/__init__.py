@@ -7,9 +7,14 @@ Depends on : `estimation.noise`, `estimation.search`, `records`, `geometry`; fil
 Read first : `sandwich.py`, then `uncertainty.py`.
 """
 
+from palpate.estimation.intervals.contradiction import (
+    Contradiction as Contradiction,
+    contradiction as contradiction,
+)
 from palpate.estimation.intervals.identifiability import (
     identifiable_combination as identifiable_combination,
     identifiable_constants as identifiable_constants,
+    with_open_ratio as with_open_ratio,
     with_prior_ranges as with_prior_ranges,
 )
 from palpate.estimation.intervals.likelihood import (

@@ -45,6 +45,40 @@ def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dic
     return identifiable
 
 
+def with_open_ratio(intervals: IntervalSet, weights: FixedWeights) -> IntervalSet:
+    """Intervals where the data lead beyond the range of nu: as if they said nothing about it.
+
+    The end of the range is no measurement. The moduli may be whatever the valley of the misfit has
+    over the whole range.
+
+    Parameters
+    ----------
+    intervals : IntervalSet
+    weights : FixedWeights          for the valley
+
+    Returns
+    -------
+    IntervalSet
+    """
+    nu, modulus = _valley_line(weights)
+    ratio, shear, young = (
+        intervals.poisson_ratio,
+        intervals.shear_modulus,
+        intervals.young_modulus,
+    )
+    return IntervalSet(
+        replace(ratio, ci95=weights.poisson_range),
+        _stretched(shear, modulus),
+        _stretched(young, 2 * modulus * (1 + nu)),
+    )
+
+
+def _stretched(constant: Constant, line: np.ndarray) -> Constant:
+    """The same value in an interval that holds a whole line of values, too."""
+    low, high = constant.ci95
+    return replace(constant, ci95=(min(low, float(line.min())), max(high, float(line.max()))))
+
+
 def with_prior_ranges(
     intervals: IntervalSet, identifiable: Mapping[str, bool], weights: FixedWeights
 ) -> IntervalSet:

@@ -30,6 +30,8 @@ from palpate.records import Constant
 _SMALL_ERROR = 1e-3
 _FAR_FROM_BOUND = 8.0
 _RESAMPLES = 500
+# Standard errors: chance alone leads farther beyond the range in one session of forty.
+_CLEARLY = 2.0
 # Exponents beyond this overflow.
 _MAX_EXPONENT = 600.0
 
@@ -73,6 +75,13 @@ class Uncertainty:
         """Variance of nu, log G or log E, raised where the probings disagree."""
         turn = directions(self.minimum.poisson_ratio)[name]
         return float(turn @ self.scores.covariance() @ turn) * self.scatters[name].factor
+
+    def is_beyond_range(self) -> bool:
+        """Whether the misfit's unbounded minimum lies clearly beyond the range of nu."""
+        # At a minimum inside the range the score vanishes.
+        information, score = self.scores.information.sum(0), self.scores.score.sum(0)
+        step = np.linalg.lstsq(information, score, rcond=1e-11)[0]
+        return bool(abs(step[0]) > _CLEARLY * np.sqrt(self.variance("poisson_ratio")))
 
     def calibration(self, name: str) -> float:
         """That variance over the one that the bare curvature of the misfit claims."""

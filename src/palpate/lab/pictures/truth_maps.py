@@ -1,9 +1,9 @@
 """What the pictures really show, pixel by pixel: the truth to compare an estimate with."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from jaxtyping import Float
@@ -108,7 +108,7 @@ def truth_map(
     )
 
 
-def write_truth_map(path: Path | IO[bytes], truth: TruthMap) -> None:
+def write_truth_map(path: Path | io.BytesIO, truth: TruthMap) -> None:
     """Write a truth map as `truth_nXX.npz`; the same map gives the same bytes.
 
     Entries: `shape`, `pixel` (int32), `X` and `U` (float32, m), `hidden_rest` and `hidden_loaded`
@@ -116,7 +116,7 @@ def write_truth_map(path: Path | IO[bytes], truth: TruthMap) -> None:
 
     Parameters
     ----------
-    path : Path, or a file that is open for writing
+    path : Path, or bytes to be
     truth : TruthMap
     """
     np.savez_compressed(

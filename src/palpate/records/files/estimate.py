@@ -1,11 +1,20 @@
 """Estimates to and from JSON in the format `palpate-estimate/1`."""
 
 import math
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palpate.records.estimate import CONSTANT_NAMES, Constant, Estimate, ProbeEstimate, Status
+from palpate.errors import quoted
+from palpate.records.estimate import (
+    CONSTANT_NAMES,
+    Constant,
+    Estimate,
+    ProbeEstimate,
+    Status,
+    SupportEstimate,
+)
 from palpate.records.text import TomlTable, json_text, read_json, write_text
 
 ESTIMATE_FORMAT = "palpate-estimate/1"
@@ -44,7 +53,7 @@ def read_estimate(path: Path | str) -> Estimate:
     root = read_json(Path(path))
     found = root.values.get("format")
     if found != ESTIMATE_FORMAT:
-        root.fail("format", f"is {found!r:.80}; this version reads '{ESTIMATE_FORMAT}'")
+        root.fail("format", f"is {quoted(found)}; this version reads '{ESTIMATE_FORMAT}'")
     told = root.table("identifiable")
     with root.blamed():
         return Estimate(
@@ -59,8 +68,17 @@ def read_estimate(path: Path | str) -> Estimate:
         )
 
 
+def _number(table: TomlTable, key: str) -> float:
+    """Any number: what is estimated may be as small or as large as a number gets."""
+    value = table.get(key)
+    plain = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not plain or not abs(value) <= sys.float_info.max:
+        table.fail(key, f"is {quoted(value)}; must be a finite number")
+    return float(value)
+
+
 def _numbers(table: TomlTable) -> dict[str, float]:
-    return {key: table.number(key) for key in table.values}
+    return {key: _number(table, key) for key in table.values}
 
 
 def _values(table: TomlTable | None) -> dict[str, Any]:
@@ -69,19 +87,35 @@ def _values(table: TomlTable | None) -> dict[str, Any]:
 
 def _known(table: TomlTable, key: str, unknown: float = math.nan) -> float:
     """A number, or what null stands for."""
-    return unknown if table.get(key) is None else table.number(key)
+    return unknown if table.get(key) is None else _number(table, key)
 
 
 def _read_constant(table: TomlTable) -> Constant:
     ends = table.get("ci95")
     if not isinstance(ends, list) or len(ends) != 2:
-        table.fail("ci95", f"is {ends!r:.80}; must be two numbers in brackets")
+        table.fail("ci95", f"is {quoted(ends)}; must be two numbers in brackets")
     pair = TomlTable(
         table.file, f"{table.name} ci95", dict(zip(("low", "high"), ends, strict=True))
     )
     low, high = _known(pair, "low", -math.inf), _known(pair, "high", math.inf)
     with table.blamed():
         return Constant(_known(table, "value"), _known(table, "std"), (low, high))
+
+
+def _read_support(table: TomlTable) -> SupportEstimate:
+    parts = {
+        name: tuple(_vector_parts(table, name))
+        for name in ("translation", "translation_std", "rotation", "rotation_std")
+    }
+    return SupportEstimate(support=table.count("support"), **parts)
+
+
+def _vector_parts(table: TomlTable, key: str) -> list[float]:
+    values = table.get(key)
+    if not isinstance(values, list) or len(values) != 3:
+        table.fail(key, f"is {quoted(values)}; must be three numbers in brackets")
+    parts = TomlTable(table.file, f"{table.name} {key}", dict(zip("xyz", values, strict=True)))
+    return [_known(parts, axis) for axis in "xyz"]
 
 
 def _read_probe(table: TomlTable) -> ProbeEstimate:
@@ -95,6 +129,7 @@ def _read_probe(table: TomlTable) -> ProbeEstimate:
         missing=table.optional("missing", table.count) or 0,
         rejected=table.count("rejected"),
         rms_residual=_known(table, "rms_residual"),
-        prediction_error=None if error is None else table.number("prediction_error"),
+        prediction_error=None if error is None else _number(table, "prediction_error"),
+        supports=tuple(map(_read_support, table.optional("supports", table.tables) or ())),
         **constants,
     )

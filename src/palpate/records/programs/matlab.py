@@ -7,9 +7,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.io import loadmat
 
 from palpate.files import checked_file, damage, read_bytes
+from palpate.records.mat_file import read_mat
 from palpate.records.program import (
     HDF5_MARK,
     CalibrationFile,
@@ -120,7 +120,7 @@ def _variables(path: Path) -> dict[str, Any]:
         if HDF5_MARK in (start[:8], start[512:520]):
             with h5py.File(path) as file:
                 return {name: _value(file[name]) for name in file if not name.startswith("#")}
-        found = loadmat(path, simplify_cells=True)
+        found = read_mat(path, what="is no MATLAB file", cure="save it again in MATLAB")
     names = [name for name in found if not name.startswith("__")]
     return {name: _from_version_5(found[name]) for name in names}
 

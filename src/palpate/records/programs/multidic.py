@@ -7,11 +7,11 @@ from typing import Any
 import h5py
 import numpy as np
 from jaxtyping import Float
-from scipy.io import loadmat, whosmat
 from scipy.linalg import rq
 
 from palpate.errors import RecordError
-from palpate.files import checked_file, damage, read_bytes
+from palpate.files import damage, read_bytes
+from palpate.records.mat_file import MAT_MARK, read_mat
 from palpate.records.picture_tracks import PictureTracks
 from palpate.records.program import (
     HDF5_MARK,
@@ -26,7 +26,7 @@ from palpate.records.program import (
 from palpate.records.rig import Camera, Rig
 
 _PLACES, _PIXELS = "Points3D", "Points"
-_MARK = b"MATLAB 5.0 MAT-file"
+_CURE = "save it again in MATLAB"
 _MARK_HDF5 = b"MATLAB 7.3 MAT-file"
 _PATTERN = "DLTstruct_cam_*.mat"
 _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
@@ -149,10 +149,10 @@ def _score(
 def _cells(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
     """Arrays of some cells of the one struct that has the first of them; none where one is not."""
     start = read_bytes(path, 520)
-    with damage(path, "save it again in MATLAB"):
+    with damage(path, _CURE):
         if start.startswith(_MARK_HDF5) or HDF5_MARK in (start[:8], start[512:520]):
             return _cells_of_hdf5(path, keys, what)
-        if start.startswith(_MARK):
+        if start.startswith(MAT_MARK):
             return _cells_of_version_5(path, keys, what)
     raise RecordError(f"{path}: is not a MATLAB file of version 5 to 7.3; save it again in MATLAB")
 
@@ -178,11 +178,10 @@ def _cells_of_hdf5(path: Path, keys: Sequence[str], what: str) -> list[list[np.n
 
 def _cells_of_version_5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
     """Cells of a file of version 5 to 7."""
-    kinds = {name: kind for name, _, kind in whosmat(path) if not name.startswith("__")}
-    structs = [name for name, kind in kinds.items() if kind == "struct"]
-    content = loadmat(path, variable_names=structs, simplify_cells=True)
-    found = [name for name in structs if isinstance(content[name], dict)]
-    struct = content[_only_struct(path, keys[0], what, found, list(kinds), content)]
+    content = read_mat(path, what="is damaged or cut off", cure=_CURE)
+    present = [name for name in content if not name.startswith("__")]
+    found = [name for name in present if isinstance(content[name], dict)]
+    struct = content[_only_struct(path, keys[0], what, found, present, content)]
     items = [np.asarray(struct[key]) if key in struct else None for key in keys]
     # A cell of one state comes as that state.
     return [
@@ -284,8 +283,7 @@ def _transformations(path: Path) -> list[CalibrationFile]:
 def _content(path: Path) -> dict[str, Any]:
     """Fields of the one structure in a MATLAB file."""
     what = "is no MATLAB file of version 5 to 7.2"
-    with damage(checked_file(path), "save it with '-v7'", what=what):
-        variables = loadmat(path, squeeze_me=True, simplify_cells=True)
+    variables = read_mat(path, what=what, cure="save it with '-v7'", squeeze_me=True)
     for value in variables.values():
         if isinstance(value, dict) and "DLTparams" in value and "indCam" in value:
             return value

@@ -7,7 +7,10 @@ x_camera = R x_object + t, the centre of the first pixel is (0, 0).
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from palpate.errors import RecordError
+from palpate.files import damage
 from palpate.records.measured_points import MeasuredPoints, in_metres
 from palpate.records.picture_tracks import PictureTracks
 from palpate.records.program import CalibrationFile, Program, ProgramPoints
@@ -82,12 +85,15 @@ def read_measured(
         raise RecordError(f"kind is '{kind}'; must be one of {', '.join(import_kinds())}")
     if min_score is not None and not -1.0 <= min_score <= 1.0:
         raise RecordError(f"--min-score is {min_score:g}; must be a correlation, -1 to 1")
-    if in_space is None:
-        given = program.read_points(Path(path), frame)
-    elif program.read_tracks is not None:
-        given = in_space(program.read_tracks(Path(path), frame))
-    else:
+    if in_space is not None and program.read_tracks is None:
         raise RecordError(f"{path}: files of {kind} hold places, no pixels; leave --rig out")
+    # Infinities of a damaged file are refused below, not warned of.
+    cure = f"export it again from {kind}"
+    with damage(Path(path), cure, what="cannot be read"), np.errstate(all="ignore"):
+        if in_space is not None and program.read_tracks is not None:
+            given = in_space(program.read_tracks(Path(path), frame))
+        else:
+            given = program.read_points(Path(path), frame)
     if min_score is not None and given.score is None:
         raise RecordError(
             f"{path}: tells no correlation of its points; leave --min-score out, or export them"
@@ -121,9 +127,10 @@ def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
     CalibrationError                contents that are missing or contradictory
     """
     file = CalibrationFile.read(path, length_unit)
-    for program in PROGRAMS:
-        if program.holds_rig and program.read_rig and program.holds_rig(file):
-            return program.read_rig(file)
+    with damage(path, "export the calibration again", what="cannot be read as a calibration"):
+        for program in PROGRAMS:
+            if program.holds_rig and program.read_rig and program.holds_rig(file):
+                return program.read_rig(file)
     known = ", ".join(program.calibrations for program in PROGRAMS if program.calibrations)
     raise RecordError(
         f"{path}: is no camera calibration{_holdings(file)}; known are rig.toml, {known}"

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from palpate.errors import RecordError
+from palpate.errors import RecordError, quoted
+from palpate.files import damage
 from palpate.records.text.text_file import read_text
 from palpate.records.text.toml_table import TomlTable
 
@@ -26,14 +27,11 @@ def read_json(path: Path) -> TomlTable:
     ------
     RecordError                     not there, not readable, not JSON, or no object
     """
-    try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, RecordError):
-            raise
-        raise RecordError(f"{path}: is not valid JSON: {error}") from error
+    text = read_text(path)
+    with damage(path, "write it again", what="is not valid JSON"):
+        content = json.loads(text)
     if not isinstance(content, dict):
-        raise RecordError(f"{path}: is {content!r:.80}; must be an object in braces")
+        raise RecordError(f"{path}: is {quoted(content)}; must be an object in braces")
     return TomlTable(path, "", content)
 
 

@@ -217,7 +217,7 @@ class TomlTable:
         """
         value = self.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            self.fail(key, f"is {value!r:.80}; must be a whole number, 0 or more")
+            self.fail(key, f"is {quoted(value)}; must be a whole number, 0 or more")
         return value
 
     def boolean(self, key: str) -> bool:
@@ -233,7 +233,7 @@ class TomlTable:
         """
         value = self.get(key)
         if not isinstance(value, bool):
-            self.fail(key, f"is {value!r:.80}; must be true or false, without quotes")
+            self.fail(key, f"is {quoted(value)}; must be true or false, without quotes")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
@@ -249,7 +249,7 @@ class TomlTable:
         """
         value = self.get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            self.fail(key, f"is {value!r:.80}; must be a list of texts in quotes")
+            self.fail(key, f"is {quoted(value)}; must be a list of texts in quotes")
         return tuple(value)
 
     def vector(self, key: str) -> Vector3:

@@ -1,0 +1,219 @@
+"""How often a fit says that its model is contradicted: of sessions that obey it, and of others.
+
+The truth comes from quadratic tetrahedra, the fit from boundary elements on a coarser surface, so
+that truthful sessions carry an ordinary error of discretisation. Noise is added anew in every
+session: independent from point to point, or shared over some millimetres as by windows that
+overlap. Run it with `python -m benchmarks.model_contradicted [SESSIONS]`.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from benchmarks.coverage import unit_noise
+from palpate.estimation import ProbeObservations, fit
+from palpate.geometry import TriangleMesh, closest_points, unit_normals
+from palpate.lab.bodies.finite_elements import (
+    free_part,
+    hooke_moduli,
+    quadratic_basis,
+    stiffness_matrix,
+    surface_values,
+)
+from palpate.lab.bodies.sparse_cholesky import factorise
+from palpate.lab.bodies.specimens import block, cylinder, half_ball, toy
+from palpate.lab.bodies.tetrahedra import Solid, make_solid
+from palpate.pipeline import make_object_model, session_observations
+from palpate.records import Contact, DisplacementField, Probing, Session, Status
+
+SHEAR_MODULUS, POISSON_RATIO = 2e4, 0.3
+RADIUS = 6e-3
+BODIES: dict[str, Callable[[], TriangleMesh]] = {
+    "half ball": lambda: half_ball(radius=0.04, edge=7e-3),
+    "cylinder": lambda: cylinder(radius=0.02, height=0.06, edge=6e-3),
+    "block": lambda: block(length=0.08, width=0.05, height=0.03, edge=6.5e-3),
+    "toy": lambda: toy(radius=0.03, edge=6e-3),
+}
+# Noise over the root mean square motion, the length it is shared over [m], share of outliers.
+NOISES = {
+    "0.1 %": (0.001, 0.0, 0.0),
+    "1 %": (0.01, 0.0, 0.0),
+    "10 %": (0.1, 0.0, 0.0),
+    "10 %, 5 % gross outliers": (0.1, 0.0, 0.05),
+    "1 %, shared over 4 mm": (0.01, 4e-3, 0.0),
+    "10 %, shared over 4 mm": (0.1, 4e-3, 0.0),
+    "5 %, shared over 8 mm": (0.05, 8e-3, 0.0),
+    "10 %, shared over 8 mm": (0.1, 8e-3, 0.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """How a truth differs from what its session says.
+
+    Attributes
+    ----------
+    moduli : callable or None       points of quadrature (3, ...) -> factor on the stiffness
+    fibre : float                   stiffness along z is raised by so many times the shear modulus
+    held : callable or None         nodes (n, 3) of the support -> whether they are held in truth
+    contact_shift : float [m]       the tool really pressed so far beside its contact point
+    """
+
+    moduli: Callable[[np.ndarray], np.ndarray] | None = None
+    fibre: float = 0.0
+    held: Callable[[np.ndarray], np.ndarray] | None = None
+    contact_shift: float = 0.0
+
+
+FAULTS = {
+    "none": Fault(),
+    "contact 5 mm off": Fault(contact_shift=5e-3),
+    "half of the support loose": Fault(held=lambda x: x[:, 0] > 0.0),
+    "stiffer along z": Fault(fibre=6.0),
+    "stiff on one side": Fault(moduli=lambda x: np.where(x[0] > 5e-3, 5.0, 1.0)),
+}
+
+
+def contacts(mesh: TriangleMesh) -> list[np.ndarray]:
+    """Three vertices to press at: the top, and two on the sides, well above the support."""
+    height = np.ptp(mesh.vertices[:, 2])
+    upper = mesh.vertices[mesh.vertices[:, 2] > 0.55 * height + mesh.vertices[:, 2].min()]
+    directions = ([0.0, 0.0, 1.0], [1.0, 0.2, 0.3], [-0.4, 1.0, 0.3])
+    return [upper[(upper @ np.array(direction)).argmax()] for direction in directions]
+
+
+def inward(mesh: TriangleMesh, point: np.ndarray) -> np.ndarray:
+    """Mean inward normal around a point of the surface."""
+    near = np.linalg.norm(mesh.vertices[mesh.triangles].mean(axis=1) - point, axis=1) < 8e-3
+    normal = -unit_normals(mesh)[near].mean(axis=0)
+    return normal / np.linalg.norm(normal)
+
+
+def pressure_load(solid: Solid, point: np.ndarray, force: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    """Nodal forces of the smooth pressure around a point, in total `force`."""
+    steps = np.arange(12)
+    a, b = (g.ravel() for g in np.meshgrid((steps + 0.5) / 12, (steps + 0.5) / 12))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    corner = np.stack([1 - a - b, a, b], axis=1)
+    p, q, r = corner.T
+    shape = np.stack([p * (2 * p - 1), q * (2 * q - 1), r * (2 * r - 1),
+                      4 * p * q, 4 * q * r, 4 * r * p], axis=1)  # fmt: skip
+    nodes = solid.nodes[solid.facets]
+    place = np.einsum("sn,fna->fsa", shape, nodes)
+    side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
+    area = np.linalg.norm(side, axis=1)
+    facing = (side @ force < 0)[:, None]
+    square = ((place - point) ** 2).sum(axis=2) / RADIUS**2
+    density = np.where(facing, np.clip(1 - square, 0, None) ** 2 * area[:, None], 0.0)
+    share = np.zeros(len(solid.nodes))
+    np.add.at(share, solid.facets, density @ shape)
+    return share[:, None] / share.sum() * force
+
+
+def truth(
+    mesh: TriangleMesh, solid: Solid, held: Bool[np.ndarray, " n"], fault: Fault
+) -> list[np.ndarray]:
+    """True displacement of the mesh's vertices in every probing."""
+    basis = quadratic_basis(solid)
+    moduli = hooke_moduli(SHEAR_MODULUS, POISSON_RATIO)
+    moduli[2, 2, 2, 2] += fault.fibre * SHEAR_MODULUS
+    if fault.moduli is not None:
+        factor = fault.moduli(np.asarray(basis.global_coordinates()))
+        moduli = moduli[..., None, None] * factor
+    if fault.held is not None:
+        held = held & fault.held(solid.nodes)
+    solver = factorise(free_part(stiffness_matrix(basis, moduli), held), solid.nodes[~held])
+    values = surface_values(solid, mesh.vertices)
+    moved = []
+    for point in contacts(mesh):
+        force = inward(mesh, point)
+        along = np.cross(force, [0.3, 0.9, 0.2])
+        shift = fault.contact_shift * along / np.linalg.norm(along)
+        place = closest_points(mesh, (point + shift)[None]).position[0]
+        nodal = np.zeros(solid.nodes.shape)
+        load = pressure_load(solid, place, force)
+        nodal[~held] = solver.solve(load[~held].reshape(-1, 1)).reshape(-1, 3)
+        moved.append(values @ nodal)
+    return moved
+
+
+def observations(mesh: TriangleMesh, moved: list[np.ndarray]) -> list[ProbeObservations]:
+    """Probings as a session's, all free vertices seen, displacements as given."""
+    base = np.isclose(mesh.vertices[:, 2], mesh.vertices[:, 2].min())
+    held = np.flatnonzero(base[mesh.triangles].all(axis=1))
+    seen = np.flatnonzero(~base)
+    surface = closest_points(mesh, mesh.vertices[seen])
+    probings = tuple(
+        Probing(
+            name=f"n{k}", contact=Contact(point, RADIUS, "smooth"), force=inward(mesh, point),
+            force_std=np.full(3, 0.005), tip_displacement=None, tip_displacement_std=None,
+            displacement=DisplacementField(
+                mesh.vertices[seen], u[seen], None, seen, surface, "truth"
+            ),
+            images=None,
+        )
+        for k, (point, u) in enumerate(zip(contacts(mesh), moved, strict=True), start=1)
+    )  # fmt: skip
+    session = Session("truth", Path(), mesh, held, probings, None, None, None, ())
+    return session_observations(session, make_object_model(session))
+
+
+def cases() -> Iterator[tuple[str, str, list[ProbeObservations]]]:
+    """Body, fault and exact probings."""
+    for name, make in BODIES.items():
+        mesh = make()
+        bottom = mesh.vertices[:, 2].min()
+        fine = [(point, RADIUS, 3e-3) for point in contacts(mesh)]
+        solid = make_solid(mesh, edge=8e-3, fine=fine)
+        held = np.isclose(solid.nodes[:, 2], bottom)
+        seen = ~np.isclose(mesh.vertices[:, 2], bottom)
+        model: list[ProbeObservations] = []
+        for fault_name, fault in FAULTS.items():
+            moved = truth(mesh, solid, held, fault)
+            model = model or observations(mesh, moved)
+            yield (
+                name,
+                fault_name,
+                [
+                    replace(probe, displacement=u[seen])
+                    for probe, u in zip(model, moved, strict=True)
+                ],
+            )
+
+
+def noisy(
+    probe: ProbeObservations, share: float, length: float, wild: float, rng: np.random.Generator
+) -> ProbeObservations:
+    """A probing with noise that is a share of its motion, and some gross outliers."""
+    moved = probe.displacement
+    sigma = share * float(np.sqrt((moved**2).mean()))
+    moved = moved + sigma * unit_noise(probe.position, length, rng)
+    far = (rng.random(len(moved)) < wild)[:, None]
+    moved = moved + np.where(far, 20.0 * sigma * rng.normal(size=moved.shape), 0.0)
+    return replace(probe, displacement=moved)
+
+
+def main() -> None:
+    """Print how many sessions of each kind were said to contradict the model."""
+    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 50
+    found: dict[tuple[str, str], list[str]] = {}
+    rng = np.random.default_rng(1)
+    for _, fault, probes in cases():
+        for noise, (share, length, wild) in NOISES.items():
+            fits = (
+                fit([noisy(probe, share, length, wild, rng) for probe in probes])
+                for _ in range(repeats)
+            )
+            said = sum(result.estimate.status is Status.MODEL_CONTRADICTED for result in fits)
+            found.setdefault((fault, noise), []).append(f"{said:4d}")
+    print(f"Sessions of {repeats} that contradict their model: {', '.join(BODIES)}")
+    for (fault, noise), counts in found.items():
+        print(f"{fault:28s} {noise:40s} {' '.join(counts)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""Whether residuals contradict the model: motion that is left over, and ordered as no noise is.
+
+Noise levels are estimated from the residuals themselves, so their size proves nothing. Their order
+in space does. Noise is independent from point to point, or shared by neighbours whose windows
+overlap; a model that does not fit leaves residuals that agree across the body (a wrong support,
+other material), or that stand together at one place (a wrong contact). Neither counts unless it is
+a share of the motion that no ordinary mesh leaves. Rates of false alarm and of detection:
+benchmarks/model_contradicted.py.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from palpate.estimation.intervals.validation import ProbeFit
+from palpate.estimation.observations import ProbeObservations
+from palpate.geometry import morton_order
+from palpate.shapes import Points, Vector3
+
+# Fewer points show no order; more cost time and show no more.
+_FEWEST, _MOST = 30, 1000
+# Lengths below are shares of the largest extent of the points.
+_BLOCK = 0.1
+_APART = (0.2, 0.4)
+_NEAR = 0.15
+# Agreement across the body: standard errors, and share of the motion.
+_SIGNIFICANT, _LEAST_SHARED = 6.0, 0.02
+# Residuals that stand together: energy over that of evenly spread noise, and share of the motion.
+_CONCENTRATED, _LEAST_LOCAL = 3.0, 0.03
+# Of a three-component Gaussian: mean over median of the squared length.
+_MEAN_OVER_MEDIAN = 1.27
+# A median over so many neighbours bears three outliers.
+_NEIGHBOURS, _NEIGHBOUR_SHARE = 7, 30
+_LONGEST = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contradiction:
+    """What the model leaves unexplained of one probing.
+
+    Attributes
+    ----------
+    name : str                      of the probing
+    share : float [-]               root mean square of the residuals, their noise smoothed away,
+                                    over that of the motion
+    place : (3,) float [m]          where they are largest
+    landmark : str                  the probing's landmark near that place, empty where none is
+    """
+
+    name: str
+    share: float
+    place: Vector3
+    landmark: str
+
+
+def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | None:
+    """What contradicts the model in one probing, if anything does.
+
+    Parameters
+    ----------
+    probe : ProbeObservations
+    fit : ProbeFit                  of that probing
+
+    Returns
+    -------
+    Contradiction or None           None, too, with fewer than 30 points: they show no order
+    """
+    known = np.flatnonzero(np.isfinite(fit.residual).all(axis=1))
+    if len(known) < _FEWEST or not probe.displacement[known].any():
+        return None
+    known = known[morton_order(probe.position[known])][:: -(-len(known) // _MOST)]
+    place, residual = probe.position[known], fit.residual[known]
+    size = float(np.linalg.norm(np.ptp(place, axis=0)))
+    motion = float(np.sqrt((probe.displacement[known] ** 2).sum(axis=1).mean()))
+    count = max(_NEIGHBOURS, len(place) // _NEIGHBOUR_SHARE)
+    smooth = np.median(residual[cKDTree(place).query(place, count)[1]], axis=1)
+    square = (smooth**2).sum(axis=1)
+    noise = _MEAN_OVER_MEDIAN * float(np.median(square))
+    local = np.sqrt(max(float(square.mean()) - noise, 0.0)) / motion
+    stands_out = square.mean() > _CONCENTRATED * noise and local > _LEAST_LOCAL
+    errors, shared = _agreement(place / size, residual)
+    if not (stands_out or (errors > _SIGNIFICANT and shared > _LEAST_SHARED * motion)):
+        return None
+    worst = place[int(square.argmax())]
+    share = float(np.sqrt(square.mean())) / motion
+    return Contradiction(probe.name, share, worst, _landmark(probe, worst, _NEAR * size))
+
+
+def _agreement(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+    """How far residuals agree that lie apart: in standard errors, and as a length [m].
+
+    Residuals of a block are summed; under the hypothesis of noise every block's sum may as well
+    have the other sign, which gives the variance of the sum over all pairs of blocks exactly.
+    Single residuals are cut to three times the median length.
+    """
+    length = np.linalg.norm(residual, axis=1)
+    longest = _LONGEST * float(np.median(length))
+    kept = residual * np.minimum(1.0, longest / np.maximum(length, np.finfo(float).tiny))[:, None]
+    cells = np.floor(place / _BLOCK).astype(np.int64)
+    _, block, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(count), 6))
+    np.add.at(sums, block.ravel(), np.hstack([place, kept]))
+    centre, total = sums[:, :3] / count[:, None], sums[:, 3:] / np.sqrt(count)[:, None]
+    apart = np.linalg.norm(centre[:, None] - centre[None], axis=2)
+    first, second = np.nonzero(np.triu((apart > _APART[0]) & (apart < _APART[1])))
+    products = (total[first] * total[second]).sum(axis=1)
+    spread = float(np.sqrt((products**2).sum()))
+    if spread == 0.0:
+        return 0.0, 0.0
+    mean = products.sum() / np.sqrt(count[first] * count[second]).sum()
+    return float(products.sum()) / spread, float(np.sqrt(max(mean, 0.0)))
+
+
+def _landmark(probe: ProbeObservations, place: Vector3, reach: float) -> str:
+    """The landmark nearest to a place, if one is within reach."""
+    away = {
+        name: float(np.linalg.norm(points - place, axis=1).min())
+        for name, points in probe.landmarks.items()
+    }
+    nearest = min(away, key=lambda name: away[name], default="")
+    return nearest if nearest and away[nearest] < reach else ""

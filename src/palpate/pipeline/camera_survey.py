@@ -1,0 +1,161 @@
+"""What can be said about the cameras and pictures of a session before any motion is measured."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from hashlib import blake2b
+
+import numpy as np
+
+from palpate.errors import RecordError
+from palpate.records import Images, Rig, Session, read_rig
+from palpate.vision import project, read_pictures
+
+# With more pixels at the white end, or none above this grey level, texture is lost.
+_MAX_SATURATED = 0.02
+_DARK = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class PictureSurvey:
+    """What one picture amounts to.
+
+    Attributes
+    ----------
+    size : (columns, rows) [px]
+    grey : (float, float)           1st and 99th percentile of the grey levels, 255 is white
+    saturated : float [-]           share of pixels at the white end; NaN where there is no such end
+    digest : bytes                  of all grey levels: two pictures of an object differ by noise
+    """
+
+    size: tuple[int, int]
+    grey: tuple[float, float]
+    saturated: float
+    digest: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSurvey:
+    """What a camera and all its pictures amount to.
+
+    Attributes
+    ----------
+    name : str
+    sees : float [-]                share of the mesh's vertices that lie inside the picture
+    pictures : tuple of PictureSurvey
+    """
+
+    name: str
+    sees: float
+    pictures: tuple[PictureSurvey, ...]
+
+
+def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[str, ...]]:
+    """Read the rig and every picture of a session, as `measure_motion` would.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    surveys : tuple of CameraSurvey     none where the session names no rig
+    notes : tuple of str                what was converted, or makes the pictures hard to follow
+
+    Raises
+    ------
+    RecordError                     a rig or picture that cannot be read; one picture under two
+                                    names where it cannot be two pictures
+    CalibrationError                a rig that contradicts itself, a picture of another size
+    """
+    if session.rig is None:
+        return (), ()
+    rig = read_rig(session.rig)
+    instants = _instants(session)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = list(pool.map(partial(_look, session, rig), instants, instants.values()))
+    pictures, remarks = [each for each, _ in found], [text for _, notes in found for text in notes]
+    _check_copies(session, rig, instants, pictures)
+    surveys = tuple(
+        CameraSurvey(camera.name, _seen_share(session, rig, k), tuple(each[k] for each in pictures))
+        for k, camera in enumerate(rig.cameras)
+    )
+    doubts = [f"Camera {survey.name}: {text}" for survey in surveys for text in _doubts(survey)]
+    return surveys, tuple(dict.fromkeys([*remarks, *doubts]))
+
+
+def _instants(session: Session) -> dict[str, str]:
+    """Every pattern of picture files, and whose it is."""
+    whose = {step.images: f"step '{step.name}'" for step in session.steps}
+    for probing in session.probings:
+        images = probing.images or Images("", ())
+        for pattern in filter(None, (images.rest, *images.loaded)):
+            whose.setdefault(pattern, f"probing '{probing.name}'")
+    return whose
+
+
+def _look(
+    session: Session, rig: Rig, pattern: str, whose: str
+) -> tuple[list[PictureSurvey], tuple[str, ...]]:
+    """Figures of all cameras' pictures at one instant, and notes about them."""
+    found = read_pictures(rig, pattern, folder=session.path.parent, what=whose)
+    pictures = []
+    for grey, saturated in zip(found.grey, found.saturated, strict=True):
+        low, high = np.percentile(grey[::4, ::4], (1.0, 99.0))
+        digest = blake2b(grey.tobytes(), digest_size=16).digest()
+        size = grey.shape[1], grey.shape[0]
+        pictures.append(PictureSurvey(size, (float(low), float(high)), saturated, digest))
+    return pictures, found.notes
+
+
+def _check_copies(
+    session: Session, rig: Rig, instants: dict[str, str], pictures: list[list[PictureSurvey]]
+) -> None:
+    """Refuse one picture in two places, unless both show the object at rest by one camera."""
+    at_rest = {probing.images.rest for probing in session.probings if probing.images}
+    first: dict[bytes, tuple[str, str]] = {}
+    for (pattern, whose), each in zip(instants.items(), pictures, strict=True):
+        for camera, picture in zip(rig.cameras, each, strict=True):
+            place = pattern.replace("{camera}", camera.name)
+            twin, name = first.setdefault(picture.digest, (pattern, camera.name))
+            if twin == pattern and name == camera.name:
+                continue
+            if name != camera.name or not {twin, pattern} <= at_rest:
+                raise RecordError(
+                    f"{session.path}: {whose}: '{place}' and '{twin.replace('{camera}', name)}' are"
+                    " the same picture, pixel by pixel; noise makes any two differ: was a file"
+                    " copied under a wrong name?"
+                )
+
+
+def _seen_share(session: Session, rig: Rig, k: int) -> float:
+    """Share of the mesh's vertices in the picture of a camera; NaN where its size is not known."""
+    camera = rig.cameras[k]
+    if camera.size is None:
+        return np.nan
+    pixel = project(camera, session.mesh.vertices)
+    return float(((pixel >= 0) & (pixel < camera.size)).all(axis=1).mean())
+
+
+def _doubts(survey: CameraSurvey) -> list[str]:
+    """What makes a camera's pictures hard to follow."""
+    texts = []
+    if survey.sees == 0.0:
+        texts.append(
+            "no vertex of the mesh lies inside its picture, as the rig stands; check R, t and"
+            " length_unit of the rig, and that the mesh is in the object's frame."
+        )
+    white = max((picture.saturated for picture in survey.pictures), default=0.0)
+    if white > _MAX_SATURATED:
+        texts.append(
+            f"up to {100 * white:.0f} % of the pixels are white, where no texture can be followed;"
+            " take the pictures again with less light or a shorter exposure."
+        )
+    dark = sum(picture.grey[1] < _DARK for picture in survey.pictures)
+    if dark:
+        texts.append(
+            f"{dark} of {len(survey.pictures)} pictures are dark (99 % of the pixels below"
+            f" {_DARK:g} of 255); take them again with more light or a longer exposure."
+        )
+    return texts
