@@ -1,4 +1,4 @@
-"""Calibrated cameras around the object."""
+"""Calibrated cameras around the object, and what other programs matched in their pictures."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import CalibrationError, InputError
-from palpate.shapes import Matrix3, Vector3
+from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6
@@ -89,6 +89,26 @@ class Rig:
             raise CalibrationError(
                 f"{self.source}: reference is camera {self.reference} of {len(names)}"
             )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureTracks:
+    """Pixels at which cameras see the same points, at rest and under load.
+
+    Parameters
+    ----------
+    rest, loaded : (c, n, 2) float [px]     column, row; the first pixel's centre is (0, 0); NaN
+                                    where a point was not found
+    cameras : tuple of str          names of the c cameras, as far as the program knows them
+    score : (n,) float or None      zero-mean normalised correlation of each point's worst match
+    notes : tuple of str            what was assumed, in sentences about the file
+    """
+
+    rest: Float[np.ndarray, "c n 2"]
+    loaded: Float[np.ndarray, "c n 2"]
+    cameras: tuple[str, ...]
+    score: PointScalars | None
+    notes: tuple[str, ...]
 
 
 def _check_matrix(name: str, matrix: Matrix3) -> None:

@@ -20,6 +20,7 @@ from palpate.records.text.json_file import (
     json_text as json_text,
     read_json as read_json,
 )
+from palpate.records.text.mat_file import MAT_MARK as MAT_MARK, read_mat as read_mat
 from palpate.records.text.text_file import (
     read_text as read_text,
     write_text as write_text,
