@@ -15,7 +15,9 @@ from faults.samples import (
     write_rigs,
     write_texts,
 )
+from surfaces import box
 
+from palpate.geometry import write_mesh
 from palpate.records import (
     read_session,
     record_inputs,

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from palpate.files import checked_file
 from palpate.records.files.session import session_file
 from palpate.records.text import read_text, read_toml
 
@@ -24,9 +25,10 @@ def file_sum(path: Path) -> str:
 
     Raises
     ------
-    OSError                         not there, not readable
+    RecordError                     not there, no regular file, too large
+    OSError                         not readable
     """
-    with path.open("rb") as file:
+    with checked_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
