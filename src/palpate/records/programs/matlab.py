@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 
 from palpate.files import checked_file, damage, read_bytes
-from palpate.records.mat_file import read_mat
 from palpate.records.program import (
     HDF5_MARK,
     CalibrationFile,
@@ -19,6 +18,7 @@ from palpate.records.program import (
 )
 from palpate.records.quantities import FILE_LENGTH_UNITS, unit_name
 from palpate.records.rig import Camera, Rig
+from palpate.records.text import read_mat
 
 _CAMERAS = ("CameraParameters1", "CameraParameters2")
 _TURN, _SHIFT = "RotationOfCamera2", "TranslationOfCamera2"

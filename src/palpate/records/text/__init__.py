@@ -1,4 +1,4 @@
-"""Text files: TOML with messages that name the key, tables in any locale, XML, YAML, JSON.
+"""Text files: TOML with messages that name the key, tables, trees; and MATLAB's files.
 
 Purpose    : one reader for each kind of text, whoever wrote it.
 Takes      : paths.
@@ -20,6 +20,7 @@ from palpate.records.text.json_file import (
     json_text as json_text,
     read_json as read_json,
 )
+from palpate.records.text.mat_file import MAT_MARK as MAT_MARK, read_mat as read_mat
 from palpate.records.text.text_file import (
     read_text as read_text,
     write_text as write_text,

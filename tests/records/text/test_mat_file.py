@@ -5,7 +5,7 @@ import pytest
 from scipy.io import savemat
 
 from palpate.errors import RecordError
-from palpate.records.mat_file import read_mat
+from palpate.records.text import read_mat
 
 CONTENT = {
     "cell": np.array([np.eye(2), np.arange(3.0), "text"], dtype=object),
