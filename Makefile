@@ -64,7 +64,7 @@ $(VENV)/kernels.stamp: $(SOURCES) | $(VENV)/run.stamp
 	touch $@
 
 fuzz: $(VENV)/dev.stamp
-	PALPATE_FUZZ_EXAMPLES=210 $(BIN)/python -m pytest tests/faults/test_fuzz.py -n 2
+	PALPATE_FUZZ_EXAMPLES=225 $(BIN)/python -m pytest tests/faults/test_fuzz.py -n 2
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix $(PYTHON_FILES)
