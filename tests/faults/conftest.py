@@ -3,8 +3,10 @@
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from cube_session import SESSION
 from estimate_samples import sample_result
 from faults.samples import (
     STEPS,
@@ -15,6 +17,7 @@ from faults.samples import (
     write_rigs,
     write_texts,
 )
+from flow_samples import rig
 from surfaces import box
 
 from palpate.geometry import write_mesh
@@ -26,6 +29,7 @@ from palpate.records import (
     sealed,
     session_files,
     write_estimate,
+    write_rig,
     write_text,
 )
 
@@ -123,3 +127,37 @@ force_std = [0.002, 0.5, 0.5]
 displacement = "n01.csv"
 support_displacement = "foot.csv"
 """
+
+
+def _add_pictures(folder: Path, tail: str) -> None:
+    """A rig of two cameras over the cube, noise for pictures, and a session that names them."""
+    rng = np.random.default_rng(1)
+    for instant in ("a", "b"):
+        for name in ("c0", "c1"):
+            grey = rng.integers(20, 230, (120, 160), dtype=np.uint8)
+            cv2.imwrite(str(folder / f"{instant}_{name}.png"), grey)
+    write_rig(folder / "rig.toml", rig())
+    head = SESSION[: SESSION.index("[[probe]]")]
+    (folder / "session.toml").write_text(f'{head}[rig]\ncameras = "rig.toml"\n{tail}')
+
+
+@pytest.fixture(scope="session")
+def pictured(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of one probing with pictures, called last."""
+    folder = tmp_path_factory.mktemp("pictured") / "cube"
+    shutil.copytree(cube, folder)
+    probing = SESSION[SESSION.index("[[probe]]") :].replace('"n01"', '"last"')
+    images = 'images = { rest = "a_{camera}.png", loaded = ["b_{camera}.png"] }'
+    _add_pictures(folder, probing.replace('displacement = "n01.csv"', images))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rigid_motion(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rigid motion of two steps, the second called last."""
+    folder = tmp_path_factory.mktemp("rigid") / "cube"
+    shutil.copytree(cube, folder)
+    steps = (("first", "a"), ("last", "b"))
+    tables = [f'[[step]]\nname = "{n}"\nimages = "{k}_{{camera}}.png"\n' for n, k in steps]
+    _add_pictures(folder, "".join(tables))
+    return folder

@@ -7,6 +7,7 @@ import pytest
 from vision.scenes import PITCH, STILL, example, noisy_views, rigid
 
 from palpate.geometry import TriangleMesh
+from palpate.parts import Parts, content_digest
 from palpate.pipeline import FLOW_METHODS
 from palpate.vision import FlowMethod, Outcome, RangeFlow, is_valid, measured_vertices
 
@@ -100,3 +101,16 @@ def test_the_same_pictures_give_the_same_flow_and_leave_the_state_as_it_was(begu
     assert _same(once, again)
     for before, after in zip(series[1], given, strict=True):
         np.testing.assert_array_equal(before, after)
+
+
+def test_a_state_that_was_kept_is_the_same(begun, series, tmp_path):
+    method, state = begun
+    # What is there in any run, as the measurement of a session has it.
+    known = {field.name: getattr(state, field.name) for field in fields(state)}
+    known |= {f"picture {c}": picture for c, picture in enumerate(series[1])}
+    after, _ = method.follow(state, series[1])
+    store = Parts(tmp_path, "key")
+    store.kept("state", lambda: after, known)
+    read = store.kept("state", lambda: pytest.fail("was not kept"), known)
+    assert read is not after
+    assert content_digest(read) == content_digest(after)

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from palpate.errors import RecordError
-from palpate.records import Constant, Estimate, ProbeEstimate, Status, read_estimate, write_estimate
+from palpate.records import (
+    Constant,
+    Estimate,
+    ProbeEstimate,
+    Status,
+    SupportEstimate,
+    read_estimate,
+    write_estimate,
+)
 
 NAN, INF = math.nan, math.inf
 G = Constant(2.1e4, 150.0, (2.07e4, 2.13e4))
@@ -18,7 +26,8 @@ LOST = Constant(NAN, INF, (-INF, INF))
 
 
 def _estimate(**changes):
-    probe = ProbeEstimate("n01", G, NU, E, 412, 40, 9, 2.1e-5, 3e-5)
+    support = SupportEstimate(2, (1e-4, 0.0, -2e-5), (1e-6,) * 3, (0.0, 1e-3, 0.0), (1e-5,) * 3)
+    probe = ProbeEstimate("n01", G, NU, E, 412, 40, 9, 2.1e-5, 3e-5, (support,))
     values = {
         "status": Status.OK,
         "shear_modulus": G,
@@ -41,41 +50,32 @@ def test_round_trip_is_exact(tmp_path):
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
-CONSTANTS = st.builds(
-    lambda values, std: Constant(sorted(values)[1], std, (min(values), max(values))),
-    st.tuples(FINITE, FINITE, FINITE),
-    st.floats(0.0, allow_nan=False, allow_infinity=False),
-)
-
-
-@st.composite
-def materials(draw):
-    """G, nu and E of one material with intervals about them."""
-    ratio = draw(st.floats(-0.99, 0.5))
-    shear = draw(st.floats(1e-3, 1e12))
-    values = (shear, ratio, 2.0 * shear * (1.0 + ratio))
-    widths = draw(st.tuples(*[st.floats(0.0, 1e9)] * 3))
-    return [Constant(v, w, (v - w, v + w)) for v, w in zip(values, widths, strict=True)]
-
-
+STDS = st.floats(0.0, allow_nan=False, allow_infinity=False)
+# Three numbers in any order, and a standard deviation.
+CONSTANTS = st.tuples(FINITE, FINITE, FINITE, STDS)
+# Poisson's ratio, shear modulus, and how wide the intervals of all three constants are.
+MATERIALS = st.tuples(st.floats(-0.99, 0.5), st.floats(1e-3, 1e12), *[st.floats(0.0, 1e9)] * 3)
 COUNTS = st.integers(0, 10**9)
-PROBES = st.builds(
-    ProbeEstimate,
-    st.text(min_size=1).filter(str.strip),
-    CONSTANTS,
-    CONSTANTS,
-    CONSTANTS,
-    COUNTS,
-    COUNTS,
-    COUNTS,
-    FINITE,
-    st.none() | FINITE,
+NAMES = st.text(min_size=1).filter(str.strip)
+PROBES = st.tuples(
+    NAMES, CONSTANTS, CONSTANTS, CONSTANTS, COUNTS, COUNTS, COUNTS, FINITE, st.none() | FINITE
 )
+
+
+def _constant(first, second, third, std):
+    low, value, high = sorted((first, second, third))
+    return Constant(value, std, (low, high))
+
+
+def _material(ratio, shear, *widths):
+    """G, nu and E of one material with intervals about them."""
+    values = (shear, ratio, 2.0 * shear * (1.0 + ratio))
+    return [Constant(v, w, (v - w, v + w)) for v, w in zip(values, widths, strict=True)]
 
 
 @settings(max_examples=40, deadline=None)
 @given(
-    constants=materials(),
+    material=MATERIALS,
     probes=st.lists(PROBES, max_size=3),
     status=st.sampled_from([None, Status.NOT_CONVERGED]),
     told=st.tuples(*[st.booleans()] * 3),
@@ -83,15 +83,18 @@ PROBES = st.builds(
     notes=st.lists(st.text(), max_size=3),
 )
 def test_whatever_is_written_is_read_back(
-    tmp_path_factory, constants, probes, status, told, seconds, notes
+    tmp_path_factory, material, probes, status, told, seconds, notes
 ):
     path = tmp_path_factory.mktemp("law") / "estimate.json"
     names = ("shear_modulus", "poisson_ratio", "young_modulus")
     identifiable = dict(zip(names, told, strict=True))
     estimate = _estimate(
-        **dict(zip(names, constants, strict=True)),
+        **dict(zip(names, _material(*material), strict=True)),
         identifiable=identifiable,
-        probes=tuple(probes),
+        probes=tuple(
+            ProbeEstimate(name, *(_constant(*each) for each in three), *rest)
+            for name, *three, rest in ((*probe[:4], probe[4:]) for probe in probes)
+        ),
         status=status or Status.from_identifiable(identifiable),
         seconds=seconds,
         notes=tuple(notes),

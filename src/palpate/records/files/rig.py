@@ -1,6 +1,7 @@
 """Rigs from files, and into the format `rig.toml`."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,9 +99,10 @@ def _read_toml_rig(root: TomlTable, length_unit: str | None) -> Rig:
 
 
 def _camera(file: CalibrationFile, table: TomlTable, metres: float) -> Camera:
-    table.check_keys(_CAMERA_KEYS)
     name = table.text("name")
-    where = f"[[camera]] '{name}'"
+    where = f"[[camera]] {quoted(name)}"
+    table = replace(table, name=where)
+    table.check_keys(_CAMERA_KEYS)
 
     def array(key: str, shape: tuple[int, ...] | None) -> np.ndarray:
         return file.numbers(f"{where} {key}", table.get(key), shape)
