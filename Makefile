@@ -8,13 +8,14 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 PYTHON_FILES := src tests benchmarks examples docs
 SOURCES := $(shell find src -name '*.py')
 
-.PHONY: demo test benchmark lint format contract types tests map lock clean clean-cache
+.PHONY: demo test fuzz benchmark lint format contract types tests map lock clean clean-cache
 .DEFAULT_GOAL := help
 
 .PHONY: help
 help:
 	@echo "make demo   set up, then measure a virtual half ball: from pictures to constants"
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
+	@echo "make fuzz   read ten thousand damaged files of every kind (some ten minutes)"
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about an hour)"
 	@echo "make map    make docs/developer/map.md again, after a change of rooms or imports"
 	@echo "make lock   choose new pinned versions"
@@ -61,6 +62,9 @@ tests: $(VENV)/dev.stamp $(VENV)/kernels.stamp
 $(VENV)/kernels.stamp: $(SOURCES) | $(VENV)/run.stamp
 	find src -name '*.nb[ic]' -delete
 	touch $@
+
+fuzz: $(VENV)/dev.stamp
+	PALPATE_FUZZ_EXAMPLES=225 $(BIN)/python -m pytest tests/faults/test_fuzz.py -n 2
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix $(PYTHON_FILES)

@@ -62,13 +62,13 @@ KINDS = [
         "mesh", "length_unit", "tolerance", "normal", "point", "radius", "force",
     )),
     *_kinds("motion", "rig.toml", ("flow", ".", "--out", "moved"), (
-        "length_unit", "size", "K", "distortion", "R", "t",
+        "length_unit", "size", "K", "R", "t",
     )),
     *_kinds("others", "ball.toml", ("lab", "ball.toml", "made"), (
         "shape", "radius", "edge", "element", "young_modulus", "distance", "columns", "samples",
         "depth", "steps",
     )),
     *_kinds("others", "pose.toml", (
-        "import", "vic3d", "vic3d.txt", ".", "--probe", "n01", "--to-object", "pose.toml",
+        "import", "vic3d", "vic3d.txt", ".", "--probe", "n01", "--replace", "--to-object", "pose.toml",
     ), ("length_unit", "R", "t")),
 ]  # fmt: skip

@@ -8,7 +8,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
@@ -97,9 +96,7 @@ class CalibrationFile:
             raise InputError(f"{self.path}: length_unit is '{unit}'{near} (allowed: {allowed})")
         return FILE_LENGTH_UNITS[unit]
 
-    def numbers(
-        self, what: str, values: ArrayLike | Sequence[object], shape: tuple[int, ...] | None
-    ) -> np.ndarray:
+    def numbers(self, what: str, values: Any, shape: tuple[int, ...] | None) -> np.ndarray:
         """Finite numbers of the file.
 
         Parameters
@@ -118,6 +115,8 @@ class CalibrationFile:
         CalibrationError            not numbers, not finite, another count
         """
         try:
+            if isinstance(values, bool):
+                raise TypeError
             array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError, OverflowError) as error:
             raise CalibrationError(
@@ -169,7 +168,7 @@ class CalibrationFile:
             return missing
         return float(self.numbers(f"{key} of {where}", self.entry(table, key, where), ()))
 
-    def size(self, given: ArrayLike | None) -> tuple[int, int] | None:
+    def size(self, given: Any) -> tuple[int, int] | None:
         """Columns and rows of the pictures [px], where the file says them.
 
         Parameters

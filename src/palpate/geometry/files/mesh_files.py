@@ -19,7 +19,8 @@ from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
 
 _TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
-_MESHIO_SUFFIXES = (".msh", ".vtu")
+# And the format of meshio that is meant: for .msh it would try a reader that may never end.
+_MESHIO_SUFFIXES = {".msh": "gmsh", ".vtu": "vtu"}
 MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
 
 # Flat triangles of each cell of a surface, in the cell's own numbering (VTK and gmsh agree here).
@@ -117,7 +118,9 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
         write_bytes(path, content if isinstance(content, bytes) else content.encode())
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
-        meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]).write(path)
+        meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]).write(
+            path, file_format=_MESHIO_SUFFIXES[suffix]
+        )
     else:
         writable = " ".join((*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES))
         raise MeshError(f"{path}: cannot write '{suffix}'; choose one of {writable}")
@@ -189,7 +192,9 @@ def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
         vertices, triangles = loaded.vertices, loaded.faces
     else:
         meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
-        vertices, triangles = _surface_of_cells(meshio.read(path))
+        vertices, triangles = _surface_of_cells(
+            meshio.read(path, file_format=_MESHIO_SUFFIXES[suffix])
+        )
     return (
         np.array(vertices, dtype=np.float64).reshape(-1, 3),
         np.array(triangles, dtype=np.int64).reshape(-1, 3),

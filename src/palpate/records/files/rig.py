@@ -125,7 +125,7 @@ def _size(table: TomlTable, where: str) -> tuple[int, int] | None:
     whole = isinstance(value, list) and all(type(item) is int and item > 0 for item in value)
     if not (whole and len(value) == 2):
         raise CalibrationError(
-            f"{table.file}: {where} size is {value!r}; must be two whole numbers, columns and rows,"
-            " e.g. [640, 480]"
+            f"{table.file}: {where} size is {quoted(value)}; must be two whole numbers,"
+            " columns and rows, e.g. [640, 480]"
         )
     return value[0], value[1]

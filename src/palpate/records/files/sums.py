@@ -8,6 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from palpate.files import checked_file
 from palpate.records.files.session import session_file
 from palpate.records.text import read_text, read_toml
 
@@ -25,9 +26,10 @@ def file_sum(path: Path) -> str:
 
     Raises
     ------
-    OSError                         not there, not readable
+    RecordError                     not there, no regular file, too large
+    OSError                         not readable
     """
-    with path.open("rb") as file:
+    with checked_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""Text files: TOML with messages that name the key, tables in any locale, XML, YAML, JSON.
+"""Text files: TOML with messages that name the key, tables, trees; and MATLAB's files.
 
 Purpose    : one reader for each kind of text, whoever wrote it.
 Takes      : paths.

@@ -35,6 +35,8 @@ _NO_NUMBER_START = ("nan", "1.#")
 _MOST_BYTES = 2**28
 # More characters than a line of any table has, and fewer than the splitting of cells allows.
 _LONGEST_LINE = 100_000
+# The search for a unit takes time with the square of this.
+_LONGEST_HEADING = 200
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -54,13 +56,13 @@ class Column:
     @property
     def name(self) -> str:
         """The heading without its unit."""
-        match = _UNIT.match(self.heading)
+        match = _UNIT.match(self.heading[:_LONGEST_HEADING])
         return match["name"].strip() if match else self.heading
 
     @property
     def unit(self) -> str | None:
         """What stands in square brackets behind the name."""
-        match = _UNIT.match(self.heading)
+        match = _UNIT.match(self.heading[:_LONGEST_HEADING])
         return match["unit"].strip() if match else None
 
 
