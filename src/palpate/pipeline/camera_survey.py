@@ -103,7 +103,7 @@ def _look(
     pictures = []
     for grey, saturated in zip(found.grey, found.saturated, strict=True):
         low, high = np.percentile(grey[::4, ::4], (1.0, 99.0))
-        digest = blake2b(np.ascontiguousarray(grey), digest_size=16).digest()
+        digest = blake2b(grey.tobytes(), digest_size=16).digest()
         size = grey.shape[1], grey.shape[0]
         pictures.append(PictureSurvey(size, (float(low), float(high)), saturated, digest))
     return pictures, found.notes

@@ -201,3 +201,15 @@ def test_a_vertex_may_be_two_percent_of_the_object_away(csv_file, shift, refused
             read_displacement(path, CUBE)
     else:
         assert read_displacement(path, CUBE)[0].vertex.tolist() == [middle]
+
+
+def test_repeated_rows_are_left_out_and_counted(csv_file):
+    rows = ["0.02,0.02,0.04,0,0,-1e-4", "0.01,0.02,0.04,0,0,-9e-5", "0.01,0.01,0.04,nan,0,0"]
+    # The same place measured again is a measurement of its own.
+    lines = [HEAD, *rows * 20, "0.01,0.02,0.04,0,0,-8e-5"]
+    field, notes = read_displacement(csv_file(*lines), CUBE)
+    assert field.displacement[[0, 1, 3], 2].tolist() == [-1e-4, -9e-5, -8e-5]
+    assert observed_rows(field).tolist() == [True, True, False, True]
+    assert any("57 of 61 rows repeat another one" in note for note in notes)
+    with pytest.raises(RecordError, match="line 63: the point is"):
+        read_displacement(csv_file(*lines, "5,5,5,0,0,0"), CUBE)
