@@ -16,21 +16,33 @@ def cube(cells: int) -> tuple[TriangleMesh, Int[np.ndarray, " m"]]:
     TriangleMesh
     (m,) int                  face of each triangle, an index of CUBE_NORMALS
     """
+    return _box(np.ones(3), (cells, cells, cells))
+
+
+def sheet(size: Float[np.ndarray, "3"], cells: tuple[int, int, int]) -> TriangleMesh:
+    """A box from the origin, its edges cut into as many cells, as `cube`."""
+    return _box(size, cells)[0]
+
+
+def _box(
+    size: Float[np.ndarray, "3"], cells: tuple[int, int, int]
+) -> tuple[TriangleMesh, Int[np.ndarray, " m"]]:
     number: dict[tuple[int, ...], int] = {}
     triangles, face = [], []
     for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
         for side in (0, 1):
-            for i, j in np.ndindex(cells, cells):
+            for i, j in np.ndindex(cells[first], cells[second]):
                 corner = []
                 for p, q in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)):
-                    place = [side * cells] * 3
-                    place[(axis + 1) % 3], place[(axis + 2) % 3] = p, q
+                    place = [side * cells[axis]] * 3
+                    place[first], place[second] = p, q
                     corner.append(number.setdefault(tuple(place), len(number)))
                 a, b, c, d = corner
                 cut = [[a, b, c], [a, c, d]] if (i + j) % 2 == 0 else [[a, b, d], [b, c, d]]
                 triangles += cut if side else [triangle[::-1] for triangle in cut]
                 face += [2 * axis + side] * 2
-    vertices = np.array(list(number), dtype=float) / cells
+    vertices = np.array(list(number), dtype=float) / cells * size
     return TriangleMesh(vertices, np.array(triangles)), np.array(face)
 
 

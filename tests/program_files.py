@@ -85,20 +85,30 @@ def multidic_states() -> list[np.ndarray]:
     return states
 
 
-def write_mat(path: Path, name: str, states: list[np.ndarray], *, version: str) -> Path:
+def write_mat(
+    path: Path, name: str, states: list[np.ndarray], *, version: str, criteria=()
+) -> Path:
     """A struct with Points3D as MultiDIC saves it (version 5), or DuoDIC (version 7.3)."""
+    fields = {"Points3D": states, **({"corrComb": criteria} if criteria else {})}
+    return write_cells(path, name, fields, version=version)
+
+
+def write_cells(path: Path, name: str, fields: dict, *, version: str) -> Path:
+    """A struct of cells of arrays, and a field with an array, in a MATLAB file."""
     if version == "5":
-        cell = np.empty((len(states), 1), dtype=object)
-        cell[:, 0] = states
-        savemat(path, {name: {"Faces": np.eye(3), "Points3D": cell}, "other": 1.0})
+        cells = {key: np.empty((len(states), 1), dtype=object) for key, states in fields.items()}
+        for key, states in fields.items():
+            cells[key][:, 0] = states
+        savemat(path, {name: {"Faces": np.eye(3), **cells}, "other": 1.0})
         return path
     # MATLAB puts 512 bytes of its own before the HDF5 part.
     with h5py.File(path, "w", userblock_size=512) as file:
-        links = np.empty((len(states), 1), dtype=h5py.ref_dtype)
-        for i, state in enumerate(states):
-            links[i, 0] = file.create_dataset(f"#refs#/{i}", data=state.T).ref
-        cell = file.create_dataset(f"{name}/Points3D", data=links, dtype=h5py.ref_dtype)
-        cell.attrs["MATLAB_class"] = b"cell"
+        for key, states in fields.items():
+            links = np.empty((len(states), 1), dtype=h5py.ref_dtype)
+            for i, state in enumerate(states):
+                links[i, 0] = file.create_dataset(f"#refs#/{key}{i}", data=state.T).ref
+            cell = file.create_dataset(f"{name}/{key}", data=links, dtype=h5py.ref_dtype)
+            cell.attrs["MATLAB_class"] = b"cell"
         file[f"{name}/Faces"] = np.eye(3)
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" "))
@@ -128,3 +138,19 @@ def dice_gold(path: Path) -> dict[str, np.ndarray]:
 def gold_columns(gold: dict[str, np.ndarray], *names: str) -> np.ndarray:
     """Some of them side by side."""
     return np.stack([gold[name] for name in names], axis=1)
+
+
+def cv_pixels(points: np.ndarray, matrix: np.ndarray, lens: list[float]) -> np.ndarray:
+    """Pixels of points in the camera's frame by OpenCV's formula, with skew."""
+    x, y = (points[:, :2] / points[:, 2:]).T
+    k1, k2, p1, p2, k3 = [*lens, 0.0, 0.0][:5]
+    r2 = x**2 + y**2
+    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    bent = np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2),
+            y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y,
+            np.ones(len(x)),
+        ]
+    )
+    return (matrix @ bent)[:2].T

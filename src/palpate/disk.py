@@ -56,9 +56,9 @@ def write_bytes(path: Path, content: bytes) -> None:
 @contextmanager
 def placed(
     targets: Sequence[Path],
-    make: Callable[[Path], object] = Path.touch,
     *,
-    aside: Callable[[Path], bool] = lambda _: False,
+    folder: bool = False,
+    aside: Callable[[Path], object] = lambda _: False,
 ) -> Iterator[tuple[Path, ...]]:
     """Files, or one folder, to write to; they take their places when the block ends well.
 
@@ -69,8 +69,8 @@ def placed(
     ----------
     targets : sequence of Path      final names, in folders that are there; the last one stands
                                     for all where another process asks who is writing
-    make : callable                 `Path.touch`, or `Path.mkdir` for a folder
-    aside : callable                whether what is there by then is to be kept, as NAME.old
+    folder : bool                   the one target is a folder
+    aside : callable                true for what is to be kept as NAME.old, asked in the end
 
     Yields
     ------
@@ -83,7 +83,7 @@ def placed(
     InUseError                      another process is writing there; before the block runs
     """
     finals = [Path(os.path.realpath(target)) for target in targets]
-    _check_places(finals)
+    _check_places(finals, folder)
     staged = tuple(_beside(final, "partial") for final in finals)
     with _locked(finals[-1]):
         try:
@@ -93,7 +93,7 @@ def placed(
                     _write_journal(finals, undo=False)
             for path, final in zip(staged, finals, strict=True):
                 with _refused(final):
-                    make(path)
+                    path.mkdir() if folder else path.touch()
             yield staged
             with _unbroken(), _refused(finals[-1]):
                 for path in staged:
@@ -128,11 +128,14 @@ def settle(target: Path) -> None:
             _tidy([final])
 
 
-def _check_places(finals: Sequence[Path]) -> None:
+def _check_places(finals: Sequence[Path], folder: bool) -> None:
     """Refuse what cannot be replaced, or not together."""
     for final in finals:
-        if final.exists() and not (final.is_file() or final.is_dir()):
-            raise RecordError(f"{final}: is no regular file; choose another place")
+        if final.exists() and not (final.is_dir() if folder else final.is_file()):
+            wrong = "a folder" if final.is_dir() else "no regular file"
+            raise RecordError(
+                f"{final}: is {'no folder' if folder else wrong}; choose another place"
+            )
         if final.parent != finals[-1].parent:
             raise RecordError(
                 f"{final}: a link leads out of the folder of {finals[-1]}, and both are to change"
@@ -206,7 +209,7 @@ def _say(text: str) -> None:
 
 
 def _put_in_place(
-    staged: Sequence[Path], finals: Sequence[Path], aside: Callable[[Path], bool]
+    staged: Sequence[Path], finals: Sequence[Path], aside: Callable[[Path], object]
 ) -> None:
     """Give files or a folder their names."""
     for path, final in zip(staged, finals, strict=True):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from calibration.boards import SIZE, board_points, seen_corners, true_bundle
 from scipy.spatial.transform import Rotation
 
+from benchmarks.boards import SIZE, board_points, seen_corners, true_bundle
 from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust
 from palpate.calibration.lens_model import camera_matrix, seen_points
 from palpate.errors import CalibrationError

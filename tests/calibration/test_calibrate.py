@@ -6,9 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from calibration.boards import board_points, seen_corners, true_bundle
-from calibration.drawn_boards import draw_board
 
+from benchmarks.boards import board_points, draw_board, seen_corners, true_bundle
 from palpate.app.cli import main
 from palpate.calibration import (
     AprilGrid,
@@ -66,7 +65,9 @@ def test_charuco_from_pictures_to_rig(
     rig = read_rig(tmp_path / "rig")
     assert [camera.name for camera in rig.cameras] == ["c0", "c1"]
     with np.load(tmp_path / "rig" / "rig_covariance.npz") as stored:
-        sigma = np.sqrt(np.diag(stored["covariance"]))[:18].reshape(2, 9)
+        every = np.sqrt(np.diag(stored["covariance"]))
+        across = every[stored["names"].tolist().index("c1.tx")]
+        sigma = every[:18].reshape(2, 9)
         # Four rays a pixel and noise of 2 grey levels.
         assert stored["corner_noise"].max() < 0.15
     for camera, inner, std in zip(rig.cameras, truth.inner, sigma, strict=True):
@@ -75,9 +76,8 @@ def test_charuco_from_pictures_to_rig(
         assert np.abs(error / std[:4]).max() < 4.0
         # The board fills a third of the picture in six views.
         assert std[:4].max() < 5.0
-    # Mostly across: the distance of the cameras, good to a thousandth or so in six views.
     away = rig.cameras[1].T_camera_object[0, 3] - truth.camera[1, 0, 3]
-    assert abs(away) < 5e-4
+    assert abs(away) < 4.0 * across < 4e-3
     files = {path.name for path in (tmp_path / "rig").iterdir()}
     assert {"rig.toml", "rig_covariance.npz", "opencv.yml", "kalibr.yaml", "residuals.png"} <= files
     for other in ("opencv.yml", "kalibr.yaml"):

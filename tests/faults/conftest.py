@@ -8,6 +8,15 @@ import numpy as np
 import pytest
 from cube_session import SESSION
 from estimate_samples import sample_result
+from faults.samples import (
+    STEPS,
+    write_cube,
+    write_meshes,
+    write_pictures,
+    write_results,
+    write_rigs,
+    write_texts,
+)
 from flow_samples import rig
 from surfaces import box
 
@@ -29,15 +38,37 @@ from palpate.records import (
 def cube(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of displacements: a cube of 40 mm held at z = 0, pressed from above."""
     folder = tmp_path_factory.mktemp("cube")
-    mesh = box(size=(0.04, 0.04, 0.04), cells=3)
-    write_mesh(folder / "mesh.ply", mesh)
-    (folder / "session.toml").write_text(SESSION)
-    top = mesh.vertices[mesh.vertices[:, 2] > 0.0]
-    height = top[:, 2:] / 0.04
-    moved = np.array([3e-4, 0.0, -4e-4]) * height
-    rows = np.hstack([top, moved, np.full((len(top), 1), 1e-4)])
-    head = "x,y,z,ux,uy,uz,sigma"
-    np.savetxt(folder / "n01.csv", rows, delimiter=",", header=head, comments="")
+    write_cube(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with its surface in every format."""
+    folder = tmp_path_factory.mktemp("meshes")
+    write_meshes(folder)
+    write_cube(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def motion(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rigid motion: the cube, pictures of two steps in every format, a rig of every program."""
+    folder = tmp_path_factory.mktemp("motion")
+    write_cube(folder)
+    write_rigs(folder)
+    write_pictures(folder)
+    (folder / "session.toml").write_text(STEPS)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def others(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cube, and results of other programs, a pose, a compression test, the facility's plans."""
+    folder = tmp_path_factory.mktemp("others")
+    write_cube(folder)
+    write_results(folder)
+    write_texts(folder)
     return folder
 
 
@@ -58,6 +89,44 @@ def results(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         content = {"format": "palpate-compression/1", "young_modulus": {"value": 1.0}}
         write_text(file, sealed(content, [folder / "record.csv"], folder=folder))
     return folder
+
+
+@pytest.fixture(scope="session")
+def tension(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bar of 40 mm between a grip whose motion is given and one that a load cell pulls."""
+    folder = tmp_path_factory.mktemp("tension")
+    mesh = box(size=(0.04, 0.01, 0.01), cells=(4, 2, 2))
+    write_mesh(folder / "mesh.ply", mesh)
+    (folder / "session.toml").write_text(TENSION)
+    (folder / "side.txt").write_text("# a free triangle\n40\n")
+    grip = np.array([[0.0, y, z] for y in (0.001, 0.009) for z in (0.001, 0.009)])
+    side = np.array([[x, 0.0, 0.005] for x in (0.01, 0.02, 0.03)])
+    head = "x,y,z,ux,uy,uz"
+    for name, points in (("foot.csv", grip), ("n01.csv", side)):
+        rows = np.hstack([points, points * [5e-4, -1e-4, -1e-4] + [1e-4, 0.0, 0.0]])
+        np.savetxt(folder / name, rows, delimiter=",", header=head, comments="")
+    return folder
+
+
+TENSION = """\
+format = "palpate-session/1"
+[object]
+mesh = "mesh.ply"
+length_unit = "m"
+[[support]]
+plane = { point = [0, 0, 0], normal = [1, 0, 0], tolerance = 1e-6 }
+motion = "given"
+[[support]]
+plane = { point = [0.04, 0, 0], normal = [1, 0, 0], tolerance = 1e-6 }
+motion = "free"
+[[probe]]
+name = "n01"
+contact = { support = 2 }
+force = [2, 0, 0]
+force_std = [0.002, 0.5, 0.5]
+displacement = "n01.csv"
+support_displacement = "foot.csv"
+"""
 
 
 def _add_pictures(folder: Path, tail: str) -> None:

@@ -1,23 +1,14 @@
 """Files and folders appear whole or not at all, at whatever step a process dies or a disk fails."""
 
-import errno
-import io
 import os
 import signal
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from fault_injection import in_child
 
 from palpate import disk
 from palpate.errors import RecordError
-
-# Events of the interpreter by which something on the disk is changed or opened.
-_EVENTS = {
-    "open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "os.chmod", "os.truncate"
-}  # fmt: skip
-_OUTCOMES = ["done", "died", "refused", "done all the same", "another error"]
 
 
 def _file(folder: Path, text: str) -> None:
@@ -31,7 +22,7 @@ def _files(folder: Path, text: str) -> None:
 
 
 def _folder(folder: Path, text: str) -> None:
-    with disk.placed([folder / "result"], Path.mkdir) as (staged,):
+    with disk.placed([folder / "result"], folder=True) as (staged,):
         (staged / "below").mkdir()
         for name in ("one", "below/two"):
             (staged / name).write_text(text)
@@ -82,36 +73,6 @@ def _start(folder: Path, content: dict[str, str]) -> None:
         (folder / name).write_text(text)
 
 
-def _in_child(work: Callable[[], object], step: int, dies: bool) -> str:
-    """Run in a fork in which the disk fails, or the process dies, at the step of this number."""
-    child = os.fork()
-    if child:
-        return _OUTCOMES[os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])]
-    count = 0
-
-    def happens(*_: object) -> None:
-        nonlocal count
-        count += 1
-        if count == step and dies:
-            os._exit(_OUTCOMES.index("died"))
-        if count == step:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    fsync, exchanged = os.fsync, disk._exchanged
-    os.fsync = lambda handle: (happens(), fsync(handle))[1]
-    disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
-    sys.stderr = io.StringIO()
-    sys.addaudithook(lambda event, _: happens() if event in _EVENTS else None)
-    outcome = "another error"
-    try:
-        work()
-        outcome = "done" if count < step else "done all the same"
-    except RecordError:
-        outcome = "refused"
-    finally:
-        os._exit(_OUTCOMES.index(outcome))
-
-
 def _plain(content: dict[str, str]) -> dict[str, str]:
     """What a user sees: no hidden files, nothing in hidden folders."""
     return {name: text for name, text in content.items() if not name.startswith(".")}
@@ -128,7 +89,8 @@ def test_old_or_new_at_every_step(tmp_path, name, dies, capfd):
     while not outcomes or outcomes[-1] != "done":
         folder = tmp_path / str(len(outcomes))
         _start(folder, before)
-        outcomes.append(_in_child(lambda at=folder: work(at, "new"), len(outcomes) + 1, dies))
+        step = len(outcomes) + 1
+        outcomes.append(in_child(lambda at=folder: work(at, "new"), folder, step=step, dies=dies))
         if name in _NEVER_WITHOUT:
             assert _plain(_content(folder)) in (before, after), len(outcomes)
         disk.settle(folder / "session")
@@ -157,9 +119,9 @@ def test_old_or_new_at_every_step(tmp_path, name, dies, capfd):
 def test_a_second_process_is_told_who_writes(tmp_path):
     target = tmp_path / "result"
     with (
-        disk.placed([target], Path.mkdir),
+        disk.placed([target], folder=True),
         pytest.raises(disk.InUseError, match=rf"being written by process {os.getpid()} on "),
-        disk.placed([target], Path.mkdir),
+        disk.placed([target], folder=True),
     ):
         raise AssertionError("the block must not run")
     # The lock of a process that was killed holds nobody up.
@@ -221,6 +183,16 @@ def test_what_is_no_file_or_elsewhere_is_not_replaced(tmp_path):
     with pytest.raises(RecordError, match="pipe: is no regular file"):
         disk.write_bytes(tmp_path / "pipe", b"")
     (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "thesis").write_text("years of work")
+    with pytest.raises(RecordError, match="below: is a folder"):
+        disk.write_bytes(tmp_path / "below", b"")
+    (tmp_path / "file").write_text("mine")
+    with (
+        pytest.raises(RecordError, match="file: is no folder"),
+        disk.placed([tmp_path / "file"], folder=True),
+    ):
+        raise AssertionError("the block must not run")
+    assert _content(tmp_path) == {"below/thesis": "years of work", "file": "mine"}
     (tmp_path / "n01").symlink_to(tmp_path / "below" / "n01")
     with pytest.raises(RecordError, match="a link leads out of the folder"):
         _files(tmp_path, "new")

@@ -82,7 +82,7 @@ def test_a_page_needs_a_folder_and_is_none(tmp_path):
 def test_a_page_that_cannot_be_written_is_refused(written):
     results, folders, page = written
     page.mkdir()
-    with pytest.raises(InputError, match="choose another place with --page"):
+    with pytest.raises(InputError, match="is a folder; choose another place"):
         write_page(page, results, folders, command="c")
 
 

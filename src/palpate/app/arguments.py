@@ -94,6 +94,24 @@ def make_app() -> App:
     return app
 
 
+def completed(words: list[str]) -> list[str]:
+    """The words of a command line with the command of a group that is meant where none is said.
+
+    Parameters
+    ----------
+    words : list of str             `lab bench.toml out`
+
+    Returns
+    -------
+    list of str                     `lab make bench.toml out`
+    """
+    if words[1:] and words[0] in _GROUPS:
+        first, *others = _GROUPS[words[0]][1]
+        if words[1] not in (first, *others, *_HELP_WORDS):
+            return [words[0], first, *words[1:]]
+    return words
+
+
 def _check_numbers(words: list[str]) -> None:
     """Refuse options that are no finite number: Python takes nan and infinity for numbers."""
     option = ""
@@ -120,14 +138,10 @@ def run(words: list[str]) -> int:
     PalpateError                    bad input
     BrokenPipeError                 nobody reads what is printed
     """
-    if words[1:] and words[0] in _GROUPS:
-        first, *others = _GROUPS[words[0]][1]
-        if words[1] not in (first, *others, *_HELP_WORDS):
-            words = [words[0], first, *words[1:]]
     _check_numbers(words)
     try:
         outcome = make_app()(
-            words,
+            completed(words),
             exit_on_error=False,
             print_error=True,
             result_action="return_value",

@@ -19,6 +19,7 @@ from palpate.bem.integrals import (
     BoundarySurface as BoundarySurface,
     Quadrature as Quadrature,
     SurfaceSettings as SurfaceSettings,
+    integral_weights as integral_weights,
     make_surface as make_surface,
 )
 from palpate.bem.interior import InteriorState as InteriorState, interior_state as interior_state
@@ -30,7 +31,9 @@ from palpate.bem.loads import (
     SurfaceLoad as SurfaceLoad,
     body_force_columns as body_force_columns,
     dilation_factor as dilation_factor,
+    face_columns as face_columns,
     joined as joined,
+    pressure_column as pressure_column,
     support_columns as support_columns,
     traction_column as traction_column,
 )

@@ -21,6 +21,7 @@ from palpate.estimation.observations import (
 )
 from palpate.estimation.responses import (
     PointRows as PointRows,
+    ProbeMotions as ProbeMotions,
     ProbeResponse as ProbeResponse,
     ProbeRows as ProbeRows,
     ReducedModel as ReducedModel,

@@ -3,13 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from palpate.calibration import REGIONS, Calibration, Charuco
-from palpate.figures.style import BLUE, GREY, INK, ORANGE, styled
-from palpate.records import camera_centre
+from palpate.figures.style import BLUE, GREY, ORANGE, styled
+from palpate.records import Camera, camera_centre
 
 _INCH = 0.0254
 _WIDTH = 3.2  # of one camera's panel [inches]
@@ -53,7 +52,7 @@ def residual_figure(calibration: Calibration) -> Figure:
         axes.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xticks=[], yticks=[])
         axes.set_title(f"{camera.name}: {noise:.3f} px", parse_math=False)
     figure.supxlabel(
-        "residuals of the corners, the noise 2 % of the width; orange: gross errors, left out",
+        "residuals of the corners, one standard deviation drawn 2 % of the width; orange: left out",
         fontsize=7.0,
     )
     return figure
@@ -61,7 +60,7 @@ def residual_figure(calibration: Calibration) -> Figure:
 
 @styled
 def rig_figure(calibration: Calibration) -> Figure:
-    """Cameras and boards in space, seen from the side and above.
+    """Cameras and boards in space, from above and from the side.
 
     Parameters
     ----------
@@ -69,42 +68,50 @@ def rig_figure(calibration: Calibration) -> Figure:
 
     Returns
     -------
-    Figure                          lengths in mm
+    Figure                          lengths in mm, frame of the first camera
     """
-    figure = Figure(figsize=(5.2, 4.4), layout="constrained")
-    axes: Axes3D = figure.add_subplot(projection="3d")
-    corners = calibration.corners
-    boards = []
-    for v, pose in enumerate(calibration.adjusted.bundle.view):
-        point = corners.point[corners.view == v]
-        low, high = point.min(axis=0), point.max(axis=0)
-        rim = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-        flat = np.column_stack([rim, np.zeros(4)])[[0, 1, 2, 3, 0]]
-        boards.append(1e3 * (flat @ pose[:3, :3].T + pose[:3, 3]))
-    axes.add_collection3d(Line3DCollection(boards, colors=GREY, linewidths=0.5))
-    size = 0.15 * np.linalg.norm(np.mean([board.mean(axis=0) for board in boards], axis=0))
-    frusta = []
-    for camera in calibration.cameras:
-        centre, turn = 1e3 * camera_centre(camera), camera.T_camera_object[:3, :3]
-        half = np.array([camera.matrix[0, 2] / camera.matrix[0, 0],
-                         camera.matrix[1, 2] / camera.matrix[1, 1], 1.0])  # fmt: skip
-        sides = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]]) * half
-        corner = centre + size * sides @ turn
-        frusta += [np.stack([centre, point]) for point in corner]
-        frusta.append(corner[[0, 1, 2, 3, 0]])
-        axes.text(*centre, f" {camera.name}", color=INK, parse_math=False)
-    axes.add_collection3d(Line3DCollection(frusta, colors=BLUE, linewidths=1.0))
-    every = np.concatenate([*boards, *frusta])
-    axes.set(
-        xlim=(every[:, 0].min(), every[:, 0].max()),
-        ylim=(every[:, 1].min(), every[:, 1].max()),
-        zlim=(every[:, 2].min(), every[:, 2].max()),
-        xlabel="x mm", ylabel="y mm", zlabel="z mm",
-    )  # fmt: skip
-    axes.set_aspect("equal")
-    # The cameras look along +z; shown as in the room: depth to the right, down down.
-    axes.view_init(elev=-60.0, azim=-80.0)
+    boards = [1e3 * line for line in _board_lines(calibration)]
+    distance = float(np.linalg.norm(np.concatenate(boards).mean(axis=0)))
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    panels = {"from above": (0, 2), "from the side": (2, 1)}
+    for number, (title, (right, up)) in enumerate(panels.items(), start=1):
+        axes = figure.add_subplot(1, 2, number)
+        for line in boards:
+            axes.plot(line[:, right], line[:, up], color=GREY, linewidth=0.5)
+        for camera in calibration.cameras:
+            for line in _camera_lines(camera, 0.15 * distance):
+                axes.plot(line[:, right], line[:, up], color=BLUE, linewidth=1.0)
+            place = 1e3 * camera_centre(camera)
+            axes.annotate(
+                camera.name, (place[right], place[up]), (0.0, -9.0), textcoords="offset points",
+                ha="center", parse_math=False,
+            )  # fmt: skip
+        axes.set(title=title, xlabel=f"{'xyz'[right]} mm", ylabel=f"{'xyz'[up]} mm", aspect="equal")
+        axes.margins(0.08)
+        if up == 1:
+            # y points down in a camera's frame.
+            axes.invert_yaxis()
     return figure
+
+
+def _board_lines(calibration: Calibration) -> list[Float[np.ndarray, "5 3"]]:
+    """Rim of every board [m]."""
+    corners, lines = calibration.corners, []
+    for v, pose in enumerate(calibration.adjusted.bundle.view):
+        low, high = (end(corners.point[corners.view == v], axis=0) for end in (np.min, np.max))
+        x, y = np.array([low[0], high[0], high[0], low[0], low[0]]), low[[1, 1, 1, 1, 1]]
+        rim = np.column_stack([x, np.where([0, 0, 1, 1, 0], high[1], y), np.zeros(5)])
+        lines.append(rim @ pose[:3, :3].T + pose[:3, 3])
+    return lines
+
+
+def _camera_lines(camera: Camera, size: float) -> list[Float[np.ndarray, "k 3"]]:
+    """Rays of the corners of a picture, `size` [mm] deep, and its rim."""
+    centre, k = 1e3 * camera_centre(camera), camera.matrix
+    half = np.array([k[0, 2] / k[0, 0], k[1, 2] / k[1, 1], 1.0])
+    sides = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]]) * half
+    corner = centre + size * sides @ camera.T_camera_object[:3, :3]
+    return [corner[[0, 1, 2, 3, 0]], *(np.stack([centre, point]) for point in corner)]
 
 
 @styled

@@ -114,7 +114,7 @@ def _scene(
         place=1e3 * projected(view, points),
         front=normals @ view.R_view_object[2] > 0.05,
         contact=1e3 * projected(view, probing.contact.point),
-        push=projected(view, probing.force / np.linalg.norm(probing.force)),
+        push=projected(view, probing.force / max(float(np.linalg.norm(probing.force)), 1e-300)),
         outlier=outlier,
         size=1e3 * bounding_diagonal(mesh),
         spot=float(np.clip(3000.0 / len(points), 5.0, 42.0)),

@@ -14,9 +14,11 @@ from palpate.pipeline.camera_survey import (
 )
 from palpate.pipeline.fit_session import (
     fit_session as fit_session,
-    make_object_model as make_object_model,
     session_observations as session_observations,
-    surface_load as surface_load,
+)
+from palpate.pipeline.imported_points import (
+    triangulated as triangulated,
+    without_contradicted as without_contradicted,
 )
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
@@ -34,6 +36,14 @@ from palpate.pipeline.measurement_plan import (
 from palpate.pipeline.motion_figures import (
     MotionFigures as MotionFigures,
     write_flow_document as write_flow_document,
+)
+from palpate.pipeline.moving_supports import (
+    moving_supports as moving_supports,
+    require_given_motions as require_given_motions,
+)
+from palpate.pipeline.object_model import (
+    make_object_model as make_object_model,
+    surface_load as surface_load,
 )
 from palpate.pipeline.poke import (
     PokedState as PokedState,

@@ -3,90 +3,44 @@ estimation meet."""
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.sparse import csr_array, hstack, kron
+from jaxtyping import Float
 
-from palpate.bem import (
-    BodyForce,
-    BoundarySystem,
-    ContactShape,
-    PointEquations,
-    PressureDisc,
-    RightHand,
-    SurfaceLoad,
-    SurfaceSettings,
-    assemble_system,
-    body_force_columns,
-    cached_system,
-    check_memory,
-    joined,
-    load_right_hand,
-    load_shape,
-    make_surface,
-    point_equations,
-)
+from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
 from palpate.estimation import (
     FitMethod,
     FitResult,
     FitSettings,
-    PointRows,
+    ProbeFit,
     ProbeObservations,
     ProbeResponse,
-    ProbeRows,
     fit,
     full_responses,
     make_reduced_model,
     reduced_response,
 )
-from palpate.geometry import interpolation_matrix
-from palpate.probe import ContactPatch, find_contact_patch
+from palpate.pipeline.moving_supports import free_std, given_motion
+from palpate.pipeline.object_model import ObjectModel, make_object_model, probe_rows
 from palpate.progress import Progress, part_of, silent
-from palpate.records import DisplacementField, Probing, Session, require_probings
+from palpate.records import (
+    GIVEN,
+    DisplacementField,
+    ProbeEstimate,
+    Probing,
+    Session,
+    SupportEstimate,
+    require_probings,
+)
 from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ContactPoints:
-    """Integral equations for the displacement of the contact points themselves.
-
-    Attributes
-    ----------
-    equations : PointEquations            of every patch
-    right : RightHand                     the same columns as those of the system
-    """
-
-    equations: PointEquations
-    right: RightHand
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectModel:
-    """Boundary element model of a session's object with the loads of its probings.
-
-    Attributes
-    ----------
-    system : BoundarySystem
-    patches : tuple of p ContactPatch     distinct contacts
-    patch_of : (k,) int                   which of them each probing has
-    right : RightHand                     three columns a contact, then two of gravity, if any
-    body : BodyForce or None
-    tips : ContactPoints or None          None where no tip was measured
-    """
-
-    system: BoundarySystem
-    patches: tuple[ContactPatch, ...]
-    patch_of: Int[np.ndarray, " k"]
-    right: RightHand
-    body: BodyForce | None
-    tips: ContactPoints | None
+# A turn [rad] that leaves a false strain of 1e-5 is mentioned.
+_LARGE_TURN = 5e-3
 
 
 def fit_session(
@@ -136,65 +90,51 @@ def fit_session(
         **result.estimate.seconds,
         "total": time.perf_counter() - start,
     }
-    kept = {**result.estimate.settings, "surface": asdict(surface)}
-    return replace(result, estimate=replace(result.estimate, seconds=seconds, settings=kept))
+    probes = tuple(
+        replace(one, supports=_support_estimates(model, k, result.probes[k]))
+        for k, one in enumerate(result.estimate.probes)
+    )
+    estimate = replace(
+        result.estimate,
+        probes=probes,
+        notes=(*result.estimate.notes, *_turn_notes(probes)),
+        seconds=seconds,
+        settings={**result.estimate.settings, "surface": asdict(surface)},
+    )
+    return replace(result, estimate=estimate)
 
 
-def make_object_model(
-    session: Session,
-    *,
-    surface: SurfaceSettings = SurfaceSettings(),
-    cache: Path | None = None,
-) -> ObjectModel:
-    """Compute all integrals of a session's object, its contacts and its weight.
-
-    Parameters
-    ----------
-    session : Session
-    surface : SurfaceSettings
-    cache : Path or None              folder that keeps the integrals for the next time
-
-    Returns
-    -------
-    ObjectModel
-
-    Raises
-    ------
-    InputError                        the model does not fit into memory, a bad contact
-    """
-    check_memory(len(session.mesh.vertices))
-    patches, patch_of = _distinct_patches(session)
-    boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
-    system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
-    loads = [surface_load(patch) for patch in patches]
-    shapes = [load_shape(boundary, load) for load in loads]
-    weight = None
-    if session.gravity is not None and session.density is not None:
-        weight = session.density * session.gravity
-    right, body = _right_hand(system, loads, shapes, weight)
-    tips = None
-    if any(probing.tip_displacement is not None for probing in session.probings):
-        equations = point_equations(
-            system,
-            np.array([patch.triangle for patch in patches]),
-            np.array([patch.barycentric for patch in patches]),
-        )
-        tips = ContactPoints(equations, _right_hand(equations.system, loads, shapes, weight)[0])
-    return ObjectModel(system, patches, patch_of, right, body, tips)
+def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
+    """Sentences about turns that are not small."""
+    notes = []
+    for probe in probes:
+        for support in probe.supports:
+            turn = float(np.linalg.norm(support.rotation))
+            if turn > _LARGE_TURN:
+                notes.append(
+                    f"Support {support.support} turned by {turn:.2g} rad in probing {probe.name!r}."
+                    " Displacements are taken as linear in the turn, which leaves a false strain of"
+                    f" {0.5 * turn**2:.1g} across its axis: where that counts, turn the measured"
+                    " displacements back first."
+                )
+    return notes
 
 
-def _right_hand(
-    system: BoundarySystem,
-    loads: Sequence[SurfaceLoad],
-    shapes: Sequence[ContactShape | None],
-    weight: Float[np.ndarray, "3"] | None,
-) -> tuple[RightHand, BodyForce | None]:
-    """Columns of all loads and of the weight [N/m^3], if any."""
-    right = load_right_hand(system, loads, shapes)
-    if weight is None:
-        return right, None
-    body = body_force_columns(system, weight)
-    return joined([right, body.right]), body
+def _support_estimates(
+    model: ObjectModel, index: int, found: ProbeFit
+) -> tuple[SupportEstimate, ...]:
+    """How the supports moved in a probing; the shifts of one that is pulled are not estimated."""
+    lifts = model.lifts(index)
+    left = [j for j in range(6 * len(model.supports)) if j not in lifts]
+    value, std = np.full((2, 6 * len(model.supports)), np.nan)
+    value[left], std[left] = found.motion[: len(left)], found.motion_std[: len(left)]
+    estimates = []
+    for support, moved, error in zip(
+        model.supports, value.reshape(-1, 2, 3), std.reshape(-1, 2, 3), strict=True
+    ):
+        parts = (tuple(part.tolist()) for part in (moved[0], error[0], moved[1], error[1]))
+        estimates.append(SupportEstimate(support.number, *parts))
+    return tuple(estimates)
 
 
 def session_observations(
@@ -219,8 +159,8 @@ def session_observations(
     NotConvergedError                     the reduced model does not serve the range
     """
     rows = [
-        _rows(model, probing, int(patch))
-        for probing, patch in zip(session.probings, model.patch_of, strict=True)
+        probe_rows(model, k, _measured(probing).surface)
+        for k, probing in enumerate(session.probings)
     ]
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
@@ -231,84 +171,20 @@ def session_observations(
         responses = [reduced_response(reduced, row) for row in rows]
     support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
     return [
-        _observations(probing, response, support)
-        for probing, response in zip(session.probings, responses, strict=True)
+        _observations(session, model, k, response, support) for k, response in enumerate(responses)
     ]
 
 
-def surface_load(patch: ContactPatch) -> SurfaceLoad:
-    """A contact patch as a load of the boundary element model.
-
-    Parameters
-    ----------
-    patch : ContactPatch
-
-    Returns
-    -------
-    SurfaceLoad
-    """
-    disc = None
-    if patch.contact.radius is not None:
-        disc = PressureDisc(patch.contact.point, patch.contact.radius, patch.pressure)
-    return SurfaceLoad(patch.triangles, patch.density, disc)
-
-
-def _distinct_patches(session: Session) -> tuple[tuple[ContactPatch, ...], Int[np.ndarray, " k"]]:
-    """Every contact once, and which of them each probing has."""
-    patches: dict[tuple[object, ...], ContactPatch] = {}
-    keys = []
-    for probing in session.probings:
-        contact = probing.contact
-        key = (*contact.point.tolist(), contact.radius, contact.profile)
-        keys.append(key)
-        if key not in patches:
-            patches[key] = find_contact_patch(
-                session.mesh, contact, session.held_triangles, name=probing.name
-            )
-    order = list(patches)
-    return tuple(patches.values()), np.array([order.index(key) for key in keys])
-
-
-def _rows(model: ObjectModel, probing: Probing, patch: int) -> ProbeRows:
-    columns = 3 * patch + np.arange(3)
-    if model.body is not None:
-        columns = np.concatenate([columns, 3 * len(model.patches) + np.arange(2)])
-    place = _measured(probing).surface
-    nodes = model.system.surface.displacement
-    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
-    particular = np.zeros(3 * place.triangle.size)
-    if model.body is not None:
-        particular = (at_points @ model.body.particular).ravel()
-    free = at_points[:, model.system.unknowns.free_vertices]
-    rest = csr_array((particular.size, model.system.size - 3 * free.shape[1]))
-    surface = csr_array(hstack([kron(free, np.eye(3)), rest]))
-    tip = None
-    if probing.tip_displacement is not None and model.tips is not None:
-        tip = _tip_rows(model, model.tips, patch, columns)
-    return ProbeRows(columns, surface, particular, tip)
-
-
-def _tip_rows(
-    model: ObjectModel, tips: ContactPoints, patch: int, columns: Int[np.ndarray, " c"]
-) -> PointRows:
-    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
-    particular = np.zeros(3)
-    if model.body is not None:
-        contact = model.patches[patch]
-        nodes = model.system.surface.displacement
-        at_tip = interpolation_matrix(
-            nodes, np.array([contact.triangle]), contact.barycentric[None]
-        )
-        particular = (at_tip @ model.body.particular)[0]
-    return PointRows(
-        tips.equations.matrix[:, patch], tips.equations.own[:, patch], np.stack(right), particular
-    )
-
-
 def _observations(
-    probing: Probing, response: ProbeResponse, support: Vertices
+    session: Session,
+    model: ObjectModel,
+    index: int,
+    response: ProbeResponse,
+    support: Vertices,
 ) -> ProbeObservations:
+    probing = session.probings[index]
     field = _measured(probing)
+    motion, motion_std = _motions(session, model, index)
     return ProbeObservations(
         name=probing.name,
         position=field.points,
@@ -320,6 +196,29 @@ def _observations(
         tip_displacement_std=probing.tip_displacement_std,
         response=response,
         landmarks={"the contact": probing.contact.point[None], "the support": support},
+        motion=motion,
+        motion_std=motion_std,
+    )
+
+
+def _motions(
+    session: Session, model: ObjectModel, index: int
+) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
+    """What is known before about the motions of the supports, and how well."""
+    value, std = [], []
+    for support in model.supports:
+        if support.motion == GIVEN:
+            given = given_motion(session, session.probings[index], support)
+            value.append(given.value)
+            std.append(given.std)
+        else:
+            value.append(np.zeros(6))
+            std.append(free_std(session.mesh))
+    strains = np.ones(int(model.gives_motions))
+    left = [j for j in range(6 * len(value) + strains.size) if j not in model.lifts(index)]
+    return (
+        np.concatenate([*value, strains])[left],
+        np.concatenate([*std, 0.0 * strains])[left],
     )
 
 

@@ -200,7 +200,7 @@ def _with_seen_vertices(
 
 def _planned(observed: ProbeObservations, poisson: float, shear: float) -> PlannedProbing:
     count = len(observed.position)
-    response = observed.response.value(poisson)[: 3 * count] @ np.append(observed.force, 1.0)
+    response = observed.response.value(poisson)[: 3 * count, :4] @ np.append(observed.force, 1.0)
     moved = np.linalg.norm(response.reshape(-1, 3), axis=1) / shear
     std = observed.std if observed.std is not None else np.full((1, 3), np.nan)
     return PlannedProbing(

@@ -95,7 +95,9 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
     """
     mesh, contact, field = session.mesh, probing.contact, probing.displacement
     distance = triangle_distances(mesh, contact.point)
-    patch = np.flatnonzero(distance < (contact.radius or np.nextafter(distance.min(), np.inf)))
+    patch = contact.triangles
+    if patch is None:
+        patch = np.flatnonzero(distance < (contact.radius or np.nextafter(distance.min(), np.inf)))
     corner = mesh.vertices[mesh.triangles[patch]]
     edge = float(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean())
     elements = contact.radius / edge if contact.radius else np.nan

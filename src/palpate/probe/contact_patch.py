@@ -20,7 +20,7 @@ class ContactPatch:
     ----------
     contact : Contact
     triangles : (k,) int          triangles that the contact sphere reaches, connected to the
-                                  contact point
+                                  contact point; those of a load over given triangles
     triangle : int                triangle at the contact point
     barycentric : (3,) float [-]  place of the contact point in it
     vertex : int                  vertex nearest to the contact point
@@ -89,7 +89,9 @@ def find_contact_patch(
     first = int(place.triangle[0])
     barycentric = place.barycentric[0]
     vertex = int(mesh.triangles[first][np.argmax(barycentric)])
-    if contact.radius is None:
+    if contact.triangles is not None:
+        triangles = contact.triangles
+    elif contact.radius is None:
         vertex = int(np.argmin(np.linalg.norm(mesh.vertices - contact.point, axis=1)))
         triangles = np.flatnonzero((mesh.triangles == vertex).any(axis=1))
     else:

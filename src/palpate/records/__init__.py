@@ -7,13 +7,19 @@ Depends on : `geometry`, `arrays`, `optional_imports`, `shapes`, `errors`.
 Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
-from palpate.records.contact import PRESSURES as PRESSURES, Contact as Contact, Pressure as Pressure
+from palpate.records.contact import (
+    PRESSURES as PRESSURES,
+    RIGID as RIGID,
+    Contact as Contact,
+    Pressure as Pressure,
+)
 from palpate.records.estimate import (
     CONSTANT_NAMES as CONSTANT_NAMES,
     Constant as Constant,
     Estimate as Estimate,
     ProbeEstimate as ProbeEstimate,
     Status as Status,
+    SupportEstimate as SupportEstimate,
 )
 from palpate.records.files import (
     SESSION_FORMAT as SESSION_FORMAT,
@@ -45,16 +51,20 @@ from palpate.records.files import (
 )
 from palpate.records.measured_points import (
     ImportedField as ImportedField,
+    MeasuredPoints as MeasuredPoints,
     on_object as on_object,
     on_surface as on_surface,
 )
+from palpate.records.picture_tracks import PictureTracks as PictureTracks
 from palpate.records.probing import (
     DisplacementField as DisplacementField,
     Images as Images,
+    Load as Load,
     Probing as Probing,
+    measured_rows as measured_rows,
     observed_rows as observed_rows,
 )
-from palpate.records.program import make_pose as make_pose
+from palpate.records.program import ProgramPoints as ProgramPoints, make_pose as make_pose
 from palpate.records.programs import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,
@@ -79,6 +89,13 @@ from palpate.records.session import (
     Session as Session,
     Step as Step,
     require_probings as require_probings,
+)
+from palpate.records.support import (
+    FIXED as FIXED,
+    FREE as FREE,
+    GIVEN as GIVEN,
+    RigidMotion as RigidMotion,
+    Support as Support,
 )
 from palpate.records.text import (
     Column as Column,

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
-from palpate.shapes import Vector3
+from palpate.shapes import Indices, Vector3
 
 Pressure = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
 
@@ -66,8 +66,10 @@ PRESSURES: Mapping[str, Pressure] = {
     "uniform": uniform_pressure,
     "hertz": hertz_pressure,
 }
-# The hat function of the vertex nearest to the contact point, the only profile without a radius.
+# The hat function of the vertex nearest to the contact point; a patch without a radius.
 VERTEX = "vertex"
+# A load over given triangles: the same traction everywhere, or a grip that keeps them rigid.
+UNIFORM, RIGID = "uniform", "rigid"
 
 
 def contact_profiles() -> tuple[str, ...]:
@@ -77,26 +79,39 @@ def contact_profiles() -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """Patch of the surface over which the tool presses.
+    """Patch of the surface over which the tool presses, or a face that is loaded as a whole.
 
     Parameters
     ----------
     point : (3,) float [m]          centre of the patch, on the surface or close to it
-    radius : float [m] or None      > 0; None only for the profile `VERTEX`
-    profile : str                   one of `contact_profiles`
+    radius : float [m] or None      > 0; None only for the profile `VERTEX`, and where there are
+                                    triangles
+    profile : str                   one of `contact_profiles`; with triangles `UNIFORM` or `RIGID`
+    triangles : (k,) int or None    what is loaded, in place of a round patch
 
     Raises
     ------
     InputError                      an unknown profile; radius missing, not positive, or given for
-                                    `VERTEX`
+                                    `VERTEX` or triangles; no triangles
     """
 
     point: Vector3
     radius: float | None
     profile: str
+    triangles: Indices | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
+        if self.triangles is not None:
+            triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
+            object.__setattr__(self, "triangles", np.unique(triangles))
+            if not triangles.size or self.radius is not None:
+                raise InputError("a load over triangles needs at least one, and has no radius")
+            if self.profile not in (UNIFORM, RIGID):
+                raise InputError(
+                    f"traction is '{self.profile}'; over triangles it must be {UNIFORM} or {RIGID}"
+                )
+            return
         if self.profile == VERTEX:
             if self.radius is not None:
                 raise InputError(

@@ -125,6 +125,35 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
+class SupportEstimate:
+    """How a support moved in one probing; NaN where that was not estimated.
+
+    Parameters
+    ----------
+    support : int                       its number, from 1
+    translation : 3 float [m]           of its middle
+    translation_std : 3 float [m]       one standard deviation
+    rotation : 3 float [rad]            axis times angle, about its middle
+    rotation_std : 3 float [rad]
+
+    Raises
+    ------
+    InputError                          a negative standard deviation
+    """
+
+    support: int
+    translation: tuple[float, ...]
+    translation_std: tuple[float, ...]
+    rotation: tuple[float, ...]
+    rotation_std: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for std in (*self.translation_std, *self.rotation_std):
+            if std < 0.0:
+                raise InputError(f"std of a motion is {std:g}; must not be negative")
+
+
+@dataclass(frozen=True, slots=True)
 class ProbeEstimate:
     """The constants as one probing alone determines them, and how well it was explained.
 
@@ -137,6 +166,7 @@ class ProbeEstimate:
     rejected : int                  points that the robust loss all but switched off
     rms_residual : float [m]        over the observed points, joint estimate
     prediction_error : float [m] or None    rms residual when this probing was left out
+    supports : tuple of SupportEstimate     those that move
     """
 
     name: str
@@ -148,6 +178,7 @@ class ProbeEstimate:
     rejected: int
     rms_residual: float
     prediction_error: float | None
+    supports: tuple[SupportEstimate, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

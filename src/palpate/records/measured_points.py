@@ -31,6 +31,8 @@ class MeasuredPoints:
     source : str                    file they came from, for messages
     notes : tuple of str            what was assumed, converted or left out, in sentences about the
                                     file, which they do not name
+    poor : int                      points not believed for their correlation, rows of NaN
+    contradicted : int              points not believed for their neighbours, rows of NaN
     """
 
     points: Points
@@ -38,6 +40,23 @@ class MeasuredPoints:
     std: Points | None
     source: str
     notes: tuple[str, ...]
+    poor: int = 0
+    contradicted: int = 0
+
+    def without(self, contradicted: Flags) -> "MeasuredPoints":
+        """The same, some measured points counted as contradicted by their neighbours.
+
+        Parameters
+        ----------
+        contradicted : (n,) bool
+        """
+        row = contradicted[:, None]
+        return replace(
+            self,
+            displacement=np.where(row, np.nan, self.displacement),
+            std=None if self.std is None else np.where(row, np.nan, self.std),
+            contradicted=self.contradicted + int(contradicted.sum()),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +67,8 @@ class ImportedField:
     ----------
     field : DisplacementField       on the mesh; failed points that have a place are rows of NaN
     read : int                      points in the file
-    failed : int                    of them kept as rows of NaN
+    failed : int                    of them kept as rows of NaN, for whatever reason
+    poor, contradicted : int        points not believed for their correlation, for their neighbours
     nowhere : int                   failed points left out: without a place, or one off the surface
     off_surface : int               measured points left out as they lie off the surface
     median_distance : float [m]     of all measured points from the surface
@@ -58,6 +78,8 @@ class ImportedField:
     field: DisplacementField
     read: int
     failed: int
+    poor: int
+    contradicted: int
     nowhere: int
     off_surface: int
     median_distance: float
@@ -65,7 +87,12 @@ class ImportedField:
 
 
 def in_metres(
-    given: ProgramPoints, path: Path, *, length_unit: str | None, usual: str | None
+    given: ProgramPoints,
+    path: Path,
+    *,
+    length_unit: str | None,
+    usual: str | None,
+    least_score: float | None = None,
 ) -> MeasuredPoints:
     """Points in metres, with everything that was not measured as rows of NaN.
 
@@ -78,6 +105,7 @@ def in_metres(
     path : Path                     their file
     length_unit : str or None       as the user says it
     usual : str or None             unit that the program writes when nothing is said
+    least_score : float or None     points of a lower correlation are not believed
 
     Raises
     ------
@@ -89,16 +117,12 @@ def in_metres(
     failed = ~measured_rows(moved) | np.isnan(points).any(axis=1)
     if given.failed is not None:
         failed |= given.failed
-    if failed.all():
-        raise RecordError(
-            f"{path}: not one of its {len(failed)} points was measured (failed or NaN);"
-            " is it the right file and state? Evaluate it again"
-        )
-    if not moved[~failed].any():
-        raise RecordError(
-            f"{path}: every displacement is exactly zero: this is the reference state itself;"
-            " give the file of the loaded state, or its number with --frame"
-        )
+    poor = np.zeros(len(failed), dtype=bool)
+    if given.score is not None and least_score is not None:
+        poor = ~failed & (given.score < least_score)
+    failed |= poor
+    low = f"; {poor.sum()} correlate by less than {least_score} (--min-score)" if poor.any() else ""
+    _check_measured(path, moved, failed, low)
     nowhere = failed & (np.isnan(points).any(axis=1) | ~points.any(axis=1))
     std, notes = given.std, given.notes + unit_notes
     if std is not None:
@@ -112,7 +136,22 @@ def in_metres(
         std=None if std is None else metres * np.where(failed[:, None], np.nan, std),
         source=str(path),
         notes=notes,
+        poor=int(poor.sum()),
     )
+
+
+def _check_measured(path: Path, moved: Points, failed: Flags, low: str) -> None:
+    """Refuse a file in which nothing was measured, or nothing moved."""
+    if failed.all():
+        raise RecordError(
+            f"{path}: not one of its {len(failed)} points was measured (failed or NaN{low}); is it"
+            " the right file and state? Evaluate it again"
+        )
+    if not moved[~failed].any():
+        raise RecordError(
+            f"{path}: every displacement is exactly zero: this is the reference state itself;"
+            " give the file of the loaded state, or its number with --frame"
+        )
 
 
 def _metres(
@@ -207,6 +246,8 @@ def on_surface(
         field=field,
         read=len(has_place),
         failed=int((~is_measured & is_near).sum()),
+        poor=measured.poor,
+        contradicted=measured.contradicted,
         nowhere=int((~is_measured & ~is_near).sum()),
         off_surface=off,
         median_distance=float(np.median(distance[is_measured])),

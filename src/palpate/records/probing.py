@@ -7,7 +7,8 @@ import numpy as np
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
-from palpate.records.contact import Contact
+from palpate.records.contact import RIGID, Contact
+from palpate.records.support import RigidMotion
 from palpate.shapes import Flags, PointIndices, Points, Vector3
 
 
@@ -109,8 +110,45 @@ class Images:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Load:
+    """A load that acts besides the tool and is known exactly.
+
+    Parameters
+    ----------
+    contact : Contact               not rigid
+    force : (3,) float [N] or None  total force on the object
+    pressure : float [Pa] or None   against the surface, > 0 pushes; over triangles only
+
+    Raises
+    ------
+    InputError                      neither or both of force and pressure, a zero one, a pressure
+                                    on a round patch
+    """
+
+    contact: Contact
+    force: Vector3 | None = None
+    pressure: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.force is None) == (self.pressure is None):
+            raise InputError("a load needs either a force or a pressure; give one of the two")
+        if self.contact.profile == RIGID:
+            raise InputError(
+                "a load that acts besides the tool cannot be on a support; give the force on a"
+                " support as the contact and force of the probing itself"
+            )
+        if self.pressure is not None and self.contact.triangles is None:
+            raise InputError("pressure acts over triangles; name them in the contact of the load")
+        if self.force is not None:
+            object.__setattr__(self, "force", fixed_array(self.force, name="force", shape=(3,)))
+        size = self.pressure if self.force is None else self.force
+        if not np.any(size):
+            raise InputError("the load is zero; leave it out")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Probing:
-    """One push of the tool with a known force, and what was observed of the surface.
+    """One push of the tool with a known force, or other known loads, and what was observed.
 
     Parameters
     ----------
@@ -122,10 +160,15 @@ class Probing:
     tip_displacement_std : (3,) float [m] or None   one standard deviation, > 0
     displacement : DisplacementField or None
     images : Images or None
+    loads : tuple of Load           that act besides, known exactly; with them the force may be zero
+    support_displacement : DisplacementField or None    measured on the supports whose motion is
+                                                        given
+    support_motion : RigidMotion or None                the same as a rigid motion
 
     Raises
     ------
-    InputError                      zero force, a negative standard deviation, or one of nothing,
+    InputError                      zero force and no other load, both ways to give a motion, a
+                                    negative standard deviation, or one of nothing,
                                     wrong shape
     """
 
@@ -137,16 +180,23 @@ class Probing:
     tip_displacement_std: Vector3 | None
     displacement: DisplacementField | None
     images: Images | None
+    loads: tuple[Load, ...] = ()
+    support_displacement: DisplacementField | None = None
+    support_motion: RigidMotion | None = None
 
     def __post_init__(self) -> None:
         for name in ("force", "force_std", "tip_displacement", "tip_displacement_std"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, fixed_array(value, name=name, shape=(3,)))
-        if not np.any(self.force):
+        if not np.any(self.force) and not self.loads:
             raise InputError(
                 "force is zero; an unloaded object says nothing about its stiffness:"
                 " give the total force of the tool on the object, in newtons"
+            )
+        if self.support_displacement is not None and self.support_motion is not None:
+            raise InputError(
+                "support_displacement and support_motion are both given; give one of the two"
             )
         if self.force_std is not None and np.any(self.force_std < 0.0):
             raise InputError(f"force_std is {self.force_std.tolist()}; must not be negative")

@@ -13,13 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
+from palpate.records.picture_tracks import PictureTracks
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
-from palpate.records.text import TREE_SUFFIXES, nearest_word, read_tree
-from palpate.shapes import Flags, Matrix3, Points, Vector3
+from palpate.records.text import TREE_SUFFIXES, nearest_word, read_toml, read_tree
+from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
 # A printed rotation is this far from one at most; `Camera` refuses what is farther.
 _MAX_PRINTED_ERROR = 1e-6
+# Zero-mean normalised correlation below which a match is not believed: of what differs between two
+# windows of this one, noise (or another surface) has a quarter.
+LEAST_CORRELATION = 0.75
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 # A billion numbers are eight gigabytes.
 _MOST_NUMBERS = 10**9
@@ -55,6 +59,8 @@ class CalibrationFile:
         RecordError                 not there, not text, broken XML or YAML
         """
         binary = path.is_dir() or path.suffix.lower() == ".mat"
+        if path.suffix.lower() == ".toml":
+            return cls(path, read_toml(path).values, length_unit)
         return cls(path, None if binary else read_tree(path), length_unit)
 
     def beside(self) -> "list[CalibrationFile]":
@@ -239,6 +245,8 @@ class ProgramPoints:
     std : (n, 3) float or None      one standard deviation of the displacement
     unit : str or None              of length, where the file names it
     notes : tuple of str            what was left out, in sentences about the file
+    score : (n,) float or None      zero-mean normalised correlation of each point's worst match, 1
+                                    at best; NaN where it is not told
     """
 
     points: Points
@@ -247,6 +255,7 @@ class ProgramPoints:
     std: Points | None = None
     unit: str | None = None
     notes: tuple[str, ...] = ()
+    score: PointScalars | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +268,12 @@ class Program:
     results : str                   its result files, for the help
     read_points : callable or None  (path, frame) -> ProgramPoints; frame is the state, from 0, in
                                     files of several; None: the last one
+    read_tracks : callable or None  (path, frame) -> PictureTracks, of results not yet in space
     usual_unit : str or None        of results that name none; None: the user must say it
+    least_score : float or None     matches of a lower `ProgramPoints.score` are no measurements;
+                                    None: its files tell no correlation
+    correlates : bool               its displacements come from matched pictures, and a point that
+                                    contradicts all around it is a mistake
     calibrations : str              its calibration files, for messages
     holds_rig : callable or None    whether a CalibrationFile is of this program
     read_rig : callable or None     CalibrationFile -> Rig
@@ -268,7 +282,10 @@ class Program:
     kinds: tuple[str, ...] = ()
     results: str = ""
     read_points: Callable[[Path, int | None], ProgramPoints] | None = None
+    read_tracks: Callable[[Path, int | None], PictureTracks] | None = None
     usual_unit: str | None = None
+    least_score: float | None = None
+    correlates: bool = True
     calibrations: str = ""
     holds_rig: Callable[[CalibrationFile], bool] | None = None
     read_rig: Callable[[CalibrationFile], Rig] | None = None

@@ -8,7 +8,10 @@ import numpy as np
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
+from palpate.records.contact import RIGID
 from palpate.records.probing import Probing
+from palpate.records.support import Support
+from palpate.records.support_checks import check_supports
 from palpate.shapes import Indices, Vector3
 
 # Osmium [kg/m^3]; ten times the earth's gravity [m/s^2]: beyond it a unit is mistaken.
@@ -60,12 +63,15 @@ class Session:
                                     distinct, the first is the initial one; none where there are
                                     probings
     metres_per_unit : float [m]     of the lengths in the session's files; all here are in metres
+    supports : tuple of Support     what `held_triangles` consists of; one that does not move where
+                                    none is given
 
     Raises
     ------
     InputError                      neither probings nor steps, or both; twin names; one step alone;
-                                    a support that is empty, one triangle or the whole surface;
-                                    pictures that are needed without a rig; gravity without
+                                    a support that is empty, one triangle or the whole surface; two
+                                    that share vertices; motions that are not given, or not asked
+                                    for; pictures that are needed without a rig; gravity without
                                     density, or one of them beyond what there is
     """
 
@@ -80,6 +86,7 @@ class Session:
     notes: tuple[str, ...]
     steps: tuple[Step, ...] = ()
     metres_per_unit: float = 1.0
+    supports: tuple[Support, ...] = ()
 
     def __post_init__(self) -> None:
         held = fixed_array(self.held_triangles, name="held_triangles", shape=(None,), integer=True)
@@ -89,6 +96,9 @@ class Session:
         held = np.unique(held)
         held.setflags(write=False)
         object.__setattr__(self, "held_triangles", held)
+        if not self.supports and len(held):
+            object.__setattr__(self, "supports", (Support(held),))
+        check_supports(self.mesh, self.supports, self.probings)
         if self.density is not None and not 0.0 < self.density <= _DENSEST:
             raise InputError(
                 f"density is {self.density}; must be positive and at most {_DENSEST:g} kg/m^3,"
@@ -106,6 +116,13 @@ class Session:
                 raise InputError(
                     f"gravity is {np.linalg.norm(gravity):.4g} m/s^2; the earth's is 9.81, at most"
                     f" {_LARGEST_GRAVITY:g} is taken: is it in mm/s^2?"
+                )
+            pulled = [one.name for one in self.probings if one.contact.profile == RIGID]
+            if pulled:
+                raise InputError(
+                    f"probing '{pulled[0]}' has its force on a support, and there is gravity: its"
+                    " share of the weight is not known; measure the rest state under gravity too,"
+                    " and leave [gravity] out"
                 )
 
 

@@ -12,12 +12,14 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records.contact import Contact
+from palpate.records.contact import RIGID, Contact
 from palpate.records.probing import DisplacementField, Probing, observed_rows
 from palpate.records.quantities import modulus_unit
 from palpate.records.session import Session
 from palpate.shapes import Indices
 
+# Mean edge over thickness from which a sheet bends wrongly: by 30 to 90 % at 2.
+_COARSE_EDGE = 1.5
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
 _UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
@@ -49,6 +51,15 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
     ------
     InputError                      the text gives the distances
     """
+    if contact.triangles is not None:
+        shared = np.intersect1d(contact.triangles, held).size
+        if shared and contact.profile != RIGID:
+            raise InputError(
+                f"{shared} of the {contact.triangles.size} loaded triangles belong to the support;"
+                " a load there moves nothing: leave them out, or load the support as a whole with"
+                " contact = { support = 1 }"
+            )
+        return
     distance = triangle_distances(mesh, contact.point)
     gap = float(distance.min())
     radius = contact.radius
@@ -87,12 +98,12 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
 
 
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
-    """Refuse a field that shows no motion: none at all, or only of the support.
+    """Refuse a field that shows no motion: none at all, or only of a support that does not move.
 
     Parameters
     ----------
     mesh : TriangleMesh
-    held : (k,) int                 triangles of the support
+    held : (k,) int                 triangles that do not move
     field : DisplacementField       on that mesh
 
     Raises
@@ -236,6 +247,16 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     mesh = session.mesh
     size = bounding_diagonal(mesh)
     notes = []
+    edge = mesh_quality(mesh).edge_mean
+    offset = mesh.vertices - mesh.vertices.mean(axis=0)
+    axes = np.linalg.svd(offset, full_matrices=False)[2]
+    thickness = float(np.ptp(offset @ axes.T, axis=0).min())
+    if edge > _COARSE_EDGE * thickness:
+        notes.append(
+            f"The object is a sheet {1e3 * thickness:.3g} mm thick and the edges of its triangles"
+            f" are {1e3 * edge:.3g} mm long: stretching in its plane is modelled, bending out of it"
+            " comes out far too stiff. If it bends, use edges shorter than it is thick."
+        )
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {_UNIT_HINT}.")
     if session.probings:
@@ -281,8 +302,10 @@ def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[st
 
 
 def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[str]:
-    notes = []
+    notes: list[str] = []
     force = float(np.linalg.norm(probing.force))
+    if not force:
+        return notes
     modulus = float(np.sqrt(np.prod(modulus_range(mesh, force, largest)))) if largest else 0.0
     if largest and not _DOUBTED_MODULUS[0] <= modulus <= _DOUBTED_MODULUS[1]:
         notes.append(
@@ -292,6 +315,8 @@ def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[s
         )
     if probing.force_std is not None and np.linalg.norm(probing.force_std) > force:
         notes.append("force_std exceeds the force itself; check both.")
+    if probing.contact.triangles is not None:
+        return notes
     direction = probing.force / force
     triangle = int(triangle_distances(mesh, probing.contact.point).argmin())
     if float(unit_normals(mesh)[triangle] @ direction) > 0.5:

@@ -38,6 +38,7 @@ from palpate.vision.lang_pai import (
     LangPaiFlow as LangPaiFlow,
     lang_pai_vertices as lang_pai_vertices,
 )
+from palpate.vision.matching import median_test as median_test
 from palpate.vision.range_flow import (
     CAUSES as CAUSES,
     FlowMethod as FlowMethod,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fault_injection import in_child
 from program_files import (
     DICE_NAMES,
     dice_states,
@@ -13,6 +14,7 @@ from program_files import (
 )
 from surfaces import box
 
+from palpate.app.cli import main
 from palpate.geometry import write_mesh
 from palpate.records import observed_rows, read_displacement, read_session
 
@@ -75,7 +77,7 @@ def test_two_files_become_the_displacements_of_two_probings(palpate, bare, top, 
     assert f"probing 'n01': {line}" in out
     assert "Note (2 of 2 files): It does not say its unit of length; mm was taken" in out
     row = next(x.split() for x in out.splitlines() if x.split()[:1] == ["n01"])
-    assert row[2:6] == ["30", "29", "1", "0"]
+    assert row[2:8] == ["30", "29", "1", "0", "0", "0"]
 
 
 def test_the_pose_takes_points_to_the_object(palpate, bare, top, tmp_path):
@@ -118,11 +120,20 @@ def test_states_of_one_file_for_several_probings(palpate, bare, tmp_path):
     options = ("--probe", "n01", "n02", "--frame", "1", "-1")
     code, out, _ = palpate("import", "duodic", file, bare, *options)
     assert code == 0
-    fields = [p.displacement for p in read_session(bare, probes=["n01", "n02"]).probings]
+    # One by one: a session that says the same twice is refused.
+    sessions = [read_session(bare, probes=[name]) for name in ("n01", "n02")]
+    fields = [session.probings[0].displacement for session in sessions]
     np.testing.assert_allclose(2.0 * fields[0].displacement, fields[1].displacement, atol=1e-17)
     # The point that failed at rest has no place.
     assert len(fields[0].points) == 3
-    assert next(x.split() for x in out.splitlines() if "n02" in x)[2:6] == ["4", "3", "0", "1"]
+    assert next(x.split() for x in out.splitlines() if "n02" in x)[2:8] == [
+        "4",
+        "3",
+        "0",
+        "0",
+        "0",
+        "1",
+    ]
 
 
 def test_points_that_are_not_of_the_object(palpate, bare, top, tmp_path):
@@ -135,7 +146,7 @@ def test_points_that_are_not_of_the_object(palpate, bare, top, tmp_path):
     code, out, _ = palpate("import", "vic3d", file, bare, "--drop-off-surface")
     assert code == 0
     row = next(x.split() for x in out.splitlines() if x.split()[:1] == ["n01"])
-    assert row[2:6] == ["30", "25", "1", "4"]
+    assert row[2:8] == ["30", "25", "1", "0", "0", "4"]
 
 
 def test_out_leaves_the_session_as_it_is(palpate, bare, top, tmp_path):
@@ -187,6 +198,32 @@ def test_another_probings_displacement_is_not_replaced(palpate, bare, top, tmp_p
     code, _, err = palpate("import", "vic3d", file, bare, "--probe", "n01", "--replace")
     assert code == 2
     assert "the session does not name it for that probing" in err
+
+
+def test_the_old_session_or_the_new_one_wherever_it_is_killed(palpate, bare, top, tmp_path):
+    file = _vic3d(tmp_path / "n01.csv", top)
+    assert palpate("import", "vic3d", file, bare)[0] == 0
+    _vic3d(file, (top[0], 3.0 * top[1]))
+    command = ["import", "vic3d", str(file), "--probe", "n01", "--replace"]
+    before = _tree(bare)
+    assert palpate(*command[:3], bare, *command[3:])[0] == 0
+    after, step, outcome, seen = _tree(bare), 0, None, []
+    while outcome != "done":
+        # Every third step: the steps of a change have a test of their own.
+        step += 3
+        folder = tmp_path / f"session{step}"
+        folder.mkdir()
+        for name, content in before.items():
+            (folder / name).write_bytes(content)
+        words = [*command[:3], str(folder), *command[3:]]
+        outcome = in_child(lambda words=words: main(words), folder, step=step, dies=True)
+        assert (folder / "session.toml").is_file()
+        read_session(folder, probes=["n01"])
+        seen.append({name: found for name, found in _tree(folder).items() if name[0] != "."})
+        assert seen[-1] in (before, after)
+    assert seen[0] == before
+    assert seen[-1] == after
+    assert len(seen) > 5
 
 
 def test_a_folder_is_never_moved_away(palpate, bare, top, tmp_path):
@@ -276,6 +313,29 @@ def test_wrong_arguments(palpate, bare, top, tmp_path, arguments, message):
     assert _tree(bare) == before
 
 
+def test_what_is_not_believed_is_counted_by_cause(palpate, bare, tmp_path):
+    """Of a smooth field: one failed, two that hardly correlate, one that moves on its own."""
+    rng = np.random.default_rng(4)
+    place = np.column_stack([rng.uniform(1.0, 39.0, size=(200, 2)), np.full(200, 40.0)])
+    moved = place * [1e-3, -5e-4, -2e-2] + rng.normal(scale=1e-3, size=(200, 3))
+    moved[17, 0] += 0.1
+    match, gamma = np.zeros(200), np.full(200, 0.02)
+    match[3], gamma[5], gamma[8] = -1.0, 0.6, 1.9
+    names = [*DICE_NAMES[:3], *DICE_NAMES[4:7], "MATCH", "GAMMA"]
+    rows = np.column_stack([place, moved, match, gamma])
+    write_table(tmp_path / "n01.txt", ",".join(names), rows)
+    code, out, _ = palpate("import", "dice", "n01.txt", bare)
+    assert code == 0
+    row = next(x.split() for x in out.splitlines() if x.split()[:1] == ["n01"])
+    assert row[2:8] == ["200", "196", "4", "2", "1", "0"]
+    field = read_session(bare, probes=["n01"]).probings[0].displacement
+    assert list(np.flatnonzero(~observed_rows(field))) == [3, 5, 8, 17]
+    again = ("import", "dice", "n01.txt", bare, "--replace", "--min-score", "0.7")
+    assert palpate(*again)[0] == 0
+    field = read_session(bare, probes=["n01"]).probings[0].displacement
+    assert list(np.flatnonzero(~observed_rows(field))) == [3, 8, 17]
+
+
 def test_dice_text_and_exodus_agree(palpate, bare, tmp_path):
     values, states = dice_values(), dice_states()
     place = np.column_stack([np.arange(4.0) * 10.0, np.full(4, 20.0), np.full(4, 40.0)])
@@ -284,7 +344,9 @@ def test_dice_text_and_exodus_agree(palpate, bare, tmp_path):
     write_table(tmp_path / "n01.txt", ",".join(DICE_NAMES), values)
     write_exodus(tmp_path / "n02.e", states, form="large")
     assert palpate("import", "dice", "n01.txt", "n02.e", bare)[0] == 0
-    fields = [p.displacement for p in read_session(bare, probes=["n01", "n02"]).probings]
+    # One by one: a session that says the same twice is refused.
+    sessions = [read_session(bare, probes=[name]) for name in ("n01", "n02")]
+    fields = [session.probings[0].displacement for session in sessions]
     np.testing.assert_array_equal(fields[0].displacement, fields[1].displacement)
     assert list(observed_rows(fields[0])) == [True, True, True, False]
 
@@ -299,8 +361,8 @@ def test_real_results_of_dice(palpate, bare, shared_data, tmp_path):
     assert code == 0
     row = next(x.split() for x in out.splitlines() if x.split()[:1] == ["n01"])
     # Its README: four of the 123 subsets failed; they have a place.
-    assert row[2:6] == ["123", "119", "4", "0"]
+    assert row[2:8] == ["123", "119", "4", "0", "0", "0"]
     # The specimen is flat to 28 um.
-    assert float(row[6]) < 0.028
+    assert float(row[8]) < 0.028
     field, _ = read_displacement(tmp_path / "found" / "n01.csv", block)
     assert observed_rows(field).sum() == 119

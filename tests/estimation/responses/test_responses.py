@@ -52,7 +52,11 @@ def setting():
     by_point = [tips.by_point(part)[0] for part in tip_right.terms]
     tip = PointRows(tips.matrix[:, 0], tips.own[:, 0], np.stack(by_point), body.particular[top])
     rows = ProbeRows(
-        columns, csr_array(hstack([surface, rest])), (at_points @ body.particular).ravel(), tip
+        columns,
+        csr_array(hstack([surface, rest])),
+        (at_points @ body.particular).ravel(),
+        tip,
+        weighs=True,
     )
     return system, right, body, rows, at_points, top
 

@@ -38,6 +38,26 @@ def test_multidic(tmp_path, kind, name, version):
 
 
 @pytest.mark.parametrize("version", ["5", "7.3"])
+def test_multidic_poor_matches(tmp_path, version):
+    """1 - corrComb / 2 is the correlation; that of the first picture with itself is NaN."""
+    criteria = [np.full((4, 1), np.nan), np.full((4, 1), 0.02), np.array([[0.1, 0.6, 0.2, 0.1]]).T]
+    states = multidic_states()
+    path = write_mat(tmp_path / "a.mat", "DIC3D", states, version=version, criteria=criteria)
+    measured = read_measured("duodic", path)
+    assert list(measured_rows(measured.displacement)) == [True, False, True, False]
+    assert measured.poor == 1
+    assert read_measured("duodic", path, min_score=0.7).poor == 0
+    assert read_measured("duodic", path, frame=1).poor == 0
+    path = write_mat(
+        tmp_path / "a.mat", "DIC3D", states, version=version, criteria=[c[:3] for c in criteria]
+    )
+    with pytest.raises(
+        RecordError, match=r"3 arrays of correlation \(3 values\) do not belong to 3 of 4 points"
+    ):
+        read_measured("duodic", path)
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
 def test_multidic_refusals(tmp_path, version):
     states = multidic_states()
     path = tmp_path / "a.mat"
@@ -74,10 +94,10 @@ def test_multidic_no_matlab_file(tmp_path):
 def test_multidic_real_files_of_earlier_steps(shared_data):
     folder = shared_data / "real" / "multidic_pair"
     file = folder / "speckledObjectImages" / "DIC2DpairResults_C_201_C_202.mat"
-    with pytest.raises(RecordError, match=r"it is the 2-D result of step 2.*DIC2DpairResults"):
+    with pytest.raises(RecordError, match=r"it is the 2-D result of step 2: name .* --rig"):
         read_measured("multidic", file)
     file = folder / "calibrationObjectImages" / "DLTstruct_cam_201.mat"
-    with pytest.raises(RecordError, match=r"no result of step 3.*it has: DLTstructCam$"):
+    with pytest.raises(RecordError, match=r"give the file of the 3-D result .*DLTstructCam$"):
         read_measured("multidic", file)
 
 

@@ -11,6 +11,7 @@ from program_files import (
 )
 
 from palpate.errors import RecordError
+from palpate.records import measured_rows
 from palpate.records.programs.registry import read_measured
 
 OPENCORR = (
@@ -58,3 +59,24 @@ def test_opencorr_other_tables(tmp_path, header, message):
     path = write_table(tmp_path / "a.csv", header, np.ones((2, len(header.split(",")))))
     with pytest.raises(RecordError, match=message):
         read_measured("opencorr", path)
+
+
+def test_opencorr_matches_that_hardly_correlate_are_no_measurements(tmp_path):
+    """A correlation of 0.07 is chance: 0.75 is asked for, or what the caller says."""
+    rows = _opencorr_rows()
+    rows[0, 7] = 0.07
+    rows[1, 5] = 0.74
+    path = write_table(tmp_path / "a.csv", OPENCORR, rows)
+    for least, kept in ((None, [2]), (0.5, [1, 2]), (0.0, [0, 1, 2]), (0.965, [])):
+        if not kept:
+            with pytest.raises(RecordError, match=r"3 correlate by less than 0.965 \(--min-score"):
+                read_measured("opencorr", path, min_score=least)
+            continue
+        measured = read_measured("opencorr", path, min_score=least)
+        assert list(np.flatnonzero(measured_rows(measured.displacement))) == kept
+        assert measured.poor == 3 - len(kept)
+    with pytest.raises(RecordError, match="--min-score is 75; must be a correlation"):
+        read_measured("opencorr", path, min_score=75.0)
+    bare = write_table(tmp_path / "b.csv", "u,v,w,ref_x,ref_y,ref_z", np.ones((2, 6)))
+    with pytest.raises(RecordError, match="tells no correlation of its points"):
+        read_measured("opencorr", bare, min_score=0.5)

@@ -215,7 +215,7 @@ def _table(calibration: Calibration, quality: tuple[CameraQuality, ...]) -> Tabl
         worst = float(np.nanmax(found.rms))
         rows.append(
             (
-                camera.name, str(found.views), f"{found.corners} ({found.rejected} left out)",
+                camera.name, str(found.views), f"{found.corners - found.rejected}/{found.corners}",
                 f"{found.noise:.3f}", f"{worst:.3f}",
                 f"{k[0, 0]:.2f} ± {fx}", f"{k[0, 2]:.2f} ± {cx}, {k[1, 2]:.2f} ± {cy}",
             )
@@ -224,8 +224,8 @@ def _table(calibration: Calibration, quality: tuple[CameraQuality, ...]) -> Tabl
         "camera", "views", "corners", "noise px", "worst region px", "focal length px", "centre px"
     )  # fmt: skip
     caption = (
-        "noise: standard deviation of a coordinate of a corner; worst region: rms distance in the"
-        " worst ninth of the picture; ±: one standard deviation"
+        "corners: used of those found; noise: standard deviation of a coordinate of a corner; worst"
+        " region: rms distance in the worst ninth of the picture; ±: one standard deviation"
     )
     return terminal_table("Cameras", columns, rows, caption=caption)
 

@@ -12,6 +12,8 @@ from palpate.pipeline import (
     NEAR_RADII,
     CameraSurvey,
     ProbingSurvey,
+    moving_supports,
+    require_given_motions,
     session_outlook,
     survey_cameras,
     survey_probing,
@@ -31,6 +33,7 @@ def check(session: Path, /) -> int:
         Folder of the session, or a session file in it.
     """
     given = read_session(session)
+    require_given_motions(given)
     cameras, remarks = survey_cameras(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
     console = Console()
@@ -48,9 +51,11 @@ def check(session: Path, /) -> int:
 
 def _mesh_table(session: Session) -> Table:
     quality = mesh_quality(session.mesh)
+    moves = moving_supports(session)
     held = float(triangle_areas(session.mesh)[session.held_triangles].sum())
     support = f"{len(session.held_triangles)} triangles, {1e4 * held:.4g} cm^2,"
     support += f" {100.0 * held / quality.area:.1f} % of all"
+    moving = [(one.number, f"{one.motion}, {len(one.triangles)} triangles") for one in moves]
     edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
     gravity, density = session.gravity, session.density
     rows = (
@@ -62,6 +67,7 @@ def _mesh_table(session: Session) -> Table:
         ("worst aspect (longest edge / height)", f"{quality.worst_aspect:.2f}"),
         ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
         ("support", support if session.probings else "-"),
+        *((f"support {n} moves", motion) for n, motion in moving),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
         ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),
     )

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -21,7 +22,7 @@ from palpate.app.terminal import (
 )
 from palpate.disk import placed
 from palpate.errors import InputError
-from palpate.pipeline import survey_field
+from palpate.pipeline import survey_field, triangulated, without_contradicted
 from palpate.records import (
     ImportedField,
     ImportItem,
@@ -35,6 +36,7 @@ from palpate.records import (
     on_surface,
     read_import_pose,
     read_measured,
+    read_rig,
     read_session,
     record_inputs,
     require_probings,
@@ -66,9 +68,11 @@ def import_displacements(
     /,
     *,
     probe: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
+    rig: Path | None = None,
     to_object: Path | None = None,
     length_unit: Literal["um", "mm", "cm", "m", "in"] | None = None,
     frame: Annotated[list[int] | None, Parameter(consume_multiple=True, negative="")] = None,
+    min_score: float | None = None,
     drop_off_surface: Annotated[bool, Parameter(negative="")] = False,
     replace: Annotated[bool, Parameter(negative="")] = False,
     out: Path | None = None,
@@ -87,6 +91,9 @@ def import_displacements(
     probe
         Names of the probings, in the order of the files, or of the frames of one file. Default:
         the files' names without suffix.
+    rig
+        Calibration of the cameras, where the files hold matches in their pictures (multidic and
+        duodic, step 2); the points are then in its frame.
     to_object
         TOML file with the place of the program's frame: length_unit, R and t (or T, 4 x 4), where
         x_object = R x_file + t. Default: both frames are the same.
@@ -95,6 +102,9 @@ def import_displacements(
     frame
         State to read from files that hold several, from 0; one for all, or one for each probing.
         Default: the last one.
+    min_score
+        Least correlation of a match that counts as measured, -1 to 1, where the files tell it
+        (dice, opencorr, multidic, duodic). Default: 0.75.
     drop_off_surface
         Leave out measured points that are not on the object: background, tool, holder.
     replace
@@ -108,12 +118,28 @@ def import_displacements(
     session, plan = _targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
     print_notes((*session.notes, *notes))
+    in_space = None
+    if rig is not None:
+        # Of the files, --length-unit says the unit of what has lengths: the calibration.
+        in_space = partial(triangulated, rig=read_rig(rig, length_unit=length_unit))
     # The targets are tried first: no one should wait for a result that cannot be kept.
-    place = _session_files(session, plan, force) if out is None else _folder(out, files, force)
     done: list[_Import] = []
-    with place as folder:
+    inputs = [*(item.file for item in plan), *session_files(session.path)]
+    inputs += [to_object] if to_object is not None else []
+    with (
+        _session_files(session, plan, force) if out is None else _folder(out, inputs, force)
+    ) as folder:
         for item in plan:
-            measured = read_measured(kind, item.file, length_unit=length_unit, frame=item.frame)
+            measured = read_measured(
+                kind,
+                item.file,
+                length_unit=None if in_space else length_unit,
+                frame=item.frame,
+                min_score=min_score,
+                in_space=in_space,
+            )
+            if import_kinds()[kind].correlates:
+                measured = without_contradicted(measured)
             moved = on_object(measured, pose) if to_object is not None else measured
             imported = on_surface(moved, session.mesh, drop_off_surface=drop_off_surface)
             done.append(_Import(item.probe, item.file, imported))
@@ -207,10 +233,10 @@ def _strangers(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
 
 
 @contextmanager
-def _folder(out: Path, files: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
+def _folder(out: Path, inputs: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
     """Where the CSV files are written in a result folder."""
     with result_folder(out, kind="import", force=force) as folder:
-        record_inputs(folder, [*files[:-1], *session_files(files[-1])])
+        record_inputs(folder, inputs)
         yield folder.joinpath
 
 
@@ -240,7 +266,9 @@ def _table(done: Sequence[_Import]) -> Table:
         read, field = item.imported, survey_field(item.imported.field)
         lengths = (read.median_distance, field.median_displacement, field.median_sigma)
         left_out = read.nowhere + read.off_surface
-        counts = (read.read, field.observed, read.failed, left_out)
+        counts = (
+            read.read, field.observed, read.failed, read.poor, read.contradicted, left_out
+        )  # fmt: skip
         digits = (".3f", ".3f", ".4f")
         rows.append(
             (item.name, item.file.name, *map(str, counts),
@@ -248,9 +276,22 @@ def _table(done: Sequence[_Import]) -> Table:
         )  # fmt: skip
     return terminal_table(
         "Imported displacements (lengths in mm)",
-        ("probing", "file", "points", "seen", "nan", "left out", "off", "|u|", "sigma"),
+        (
+            "probing",
+            "file",
+            "points",
+            "seen",
+            "nan",
+            "poor",
+            "odd",
+            "left out",
+            "off",
+            "|u|",
+            "sigma",
+        ),
         rows,
-        caption="seen: measured points; nan: failed ones, kept as rows of NaN; left out: failed"
+        caption="seen: measured points; nan: failed ones, kept as rows of NaN, some of them for a"
+        " poor correlation (--min-score) or a motion at odds with all around; left out: failed"
         " without a place, or off the surface; off: distance of the measured points from the"
         " surface; medians of off, |u| and sigma",
     )

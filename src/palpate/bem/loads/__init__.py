@@ -20,8 +20,10 @@ from palpate.bem.loads.contact_shape import (
 from palpate.bem.loads.half_space import PressureDisc as PressureDisc
 from palpate.bem.loads.right_hand import (
     RightHand as RightHand,
+    face_columns as face_columns,
     joined as joined,
     load_columns as load_columns,
+    pressure_column as pressure_column,
     support_columns as support_columns,
     traction_column as traction_column,
 )

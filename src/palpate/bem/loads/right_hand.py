@@ -16,7 +16,7 @@ from palpate.bem.integrals import (
     triangle_rule,
 )
 from palpate.bem.system import BoundarySystem
-from palpate.geometry import QuadraticNodes, element_points, quadratic_shapes
+from palpate.geometry import ELEMENT_NODES, QuadraticNodes, element_points, quadratic_shapes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,6 +145,59 @@ def traction_column(
     balance = np.diag(-total / system.traction_length)
     columns = [load_columns(blocks.by_row(axis), balance).terms for axis in range(3)]
     return RightHand(np.stack([columns[axis][:, :, axis] for axis in range(3)]).sum(0)[:, :, None])
+
+
+def face_columns(
+    system: BoundarySystem,
+    triangles: Int[np.ndarray, " k"],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> RightHand:
+    """Columns of a uniform traction over some triangles, of one newton along each axis.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    triangles : (k,) int              of the free surface
+    quadrature : Quadrature
+
+    Returns
+    -------
+    RightHand                         three columns
+    """
+    surface = system.surface
+    nodes = surface.element_nodes[triangles]
+    ones = np.ones((triangles.size, 6, 3))
+    density = 1.0 / total_traction(nodes, ones)[0]
+    element = 1 + np.arange(6 * triangles.size).reshape(-1, 6)
+    field = QuadraticNodes(element, 1, csr_array(np.full((element.size, 1), density)))
+    blocks = assemble(
+        surface, system.collocation, field, DISPLACEMENT, triangles=triangles, quadrature=quadrature
+    )
+    return load_columns(blocks.by_row(0), -np.eye(3) / system.traction_length)
+
+
+def pressure_column(
+    system: BoundarySystem,
+    triangles: Int[np.ndarray, " k"],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> RightHand:
+    """One column for a pressure of one pascal against some triangles.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    triangles : (k,) int              of the free surface
+    quadrature : Quadrature
+
+    Returns
+    -------
+    RightHand
+    """
+    points = element_points(system.surface.element_nodes[triangles], ELEMENT_NODES)
+    outward = points[:, :, 3:] / np.linalg.norm(points[:, :, 3:], axis=2)[:, :, None]
+    return traction_column(system, triangles, -outward, quadrature=quadrature)
 
 
 def joined(parts: list[RightHand]) -> RightHand:

@@ -1,7 +1,7 @@
 """How well the model explains each probing, and predicts one that it has not seen."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.noise import NoiseModel, relative_weight
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.search import best_constants
+from palpate.estimation.search import LocalProbe, best_constants
 from palpate.records import ProbeEstimate
 from palpate.shapes import Points
 
@@ -31,6 +31,7 @@ class ProbeFit:
     weight : (n, 3) float                   robust weight in [0, 1], 0 where not measured
     left_out_predicted : (n, 3) float [m] or None
         from the constants of all other probings and the measured force; motions as fitted
+    motion, motion_std : (q,) float         of supports, as fitted (`ProbeObservations`)
     """
 
     name: str
@@ -38,6 +39,8 @@ class ProbeFit:
     residual: Points
     weight: Points
     left_out_predicted: Points | None
+    motion: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
 
 
 def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
@@ -96,8 +99,20 @@ def probe_fits(
             shift = np.where(np.arange(len(local.shift)) < 3, 0.0, local.shift)
             nu, modulus = left_out[k].tolist()
             left = _predicted(probe, nu, local.rows.load(modulus, shift))
-        fits.append(ProbeFit(probe.name, predicted, probe.displacement - predicted, weight, left))
+        residual, motion_std = probe.displacement - predicted, _motion_std(local, uncertainty)
+        fits.append(ProbeFit(probe.name, predicted, residual, weight, left, load[4:], motion_std))
     return tuple(fits)
+
+
+def _motion_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray, " q"]:
+    """Standard deviations of the motions of supports, those of the constants included."""
+    noise, products = uncertainty.noise, probe.weighted_products()
+    inverse = np.linalg.inv(products[2:-1, 2:-1] + np.diag(probe.prior))
+    turn = inverse @ products[2:-1, :2]
+    # As in the sandwich: the curvature holds the slope of the score, its noise has this power.
+    own = noise.power / noise.slope * noise.correlation.variance * np.diag(inverse)
+    shared = np.einsum("ni,ij,nj->n", turn, uncertainty.scores.covariance(), turn)
+    return probe.rows.motion_std * np.sqrt(own + shared)[3:]
 
 
 def _predicted(probe: ProbeObservations, poisson_ratio: float, load: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from palpate.estimation.responses.reduced_model import (
 )
 from palpate.estimation.responses.responses import (
     PointRows as PointRows,
+    ProbeMotions as ProbeMotions,
     ProbeResponse as ProbeResponse,
     ProbeRows as ProbeRows,
     full_responses as full_responses,

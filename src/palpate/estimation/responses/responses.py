@@ -7,7 +7,7 @@ ratios, `full_responses` from a new factorisation at each, the plain way and the
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -40,31 +40,123 @@ class PointRows:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ProbeMotions:
+    """How supports of a probing may move.
+
+    Attributes
+    ----------
+    own : (n_rows, q) float           displacement of what is held per unit of each motion, at the
+                                      rows of the probing; what is not held follows it
+    grip : (3, k) sparse or None      force on a support that is pulled as a whole, from the
+                                      unknowns of the system, for a shear modulus of one pascal
+    lifts : (3,) int                  which of the motions are the shifts of that support along x, y
+                                      and z: its force takes their place
+    """
+
+    own: Float[np.ndarray, "n_rows q"]
+    grip: csr_array | None = None
+    lifts: tuple[int, ...] = ()
+
+    def split(
+        self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
+    ) -> tuple[Float[np.ndarray, "n_rows 3"], Float[np.ndarray, "n_rows r"]]:
+        """Displacement per newton on the support that is pulled, and per unit of the motions that
+        remain, that force being held.
+
+        Parameters
+        ----------
+        moved : (n_rows, q) float     displacement per unit of each motion
+        force : (3, q) float          force on the support per unit of each
+
+        Returns
+        -------
+        two arrays                    the second without the columns `lifts`
+        """
+        lifts = list(self.lifts)
+        others = np.setdiff1d(np.arange(moved.shape[1]), lifts)
+        compliance = np.linalg.inv(force[:, lifts])
+        pushed = moved[:, lifts] @ compliance
+        return pushed, moved[:, others] - pushed @ force[:, others]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ProbeRows:
     """Which displacements a probing sees.
 
     Attributes
     ----------
-    columns : (c,) int                right-hand sides: the force along x, y, z, then the two of a
-                                      body force, if any
+    columns : (c,) int                right-hand sides: the force along x, y, z, unless it acts on a
+                                      support; known loads; the two of a body force, if any; the
+                                      motions of supports that are solved for
     surface : (3 n, k) sparse         observed displacements from the unknowns of the system
     particular : (3 n,) float [m Pa]  particular displacement there under a body force, over its
                                       factor
     tip : PointRows or None           where the contact point's displacement was measured
+    known : (l,) float                how much there is of each known load
+    weighs : bool                     whether there is a body force
+    motions : ProbeMotions or None    None: nothing that is held moves
     """
 
     columns: Int[np.ndarray, " c"]
     surface: csr_array
     particular: Float[np.ndarray, " r"]
     tip: PointRows | None
+    known: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
+    weighs: bool = False
+    motions: ProbeMotions | None = None
+
+    @property
+    def grip(self) -> csr_array | None:
+        """See `ProbeMotions`."""
+        return None if self.motions is None else self.motions.grip
 
     def seen(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
-        """Observed displacements, then the six equations (constant, slope) of the contact point,
-        zero where its displacement was not measured."""
-        tip = np.zeros((6, solution.shape[1]))
+        """Observed displacements, then the six equations (constant, slope) of the contact point and
+        the force on a support, zero where these are not asked for."""
+        tip, grip = np.zeros((6, solution.shape[1])), np.zeros((3, solution.shape[1]))
         if self.tip is not None:
             tip = self.tip.matrix.reshape(6, -1) @ solution
-        return np.concatenate([self.surface @ solution, tip])
+        if self.grip is not None:
+            grip = self.grip @ solution
+        return np.concatenate([self.surface @ solution, tip, grip])
+
+    def response(
+        self,
+        moved: Float[np.ndarray, "n_rows c"],
+        grip: Float[np.ndarray, "3 c"],
+        particular: Float[np.ndarray, " n_rows"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "n_rows t"]:
+        """What the solutions of the columns make of the response's columns (`ResponseModel`).
+
+        Parameters
+        ----------
+        moved : (n_rows, c) float             displacement that each solution gives
+        grip : (3, c) float                   force on the support that is pulled
+        particular : (n_rows,) float          as the attribute, the tip included
+        poisson_ratio : float
+        """
+        mix = np.zeros((moved.shape[1], 4))
+        first = 0 if self.grip is not None else 3
+        mix[:first, :3] = np.eye(first, 3)
+        last = first + len(self.known)
+        mix[first:last, 3] = self.known
+        offset = np.zeros((len(moved), 4))
+        if self.weighs:
+            factor = dilation_factor(poisson_ratio)
+            mix[last : last + 2, 3] = 1.0, factor
+            offset[:, 3] = factor * particular
+        pushing = moved @ mix + offset
+        if self.motions is None:
+            return pushing
+        count = self.motions.own.shape[1]
+        motion = self.motions.own + moved[:, moved.shape[1] - count :]
+        if self.grip is not None:
+            pushed, motion = self.motions.split(motion, grip[:, -count:])
+            # The force on the support is given: what other loads push there, it gives way to.
+            pushing[:, 3] -= pushed @ (grip @ mix[:, 3])
+            pushing[:, :3] = pushed
+        return np.concatenate([pushing, motion], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +173,10 @@ class ProbeResponse:
     seen: Callable[[float], Float[np.ndarray, "rows c"]]
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
-        """Displacement times shear modulus per unit force, and under the body force
-        (`ResponseModel`)."""
+        """Displacement times shear modulus per unit force and under known loads, and displacement
+        per unit of motion (`ResponseModel`)."""
         seen = self.seen(poisson_ratio)
-        observed, equations = seen[:-6], seen[-6:]
+        observed, equations, grip = seen[:-9], seen[-9:-3], seen[-3:]
         particular, tip = self.rows.particular, self.rows.tip
         if tip is not None:
             own = tip.own[0] + poisson_ratio * tip.own[1]
@@ -92,12 +184,7 @@ class ProbeResponse:
             left = equations[:3] + poisson_ratio * equations[3:]
             observed = np.concatenate([observed, np.linalg.solve(own, left - right)])
             particular = np.concatenate([particular, tip.particular])
-        response = np.zeros((observed.shape[0], 4))
-        response[:, :3] = observed[:, :3]
-        if observed.shape[1] > 3:
-            factor = dilation_factor(poisson_ratio)
-            response[:, 3] = observed[:, 3] + factor * (observed[:, 4] + particular)
-        return response
+        return self.rows.response(observed, grip, particular, poisson_ratio)
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Derivative of `value` with respect to Poisson's ratio, by a central difference (error

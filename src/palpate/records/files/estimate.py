@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from palpate.errors import quoted
-from palpate.records.estimate import CONSTANT_NAMES, Constant, Estimate, ProbeEstimate, Status
+from palpate.records.estimate import (
+    CONSTANT_NAMES,
+    Constant,
+    Estimate,
+    ProbeEstimate,
+    Status,
+    SupportEstimate,
+)
 from palpate.records.text import TomlTable, json_text, read_json, write_text
 
 ESTIMATE_FORMAT = "palpate-estimate/1"
@@ -95,6 +102,22 @@ def _read_constant(table: TomlTable) -> Constant:
         return Constant(_known(table, "value"), _known(table, "std"), (low, high))
 
 
+def _read_support(table: TomlTable) -> SupportEstimate:
+    parts = {
+        name: tuple(_vector_parts(table, name))
+        for name in ("translation", "translation_std", "rotation", "rotation_std")
+    }
+    return SupportEstimate(support=table.count("support"), **parts)
+
+
+def _vector_parts(table: TomlTable, key: str) -> list[float]:
+    values = table.get(key)
+    if not isinstance(values, list) or len(values) != 3:
+        table.fail(key, f"is {quoted(values)}; must be three numbers in brackets")
+    parts = TomlTable(table.file, f"{table.name} {key}", dict(zip("xyz", values, strict=True)))
+    return [_known(parts, axis) for axis in "xyz"]
+
+
 def _read_probe(table: TomlTable) -> ProbeEstimate:
     error = table.values.get("prediction_error")
     constants = {
@@ -107,5 +130,6 @@ def _read_probe(table: TomlTable) -> ProbeEstimate:
         rejected=table.count("rejected"),
         rms_residual=_known(table, "rms_residual"),
         prediction_error=None if error is None else _number(table, "prediction_error"),
+        supports=tuple(map(_read_support, table.optional("supports", table.tables) or ())),
         **constants,
     )

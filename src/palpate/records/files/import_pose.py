@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import LARGEST_NUMBER
+from palpate.errors import quoted
 from palpate.records.program import nearest_rotation
 from palpate.records.quantities import LENGTH_UNITS
 from palpate.records.text import TomlTable, read_toml
@@ -62,10 +64,10 @@ def _matrix(table: TomlTable, key: str, size: int) -> np.ndarray:
     value = table.get(key)
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
-    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
-        table.fail(key, f"is {value!r}; must be {size} rows of {size} finite numbers")
+    if matrix.shape != (size, size) or not (np.abs(matrix) <= LARGEST_NUMBER).all():
+        table.fail(key, f"is {quoted(value)}; must be {size} rows of {size} finite numbers")
     return matrix
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,24 +94,33 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
     """
     target = Path(os.path.abspath(target))
     _check_place(target)
-    _refuse(target, _strange_folder(target, kind), force=force)
-    start = time.monotonic()
-    with placed([target], Path.mkdir, aside=lambda old: bool(_strange_folder(old, kind))) as (new,):
-        try:
-            with disk_errors(target):
-                yield new
-                sums = file_sums((path for path in new.rglob("*") if path.is_file()), start=new)
-                head = f"# {RESULT_FORMAT} {kind}; `palpate verify` and `sha256sum -c` check it\n"
-                write_text(new / CONTENTS_FILE, head + sums_text(sums))
-        except BaseException:
-            if parts_folder(new).exists() and time.monotonic() - start > _WORTH_KEEPING:
-                where = parts_folder(new)
-                print(f"palpate: note: finished parts are kept in {where}: run again to go on",
-                      file=sys.stderr)  # fmt: skip
-                raise
-            shutil.rmtree(parts_folder(new), ignore_errors=True)
-            raise
+    strange = partial(_strange_folder, kind=kind)
+    _refuse(target, strange(target), force=force)
+    with (
+        placed([target], folder=True, aside=strange) as (new,),
+        _worth_keeping(parts_folder(new)),
+        disk_errors(target),
+    ):
+        yield new
+        sums = file_sums((path for path in new.rglob("*") if path.is_file()), start=new)
+        head = f"# {RESULT_FORMAT} {kind}; `palpate verify` and `sha256sum -c` check it\n"
+        write_text(new / CONTENTS_FILE, head + sums_text(sums))
     shutil.rmtree(parts_folder(new), ignore_errors=True)
+
+
+@contextmanager
+def _worth_keeping(parts: Path) -> Iterator[None]:
+    """Remove finished parts where the block fails, unless they cost long work."""
+    start = time.monotonic()
+    try:
+        yield
+    except BaseException:
+        if parts.exists() and time.monotonic() - start > _WORTH_KEEPING:
+            said = f"finished parts are kept in {parts}: run again to go on"
+            print(f"palpate: note: {said}", file=sys.stderr)
+        else:
+            shutil.rmtree(parts, ignore_errors=True)
+        raise
 
 
 def parts_folder(folder: Path) -> Path:
@@ -252,7 +262,9 @@ def disk_errors(target: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _DISK:
+        # What was read may be to blame; what is written has the target's name in its path.
+        elsewhere = os.path.isabs(str(error.filename)) and target.name not in str(error.filename)
+        if error.errno not in _DISK or elsewhere:
             raise
         raise RecordError(
             f"{target}: cannot be written ({error.strerror}); nothing was changed: make room, or"

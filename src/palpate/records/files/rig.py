@@ -10,7 +10,7 @@ import tomlkit
 from palpate.errors import CalibrationError, RecordError, quoted
 from palpate.files import is_file
 from palpate.records.program import CalibrationFile, make_pose
-from palpate.records.programs import read_calibration
+from palpate.records.programs import holds_camera_tables, read_calibration
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import Camera, Rig
 from palpate.records.text import TomlTable, nearest_file, read_toml, write_text
@@ -28,7 +28,8 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
     path : path                     a file, or a folder with rig.toml or a file per camera
     length_unit : str or None       m, cm, mm or in: the unit of translations in a file that does
                                     not say its own; None: the usual one of the program (m for
-                                    Kalibr; mm for VIC-3D, DICe, MatchID and MultiDIC)
+                                    Kalibr and caliscope; mm for VIC-3D, DICe, MatchID, MATLAB
+                                    and MultiDIC)
 
     Returns
     -------
@@ -47,9 +48,10 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
         path = path / _FILE
     if not os.path.exists(path):
         raise RecordError(f"{path}: no such file{nearest_file(path)}")
-    if path.suffix.lower() != ".toml":
+    root = read_toml(path) if path.suffix.lower() == ".toml" else None
+    if root is None or holds_camera_tables(root.values):
         return read_calibration(path, length_unit=length_unit)
-    return _read_toml_rig(path, length_unit)
+    return _read_toml_rig(root, length_unit)
 
 
 def write_rig(path: Path | str, rig: Rig) -> None:
@@ -81,13 +83,12 @@ def write_rig(path: Path | str, rig: Rig) -> None:
     write_text(path, tomlkit.dumps(content))
 
 
-def _read_toml_rig(path: Path, length_unit: str | None) -> Rig:
+def _read_toml_rig(root: TomlTable, length_unit: str | None) -> Rig:
     """A rig in the format of SESSION.md."""
-    root = read_toml(path)
     root.check_keys(_ROOT_KEYS)
     if "length_unit" in root.values or length_unit is None:
         length_unit = root.choice("length_unit", tuple(FILE_LENGTH_UNITS))
-    file = CalibrationFile(path, None, length_unit)
+    file = CalibrationFile(root.file, None, length_unit)
     metres = file.metres(usual=None)
     cameras = [_camera(file, table, metres) for table in root.tables("camera")]
     names = [camera.name for camera in cameras]

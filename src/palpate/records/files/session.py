@@ -5,15 +5,19 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
-import numpy as np
-
 from palpate.disk import settle
 from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
-from palpate.records.contact import Contact, contact_profiles
 from palpate.records.files.displacement import read_displacement
-from palpate.records.files.support import read_support
+from palpate.records.files.loads import (
+    held_triangles,
+    read_loads,
+    read_push,
+    read_support_field,
+    read_support_motion,
+)
+from palpate.records.files.support import read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.session import Session, Step
@@ -24,14 +28,15 @@ from palpate.records.session_checks import (
     check_observed_points,
     plausibility_notes,
 )
+from palpate.records.support import Support
 from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
-from palpate.shapes import Indices
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
 _ROOT_KEYS = ("format", "name", "object", "support", "gravity", "rig", "probe", "step")
 # The keys of these tables are the fields of their records.
 _STEP_KEYS, _PROBE_KEYS = ([field.name for field in fields(kind)] for kind in (Step, Probing))
+_PROBE_KEYS[_PROBE_KEYS.index("loads")] = "load"
 
 
 def read_session(
@@ -67,12 +72,12 @@ def read_session(
     body.check_keys(("mesh", "length_unit", "density"))
     metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
     mesh, notes = _mesh(body, metres)
-    held: Indices = np.zeros(0, dtype=np.int64)
+    supports: tuple[Support, ...] = ()
     if "support" in root.values or root.values.get("probe"):
-        held = read_support(root.table("support"), mesh, metres_per_unit=metres)
+        supports = read_supports(root, mesh, metres_per_unit=metres)
     probings: list[Probing] = []
     for table in _chosen(root, probes):
-        probing, probing_notes = _probing(table, mesh, held, metres, observations=observations)
+        probing, probing_notes = _probing(table, mesh, supports, metres, observations=observations)
         probings.append(probing)
         notes += probing_notes
     gravity = _only_key(root, "gravity", "acceleration")
@@ -83,7 +88,7 @@ def read_session(
             name=root.optional("name", root.text) or root.file.parent.name,
             path=root.file,
             mesh=mesh,
-            held_triangles=held,
+            held_triangles=held_triangles(supports),
             probings=tuple(probings),
             density=body.optional("density", body.number),
             gravity=gravity.vector("acceleration") if gravity else None,
@@ -91,6 +96,7 @@ def read_session(
             notes=notes,
             steps=_steps(root),
             metres_per_unit=metres,
+            supports=supports,
         )
     return replace(session, notes=notes + plausibility_notes(session))
 
@@ -179,9 +185,15 @@ def _steps(root: TomlTable) -> tuple[Step, ...]:
 
 
 def _probing(
-    table: TomlTable, mesh: TriangleMesh, held: Indices, metres: float, *, observations: bool
+    table: TomlTable,
+    mesh: TriangleMesh,
+    supports: Sequence[Support],
+    metres: float,
+    *,
+    observations: bool,
 ) -> tuple[Probing, tuple[str, ...]]:
-    """One probing, in SI units, checked against the surface and the support."""
+    """One probing, in SI units, checked against the surface and the supports."""
+    held, still = held_triangles(supports), held_triangles(supports, still=True)
     images = _images(table) if observations else None
     field: DisplacementField | None = None
     notes: tuple[str, ...] = ()
@@ -194,36 +206,32 @@ def _probing(
             "the key is missing: give the measured displacements as a CSV file, or the pictures"
             " they are to come from as images",
         )
+    support_field, support_notes = read_support_field(table, mesh, metres_per_unit=metres)
     tip = table.optional("tip_displacement", table.vector)
     tip_std = table.optional("tip_displacement_std", table.number_or_vector)
     with table.blamed():
+        loads = read_loads(table, mesh, metres_per_unit=metres)
+        contact, force = read_push(table, mesh, supports, loads, metres_per_unit=metres)
         probing = Probing(
             name=table.text("name"),
-            contact=_contact(table, metres),
-            force=table.vector("force"),
+            contact=contact,
+            force=force,
             force_std=table.optional("force_std", table.number_or_vector),
             tip_displacement=None if tip is None else metres * tip,
             tip_displacement_std=None if tip_std is None else metres * tip_std,
             displacement=field,
             images=images,
+            loads=loads,
+            support_displacement=support_field,
+            support_motion=read_support_motion(table, metres_per_unit=metres),
         )
         if observations:
-            check_contact(mesh, held, probing.contact)
+            for each in (contact, *(load.contact for load in loads)):
+                check_contact(mesh, held, each)
             check_load(mesh, probing)
         if field is not None:
-            check_observed_points(mesh, held, field)
-    return probing, notes
-
-
-def _contact(table: TomlTable, metres: float) -> Contact:
-    contact = table.table("contact", f"{table.name} contact")
-    contact.check_keys(("point", "radius", "profile"))
-    radius = contact.optional("radius", contact.number)
-    return Contact(
-        point=metres * contact.vector("point"),
-        radius=None if radius is None else metres * radius,
-        profile=contact.choice("profile", contact_profiles()),
-    )
+            check_observed_points(mesh, still, field)
+    return probing, notes + support_notes
 
 
 def _images(table: TomlTable) -> Images | None:

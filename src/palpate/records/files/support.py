@@ -1,17 +1,52 @@
-"""Which triangles of the surface are held, as session.toml selects them."""
+"""Which triangles of the surface are held, as session.toml selects them, and how they move."""
+
+from dataclasses import replace
 
 import numpy as np
 
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
+from palpate.records.support import FIXED, MOTIONS, Support
 from palpate.records.text import TomlTable, read_text
 from palpate.shapes import Indices
 
 _SELECTORS = ("plane", "box", "triangles")
 
 
+def read_supports(
+    root: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float
+) -> tuple[Support, ...]:
+    """The supports of a session: its table `[support]`, or several `[[support]]`.
+
+    Parameters
+    ----------
+    root : TomlTable                of the session
+    mesh : TriangleMesh
+    metres_per_unit : float
+
+    Returns
+    -------
+    tuple of Support                at least one
+
+    Raises
+    ------
+    RecordError                     no such table, or a bad one
+    """
+    name = None if isinstance(root.get("support"), list) else "[support]"
+    supports = []
+    for table in root.tables("support", name):
+        table.check_keys((*_SELECTORS, "motion"))
+        motion = table.choice("motion", MOTIONS) if "motion" in table.values else FIXED
+        selectors = {key: value for key, value in table.values.items() if key != "motion"}
+        held = read_support(replace(table, values=selectors), mesh, metres_per_unit=metres_per_unit)
+        supports.append(Support(held, motion))
+    if not supports:
+        root.fail("support", "has no table; say what is held")
+    return tuple(supports)
+
+
 def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> Indices:
-    """Triangles that any of the selectors of `[support]` takes.
+    """Triangles that any of the selectors of one support takes.
 
     Parameters
     ----------
@@ -33,7 +68,7 @@ def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: flo
     held = np.zeros(len(mesh.triangles), dtype=bool)
     nearest = ""
     if "plane" in support.values:
-        for plane in support.tables("plane", "[support] plane"):
+        for plane in support.tables("plane", f"{support.name} plane"):
             off_plane, tolerance = _plane_distance(plane, mesh, metres_per_unit)
             held |= off_plane <= tolerance
             nearest = (
@@ -41,10 +76,10 @@ def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: flo
                 f" its tolerance is {tolerance:.3g} m)"
             )
     if "box" in support.values:
-        for box in support.tables("box", "[support] box"):
+        for box in support.tables("box", f"{support.name} box"):
             held |= _inside_box(box, mesh, metres_per_unit)
     if "triangles" in support.values:
-        held[_listed(support, len(mesh.triangles))] = True
+        held[listed_triangles(support, len(mesh.triangles))] = True
     if not held.any():
         support.fail(
             "",
@@ -87,9 +122,23 @@ def _inside_box(box: TomlTable, mesh: TriangleMesh, metres_per_unit: float) -> n
     return ((corner >= low) & (corner <= high)).all(axis=(1, 2))
 
 
-def _listed(support: TomlTable, count: int) -> Indices:
-    """Triangle indices from a text file, one a line, from 0; `#` starts a comment."""
-    path = support.existing_file("triangles")
+def listed_triangles(table: TomlTable, count: int) -> Indices:
+    """Triangle indices from a text file, one a line, from 0; `#` starts a comment.
+
+    Parameters
+    ----------
+    table : TomlTable               whose key triangles names the file
+    count : int                     triangles of the mesh
+
+    Returns
+    -------
+    (k,) int                        in the order of the file
+
+    Raises
+    ------
+    RecordError                     no such file, or a line that is no index; names file and line
+    """
+    path = table.existing_file("triangles")
     found = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         word = line.partition("#")[0].strip()

@@ -14,3 +14,4 @@ from palpate.records.programs.registry import (
     read_calibration as read_calibration,
     read_measured as read_measured,
 )
+from palpate.records.programs.toml_cameras import holds_camera_tables as holds_camera_tables

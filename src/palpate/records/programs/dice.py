@@ -13,6 +13,7 @@ from palpate.errors import RecordError
 from palpate.files import checked_file, damage, read_bytes
 from palpate.records.program import (
     HDF5_MARK,
+    LEAST_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
@@ -27,8 +28,8 @@ from palpate.records.text import read_text_table
 
 _PLACE = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
-_MATCH, _SIGMA = "MATCH", "SIGMA"
-_USED = (*_PLACE, *_MOVE, _MATCH, _SIGMA)
+_MATCH, _SIGMA, _GAMMA = "MATCH", "SIGMA", "GAMMA"
+_USED = (*_PLACE, *_MOVE, _MATCH, _SIGMA, _GAMMA)
 _EXODUS_SUFFIXES = (".e", ".exo", ".ex2", ".exodus")
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 # DICe's names of lens models whose radial terms act as OpenCV's. Of VIC3D the numbers are VIC-3D's.
@@ -48,7 +49,8 @@ def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
     Read are MODEL_COORDINATES (at rest) and MODEL_DISPLACEMENT. A point failed where MATCH is not
     0 or SIGMA is negative; its zeros are no measurement. SIGMA is in pixels, no standard deviation
-    of a displacement, and is not used.
+    of a displacement, and is not used. GAMMA is the sum of squared differences of two windows of
+    zero mean and unit length, so their correlation, the score, is 1 - GAMMA / 2.
 
     Parameters
     ----------
@@ -81,7 +83,8 @@ def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
         notes += ("It has no MATCH and no SIGMA, so failed points cannot be recognised.",)
     place = np.stack([columns[name] for name in _PLACE], axis=1)
     moved = np.stack([columns[name] for name in _MOVE], axis=1)
-    return ProgramPoints(place, moved, failed, notes=notes)
+    score = 1.0 - 0.5 * columns[_GAMMA] if _GAMMA in columns else None
+    return ProgramPoints(place, moved, failed, score=score, notes=notes)
 
 
 def _check_names(path: Path, names: list[str]) -> None:
@@ -261,6 +264,7 @@ DICE = Program(
     results=".txt, .e",
     read_points=read_dice_points,
     usual_unit="mm",
+    least_score=LEAST_CORRELATION,
     calibrations="DICe (XML)",
     holds_rig=_holds_rig,
     read_rig=read_dice_rig,

@@ -29,6 +29,8 @@ _COLUMNS = {
 }
 _LINE = re.compile(r"\s*([^;:\[\]]+?)\s*(?:\[\s*([^\]]*?)\s*\])?\s*[;:]\s*(.*?)\s*$")
 _WHOLE = "the calibration"
+# A longer line is none of these, and would take the pattern for ever.
+_LONGEST_LINE = 200
 
 
 def read_matchid_points(path: Path, frame: int | None = None) -> ProgramPoints:
@@ -80,7 +82,8 @@ def _lines(file: CalibrationFile) -> list[str]:
     """Lines of a .caldat file, or of pyvale's YAML of the same keys."""
     if isinstance(file.content, dict):
         return [f"{key};{value}" for key, value in file.content.items()]
-    return file.content.splitlines() if isinstance(file.content, str) else []
+    lines = file.content.splitlines() if isinstance(file.content, str) else []
+    return [line for line in lines if len(line) <= _LONGEST_LINE]
 
 
 def _holds_rig(file: CalibrationFile) -> bool:

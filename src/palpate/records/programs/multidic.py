@@ -1,19 +1,21 @@
 """Calibrations and stereo results of MultiDIC and DuoDIC, from MATLAB's files."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 from jaxtyping import Float
-from scipy.io import loadmat, whosmat
 from scipy.linalg import rq
 
 from palpate.errors import RecordError
-from palpate.files import checked_file, damage, read_bytes
+from palpate.files import damage, read_bytes
+from palpate.records.mat_file import MAT_MARK, read_mat
+from palpate.records.picture_tracks import PictureTracks
 from palpate.records.program import (
     HDF5_MARK,
+    LEAST_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
@@ -23,8 +25,8 @@ from palpate.records.program import (
 )
 from palpate.records.rig import Camera, Rig
 
-_PLACES = "Points3D"
-_MARK = b"MATLAB 5.0 MAT-file"
+_PLACES, _PIXELS = "Points3D", "Points"
+_CURE = "save it again in MATLAB"
 _MARK_HDF5 = b"MATLAB 7.3 MAT-file"
 _PATTERN = "DLTstruct_cam_*.mat"
 _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
@@ -39,7 +41,9 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     The file holds a struct (DIC3D, DIC3Dcombined, DIC3DPPresults, DIC3DpairResults, ...) with
     Points3D, a cell of one n x 3 array per picture; the first is the state at rest. The
     displacement is the difference, as their Disp.DispVec is. NaN marks points that were not
-    matched; where that is so at rest, they have no place either.
+    matched; where that is so at rest, they have no place either. Where there is corrComb, Ncorr's
+    criterion of the worse camera (the sum of squared differences of two windows of zero mean and
+    unit length), the score is 1 - corrComb / 2.
 
     Parameters
     ----------
@@ -56,75 +60,163 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     STEP4_PostProcessing.m: Disp.DispVec{ii} = Points3D{ii} - Points3D{1}; DuoDIC
     (github.com/SolavLab/DuoDIC), DuoDIC_STEP3_3D_reconstruction.m, saved with -v7.3.
     """
-    states = _states(path)
+    states, criteria = _cells(path, (_PLACES, "corrComb"), "3-D result (step 3 or 4)")
     if len(states) < 2:
         raise RecordError(
             f"{path}: Points3D holds {len(states)} state; the first is the rest, so a displacement"
             " needs at least two"
         )
-    if len({state.shape for state in states}) > 1 or states[0].ndim != 2:
-        raise RecordError(f"{path}: the arrays of Points3D differ in size; reconstruct them again")
-    if states[0].shape[1] != 3:
-        raise RecordError(
-            f"{path}: the arrays of Points3D are n x {states[0].shape[1]}; must be n x 3: give the"
-            " results of step 3 or 4"
-        )
+    _check_arrays(path, _PLACES, states, 3, "give the results of step 3 or 4")
     state, notes = chosen_frame(path, frame, len(states))
-    return ProgramPoints(states[0], states[state] - states[0], notes=notes)
+    score = _score(path, criteria, (0, state), states) if criteria else None
+    return ProgramPoints(states[0], states[state] - states[0], score=score, notes=notes)
 
 
-def _states(path: Path) -> list[np.ndarray]:
-    """The arrays of Points3D, in time."""
+def read_multidic_tracks(path: Path, frame: int | None = None) -> PictureTracks:
+    """Matches of MultiDIC and DuoDIC in the pictures of two cameras, by Ncorr.
+
+    The file holds a struct (DIC2DpairResults) with Points, a cell of one n x 2 array per picture,
+    column and row counted from 1: all pictures of the first camera, the first at rest, then all of
+    the second. CorCoeffVec is Ncorr's criterion, as corrComb is.
+
+    Parameters
+    ----------
+    path : Path                     .mat, version 5 to 7.3
+    frame : int or None             state, from 0 (the rest); None: the last one
+
+    Returns
+    -------
+    PictureTracks                   cameras named by their number, where the file has it
+
+    Raises
+    ------
+    RecordError                     no such struct, or several, a cut file
+
+    Source
+    ------
+    DuoDIC, DuoDIC_STEP2_2DDIC_using_Ncorr.m and lib_DuoDIC/extractNcorrResults.m.
+    """
+    keys = (_PIXELS, "CorCoeffVec", "nCamRef", "nCamDef")
+    pixels, criteria, *numbers = _cells(path, keys, "2-D result (step 2)")
+    count = len(pixels) // 2
+    if count < 2 or len(pixels) % 2:
+        raise RecordError(
+            f"{path}: Points holds {len(pixels)} pictures; must be two or more, rest first, of each"
+            " of two cameras"
+        )
+    _check_arrays(path, _PIXELS, pixels, 2, "give the results of step 2")
+    state, notes = chosen_frame(path, frame, count)
+    used = (0, state, count, count + state)
+    score = _score(path, criteria, used, pixels) if criteria else None
+    names = [f"{float(n[0].ravel()[0]):g}" for n in numbers if n and n[0].size]
+    return PictureTracks(
+        rest=np.stack([pixels[0], pixels[count]]) - 1.0,
+        loaded=np.stack([pixels[state], pixels[count + state]]) - 1.0,
+        cameras=tuple(names),
+        score=score,
+        notes=notes,
+    )
+
+
+def _check_arrays(
+    path: Path, key: str, arrays: Sequence[np.ndarray], columns: int, cure: str
+) -> None:
+    """Refuse arrays that do not have one size, n x columns."""
+    if len({array.shape for array in arrays}) > 1 or arrays[0].ndim != 2:
+        raise RecordError(f"{path}: the arrays of {key} differ in size; evaluate them again")
+    if arrays[0].shape[1] != columns:
+        raise RecordError(
+            f"{path}: the arrays of {key} are n x {arrays[0].shape[1]}; must be n x {columns}:"
+            f" {cure}"
+        )
+
+
+def _score(
+    path: Path, criteria: Sequence[np.ndarray], used: Sequence[int], points: Sequence[np.ndarray]
+) -> Float[np.ndarray, " n"]:
+    """Correlation of the worst of some pictures, of Ncorr's criterion; NaN where none is told."""
+    sizes = {array.size for array in criteria}
+    if len(criteria) != len(points) or sizes != {len(points[0])}:
+        raise RecordError(
+            f"{path}: its {len(criteria)} arrays of correlation ({', '.join(map(str, sizes))}"
+            f" values) do not belong to {len(points)} of {len(points[0])} points; evaluate them"
+            " again"
+        )
+    # A picture agrees with itself, which is NaN; so the largest of those that are told.
+    return 1.0 - 0.5 * np.fmax.reduce([criteria[i].ravel() for i in used])
+
+
+def _cells(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
+    """Arrays of some cells of the one struct that has the first of them; none where one is not."""
     start = read_bytes(path, 520)
-    with damage(path, "save it again in MATLAB"):
+    with damage(path, _CURE):
         if start.startswith(_MARK_HDF5) or HDF5_MARK in (start[:8], start[512:520]):
-            return _states_from_hdf5(path)
-        if start.startswith(_MARK):
-            return _states_from_version_5(path)
+            return _cells_of_hdf5(path, keys, what)
+        if start.startswith(MAT_MARK):
+            return _cells_of_version_5(path, keys, what)
     raise RecordError(f"{path}: is not a MATLAB file of version 5 to 7.3; save it again in MATLAB")
 
 
-def _states_from_hdf5(path: Path) -> list[np.ndarray]:
-    """Points3D of a file of version 7.3, which is HDF5: arrays are transposed, cells are links."""
+def _cells_of_hdf5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
+    """Cells of a file of version 7.3, which is HDF5: arrays are transposed, cells are links."""
     with h5py.File(path) as file:
         present = [name for name in file if not name.startswith("#")]
         groups = [name for name in present if isinstance(file[name], h5py.Group)]
-        name = _only_struct(path, [name for name in groups if _PLACES in file[name]], present)
-        links = np.asarray(file[name][_PLACES]).ravel(order="F")
-        return [np.asarray(checked_size(file[link]), dtype=np.float64).T for link in links]
+        struct = file[_only_struct(path, keys[0], what, groups, present, file)]
+        items = [struct.get(key) for key in keys]
+        links = [
+            [] if item is None else
+            [file[link] for link in np.asarray(item).ravel(order="F")] if item.dtype == object
+            else [item]
+            for item in items
+        ]  # fmt: skip
+        return [
+            [np.asarray(checked_size(array), dtype=np.float64).T for array in cell]
+            for cell in links
+        ]
 
 
-def _states_from_version_5(path: Path) -> list[np.ndarray]:
-    """Points3D of a file of version 5 to 7."""
-    kinds = {name: kind for name, _, kind in whosmat(path) if not name.startswith("__")}
-    structs = [name for name, kind in kinds.items() if kind == "struct"]
-    content = loadmat(path, variable_names=structs, simplify_cells=True)
-    found = [name for name in structs if isinstance(content[name], dict)]
-    name = _only_struct(path, [name for name in found if _PLACES in content[name]], list(kinds))
-    cell = np.asarray(content[name][_PLACES])
+def _cells_of_version_5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
+    """Cells of a file of version 5 to 7."""
+    content = read_mat(path, what="is damaged or cut off", cure=_CURE)
+    present = [name for name in content if not name.startswith("__")]
+    found = [name for name in present if isinstance(content[name], dict)]
+    struct = content[_only_struct(path, keys[0], what, found, present, content)]
+    items = [np.asarray(struct[key]) if key in struct else None for key in keys]
     # A cell of one state comes as that state.
-    states = cell.ravel() if cell.dtype == object else [cell]
-    return [np.asarray(state, dtype=np.float64) for state in states]
+    return [
+        [] if item is None else
+        [np.asarray(array, dtype=np.float64) for array in item] if item.dtype == object
+        else [item.astype(np.float64)]
+        for item in items
+    ]  # fmt: skip
 
 
-def _only_struct(path: Path, names: Sequence[str], present: Sequence[str]) -> str:
-    """The struct with a 3-D result; a file with none or with several is refused."""
-    if len(names) > 1:
+def _only_struct(
+    path: Path,
+    key: str,
+    what: str,
+    structs: Sequence[str],
+    present: Sequence[str],
+    content: Mapping[str, Any],
+) -> str:
+    """The struct with a field; a file with none or with several is refused."""
+    names = [name for name in structs if key in content[name]]
+    if len(names) == 1:
+        return names[0]
+    if names:
         raise RecordError(
-            f"{path}: holds several structs with Points3D ({', '.join(names)}); save one of them"
-            " in a file of its own"
+            f"{path}: holds several structs with {key} ({', '.join(names)}); save one of them in a"
+            " file of its own"
         )
-    if not names:
-        why = (
-            "it is the 2-D result of step 2"
-            if any("2D" in name for name in present)
-            else "it is no result of step 3"
-        )
-        raise RecordError(
-            f"{path}: has no struct with Points3D: {why}; give the file of the 3-D reconstruction"
-            f" (DIC3D..., step 3 or 4); it has: {', '.join(present)}"
-        )
-    return names[0]
+    is_planar = key == _PLACES and any(_PIXELS in content[name] for name in structs)
+    cure = (
+        "it is the 2-D result of step 2: name the calibration of its cameras with --rig, or give"
+        " the 3-D result (step 3 or 4)"
+        if is_planar
+        else f"give the file of the {what}"
+    )
+    raise RecordError(f"{path}: has no struct with {key}: {cure}; it has: {', '.join(present)}")
 
 
 def _holds_rig(file: CalibrationFile) -> bool:
@@ -191,8 +283,7 @@ def _transformations(path: Path) -> list[CalibrationFile]:
 def _content(path: Path) -> dict[str, Any]:
     """Fields of the one structure in a MATLAB file."""
     what = "is no MATLAB file of version 5 to 7.2"
-    with damage(checked_file(path), "save it with '-v7'", what=what):
-        variables = loadmat(path, squeeze_me=True, simplify_cells=True)
+    variables = read_mat(path, what=what, cure="save it with '-v7'", squeeze_me=True)
     for value in variables.values():
         if isinstance(value, dict) and "DLTparams" in value and "indCam" in value:
             return value
@@ -249,7 +340,9 @@ MULTIDIC = Program(
     kinds=("multidic", "duodic"),
     results=".mat",
     read_points=read_multidic_points,
+    read_tracks=read_multidic_tracks,
     usual_unit="mm",
+    least_score=LEAST_CORRELATION,
     calibrations=f"MultiDIC ({_PATTERN})",
     holds_rig=_holds_rig,
     read_rig=read_multidic_rig,

@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-import numpy as np
-
-from palpate.records.program import Program, ProgramPoints, chosen_frame
+from palpate.records.program import LEAST_CORRELATION, Program, ProgramPoints, chosen_frame
 from palpate.records.text import read_text_table
 
 _COLUMNS = {name: (name,) for name in ("u", "v", "w", "ref_x", "ref_y", "ref_z")}
@@ -14,8 +12,8 @@ _SCORES = ("r1r2 zncc", "r1t1 zncc", "r1t2 zncc")
 def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a stereo table that OpenCorr saved as CSV.
 
-    Read are ref_x, ref_y, ref_z (at rest) and u, v, w. A point failed where one of the three
-    correlation scores (r1r2, r1t1, r1t2 ZNCC) is zero or less: its codes of failure are negative.
+    Read are ref_x, ref_y, ref_z (at rest) and u, v, w. The score is the least of the three
+    correlations (r1r2, r1t1, r1t2 ZNCC); one of zero or less is a code of failure.
 
     Parameters
     ----------
@@ -40,13 +38,11 @@ def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
         _COLUMNS, spelled=str.lower, why=lambda missing: _why(missing, is_volume=is_volume)
     )
     values = table.values(wanted)
-    failed = np.zeros(len(values), dtype=bool)
-    notes: tuple[str, ...] = ()
     if scores := [c for name in _SCORES if (c := table.find([name], spelled=str.lower))]:
-        failed |= ~(table.values(scores) > 0.0).all(axis=1)
-    else:
-        notes = ("It has no columns ZNCC, so failed points cannot be recognised.",)
-    return ProgramPoints(values[:, 3:], values[:, :3], failed, notes=notes)
+        score = table.values(scores).min(axis=1)
+        return ProgramPoints(values[:, 3:], values[:, :3], ~(score > 0.0), score=score)
+    notes = ("It has no columns ZNCC, so failed points cannot be recognised.",)
+    return ProgramPoints(values[:, 3:], values[:, :3], notes=notes)
 
 
 def _why(missing: list[str], *, is_volume: bool) -> str:
@@ -62,5 +58,9 @@ def _why(missing: list[str], *, is_volume: bool) -> str:
 
 
 OPENCORR = Program(
-    kinds=("opencorr",), results=".csv", read_points=read_opencorr_points, usual_unit="mm"
+    kinds=("opencorr",),
+    results=".csv",
+    read_points=read_opencorr_points,
+    usual_unit="mm",
+    least_score=LEAST_CORRELATION,
 )

@@ -7,6 +7,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from palpate.records.program import CalibrationFile, Program, make_pose
@@ -69,7 +70,9 @@ def read_opencv_rig(file: CalibrationFile) -> Rig:
                 f" names: K1, M1, cameraMatrix1, ...; found: {', '.join(entries)}); put"
                 " intrinsics.yml and extrinsics.yml side by side, or all into one file"
             )
-        poses = [np.eye(4), _pose(file, entries["R"], entries["T"], entries)]
+        metres = _metres(file, entries)
+        second = opencv_pose(file, "camera 2", entries["R"], entries["T"], metres)
+        poses = [np.eye(4), second]
     else:
         poses = [_own_pose(file, entries, name) for name in names]
     return file.rig([_camera(file, entries, *both) for both in zip(names, poses, strict=True)])
@@ -125,18 +128,38 @@ def _own_pose(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> n
             f"camera '{name or file.path.stem}' has no pose: give R and T between two cameras, or"
             f" a rotation and a translation for each (found: {', '.join(entries)})"
         )
-    return _pose(file, turn, shift, entries)
+    where = f"camera '{name or file.path.stem}'"
+    return opencv_pose(file, where, turn, shift, _metres(file, entries))
 
 
-def _pose(file: CalibrationFile, turn: Any, shift: Any, entries: Mapping[str, Any]) -> np.ndarray:
+def _metres(file: CalibrationFile, entries: Mapping[str, Any]) -> float:
     stated = entries.get("length_unit")
-    metres = file.metres(stated=str(stated) if stated else None, usual=None)
-    rotation = file.numbers("rotation", turn, None)
+    return file.metres(stated=str(stated) if stated else None, usual=None)
+
+
+def opencv_pose(
+    file: CalibrationFile, where: str, turn: Any, shift: Any, metres: float
+) -> Float[np.ndarray, "4 4"]:
+    """x_camera from x_object, of a rotation and a translation as OpenCV gives them.
+
+    Parameters
+    ----------
+    file : CalibrationFile
+    where : str                     whose they are, for the message
+    turn : 3 or 9 numbers           a rotation vector (its direction is the axis, its length the
+                                    angle in radians), or a matrix
+    shift : 3 numbers
+    metres : float [m]              unit of `shift`
+
+    Raises
+    ------
+    CalibrationError                other counts, no finite numbers
+    """
+    rotation = file.numbers(f"{where} rotation", turn, None)
     if rotation.size == 3:
-        # A rotation vector: the direction is the axis, the length the angle in radians.
         rotation = Rotation.from_rotvec(rotation).as_matrix()
-    rotation = file.numbers("rotation", rotation, (3, 3))
-    return make_pose(rotation, metres * file.numbers("translation", shift, (3,)))
+    rotation = file.numbers(f"{where} rotation", rotation, (3, 3))
+    return make_pose(rotation, metres * file.numbers(f"{where} translation", shift, (3,)))
 
 
 def _size(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> tuple[int, int] | None:

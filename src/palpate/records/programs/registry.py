@@ -4,18 +4,25 @@ Every program has its own conventions; its file says them. In a `Rig` all are th
 x_camera = R x_object + t, the centre of the first pixel is (0, 0).
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from palpate.errors import RecordError
+from palpate.files import damage
 from palpate.records.measured_points import MeasuredPoints, in_metres
-from palpate.records.program import CalibrationFile, Program
+from palpate.records.picture_tracks import PictureTracks
+from palpate.records.program import CalibrationFile, Program, ProgramPoints
 from palpate.records.programs.dice import DICE
 from palpate.records.programs.kalibr import KALIBR
 from palpate.records.programs.matchid import MATCHID
+from palpate.records.programs.matlab import MATLAB
 from palpate.records.programs.multidic import MULTIDIC
 from palpate.records.programs.opencorr import OPENCORR
 from palpate.records.programs.opencv import OPENCV
 from palpate.records.programs.pyvale import PYVALE
+from palpate.records.programs.toml_cameras import TOML_CAMERAS
 from palpate.records.programs.vic3d import VIC3D
 from palpate.records.programs.vtu import VTU
 from palpate.records.rig import Rig
@@ -27,9 +34,11 @@ PROGRAMS: tuple[Program, ...] = (
     MATCHID,
     PYVALE,
     OPENCORR,
+    MATLAB,
     MULTIDIC,
     VTU,
     KALIBR,
+    TOML_CAMERAS,
     OPENCV,
 )
 
@@ -45,7 +54,13 @@ def kinds_text() -> str:
 
 
 def read_measured(
-    kind: str, path: Path | str, *, length_unit: str | None = None, frame: int | None = None
+    kind: str,
+    path: Path | str,
+    *,
+    length_unit: str | None = None,
+    frame: int | None = None,
+    min_score: float | None = None,
+    in_space: Callable[[PictureTracks], ProgramPoints] | None = None,
 ) -> MeasuredPoints:
     """Points and displacements of one result file, in metres, in the program's own frame.
 
@@ -55,16 +70,42 @@ def read_measured(
     path : path
     length_unit : str or None       um, mm, cm, m or in, where the file does not say
     frame : int or None             state, from 0, in files of several; None: the last one
+    min_score : float or None       least correlation of a match that counts, -1 to 1; None: the
+                                    program's own `least_score`
+    in_space : callable or None     triangulates matches in pictures; None: the file has places
 
     Raises
     ------
-    RecordError                     unknown kind; not there, damaged, 2-D, nothing measured
+    RecordError                     unknown kind, or one without matches in pictures; not there,
+                                    damaged, 2-D, nothing measured; a least score that is no
+                                    correlation, or of a file that tells none
     """
     program = import_kinds().get(kind)
     if program is None or program.read_points is None:
         raise RecordError(f"kind is '{kind}'; must be one of {', '.join(import_kinds())}")
-    given = program.read_points(Path(path), frame)
-    return in_metres(given, Path(path), length_unit=length_unit, usual=program.usual_unit)
+    if min_score is not None and not -1.0 <= min_score <= 1.0:
+        raise RecordError(f"--min-score is {min_score:g}; must be a correlation, -1 to 1")
+    if in_space is not None and program.read_tracks is None:
+        raise RecordError(f"{path}: files of {kind} hold places, no pixels; leave --rig out")
+    # Infinities of a damaged file are refused below, not warned of.
+    cure = f"export it again from {kind}"
+    with damage(Path(path), cure, what="cannot be read"), np.errstate(all="ignore"):
+        if in_space is not None and program.read_tracks is not None:
+            given = in_space(program.read_tracks(Path(path), frame))
+        else:
+            given = program.read_points(Path(path), frame)
+    if min_score is not None and given.score is None:
+        raise RecordError(
+            f"{path}: tells no correlation of its points; leave --min-score out, or export them"
+            " with it"
+        )
+    return in_metres(
+        given,
+        Path(path),
+        length_unit=length_unit,
+        usual=program.usual_unit,
+        least_score=program.least_score if min_score is None else min_score,
+    )
 
 
 def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
@@ -86,9 +127,10 @@ def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
     CalibrationError                contents that are missing or contradictory
     """
     file = CalibrationFile.read(path, length_unit)
-    for program in PROGRAMS:
-        if program.holds_rig and program.read_rig and program.holds_rig(file):
-            return program.read_rig(file)
+    with damage(path, "export the calibration again", what="cannot be read as a calibration"):
+        for program in PROGRAMS:
+            if program.holds_rig and program.read_rig and program.holds_rig(file):
+                return program.read_rig(file)
     known = ", ".join(program.calibrations for program in PROGRAMS if program.calibrations)
     raise RecordError(
         f"{path}: is no camera calibration{_holdings(file)}; known are rig.toml, {known}"

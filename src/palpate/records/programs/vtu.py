@@ -107,4 +107,4 @@ def _std(path: Path, data: Mapping[str, np.ndarray]) -> Points | None:
     return None
 
 
-VTU = Program(kinds=("vtu",), results=".vtu, .vtk", read_points=read_vtu_points)
+VTU = Program(kinds=("vtu",), results=".vtu, .vtk", read_points=read_vtu_points, correlates=False)

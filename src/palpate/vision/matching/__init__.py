@@ -17,6 +17,7 @@ from palpate.vision.matching.local_regression import (
 from palpate.vision.matching.outliers import (
     Prediction as Prediction,
     median_around as median_around,
+    median_test as median_test,
     neighbours_median as neighbours_median,
     predicted as predicted,
 )

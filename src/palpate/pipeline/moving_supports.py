@@ -1,0 +1,228 @@
+"""How supports move: rigid motions as columns of the model, and the motion that points show."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.arrays import known_median
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, bounding_diagonal
+from palpate.records import FIXED, GIVEN, DisplacementField, Probing, Session, observed_rows
+from palpate.shapes import Points, Vector3
+
+# Robust fit of a motion: rounds, and Student's degrees of freedom.
+_ROUNDS, _DEGREES = 10, 8.0
+# Of the largest singular value: motions that the points show less than this are not shown at all.
+_UNSEEN = 1e-3
+# Normal distribution: standard deviation over the median absolute value.
+_SIGMA_OVER_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingSupport:
+    """A support that moves.
+
+    Attributes
+    ----------
+    number : int                    from 1, as session.toml counts
+    triangles : (k,) int
+    vertices : (h,) int
+    centre : (3,) float [m]         about which it turns
+    motion : str                    `GIVEN` or `FREE`
+    """
+
+    number: int
+    triangles: Int[np.ndarray, " k"]
+    vertices: Int[np.ndarray, " h"]
+    centre: Vector3
+    motion: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenMotion:
+    """What a probing says about the motion of a support.
+
+    Attributes
+    ----------
+    value : (6,) float              translation of the centre [m], turn about it [rad]
+    std : (6,) float                one standard deviation of each
+    strain : (3, 3) float [-]       gradient, from the centre on, of what is left, e.g. where a cut
+                                    end contracts
+    """
+
+    value: Float[np.ndarray, "6"]
+    std: Float[np.ndarray, "6"]
+    strain: Float[np.ndarray, "3 3"]
+
+
+def moving_supports(session: Session) -> tuple[MovingSupport, ...]:
+    """The supports of a session that are not fixed.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    tuple of MovingSupport          in the order of the session
+    """
+    found = []
+    for number, support in enumerate(session.supports, start=1):
+        vertices = np.unique(session.mesh.triangles[support.triangles])
+        centre = session.mesh.vertices[vertices].mean(axis=0)
+        if support.motion != FIXED:
+            found.append(MovingSupport(number, support.triangles, vertices, centre, support.motion))
+    return tuple(found)
+
+
+def rigid_modes(points: Points, centre: Vector3) -> Float[np.ndarray, "n 3 6"]:
+    """Displacement of points per unit of three translations [m] and three turns [rad].
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    centre : (3,) float [m]         about which is turned
+
+    Returns
+    -------
+    (n, 3, 6) float [-], [m]
+    """
+    turned = np.cross(np.eye(3)[None], (points - centre)[:, None, :]).transpose(0, 2, 1)
+    still = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+    return np.concatenate([still, turned], axis=2)
+
+
+def free_std(mesh: TriangleMesh) -> Float[np.ndarray, "6"]:
+    """What is known before about a free motion: nothing; the size of the object, and a radian.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    (6,) float [m], [rad]
+    """
+    return np.append(np.full(3, bounding_diagonal(mesh)), np.ones(3))
+
+
+def given_motion(session: Session, probing: Probing, support: MovingSupport) -> GivenMotion:
+    """The motion of a support whose motion a probing gives.
+
+    Parameters
+    ----------
+    session : Session
+    probing : Probing
+    support : MovingSupport         `GIVEN`
+
+    Returns
+    -------
+    GivenMotion
+
+    Raises
+    ------
+    InputError                      too few points on the support, or all in a line
+    """
+    if probing.support_motion is not None:
+        rigid = probing.support_motion
+        value = np.concatenate([rigid.translation, rigid.rotation])
+        return GivenMotion(value, np.zeros(6), np.zeros((3, 3)))
+    field = probing.support_displacement
+    if field is None:
+        raise InputError(f"probing '{probing.name}': the motion of its support is not given")
+    return _fitted_motion(field, probing.name, support)
+
+
+def require_given_motions(session: Session) -> None:
+    """Refuse a session whose probings do not tell how its supports move, where they should.
+
+    Parameters
+    ----------
+    session : Session
+
+    Raises
+    ------
+    InputError                      as `given_motion`
+    """
+    for support in moving_supports(session):
+        for probing in session.probings:
+            if support.motion == GIVEN:
+                given_motion(session, probing, support)
+
+
+def _fitted_motion(field: DisplacementField, name: str, support: MovingSupport) -> GivenMotion:
+    """Robust rigid motion of the points on a support, and a uniform strain in what it leaves."""
+    chosen = observed_rows(field) & np.isin(field.surface.triangle, support.triangles)
+    points, moved = field.points[chosen], field.displacement[chosen]
+    place = f"probing '{name}': {field.source}: support {support.number}"
+    if len(points) < 3:
+        raise InputError(
+            f"{place} has {len(points)} measured points; at least three that are not in a line are"
+            " needed to tell how it moves: give more, or a rigid motion as support_motion"
+        )
+    modes = rigid_modes(points, support.centre)
+    size = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+    unit = np.append(np.ones(3), np.full(3, 1.0 / size))
+    singular = np.linalg.svd((modes * unit).reshape(-1, 6), compute_uv=False)
+    if singular[-1] < _UNSEEN * singular[0]:
+        raise InputError(
+            f"{place}: its {len(points)} measured points lie in a line, so its turn about that"
+            " line is not known; give points beside it, or a rigid motion as support_motion"
+        )
+    value, spread = _robust_fit(modes, moved)
+    middle = points.mean(axis=0)
+    strain = _strain(points - middle, moved - modes @ value)
+    value[:3] += strain @ (support.centre - middle)
+    return GivenMotion(value, spread, strain)
+
+
+def _robust_fit(
+    modes: Float[np.ndarray, "n 3 6"], moved: Points
+) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+    """Motion by reweighted least squares, with the standard deviations that residuals show."""
+    weight = np.ones(len(moved))
+    for _ in range(_ROUNDS):
+        normal = np.einsum("n,nip,niq->pq", weight, modes, modes)
+        value = np.linalg.solve(normal, np.einsum("n,nip,ni->p", weight, modes, moved))
+        length = np.linalg.norm(moved - modes @ value, axis=1)
+        level = max(_SIGMA_OVER_MEDIAN * known_median(length) / np.sqrt(3.0), np.finfo(float).tiny)
+        weight = (_DEGREES + 3.0) / (_DEGREES + (length / level) ** 2)
+    return value, level * np.sqrt(np.diag(np.linalg.inv(normal)))
+
+
+def _strain(offset: Points, left: Points) -> Float[np.ndarray, "3 3"]:
+    """Gradient of what a rigid motion leaves, zero across the plane of the points."""
+    return np.linalg.lstsq(offset, left, rcond=_UNSEEN)[0].T
+
+
+def support_shapes(
+    session: Session, supports: tuple[MovingSupport, ...]
+) -> Float[np.ndarray, "v 3 q"]:
+    """Displacement of every vertex that is held per unit of each motion, zero elsewhere.
+
+    Parameters
+    ----------
+    session : Session
+    supports : tuple of MovingSupport
+
+    Returns
+    -------
+    (v, 3, q) float                 six motions a support, then one a probing that gives a motion:
+                                    the strain of its supports
+    """
+    vertices = session.mesh.vertices
+    shapes = np.zeros((len(vertices), 3, 6 * len(supports)))
+    for k, support in enumerate(supports):
+        modes = rigid_modes(vertices[support.vertices], support.centre)
+        shapes[support.vertices, :, 6 * k : 6 * k + 6] = modes
+    if not any(support.motion == GIVEN for support in supports):
+        return shapes
+    strains = np.zeros((len(vertices), 3, len(session.probings)))
+    for k, probing in enumerate(session.probings):
+        for support in supports:
+            if support.motion == GIVEN:
+                offset = vertices[support.vertices] - support.centre
+                strain = given_motion(session, probing, support).strain
+                strains[support.vertices, :, k] = offset @ strain.T
+    return np.concatenate([shapes, strains], axis=2)

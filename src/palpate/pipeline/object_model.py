@@ -1,0 +1,318 @@
+"""Boundary element model of a session's object: its loads, its weight, its moving supports."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array, csr_array, hstack, kron
+
+from palpate.bem import (
+    BodyForce,
+    BoundarySystem,
+    ContactShape,
+    PointEquations,
+    PressureDisc,
+    RightHand,
+    SurfaceLoad,
+    SurfaceSettings,
+    assemble_system,
+    body_force_columns,
+    cached_system,
+    check_memory,
+    face_columns,
+    integral_weights,
+    joined,
+    load_right_hand,
+    load_shape,
+    make_surface,
+    point_equations,
+    pressure_column,
+    support_columns,
+)
+from palpate.estimation import PointRows, ProbeMotions, ProbeRows
+from palpate.geometry import SurfacePoints, interpolation_matrix
+from palpate.pipeline.moving_supports import MovingSupport, moving_supports, support_shapes
+from palpate.probe import ContactPatch, find_contact_patch
+from palpate.records import GIVEN, RIGID, Contact, Session
+
+_Key = tuple[object, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactPoints:
+    """Integral equations for the displacement of the contact points themselves.
+
+    Attributes
+    ----------
+    equations : PointEquations            of every patch
+    right : RightHand                     the same columns as those of the system
+    """
+
+    equations: PointEquations
+    right: RightHand
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectModel:
+    """Boundary element model of a session's object with the loads of its probings.
+
+    Attributes
+    ----------
+    session : Session
+    system : BoundarySystem
+    patches : dict of ContactPatch        distinct contacts, by what makes them distinct
+    pressed : dict of ContactPatch        those under a pressure
+    supports : tuple of MovingSupport
+    shapes : (v, 3, q) float              how they move what is held (`support_shapes`)
+    right : RightHand                     three columns a patch, one a pressure, two of gravity, if
+                                          any, q of the supports
+    body : BodyForce or None
+    tips : ContactPoints or None          None where no tip was measured
+    """
+
+    session: Session
+    system: BoundarySystem
+    patches: dict[_Key, ContactPatch]
+    pressed: dict[_Key, ContactPatch]
+    supports: tuple[MovingSupport, ...]
+    shapes: Float[np.ndarray, "v 3 q"]
+    right: RightHand
+    body: BodyForce | None
+    tips: ContactPoints | None
+
+    @property
+    def gives_motions(self) -> bool:
+        """Whether probings give the motion of a support."""
+        return any(support.motion == GIVEN for support in self.supports)
+
+    @property
+    def patch_of(self) -> Int[np.ndarray, " k"]:
+        """Which of the patches each probing has under its tool; -1: it pulls a support."""
+        order = list(self.patches)
+        keys = [_key(probing.contact) for probing in self.session.probings]
+        return np.array([order.index(key) if key in self.patches else -1 for key in keys])
+
+    def lifts(self, probing: int) -> tuple[int, ...]:
+        """Which motions are the shifts of the support that a probing pulls; none: it pulls none."""
+        pulled = self.pulled(probing)
+        return () if pulled is None else tuple(6 * pulled + i for i in range(3))
+
+    def pulled(self, probing: int) -> int | None:
+        """Which of the moving supports a probing pulls."""
+        contact = self.session.probings[probing].contact
+        if contact.profile != RIGID or contact.triangles is None:
+            return None
+        same = [np.array_equal(one.triangles, contact.triangles) for one in self.supports]
+        return same.index(True)
+
+
+def make_object_model(
+    session: Session,
+    *,
+    surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
+) -> ObjectModel:
+    """Compute all integrals of a session's object, its loads, its weight and its supports.
+
+    Parameters
+    ----------
+    session : Session
+    surface : SurfaceSettings
+    cache : Path or None              folder that keeps the integrals for the next time
+
+    Returns
+    -------
+    ObjectModel
+
+    Raises
+    ------
+    InputError                        the model does not fit into memory, a bad contact
+    """
+    check_memory(len(session.mesh.vertices))
+    patches, pressed = _distinct_patches(session)
+    supports = moving_supports(session)
+    shapes = support_shapes(session, supports)
+    boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
+    system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
+    weight = None
+    if session.gravity is not None and session.density is not None:
+        weight = session.density * session.gravity
+    dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
+    loads = tuple(patches.values()), dips, tuple(pressed.values()), weight, shapes
+    right, body = _right_hand(system, *loads)
+    tips = None
+    if any(probing.tip_displacement is not None for probing in session.probings):
+        equations = point_equations(
+            system,
+            np.array([patch.triangle for patch in patches.values()]),
+            np.array([patch.barycentric for patch in patches.values()]),
+        )
+        tips = ContactPoints(equations, _right_hand(equations.system, *loads)[0])
+    return ObjectModel(session, system, patches, pressed, supports, shapes, right, body, tips)
+
+
+def surface_load(patch: ContactPatch) -> SurfaceLoad:
+    """A contact patch as a load of the boundary element model.
+
+    Parameters
+    ----------
+    patch : ContactPatch
+
+    Returns
+    -------
+    SurfaceLoad
+    """
+    disc = None
+    if patch.contact.radius is not None:
+        disc = PressureDisc(patch.contact.point, patch.contact.radius, patch.pressure)
+    return SurfaceLoad(patch.triangles, patch.density, disc)
+
+
+def _right_hand(
+    system: BoundarySystem,
+    patches: Sequence[ContactPatch],
+    dips: Sequence[ContactShape | None],
+    pressed: Sequence[ContactPatch],
+    weight: Float[np.ndarray, "3"] | None,
+    shapes: Float[np.ndarray, "v 3 q"],
+) -> tuple[RightHand, BodyForce | None]:
+    """Columns of all loads, of the weight [N/m^3], if any, and of what is held and moves."""
+    parts = []
+    for patch, dip in zip(patches, dips, strict=True):
+        if patch.contact.triangles is None:
+            parts.append(load_right_hand(system, [surface_load(patch)], [dip]))
+        else:
+            parts.append(face_columns(system, patch.triangles))
+    parts += [pressure_column(system, patch.triangles) for patch in pressed]
+    body = None if weight is None else body_force_columns(system, weight)
+    if body is not None:
+        parts.append(body.right)
+    parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
+    return joined(parts), body
+
+
+def _distinct_patches(
+    session: Session,
+) -> tuple[dict[_Key, ContactPatch], dict[_Key, ContactPatch]]:
+    """Every contact under a force once, and every one under a pressure."""
+    patches: dict[_Key, ContactPatch] = {}
+    pressed: dict[_Key, ContactPatch] = {}
+    for probing in session.probings:
+        wanted = [(patches, probing.contact)] if probing.contact.profile != RIGID else []
+        wanted += [(patches if x.pressure is None else pressed, x.contact) for x in probing.loads]
+        for found, contact in wanted:
+            if _key(contact) not in found:
+                found[_key(contact)] = find_contact_patch(
+                    session.mesh, contact, session.held_triangles, name=probing.name
+                )
+    return patches, pressed
+
+
+def _key(contact: Contact) -> _Key:
+    triangles = () if contact.triangles is None else tuple(contact.triangles.tolist())
+    return (*contact.point.tolist(), contact.radius, contact.profile, triangles)
+
+
+def probe_rows(model: ObjectModel, index: int, place: SurfacePoints) -> ProbeRows:
+    """Which displacements a probing sees, and which columns move them.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    index : int                       of the probing in its session
+    place : SurfacePoints             of its observed points
+
+    Returns
+    -------
+    ProbeRows
+    """
+    columns, known = _columns(model, index)
+    nodes = model.system.surface.displacement
+    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    particular = np.zeros(3 * place.triangle.size)
+    if model.body is not None:
+        particular = (at_points @ model.body.particular).ravel()
+    free = at_points[:, model.system.unknowns.free_vertices]
+    rest = csr_array((particular.size, model.system.size - 3 * free.shape[1]))
+    surface = csr_array(hstack([kron(free, np.eye(3)), rest]))
+    tip = None
+    if model.session.probings[index].tip_displacement is not None and model.tips is not None:
+        tip = _tip_rows(model, model.tips, index, columns)
+    motions = None
+    if model.supports:
+        motions = _motions(model, index, at_points, with_tip=tip is not None)
+    return ProbeRows(columns, surface, particular, tip, known, model.body is not None, motions)
+
+
+def _columns(
+    model: ObjectModel, index: int
+) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
+    """Right-hand sides of a probing in the order of `ProbeRows`, and how much of its known loads
+    there is."""
+    probing = model.session.probings[index]
+    patches, pressed = list(model.patches), list(model.pressed)
+    columns, known = [], []
+    if probing.contact.profile != RIGID:
+        columns.append(3 * model.patch_of[index] + np.arange(3))
+    for load in probing.loads:
+        if load.force is None:
+            columns.append(3 * len(patches) + np.array([pressed.index(_key(load.contact))]))
+            known.append(np.array([load.pressure]))
+        else:
+            columns.append(3 * patches.index(_key(load.contact)) + np.arange(3))
+            known.append(load.force)
+    last = 3 * len(patches) + len(pressed)
+    if model.body is not None:
+        columns.append(last + np.arange(2))
+        last += 2
+    columns.append(last + _own_motions(model, index))
+    return np.concatenate(columns), np.concatenate([np.zeros(0), *known])
+
+
+def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
+    """Motions of a probing among those of all: the rigid ones, and the strain it gives."""
+    rigid = 6 * len(model.supports)
+    return np.append(np.arange(rigid), [rigid + index] * model.gives_motions).astype(np.int64)
+
+
+def _motions(
+    model: ObjectModel, index: int, at_points: csr_array, *, with_tip: bool
+) -> ProbeMotions:
+    shapes = model.shapes[:, :, _own_motions(model, index)]
+    own = (at_points @ shapes.reshape(len(shapes), -1)).reshape(-1, shapes.shape[2])
+    if with_tip:
+        own = np.concatenate([own, np.zeros((3, own.shape[1]))])
+    pulled = model.pulled(index)
+    if pulled is None:
+        return ProbeMotions(own)
+    grip = _force_on(model.system, model.supports[pulled].triangles)
+    return ProbeMotions(own, grip, model.lifts(index))
+
+
+def _force_on(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> csr_array:
+    """Force on some held triangles from the unknowns, for a shear modulus of one pascal."""
+    weights = integral_weights(system.surface, triangles)[system.unknowns.held_sides]
+    first = 3 * system.unknowns.free_vertices.size
+    side, axis = np.repeat(np.arange(weights.size), 3), np.tile(np.arange(3), weights.size)
+    value = np.repeat(weights / system.traction_length, 3)
+    return csr_array(coo_array((value, (axis, first + 3 * side + axis)), shape=(3, system.size)))
+
+
+def _tip_rows(
+    model: ObjectModel, tips: ContactPoints, index: int, columns: Int[np.ndarray, " c"]
+) -> PointRows:
+    patch = int(model.patch_of[index])
+    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
+    particular = np.zeros(3)
+    if model.body is not None:
+        contact = list(model.patches.values())[patch]
+        nodes = model.system.surface.displacement
+        at_tip = interpolation_matrix(
+            nodes, np.array([contact.triangle]), contact.barycentric[None]
+        )
+        particular = (at_tip @ model.body.particular)[0]
+    return PointRows(
+        tips.equations.matrix[:, patch], tips.equations.own[:, patch], np.stack(right), particular
+    )

@@ -1,0 +1,182 @@
+"""What pushes and pulls in a probing, and how its supports move, as session.toml says."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palpate.geometry import TriangleMesh, area_vectors, closest_points
+from palpate.records.contact import RIGID, UNIFORM, Contact, contact_profiles
+from palpate.records.files.displacement import read_displacement
+from palpate.records.files.support import listed_triangles
+from palpate.records.probing import DisplacementField, Load
+from palpate.records.support import FIXED, RigidMotion, Support
+from palpate.records.text import TomlTable
+from palpate.shapes import Indices, Vector3
+
+
+def held_triangles(supports: Sequence[Support], *, still: bool = False) -> Indices:
+    """Triangles of all supports together, or of those that do not move.
+
+    Parameters
+    ----------
+    supports : sequence of Support
+    still : bool
+
+    Returns
+    -------
+    (k,) int
+    """
+    parts = [one.triangles for one in supports if not still or one.motion == FIXED]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+
+
+def read_push(
+    table: TomlTable,
+    mesh: TriangleMesh,
+    supports: Sequence[Support],
+    loads: Sequence[Load],
+    *,
+    metres_per_unit: float,
+) -> tuple[Contact, Vector3]:
+    """Where a probing is pushed, with which force; where it has other loads only, none at the first
+    of these.
+
+    Parameters
+    ----------
+    table : TomlTable               of the probing
+    mesh : TriangleMesh
+    supports : sequence of Support
+    loads : sequence of Load        of the probing
+    metres_per_unit : float
+
+    Returns
+    -------
+    Contact, (3,) float [N]
+
+    Raises
+    ------
+    RecordError                     a key is missing or bad
+    """
+    if loads and "contact" not in table.values and "force" not in table.values:
+        return loads[0].contact, np.zeros(3)
+    contact = table.table("contact", f"{table.name} contact")
+    if "support" not in contact.values:
+        return _contact(contact, mesh, metres_per_unit), table.vector("force")
+    contact.check_keys(("support",))
+    number = contact.number("support")
+    if number not in range(1, len(supports) + 1):
+        contact.fail(
+            "support", f"is {number:g}; must be the number of a support, 1 to {len(supports)}"
+        )
+    held = supports[int(number) - 1].triangles
+    return Contact(_middle(mesh, held), None, RIGID, held), table.vector("force")
+
+
+def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> tuple[Load, ...]:
+    """The tables `[[probe.load]]` of a probing.
+
+    Parameters
+    ----------
+    table : TomlTable               of the probing
+    mesh : TriangleMesh
+    metres_per_unit : float
+
+    Returns
+    -------
+    tuple of Load
+
+    Raises
+    ------
+    RecordError                     a key is missing, unknown or bad
+    """
+    loads = []
+    for number, load in enumerate(table.optional("load", table.tables) or (), start=1):
+        named = TomlTable(table.file, f"{table.name} load {number}", load.values)
+        named.check_keys(("contact", "force", "pressure"))
+        with named.blamed():
+            contact = named.table("contact", f"{named.name} contact")
+            loads.append(
+                Load(
+                    _contact(contact, mesh, metres_per_unit),
+                    named.optional("force", named.vector),
+                    named.optional("pressure", named.number),
+                )
+            )
+    return tuple(loads)
+
+
+def read_support_field(
+    table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float
+) -> tuple[DisplacementField | None, tuple[str, ...]]:
+    """The displacements that a probing measured on its supports, with notes.
+
+    Parameters
+    ----------
+    table : TomlTable               of the probing
+    mesh : TriangleMesh
+    metres_per_unit : float
+
+    Returns
+    -------
+    DisplacementField or None, tuple of str
+    """
+    if "support_displacement" not in table.values:
+        return None, ()
+    file = table.existing_file("support_displacement")
+    return read_displacement(file, mesh, metres_per_unit=metres_per_unit)
+
+
+def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMotion | None:
+    """The rigid motion of the support that a probing gives.
+
+    Parameters
+    ----------
+    table : TomlTable               of the probing
+    metres_per_unit : float
+
+    Returns
+    -------
+    RigidMotion or None
+
+    Raises
+    ------
+    RecordError                     a key is missing, unknown or bad
+    """
+    if "support_motion" not in table.values:
+        return None
+    motion = table.table("support_motion", f"{table.name} support_motion")
+    motion.check_keys(("translation", "rotation"))
+    rotation = motion.optional("rotation", motion.vector)
+    with motion.blamed():
+        return RigidMotion(
+            metres_per_unit * motion.vector("translation"),
+            np.zeros(3) if rotation is None else rotation,
+        )
+
+
+def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
+    """A round patch, or triangles."""
+    if "triangles" in contact.values:
+        contact.check_keys(("triangles", "traction"))
+        chosen = np.unique(listed_triangles(contact, len(mesh.triangles)))
+        if not chosen.size:
+            contact.fail("triangles", "names no triangle; give at least one")
+        if "traction" in contact.values:
+            contact.choice("traction", (UNIFORM,))
+        return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
+    contact.check_keys(("point", "radius", "profile"))
+    radius = contact.optional("radius", contact.number)
+    return Contact(
+        point=metres * contact.vector("point"),
+        radius=None if radius is None else metres * radius,
+        profile=contact.choice("profile", contact_profiles()),
+    )
+
+
+def _middle(mesh: TriangleMesh, triangles: Indices) -> Vector3:
+    """Point of the surface nearest to the centroid of some triangles."""
+    area = np.linalg.norm(area_vectors(mesh)[triangles], axis=1)
+    centroid = np.average(
+        mesh.vertices[mesh.triangles[triangles]].mean(axis=1), axis=0, weights=area
+    )
+    return closest_points(mesh, centroid[None]).position[0]

@@ -1,0 +1,165 @@
+"""Stereo calibrations of MATLAB (stereoParameters), which DuoDIC works with."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from palpate.files import checked_file, damage, read_bytes
+from palpate.records.mat_file import read_mat
+from palpate.records.program import (
+    HDF5_MARK,
+    CalibrationFile,
+    Program,
+    checked_size,
+    make_pose,
+)
+from palpate.records.quantities import FILE_LENGTH_UNITS, unit_name
+from palpate.records.rig import Camera, Rig
+
+_CAMERAS = ("CameraParameters1", "CameraParameters2")
+_TURN, _SHIFT = "RotationOfCamera2", "TranslationOfCamera2"
+_EXPORT = (
+    "in MATLAB, with p the stereoParameters (DuoDIC: p = calibrationSession.CameraParameters):"
+    f" s = toStruct(p); s.{_TURN} = p.{_TURN}; s.{_SHIFT} = p.{_SHIFT};"
+    " save('stereo.mat', '-struct', 's')"
+)
+# A structure lies this deep in others at most: DIC3D.stereoParams, calibrationSession.x.y.
+_DEPTH = 4
+
+
+@dataclass(frozen=True, slots=True)
+class _Object:
+    """An object of MATLAB: its class is known, its content only to MATLAB."""
+
+    kind: str
+
+
+def _is_transformation(path: Path) -> bool:
+    """True for the files of MultiDIC, which are told by their name."""
+    return path.is_dir() or path.name.startswith("DLTstruct")
+
+
+def _holds_rig(file: CalibrationFile) -> bool:
+    return file.path.suffix.lower() == ".mat" and not _is_transformation(file.path)
+
+
+def read_matlab_rig(file: CalibrationFile) -> Rig:
+    """Rig of two cameras in the frame of the first, from a structure that toStruct made.
+
+    MATLAB multiplies row vectors from the left: x_2 = x_1 RotationOfCamera2 + TranslationOfCamera2,
+    and IntrinsicMatrix is the transposed one. It counts pixels from 1. Lens terms are OpenCV's.
+    Lengths are in WorldUnits, else mm.
+
+    Parameters
+    ----------
+    file : CalibrationFile          .mat, version 5 to 7.3; the structure may lie in others
+
+    Returns
+    -------
+    Rig                             cameras '1' and '2'
+
+    Raises
+    ------
+    RecordError                     a file that cannot be read as such
+    CalibrationError                an object in place of the structure, which only MATLAB can read;
+                                    no such structure, a part missing, contradictions as `Camera`
+
+    Source
+    ------
+    MATLAB's pages on stereoParameters, toStruct and stereoParametersToOpenCV ("the pixel centre at
+    (1, 1)"), and its support's answer on RotationOfCamera2: [x, y, z] * R + t.
+    """
+    content = _variables(file.path)
+    table = next((t for t in _tables(content) if _CAMERAS[0] in t), None)
+    values = [value for t in _tables(content) for value in t.values()]
+    objects = [value.kind for value in values if isinstance(value, _Object)]
+    if table is None and objects:
+        file.fail(f"holds an object ({objects[0]}), which only MATLAB can read; {_EXPORT}")
+    if table is None:
+        names = ", ".join(list(content)[:8]) or "nothing"
+        file.fail(f"holds no stereo calibration (CameraParameters1 ...) but {names}; {_EXPORT}")
+    parts = [file.entry(table, key, "the calibration") for key in (*_CAMERAS, _TURN, _SHIFT)]
+    first, second, turn, shift = parts
+    if not (isinstance(first, dict) and isinstance(second, dict)):
+        file.fail(f"its CameraParameters1 and 2 are no structures; {_EXPORT}")
+    unit = unit_name(str(first.get("WorldUnits", "")).strip())
+    metres = file.metres(stated=unit if unit in FILE_LENGTH_UNITS else None, usual="mm")
+    rotation = file.numbers(_TURN, turn, (3, 3)).T
+    pose = make_pose(rotation, metres * file.numbers(_SHIFT, shift, (3,)))
+    return file.rig([_camera(file, "1", first, np.eye(4)), _camera(file, "2", second, pose)])
+
+
+def _camera(
+    file: CalibrationFile, name: str, values: Mapping[str, Any], pose: np.ndarray
+) -> Camera:
+    key = f"CameraParameters{name}"
+    # Of newer versions K, of older ones its transpose.
+    old = "IntrinsicMatrix" in values
+    found = file.entry(values, "IntrinsicMatrix" if old else "K", key)
+    matrix = file.numbers(f"the intrinsic matrix of {key}", found, (3, 3))
+    matrix = (matrix.T if old else matrix) - [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
+    radial, tangential = (
+        file.numbers(f"{term} of {key}", values.get(term, []), None)
+        for term in ("RadialDistortion", "TangentialDistortion")
+    )
+    lens = np.concatenate([radial[:2], np.zeros(2 - min(len(radial), 2)), np.zeros(2), radial[2:]])
+    lens[2 : 2 + len(tangential)] = tangential
+    size = file.numbers(f"ImageSize of {key}", values.get("ImageSize", []), None)
+    shape = file.size(size[::-1]) if size.size else None
+    return file.camera(name, size=shape, matrix=matrix, distortion=lens, pose=pose)
+
+
+def _variables(path: Path) -> dict[str, Any]:
+    """All variables of a MATLAB file, structures as dictionaries."""
+    start = read_bytes(path, 520)
+    with damage(checked_file(path), "save it again in MATLAB", what="is no MATLAB file"):
+        if HDF5_MARK in (start[:8], start[512:520]):
+            with h5py.File(path) as file:
+                return {name: _value(file[name]) for name in file if not name.startswith("#")}
+        found = read_mat(path, what="is no MATLAB file", cure="save it again in MATLAB")
+    names = [name for name in found if not name.startswith("__")]
+    return {name: _from_version_5(found[name]) for name in names}
+
+
+def _from_version_5(value: Any) -> Any:
+    """The same; an object is what scipy gives as (variable, system, class, reference)."""
+    if isinstance(value, dict):
+        return {name: _from_version_5(item) for name, item in value.items()}
+    is_object = isinstance(value, np.ndarray) and "s2" in (value.dtype.names or ())
+    return _Object(_text(value["s2"][0])) if is_object else value
+
+
+def _tables(content: Any, depth: int = _DEPTH) -> Iterator[dict[str, Any]]:
+    """A dictionary and all in it, outer ones first."""
+    if isinstance(content, dict) and depth:
+        yield content
+        for value in content.values():
+            yield from _tables(value, depth - 1)
+
+
+def _value(item: Any) -> Any:
+    """A variable of a file of version 7.3: structures are groups, arrays are transposed."""
+    if isinstance(item, h5py.Group):
+        return {name: _value(item[name]) for name in item}
+    kind = _text(item.attrs.get("MATLAB_class", b"double"))
+    if kind in ("cell", "struct"):
+        return None
+    if "MATLAB_object_decode" in item.attrs or item.dtype.kind not in "fiub":
+        return _Object(kind)
+    array = np.asarray(checked_size(item)).T
+    return "".join(map(chr, array.ravel())) if kind == "char" else array
+
+
+def _text(word: Any) -> str:
+    return word.decode("latin-1") if isinstance(word, bytes) else str(word)
+
+
+MATLAB = Program(
+    calibrations="MATLAB (structure of stereoParameters, .mat)",
+    holds_rig=_holds_rig,
+    read_rig=read_matlab_rig,
+)

@@ -1,0 +1,90 @@
+"""What several supports, their motions and the forces on them must satisfy together."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh
+from palpate.records.contact import RIGID
+from palpate.records.probing import Probing
+from palpate.records.support import FREE, GIVEN, Support
+from palpate.shapes import Indices
+
+
+def check_supports(
+    mesh: TriangleMesh, supports: Sequence[Support], probings: Sequence[Probing]
+) -> None:
+    """Refuse supports that touch, and motions and forces that do not belong to them.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    supports : sequence of Support
+    probings : sequence of Probing
+
+    Raises
+    ------
+    InputError                      the text names supports by their number from 1, and the probing
+    """
+    corners = [np.unique(mesh.triangles[support.triangles]) for support in supports]
+    for second in range(len(supports)):
+        for first in range(second):
+            shared = np.intersect1d(corners[first], corners[second]).size
+            if shared:
+                raise InputError(
+                    f"supports {first + 1} and {second + 1} share {shared} vertices, which cannot"
+                    " follow both; leave a row of free triangles between them"
+                )
+    given = [number for number, one in enumerate(supports, start=1) if one.motion == GIVEN]
+    for probing in probings:
+        _check_motion(probing, given)
+        if probing.contact.profile == RIGID and probing.contact.triangles is not None:
+            _check_pulled(probing, probing.contact.triangles, supports)
+
+
+def _check_motion(probing: Probing, given: Sequence[int]) -> None:
+    """Refuse a motion that is missing, or that no support asks for."""
+    place = f"probing '{probing.name}'"
+    has_motion = probing.support_motion is not None
+    if given and not has_motion and probing.support_displacement is None:
+        raise InputError(
+            f"{place}: the motion of support {given[0]} is to be given; name the file of its"
+            " displacements as support_displacement, or a rigid motion as support_motion"
+        )
+    if not given and (has_motion or probing.support_displacement is not None):
+        raise InputError(
+            f'{place}: gives a motion of the support, but no support has motion = "given"; say so'
+            " in [support], or leave it out"
+        )
+    if has_motion and len(given) > 1:
+        raise InputError(
+            f"{place}: support_motion is one motion, but that of {len(given)} supports is to be"
+            " given; give support_displacement, with points on each of them"
+        )
+
+
+def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Support]) -> None:
+    """Refuse a force on a support that cannot follow it, or that nothing reacts against."""
+    place = f"probing '{probing.name}'"
+    pulled = [
+        number
+        for number, one in enumerate(supports, start=1)
+        if np.array_equal(one.triangles, triangles)
+    ]
+    if not pulled or len(supports) < 2:
+        raise InputError(
+            f"{place}: its force acts on a support, but no other support is there to react against"
+            " it; select the other grip in a [[support]] of its own"
+        )
+    if supports[pulled[0] - 1].motion != FREE:
+        raise InputError(
+            f"{place}: its force acts on support {pulled[0]}, whose motion is"
+            f" '{supports[pulled[0] - 1].motion}'; a support that is pulled moves as the force"
+            ' makes it: say motion = "free", and give its measured points in the displacement file'
+        )
+    if probing.tip_displacement is not None:
+        raise InputError(
+            f"{place}: tip_displacement is of a tool's contact point, but the force acts on a"
+            " support; give the displacement of the grip in the displacement file"
+        )

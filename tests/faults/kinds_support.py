@@ -1,0 +1,170 @@
+"""Kinds of broken supports, grips and loads."""
+
+from faults.kind import Kind, replaced, written
+
+_GIVEN = 'support_displacement = "foot.csv"'
+_PULLED = "contact = { support = 2 }"
+_CHECK = ("check", ".")
+
+
+def _kind(name: str, damage, *says: str, command: tuple[str, ...] = _CHECK) -> Kind:
+    return Kind(name, damage, command, ("session.toml", *says), example="tension")
+
+
+def _edited(old: str, new: str):
+    return replaced("session.toml", old, new)
+
+
+def _with_load(load: str):
+    return _edited(_GIVEN, f"{_GIVEN}\n[[probe.load]]\n{load}")
+
+
+KINDS = [
+    _kind("a motion misspelt", _edited('"free"', '"fre"'), "motion", "did you mean 'free'"),
+    _kind("a motion that is a number", _edited('"free"', "3"), "[[support]] number 2", "motion"),
+    _kind("supports that are a text", _edited("[[support]]", "support2 = 1\n[[support]]"), "support2"),
+    _kind(
+        "a motion is to be given and is not",
+        _edited(_GIVEN, ""),
+        "'n01'", "support 1", "support_displacement",
+    ),
+    _kind(
+        "a motion is given that no support asks for",
+        _edited('motion = "given"', 'motion = "fixed"'),
+        "'n01'", 'motion = "given"',
+    ),
+    _kind(
+        "a motion given twice",
+        _edited(_GIVEN, _GIVEN + "\nsupport_motion = { translation = [0, 0, 0] }"),
+        "'n01'", "support_motion",
+    ),
+    _kind(
+        "a motion without translation",
+        _edited(_GIVEN, "support_motion = { rotation = [0, 0, 0] }"),
+        "support_motion", "translation",
+    ),
+    _kind(
+        "a turn in degrees",
+        _edited(_GIVEN, "support_motion = { translation = [0, 0, 0], rotation = [0, 0, 2.0] }"),
+        "support_motion", "rad",
+    ),
+    _kind(
+        "a turn of two numbers",
+        _edited(_GIVEN, "support_motion = { translation = [0, 0, 0], rotation = [0, 1] }"),
+        "rotation", "three",
+    ),
+    _kind("the motion's file is missing", _edited('"foot.csv"', '"fot.csv"'), "fot.csv", "foot.csv"),
+    _kind("a force on a support that is not there", _edited(_PULLED, "contact = { support = 3 }"),
+          "support", "1 to 2"),
+    _kind("a force on half a support", _edited(_PULLED, "contact = { support = 1.5 }"), "support"),
+    _kind(
+        "a force on a support whose motion is given",
+        _edited(_PULLED, "contact = { support = 1 }"),
+        "support 1", "'given'", "free",
+    ),
+    _kind(
+        "a force on a support with a radius",
+        _edited(_PULLED, "contact = { support = 2, radius = 0.1 }"),
+        "radius",
+    ),
+    _kind(
+        "a force on the only support",
+        _edited(
+            'motion = "given"\n[[support]]\n'
+            "plane = { point = [0.04, 0, 0], normal = [1, 0, 0], tolerance = 1e-6 }\n",
+            "",
+        ),
+        "support",
+    ),
+    _kind(
+        "supports that touch",
+        _edited("[0.04, 0, 0], normal = [1, 0, 0]", "[0, 0, 0], normal = [0, 1, 0]"),
+        "supports 1 and 2 share",
+    ),
+    _kind("gravity with a pulled support",
+          _edited("[[probe]]", "[gravity]\nacceleration = [0, 0, -9.81]\n[[probe]]"), "density"),
+    _kind("tip displacement of a support",
+          _edited(_GIVEN, _GIVEN + "\ntip_displacement = [0, 0, 0.001]"), "tip_displacement"),
+    _kind("a load of nothing", _with_load('contact = { triangles = "side.txt" }'), "load 1", "force"),
+    _kind(
+        "a load of force and pressure",
+        _with_load('contact = { triangles = "side.txt" }\npressure = 3.0\nforce = [1, 0, 0]'),
+        "load 1", "one of the two",
+    ),
+    _kind(
+        "a pressure on a round patch",
+        _with_load(
+            "contact = { point = [0.02, 0, 0.005], radius = 0.003, profile = 'smooth' }\n"
+            "pressure = 3.0"
+        ),
+        "load 1", "triangles",
+    ),
+    _kind(
+        "a load of zero",
+        _with_load('contact = { triangles = "side.txt" }\nforce = [0, 0, 0]'),
+        "load 1", "zero",
+    ),
+    _kind(
+        "a load with an unknown key",
+        _with_load('contact = { triangles = "side.txt" }\npresure = 3.0'),
+        "presure", "pressure",
+    ),
+    _kind(
+        "a load over triangles that are not there",
+        _with_load('contact = { triangles = "sid.txt" }\npressure = 3.0'),
+        "sid.txt", "side.txt",
+    ),
+    _kind(
+        "a traction that is not known",
+        _with_load('contact = { triangles = "side.txt", traction = "linear" }\npressure = 3.0'),
+        "traction", "uniform",
+    ),
+    _kind(
+        "a load of text",
+        _with_load('contact = { triangles = "side.txt" }\npressure = "much"'),
+        "pressure",
+    ),
+    _kind("loads that are a number", _edited(_GIVEN, _GIVEN + "\nload = 3"), "load"),
+    Kind(
+        "two points tell no motion",
+        written("foot.csv", "x,y,z,ux,uy,uz\n0,0.001,0.001,0,0,0\n0,0.009,0.001,0,0,0\n"),
+        _CHECK, ("foot.csv", "support 1", "at least three"), example="tension",
+    ),
+    Kind(
+        "points in a line tell no motion",
+        written(
+            "foot.csv",
+            "x,y,z,ux,uy,uz\n0,0.001,0.001,0,0,0\n0,0.005,0.001,0,0,0\n0,0.009,0.001,0,0,0\n",
+        ),
+        _CHECK, ("foot.csv", "line"), example="tension",
+    ),
+    Kind(
+        "the motion is of points elsewhere",
+        written("foot.csv", "x,y,z,ux,uy,uz\n0.02,0,0.001,0,0,0\n0.03,0,0.001,0,0,0\n"),
+        _CHECK, ("foot.csv", "support 1", "0 measured points"), example="tension",
+    ),
+    Kind(
+        "a loaded triangle that the mesh lacks",
+        lambda folder: (
+            _with_load('contact = { triangles = "side.txt" }\npressure = 3.0')(folder),
+            written("side.txt", "99999\n")(folder),
+        ),
+        _CHECK, ("side.txt", "line 1", "99999"), example="tension",
+    ),
+    Kind(
+        "no loaded triangle",
+        lambda folder: (
+            _with_load('contact = { triangles = "side.txt" }\npressure = 3.0')(folder),
+            written("side.txt", "# none\n")(folder),
+        ),
+        _CHECK, ("triangles", "at least one"), example="tension",
+    ),
+    Kind(
+        "a load over a support",
+        lambda folder: (
+            _with_load('contact = { triangles = "side.txt" }\npressure = 3.0')(folder),
+            written("side.txt", "0\n")(folder),
+        ),
+        _CHECK, ("session.toml", "support"), example="tension",
+    ),
+]  # fmt: skip

@@ -1,0 +1,243 @@
+"""A good example of every kind of file that is read, and what reads it: what the fuzz spoils."""
+
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+import cv2
+import meshio
+import numpy as np
+import trimesh
+from cube_session import SESSION
+from estimate_samples import constants
+from lab.lab_configs import HALF_BALL, STAGE
+from program_files import (
+    MOVE,
+    PLACE,
+    dice_states,
+    dice_values,
+    multidic_states,
+    vic3d_rows,
+    write_exodus,
+    write_mat,
+    write_table,
+)
+from surfaces import box
+
+from palpate.geometry import read_mesh, write_mesh
+from palpate.lab import read_lab_config
+from palpate.probe import read_compression
+from palpate.records import (
+    CONSTANT_NAMES,
+    Camera,
+    Estimate,
+    ProbeEstimate,
+    Rig,
+    Status,
+    read_estimate,
+    read_import_pose,
+    read_measured,
+    read_rig,
+    read_session,
+    write_estimate,
+    write_rig,
+)
+from palpate.vision import read_pictures
+
+GREY = np.random.default_rng(1).integers(0, 255, (48, 64), dtype=np.uint8)
+POSE = 'length_unit = "mm"\nR = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nt = [1.5, 0, 2]\n'
+COMPRESSION = "Cylinder Diameter: 50mm;\nHeight: 20mm;\nCompression (mm);Load (N)\n" + "".join(
+    f"{0.1 * i:.2f};{3.1 * i:.2f}\n" for i in range(30)
+)
+STEPS = """\
+format = "palpate-session/1"
+[object]
+mesh = "mesh.ply"
+length_unit = "m"
+[rig]
+cameras = "rig.toml"
+[[step]]
+name = "s0"
+images = "png_{camera}.png"
+[[step]]
+name = "s1"
+images = "tif_{camera}.tif"
+"""
+Reader = Callable[[Path], object]
+
+
+def _texts(program: str):
+    """Good texts stand in the tests of the programs that write them."""
+    return import_module(f"records.programs.test_{program}")
+
+
+def two_cameras() -> Rig:
+    """Cameras above the cube that look down, 64 x 48 pixels."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = [-0.02, 0.02, 0.4]
+    beside = pose.copy()
+    beside[0, 3] = -0.06
+    matrix = np.array([[400.0, 0.0, 31.5], [0.0, 400.0, 23.5], [0.0, 0.0, 1.0]])
+    names = zip(("c0", "c1"), (pose, beside), strict=True)
+    cameras = tuple(Camera(name, (64, 48), matrix, np.zeros(8), pose) for name, pose in names)
+    return Rig(cameras, 0, "rig.toml")
+
+
+def write_cube(folder: Path) -> None:
+    """A session of displacements: a cube of 40 mm held at z = 0, pressed from above."""
+    mesh = box(size=(0.04, 0.04, 0.04), cells=3)
+    write_mesh(folder / "mesh.ply", mesh)
+    (folder / "session.toml").write_text(SESSION)
+    top = mesh.vertices[mesh.vertices[:, 2] > 0.0]
+    moved = np.array([3e-4, 0.0, -4e-4]) * top[:, 2:] / 0.04
+    rows = np.hstack([top, moved, np.full((len(top), 1), 1e-4)])
+    write_table(folder / "n01.csv", "x,y,z,ux,uy,uz,sigma", rows)
+
+
+def write_meshes(folder: Path) -> list[Path]:
+    """The cube in every format, some in two ways."""
+    mesh = box(size=(0.04, 0.04, 0.04), cells=2)
+    files = [folder / f"cube{suffix}" for suffix in (".ply", ".obj", ".off", ".msh", ".vtu")]
+    for file in files:
+        write_mesh(file, mesh)
+    plain = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+    for name, kind in (("text.ply", "ply"), ("binary.stl", "stl"), ("text.stl", "stl_ascii")):
+        extra = {"encoding": "ascii"} if kind == "ply" else {}
+        plain.export(folder / name, file_type=kind, **extra)
+        files.append(folder / name)
+    make = import_module("geometry.files.test_mesh_files")._vtp
+    ends = 3 * np.arange(1, len(mesh.triangles) + 1)
+    for kind, compressed in (("ascii", False), ("binary", True), ("appended", False)):
+        content = make(
+            mesh.vertices, mesh.triangles.ravel(), ends, kind=kind, compressed=compressed
+        )
+        files.append(folder / f"{kind}.vtp")
+        files[-1].write_bytes(content)
+    return files
+
+
+def write_rigs(folder: Path) -> list[Path]:
+    """A calibration of every program."""
+    write_rig(folder / "rig.toml", two_cameras())
+    texts = {
+        "vic3d.xml": _texts("vic3d").VIC,
+        "dice.xml": _texts("dice").DICE,
+        "matchid.caldat": _texts("matchid").CALIBRATION,
+        "kalibr.yaml": _texts("kalibr").KALIBR,
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="latin-1")
+    opencv = _texts("opencv")
+    entries = {name: getattr(opencv, name) for name in ("K1", "D1", "K2", "D2", "R", "T")}
+    stereo = [folder / f"stereo.{suffix}" for suffix in ("yml", "xml", "json")]
+    for file in stereo:
+        opencv._stored(file, **entries, length_unit="mm")
+    (folder / "dlt").mkdir()
+    _texts("multidic")._multidic(folder / "dlt", two_cameras())
+    dlt = folder / "dlt" / "DLTstruct_cam_201.mat"
+    return [folder / "rig.toml", *(folder / name for name in texts), *stereo, dlt]
+
+
+def write_results(folder: Path) -> list[tuple[str, Path]]:
+    """Displacements of every program: its kind and a file."""
+    matchid = np.column_stack([np.zeros(4), PLACE, MOVE, np.full(4, 1e-3)])
+    tables = {
+        "vic3d": (_texts("vic3d").VIC3D, vic3d_rows(), ","),
+        "dice": (",".join(_texts("dice").DICE_NAMES), dice_values(), ","),
+        "matchid": (_texts("matchid").MATCHID, matchid, ";"),
+        "pyvale": (_texts("pyvale").PYVALE, _texts("pyvale")._pyvale_rows(), ","),
+        "opencorr": (_texts("opencorr").OPENCORR, _texts("opencorr")._opencorr_rows(), ","),
+    }
+    found = []
+    for kind, (header, rows, delimiter) in tables.items():
+        file = write_table(folder / f"{kind}.txt", header, rows, delimiter=delimiter)
+        found.append((kind, file))
+    for form in ("large", "small", "hdf5"):
+        found.append(("dice", write_exodus(folder / f"{form}.e", dice_states(), form=form)))
+    for version in ("5", "7.3"):
+        file = folder / f"v{version}.mat"
+        found.append(("duodic", write_mat(file, "DIC3D", multidic_states(), version=version)))
+    row = np.zeros(4, dtype=import_module("palpate.records.programs.pyvale")._ROW)
+    row["place_mm"], row["disp_mm"], row["converged"], row["stereo_converged"] = PLACE, MOVE, 1, 1
+    (folder / "rows.dic3d").write_bytes(row.tobytes())
+    for suffix in (".vtu", ".vtk"):
+        grid = meshio.Mesh(PLACE, [("triangle", [[0, 1, 2]])], point_data={"displacement": MOVE})
+        grid.write(folder / f"grid{suffix}")
+        found.append(("vtu", folder / f"grid{suffix}"))
+    return [*found, ("pyvale", folder / "rows.dic3d")]
+
+
+def write_estimate_sample(file: Path) -> None:
+    """An estimate that was never made."""
+    numbers = constants()
+    probe = ProbeEstimate("n01", **numbers, observed=20, missing=1, rejected=0,
+                          rms_residual=2e-4, prediction_error=None)  # fmt: skip
+    known = dict.fromkeys(CONSTANT_NAMES, True)
+    estimate = Estimate(
+        status=Status.OK,
+        **numbers,
+        identifiable=known,
+        probes=(probe,),
+        seconds={"total": 1.0},
+        method="reduced",
+        settings={},
+        notes=(),
+    )
+    write_estimate(file, estimate)
+
+
+def _read_picture(path: Path) -> object:
+    return read_pictures(two_cameras(), path.name, folder=path.parent, what="step 's1'")
+
+
+def write_pictures(folder: Path) -> list[Path]:
+    """The same picture for both cameras in every format; the files of the first camera."""
+    files = [folder / f"{suffix}_c0.{suffix}" for suffix in ("png", "jpg", "tif", "bmp")]
+    for file in files:
+        for camera in ("c0", "c1"):
+            cv2.imwrite(str(file).replace("c0", camera), GREY)
+    return files
+
+
+_TEXTS: dict[str, Reader] = {
+    "pose.toml": read_import_pose,
+    "press.csv": read_compression,
+    "ball.toml": read_lab_config,
+    "stage.toml": read_lab_config,
+}
+
+
+def write_texts(folder: Path) -> list[Path]:
+    """Files of `_TEXTS`."""
+    for name, text in zip(_TEXTS, (POSE, COMPRESSION, HALF_BALL, STAGE), strict=True):
+        (folder / name).write_text(text)
+    return [folder / name for name in _TEXTS]
+
+
+def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
+    """Every kind of file in one folder, each with its reader.
+
+    The reader of a session's parts is that of the session: what is damaged is one file.
+    """
+    write_cube(folder)
+    session = folder / "session.toml"
+    found: list[tuple[Path, Reader]] = [
+        (folder / name, lambda _path: read_session(session))
+        for name in ("session.toml", "n01.csv", "mesh.ply")
+    ]
+    found += [(file, read_mesh) for file in write_meshes(folder)]
+    found += [(file, read_rig) for file in write_rigs(folder)]
+    for kind, file in write_results(folder):
+        found.append((file, partial(_measured, kind)))
+    found += list(zip(write_texts(folder), _TEXTS.values(), strict=True))
+    write_estimate_sample(folder / "estimate.json")
+    found.append((folder / "estimate.json", read_estimate))
+    for file in write_pictures(folder):
+        pattern = folder / file.name.replace("c0", "{camera}")
+        found.append((file, lambda _path, p=pattern: _read_picture(p)))
+    return found
+
+
+def _measured(kind: str, path: Path) -> object:
+    return read_measured(kind, path, length_unit="mm")
