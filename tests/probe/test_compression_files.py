@@ -76,7 +76,7 @@ def test_negative_columns_are_turned_and_said(tmp_path):
     ("text", "message"),
     [
         ("nothing\nhere\n", "no line with two numbers in 2 lines"),
-        ("0,0\n1,one\n", "line 2: column '2' holds 'one'; must be a number"),
+        ("0,0\n1,one\n", "line 2: column 2 holds 'one'; must be a number"),
         ("0,0\n1\n", "line 2: has 1 cells; the header has 2 columns"),
         ("0,0\n1,nan\n", "line 2: displacement or force is not a finite number"),
         ("0,0,0\n1,1,1\n", "3 columns without names"),

@@ -65,13 +65,6 @@ def fit_notes(
             f" {uncertainty.minimum.poisson_ratio:g}, is therefore no measurement: give a wider"
             " poisson_range if the material may be there, else look for what contradicts the model."
         )
-    exact = [probe.name for probe in misfit.probes if not probe.force_std.any()]
-    if exact:
-        whose = "every probing" if len(exact) == len(misfit.probes) else ", ".join(exact)
-        notes.append(
-            f"No force_std is given for {whose}: the force was taken as exact, and the intervals"
-            " leave its error out."
-        )
     if not identifiable["poisson_ratio"]:
         notes.append(
             "Poisson's ratio cannot be told; what the data do tell is"

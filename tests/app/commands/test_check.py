@@ -1,5 +1,11 @@
 """`palpate check`: the figures it prints, and the refusals of bad sessions."""
 
+import cv2
+import numpy as np
+from flow_samples import SHAPE, rig
+
+from palpate.records import write_rig
+
 
 def test_figures_of_the_surface_and_the_support_are_printed(palpate, cube_session):
     code, out, err = palpate("check", cube_session)
@@ -25,3 +31,23 @@ def test_shared_beam_promises_no_poisson_ratio(palpate, shared_data):
     assert code == 0
     assert "outside small deformation" in " ".join(out.split())
     assert "next to nothing about Poisson's ratio" in " ".join(out.split())
+
+
+def test_a_rigid_motion_is_checked_with_its_cameras_and_pictures(palpate, cube_session):
+    rng = np.random.default_rng(1)
+    for name in ("a_c0", "a_c1", "b_c0", "b_c1"):
+        grey = rng.integers(20, 230, SHAPE, dtype=np.uint8)
+        cv2.imwrite(str(cube_session / f"{name}.png"), grey)
+    write_rig(cube_session / "rig.toml", rig())
+    file = cube_session / "session.toml"
+    head = file.read_text().split("[support]")[0]
+    steps = [f'[[step]]\nname = "{k}"\nimages = "{k}_{{camera}}.png"\n' for k in "ab"]
+    file.write_text(f'{head}[rig]\ncameras = "rig.toml"\n{"".join(steps)}')
+    code, out, err = palpate("check", cube_session)
+    assert (code, err) == (0, "")
+    for text in ("2 cameras", "160 x 120", "2 steps of a rigid motion"):
+        assert text in out
+    (cube_session / "b_c1.png").unlink()
+    code, _, err = palpate("check", cube_session)
+    assert code == 2
+    assert "step 'b', camera 'c1'" in err

@@ -1,11 +1,15 @@
 """Tables on the terminal: names as they are, nothing left out on a narrow screen."""
 
 import io
+from dataclasses import replace
 
 import pytest
+from cube_session import cube_session as cube_session
+from estimate_samples import sample_result
 from rich.console import Console
 
-from palpate.app.terminal.tables import number_text, terminal_table
+from palpate.app.terminal.tables import constants_table, number_text, terminal_table
+from palpate.records import read_session
 
 
 def printed(table, width):
@@ -52,3 +56,11 @@ def test_columns_are_as_narrow_as_their_numbers_and_nothing_is_left_out(width, w
 def test_what_is_not_known_is_a_dash(value):
     assert number_text(value, ".2f") == "-"
     assert number_text(1.005e3, ".3g") == "1e+03"
+
+
+def test_forces_that_were_taken_as_exact_are_said_below_the_constants(cube_session):
+    known = sample_result(read_session(cube_session)).estimate
+    assert "taken as exact" not in printed(constants_table(known), 120)
+    exact = replace(known, settings={"exact_forces": ["n01"]})
+    text = " ".join(printed(constants_table(exact), 120).split())
+    assert "with the force of 1 of 1 probings taken as exact, for no force_std is given" in text

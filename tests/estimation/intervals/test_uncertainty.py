@@ -107,7 +107,7 @@ def test_probings_that_disagree_widen_the_interval() -> None:
     assert 0.008 < torn.shear_modulus.std / torn.shear_modulus.value < 0.04
     assert torn.shear_modulus.std > 3 * calm.shear_modulus.std
     assert any("disagree about the shear modulus" in note for note in torn.notes)
-    assert not any("disagree" in note for note in calm.notes)
+    assert calm.notes == ()
 
 
 def _beam(rng: np.random.Generator, noise: float) -> list[ProbeObservations]:

@@ -156,7 +156,7 @@ def test_rendered_rig(shared_data):
         ("K = [[1400.0, 0.5", "k = [[1400.0, 0.5", r"unknown key 'k'"),
         ("reference", "references", "unknown key 'references'; did you mean 'reference'"),
         ('reference = "right"', 'reference = "righty"', "is 'righty'; did you mean 'right'"),
-        ("t = [0, 0, 500]\n", "", "number 1: the key 't' is missing"),
+        ("t = [0, 0, 500]\n", "", "the key 't' is missing"),
         ('length_unit = "mm"', 'length_unit = "km"', "allowed: m, cm, mm, in"),
     ],
 )

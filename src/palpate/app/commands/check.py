@@ -53,7 +53,8 @@ def _mesh_table(session: Session) -> Table:
     quality = mesh_quality(session.mesh)
     moves = moving_supports(session)
     held = float(triangle_areas(session.mesh)[session.held_triangles].sum())
-    support = f"{len(session.held_triangles)} triangles, {1e4 * held:.4g} cm^2"
+    support = f"{len(session.held_triangles)} triangles, {1e4 * held:.4g} cm^2,"
+    support += f" {100.0 * held / quality.area:.1f} % of all"
     moving = [(one.number, f"{one.motion}, {len(one.triangles)} triangles") for one in moves]
     edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
     gravity, density = session.gravity, session.density
@@ -65,7 +66,7 @@ def _mesh_table(session: Session) -> Table:
         ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
         ("worst aspect (longest edge / height)", f"{quality.worst_aspect:.2f}"),
         ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
-        ("support", f"{support}, {100.0 * held / quality.area:.1f} % of all"),
+        ("support", support if session.probings else "-"),
         *((f"support {n} moves", motion) for n, motion in moving),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
         ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),

@@ -81,6 +81,7 @@ def fit(
         0, or 3 where the data do not determine a constant.
     """
     console = Console()
+    settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
     with result_folder(target, kind="fit", force=force) as folder:
@@ -93,7 +94,7 @@ def fit(
             print_notes(measured.notes[len(given.notes) :])
             result = fit_session(
                 measured,
-                settings=FitSettings(method=method, poisson_range=poisson_range),
+                settings=settings,
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
                 progress=progress,
