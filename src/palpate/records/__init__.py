@@ -8,10 +8,15 @@ Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
 from palpate.records.contact import (
+    FIXED as FIXED,
+    FREE as FREE,
+    GIVEN as GIVEN,
     PRESSURES as PRESSURES,
     RIGID as RIGID,
     Contact as Contact,
     Pressure as Pressure,
+    RigidMotion as RigidMotion,
+    Support as Support,
 )
 from palpate.records.estimate import (
     CONSTANT_NAMES as CONSTANT_NAMES,
@@ -89,13 +94,6 @@ from palpate.records.session import (
     Session as Session,
     Step as Step,
     require_probings as require_probings,
-)
-from palpate.records.support import (
-    FIXED as FIXED,
-    FREE as FREE,
-    GIVEN as GIVEN,
-    RigidMotion as RigidMotion,
-    Support as Support,
 )
 from palpate.records.text import (
     Column as Column,

@@ -7,8 +7,7 @@ import numpy as np
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
-from palpate.records.contact import RIGID, Contact
-from palpate.records.support import RigidMotion
+from palpate.records.contact import RIGID, Contact, RigidMotion
 from palpate.shapes import Flags, PointIndices, Points, Vector3
 
 

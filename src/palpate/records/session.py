@@ -8,9 +8,8 @@ import numpy as np
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import RIGID
+from palpate.records.contact import RIGID, Support
 from palpate.records.probing import Probing
-from palpate.records.support import Support
 from palpate.records.support_checks import check_supports
 from palpate.shapes import Indices, Vector3
 

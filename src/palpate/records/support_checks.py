@@ -6,9 +6,8 @@ import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import RIGID
+from palpate.records.contact import FREE, GIVEN, RIGID, Support
 from palpate.records.probing import Probing
-from palpate.records.support import FREE, GIVEN, Support
 from palpate.shapes import Indices
 
 

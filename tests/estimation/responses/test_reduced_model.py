@@ -82,8 +82,8 @@ def test_directions_are_added_until_the_whole_range_is_served(problem, model):
 
 
 def test_thin_sheets_are_served_too():
-    """Twice as long elements as thick: eigenvalues of the system lie close to nu = 0.5."""
-    mesh = box(size=(0.1, 0.02, 0.001), cells=(40, 8, 1))
+    """Elements five times as long as thick: eigenvalues of the system lie close to nu = 0.5."""
+    mesh = box(size=(0.1, 0.02, 0.001), cells=(20, 4, 1))
     middle = mesh.vertices[mesh.triangles].mean(axis=1)
     system = held_part(mesh, middle[:, 0] < 1e-9)
     load = SurfaceLoad(np.flatnonzero(middle[:, 0] > 0.1 - 1e-9), lambda t, b, p: np.ones(len(t)))

@@ -27,7 +27,7 @@ displacement = "n.csv"
 support_displacement = "foot.csv"
 [[probe]]
 name = "inflated"
-displacement = "n.csv"
+displacement = "m.csv"
 support_motion = { translation = [0.1, 0, 0], rotation = [0, 0, 0.002] }
 [[probe.load]]
 contact = { triangles = "top.txt" }
@@ -47,6 +47,7 @@ def session(tmp_path):
     (tmp_path / "top.txt").write_text("".join(f"{index}\n" for index in top[::-1]))
     head = "x,y,z,ux,uy,uz\n"
     (tmp_path / "n.csv").write_text(head + "20,0,5,0.1,0,0\n")
+    (tmp_path / "m.csv").write_text(head + "20,0,5,0.12,0,0\n")
     (tmp_path / "foot.csv").write_text(head + "0,1,1,0.1,0,0\n0,9,1,0.1,0,0\n0,1,9,0.1,0,0\n")
     return read_session(tmp_path)
 

@@ -5,11 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from palpate.geometry import TriangleMesh, area_vectors, closest_points
-from palpate.records.contact import RIGID, UNIFORM, Contact, contact_profiles
+from palpate.records.contact import (
+    FIXED,
+    RIGID,
+    UNIFORM,
+    Contact,
+    RigidMotion,
+    Support,
+    contact_profiles,
+)
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.support import listed_triangles
 from palpate.records.probing import DisplacementField, Load
-from palpate.records.support import FIXED, RigidMotion, Support
 from palpate.records.text import TomlTable
 from palpate.shapes import Indices, Vector3
 

@@ -9,6 +9,7 @@ from palpate.disk import settle
 from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
+from palpate.records.contact import Support
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.loads import (
     held_triangles,
@@ -28,7 +29,6 @@ from palpate.records.session_checks import (
     check_observed_points,
     plausibility_notes,
 )
-from palpate.records.support import Support
 from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
 
 SESSION_FORMAT = "palpate-session/1"
@@ -228,7 +228,9 @@ def _probing(
         if observations:
             for each in (contact, *(load.contact for load in loads)):
                 check_contact(mesh, held, each)
-            check_load(mesh, probing)
+            # What a moving support adds, or another load, says nothing about this force.
+            if not loads and len(still) == len(held):
+                check_load(mesh, probing)
         if field is not None:
             check_observed_points(mesh, still, field)
     return probing, notes + support_notes

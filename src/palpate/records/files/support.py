@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
-from palpate.records.support import FIXED, MOTIONS, Support
+from palpate.records.contact import FIXED, MOTIONS, Support
 from palpate.records.text import TomlTable, read_text
 from palpate.shapes import Indices
 
