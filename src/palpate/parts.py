@@ -4,6 +4,7 @@ import hashlib
 import io
 import pickle
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 
 import palpate
 from palpate.disk import write_bytes
+from palpate.errors import RecordError
 
 T = TypeVar("T")
 # How numpy puts arrays together again.
@@ -45,10 +47,6 @@ class Parts:
         Returns
         -------
         the part                    the same to the last bit, whether made or read
-
-        Raises
-        ------
-        RecordError                 it cannot be written
         """
         if self.folder is None:
             return make()
@@ -57,10 +55,12 @@ class Parts:
         found = _read(path, known)
         if found is None:
             found = (make(),)
-            self.folder.mkdir(exist_ok=True)
             content = io.BytesIO()
             _Writer(content, known).dump(found)
-            write_bytes(path, content.getvalue())
+            # A disk that has room for the result only is no reason to end without one.
+            with suppress(OSError, RecordError):
+                self.folder.mkdir(exist_ok=True)
+                write_bytes(path, content.getvalue())
         part: T = found[0]
         return part
 

@@ -3,10 +3,21 @@
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from cube_session import SESSION
 from estimate_samples import sample_result
+from faults.samples import (
+    STEPS,
+    write_cube,
+    write_meshes,
+    write_pictures,
+    write_results,
+    write_rigs,
+    write_texts,
+)
+from flow_samples import rig
 from surfaces import box
 
 from palpate.geometry import write_mesh
@@ -18,6 +29,7 @@ from palpate.records import (
     sealed,
     session_files,
     write_estimate,
+    write_rig,
     write_text,
 )
 
@@ -26,15 +38,37 @@ from palpate.records import (
 def cube(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of displacements: a cube of 40 mm held at z = 0, pressed from above."""
     folder = tmp_path_factory.mktemp("cube")
-    mesh = box(size=(0.04, 0.04, 0.04), cells=3)
-    write_mesh(folder / "mesh.ply", mesh)
-    (folder / "session.toml").write_text(SESSION)
-    top = mesh.vertices[mesh.vertices[:, 2] > 0.0]
-    height = top[:, 2:] / 0.04
-    moved = np.array([3e-4, 0.0, -4e-4]) * height
-    rows = np.hstack([top, moved, np.full((len(top), 1), 1e-4)])
-    head = "x,y,z,ux,uy,uz,sigma"
-    np.savetxt(folder / "n01.csv", rows, delimiter=",", header=head, comments="")
+    write_cube(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with its surface in every format."""
+    folder = tmp_path_factory.mktemp("meshes")
+    write_meshes(folder)
+    write_cube(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def motion(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rigid motion: the cube, pictures of two steps in every format, a rig of every program."""
+    folder = tmp_path_factory.mktemp("motion")
+    write_cube(folder)
+    write_rigs(folder)
+    write_pictures(folder)
+    (folder / "session.toml").write_text(STEPS)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def others(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cube, and results of other programs, a pose, a compression test, the facility's plans."""
+    folder = tmp_path_factory.mktemp("others")
+    write_cube(folder)
+    write_results(folder)
+    write_texts(folder)
     return folder
 
 
@@ -93,3 +127,37 @@ force_std = [0.002, 0.5, 0.5]
 displacement = "n01.csv"
 support_displacement = "foot.csv"
 """
+
+
+def _add_pictures(folder: Path, tail: str) -> None:
+    """A rig of two cameras over the cube, noise for pictures, and a session that names them."""
+    rng = np.random.default_rng(1)
+    for instant in ("a", "b"):
+        for name in ("c0", "c1"):
+            grey = rng.integers(20, 230, (120, 160), dtype=np.uint8)
+            cv2.imwrite(str(folder / f"{instant}_{name}.png"), grey)
+    write_rig(folder / "rig.toml", rig())
+    head = SESSION[: SESSION.index("[[probe]]")]
+    (folder / "session.toml").write_text(f'{head}[rig]\ncameras = "rig.toml"\n{tail}')
+
+
+@pytest.fixture(scope="session")
+def pictured(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of one probing with pictures, called last."""
+    folder = tmp_path_factory.mktemp("pictured") / "cube"
+    shutil.copytree(cube, folder)
+    probing = SESSION[SESSION.index("[[probe]]") :].replace('"n01"', '"last"')
+    images = 'images = { rest = "a_{camera}.png", loaded = ["b_{camera}.png"] }'
+    _add_pictures(folder, probing.replace('displacement = "n01.csv"', images))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rigid_motion(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rigid motion of two steps, the second called last."""
+    folder = tmp_path_factory.mktemp("rigid") / "cube"
+    shutil.copytree(cube, folder)
+    steps = (("first", "a"), ("last", "b"))
+    tables = [f'[[step]]\nname = "{n}"\nimages = "{k}_{{camera}}.png"\n' for n, k in steps]
+    _add_pictures(folder, "".join(tables))
+    return folder

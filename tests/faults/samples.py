@@ -50,6 +50,20 @@ POSE = 'length_unit = "mm"\nR = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nt = [1.5, 0, 
 COMPRESSION = "Cylinder Diameter: 50mm;\nHeight: 20mm;\nCompression (mm);Load (N)\n" + "".join(
     f"{0.1 * i:.2f};{3.1 * i:.2f}\n" for i in range(30)
 )
+STEPS = """\
+format = "palpate-session/1"
+[object]
+mesh = "mesh.ply"
+length_unit = "m"
+[rig]
+cameras = "rig.toml"
+[[step]]
+name = "s0"
+images = "png_{camera}.png"
+[[step]]
+name = "s1"
+images = "tif_{camera}.tif"
+"""
 Reader = Callable[[Path], object]
 
 
@@ -177,6 +191,30 @@ def _read_picture(path: Path) -> object:
     return read_pictures(two_cameras(), path.name, folder=path.parent, what="step 's1'")
 
 
+def write_pictures(folder: Path) -> list[Path]:
+    """The same picture for both cameras in every format; the files of the first camera."""
+    files = [folder / f"{suffix}_c0.{suffix}" for suffix in ("png", "jpg", "tif", "bmp")]
+    for file in files:
+        for camera in ("c0", "c1"):
+            cv2.imwrite(str(file).replace("c0", camera), GREY)
+    return files
+
+
+_TEXTS: dict[str, Reader] = {
+    "pose.toml": read_import_pose,
+    "press.csv": read_compression,
+    "ball.toml": read_lab_config,
+    "stage.toml": read_lab_config,
+}
+
+
+def write_texts(folder: Path) -> list[Path]:
+    """Files of `_TEXTS`."""
+    for name, text in zip(_TEXTS, (POSE, COMPRESSION, HALF_BALL, STAGE), strict=True):
+        (folder / name).write_text(text)
+    return [folder / name for name in _TEXTS]
+
+
 def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     """Every kind of file in one folder, each with its reader.
 
@@ -192,22 +230,12 @@ def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     found += [(file, read_rig) for file in write_rigs(folder)]
     for kind, file in write_results(folder):
         found.append((file, partial(_measured, kind)))
-    texts = {
-        "pose.toml": (POSE, read_import_pose),
-        "press.csv": (COMPRESSION, read_compression),
-        "ball.toml": (HALF_BALL, read_lab_config),
-        "stage.toml": (STAGE, read_lab_config),
-    }
-    for name, (text, read) in texts.items():
-        (folder / name).write_text(text)
-        found.append((folder / name, read))
+    found += list(zip(write_texts(folder), _TEXTS.values(), strict=True))
     write_estimate_sample(folder / "estimate.json")
     found.append((folder / "estimate.json", read_estimate))
-    for suffix in ("png", "jpg", "tif", "bmp"):
-        for camera in ("c0", "c1"):
-            cv2.imwrite(str(folder / f"{suffix}_{camera}.{suffix}"), GREY)
-        pattern = folder / f"{suffix}_{{camera}}.{suffix}"
-        found.append((folder / f"{suffix}_c0.{suffix}", lambda _path, p=pattern: _read_picture(p)))
+    for file in write_pictures(folder):
+        pattern = folder / file.name.replace("c0", "{camera}")
+        found.append((file, lambda _path, p=pattern: _read_picture(p)))
     return found
 
 

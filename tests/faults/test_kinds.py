@@ -16,12 +16,16 @@ _KINDS: list[Kind] = [
 ]
 # A message that fills a terminal is a flood: nobody finds its point.
 _MOST_CHARACTERS = 1500
+# No example has a file of so many bytes.
+_HOLE = 2**30
 
 
 def _content(folder: Path) -> dict[str, str]:
-    """Digest of every regular file below a folder."""
+    """Digest of every regular file below a folder; of one that is a hole, its size."""
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        if path.stat().st_size < _HOLE
+        else str(path.stat().st_size)
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }

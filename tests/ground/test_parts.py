@@ -60,6 +60,11 @@ def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
         assert store.kept("one", lambda: "new") == "new"
 
 
+def test_a_disk_that_keeps_nothing_is_no_reason_to_stop(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert Parts(tmp_path / "file" / "parts", "key").kept("one", lambda: "new") == "new"
+
+
 @dataclass(frozen=True)
 class _Pair:
     first: object

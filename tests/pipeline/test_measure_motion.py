@@ -5,6 +5,7 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,6 @@ from palpate.pipeline import (
     with_measured_displacement,
     with_pictures_measured,
 )
-from palpate.progress import Progress
 from palpate.records import DisplacementField, Session, read_rig, read_session
 from palpate.vision import FlowMethod, JointFlow, LangPaiFlow, Outcome
 
@@ -203,8 +203,8 @@ def test_only_what_has_no_displacement_is_measured(
     session = replace(half_ball, probings=(known, seen), notes=("first",))
     asked = []
 
-    def measure(session: Session, *, pose: str, progress: Progress) -> SessionFlow:
-        asked.append(([probing.name for probing in session.probings], pose))
+    def measure(session: Session, **given: Any) -> SessionFlow:
+        asked.append(([probing.name for probing in session.probings], given["pose"]))
         camera_rig = read_rig(session.rig)
         return SessionFlow(camera_rig, (), ("second",))
 

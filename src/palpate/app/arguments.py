@@ -4,8 +4,11 @@ from cyclopts import App, CycloptsError
 from rich.console import Console
 
 from palpate import __version__
+from palpate.errors import InputError
 
 _BAD_INPUT = 2
+# What Python's float takes and no option means.
+_NO_NUMBERS = ("nan", "inf", "infinity")
 # Name: where it is, and what its help says.
 _COMMANDS = {
     "fit": (
@@ -109,6 +112,16 @@ def completed(words: list[str]) -> list[str]:
     return words
 
 
+def _check_numbers(words: list[str]) -> None:
+    """Refuse options that are no finite number: Python takes nan and infinity for numbers."""
+    option = ""
+    for word in words:
+        if word.startswith("--"):
+            option, _, word = word.partition("=")
+        if option and word.lower().lstrip("+-") in _NO_NUMBERS:
+            raise InputError(f"{option} is {word}; must be a finite number")
+
+
 def run(words: list[str]) -> int:
     """Run a command.
 
@@ -125,6 +138,7 @@ def run(words: list[str]) -> int:
     PalpateError                    bad input
     BrokenPipeError                 nobody reads what is printed
     """
+    _check_numbers(words)
     try:
         outcome = make_app()(
             completed(words),

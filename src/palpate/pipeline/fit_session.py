@@ -2,6 +2,7 @@
 estimation meet."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     GIVEN,
     DisplacementField,
+    ProbeEstimate,
     Probing,
     Session,
     SupportEstimate,
@@ -37,6 +39,8 @@ from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
+# A turn [rad] that leaves a false strain of 1e-5 is mentioned.
+_LARGE_TURN = 5e-3
 
 
 def fit_session(
@@ -86,16 +90,34 @@ def fit_session(
         **result.estimate.seconds,
         "total": time.perf_counter() - start,
     }
+    probes = tuple(
+        replace(one, supports=_support_estimates(model, k, result.probes[k]))
+        for k, one in enumerate(result.estimate.probes)
+    )
     estimate = replace(
         result.estimate,
-        probes=tuple(
-            replace(one, supports=_support_estimates(model, k, result.probes[k]))
-            for k, one in enumerate(result.estimate.probes)
-        ),
+        probes=probes,
+        notes=(*result.estimate.notes, *_turn_notes(probes)),
         seconds=seconds,
         settings={**result.estimate.settings, "surface": asdict(surface)},
     )
     return replace(result, estimate=estimate)
+
+
+def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
+    """Sentences about turns that are not small."""
+    notes = []
+    for probe in probes:
+        for support in probe.supports:
+            turn = float(np.linalg.norm(support.rotation))
+            if turn > _LARGE_TURN:
+                notes.append(
+                    f"Support {support.support} turned by {turn:.2g} rad in probing {probe.name!r}."
+                    " Displacements are taken as linear in the turn, which leaves a false strain of"
+                    f" {0.5 * turn**2:.1g} across its axis: where that counts, turn the measured"
+                    " displacements back first."
+                )
+    return notes
 
 
 def _support_estimates(

@@ -165,14 +165,18 @@ def measure_motion(
 
 
 def with_pictures_measured(
-    session: Session, *, pose: PoseChoice = "auto", progress: Progress = silent
+    session: Session,
+    *,
+    pose: PoseChoice = "auto",
+    progress: Progress = silent,
+    parts: Path | None = None,
 ) -> Session:
     """The session with displacements from the pictures where there is no file of them.
 
     Parameters
     ----------
     session : Session
-    pose, progress                  as in `measure_motion`
+    pose, progress, parts           as in `measure_motion`
 
     Returns
     -------
@@ -187,7 +191,9 @@ def with_pictures_measured(
     unread = tuple(p for p in session.probings if p.displacement is None and p.images)
     if not unread:
         return session
-    flow = measure_motion(replace(session, probings=unread), pose=pose, progress=progress)
+    flow = measure_motion(
+        replace(session, probings=unread), pose=pose, progress=progress, parts=parts
+    )
     return with_measured_displacement(session, flow)
 
 

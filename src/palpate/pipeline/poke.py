@@ -134,7 +134,7 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
         return replace(first, point=point, radius=first.radius if radius is None else radius)
     if radius is None:
         raise InputError(
-            f"{session.path}: its probings press on a vertex, so there is no radius of the contact;"
+            f"{session.path}: its first probing presses on no round patch, so there is no radius;"
             " give one with --radius: under a point the displacement grows without bound as the"
             " mesh gets finer"
         )

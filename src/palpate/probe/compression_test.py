@@ -281,6 +281,8 @@ def _from_contact(
     displacement: PointScalars, force: PointScalars, preload: float, where: str
 ) -> tuple[Kept, Kept]:
     """Cut what lies before the force last rises through `preload`; count shortening from there."""
+    if not 0.0 <= preload < np.inf:
+        raise InputError(f"{where}preload is {preload:g} N; must be a force of 0 N or more")
     below = np.flatnonzero(force < preload)
     first = int(below[-1]) + 1 if len(below) else 0
     if first >= len(force) - MIN_READINGS:

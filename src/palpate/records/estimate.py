@@ -135,6 +135,10 @@ class SupportEstimate:
     translation_std : 3 float [m]       one standard deviation
     rotation : 3 float [rad]            axis times angle, about its middle
     rotation_std : 3 float [rad]
+
+    Raises
+    ------
+    InputError                          a negative standard deviation
     """
 
     support: int
@@ -142,6 +146,11 @@ class SupportEstimate:
     translation_std: tuple[float, ...]
     rotation: tuple[float, ...]
     rotation_std: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for std in (*self.translation_std, *self.rotation_std):
+            if std < 0.0:
+                raise InputError(f"std of a motion is {std:g}; must not be negative")
 
 
 @dataclass(frozen=True, slots=True)

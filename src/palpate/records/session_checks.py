@@ -18,6 +18,8 @@ from palpate.records.quantities import modulus_unit
 from palpate.records.session import Session
 from palpate.shapes import Indices
 
+# Mean edge over thickness from which a sheet bends wrongly: by 30 to 90 % at 2.
+_COARSE_EDGE = 1.5
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
 _UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
@@ -167,7 +169,7 @@ def check_load(mesh: TriangleMesh, probing: Probing) -> None:
 
 def _pascals(value: float) -> str:
     factor, unit = modulus_unit(value)
-    return f"{value / factor:.2g} {unit}"
+    return f"{float(f'{value / factor:.2g}'):g} {unit}"
 
 
 def modulus_range(mesh: TriangleMesh, force: float, moved: float) -> tuple[float, float]:
@@ -245,6 +247,16 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     mesh = session.mesh
     size = bounding_diagonal(mesh)
     notes = []
+    edge = mesh_quality(mesh).edge_mean
+    offset = mesh.vertices - mesh.vertices.mean(axis=0)
+    axes = np.linalg.svd(offset, full_matrices=False)[2]
+    thickness = float(np.ptp(offset @ axes.T, axis=0).min())
+    if edge > _COARSE_EDGE * thickness:
+        notes.append(
+            f"The object is a sheet {1e3 * thickness:.3g} mm thick and the edges of its triangles"
+            f" are {1e3 * edge:.3g} mm long: stretching in its plane is modelled, bending out of it"
+            " comes out far too stiff. If it bends, use edges shorter than it is thick."
+        )
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {_UNIT_HINT}.")
     if session.probings:

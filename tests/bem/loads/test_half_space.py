@@ -100,3 +100,18 @@ def test_it_is_linear_in_poisson_ratio_and_scales_with_one_over_length():
     np.testing.assert_allclose(
         disc_displacement(disc, up, place), 2 * disc_displacement(twice, up, 2 * place), rtol=1e-12
     )
+
+
+def test_a_push_along_the_surface_is_the_sum_of_cerruti_s_points():
+    """Just outside a smooth disc, where ahead and aside differ most from a point's."""
+    s, nu = 1.2, 0.4
+    found = tensor("smooth", [s], 0.0, nu)[0] * 2 * np.pi * RADIUS
+    # Midpoint rule; the profile falls to zero with its slope at the rim.
+    radius, angle = np.meshgrid((np.arange(400) + 0.5) / 400, np.arange(400) / 400 * 2 * np.pi)
+    weight = radius * PROFILES["smooth"](radius)
+    x, y = s - radius * np.cos(angle), -radius * np.sin(angle)
+    r = np.hypot(x, y)
+    for k, axis in enumerate((x, y)):
+        exact = (weight * (1 - nu + nu * (axis / r) ** 2) / r).sum() / weight.sum()
+        # 400 steps each way, second order.
+        np.testing.assert_allclose(found[k, k], exact, rtol=1e-4)

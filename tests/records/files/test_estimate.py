@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from palpate.errors import RecordError
-from palpate.records import Constant, Estimate, ProbeEstimate, Status, read_estimate, write_estimate
+from palpate.records import (
+    Constant,
+    Estimate,
+    ProbeEstimate,
+    Status,
+    SupportEstimate,
+    read_estimate,
+    write_estimate,
+)
 
 NAN, INF = math.nan, math.inf
 G = Constant(2.1e4, 150.0, (2.07e4, 2.13e4))
@@ -18,7 +26,8 @@ LOST = Constant(NAN, INF, (-INF, INF))
 
 
 def _estimate(**changes):
-    probe = ProbeEstimate("n01", G, NU, E, 412, 40, 9, 2.1e-5, 3e-5)
+    support = SupportEstimate(2, (1e-4, 0.0, -2e-5), (1e-6,) * 3, (0.0, 1e-3, 0.0), (1e-5,) * 3)
+    probe = ProbeEstimate("n01", G, NU, E, 412, 40, 9, 2.1e-5, 3e-5, (support,))
     values = {
         "status": Status.OK,
         "shear_modulus": G,

@@ -210,6 +210,15 @@ def test_a_full_disk_is_said(tmp_path):
     assert _names(tmp_path) == []
 
 
+def test_what_cannot_be_read_is_not_said_of_the_result(tmp_path):
+    picture = str(tmp_path / "session" / "a.png")
+    with (
+        pytest.raises(PermissionError, match=r"a\.png"),
+        result_folder(tmp_path / "result", kind="fit"),
+    ):
+        raise PermissionError(errno.EACCES, "Permission denied", picture)
+
+
 def _sealed(target, *, force=False, value=1.5, inputs=()):
     content = {"format": "palpate-compression/1", "value": value}
     with result_file(target, force=force) as staged:

@@ -81,6 +81,7 @@ def compression(
     if out is not None and any(out.exists() and out.samefile(f) for f in files if f.exists()):
         raise InputError(f"{out}: --out names one of the records; give the result its own name")
     results: list[CompressionResult] = []
+    seen: dict[bytes, Path] = {}
     notes: list[tuple[str, str]] = []
     # The target is tried first: no one should wait for a result that cannot be kept.
     with nullcontext() if out is None else result_file(out, force=force) as staged:
@@ -92,6 +93,12 @@ def compression(
                 displacement_column=displacement_column,
                 force_column=force_column,
             )
+            twin = seen.setdefault(record.displacement.tobytes() + record.force.tobytes(), file)
+            if twin is not file:
+                raise InputError(
+                    f"{file}: holds the same readings as {twin}; a specimen that counts twice makes"
+                    " the mean look surer than it is: name each record once"
+                )
             result = compression_test(
                 record.displacement,
                 record.force,

@@ -25,6 +25,7 @@ from palpate.pipeline import (
 from palpate.records import (
     Status,
     default_folder,
+    parts_folder,
     read_session,
     record_inputs,
     require_probings,
@@ -88,7 +89,7 @@ def fit(
         require_probings(given)
         print_notes(given.notes)
         with progress_bar() as progress:
-            measured = with_pictures_measured(given, progress=progress)
+            measured = with_pictures_measured(given, progress=progress, parts=parts_folder(folder))
             print_notes(measured.notes[len(given.notes) :])
             result = fit_session(
                 measured,

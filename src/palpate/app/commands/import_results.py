@@ -123,9 +123,12 @@ def import_displacements(
         # Of the files, --length-unit says the unit of what has lengths: the calibration.
         in_space = partial(triangulated, rig=read_rig(rig, length_unit=length_unit))
     # The targets are tried first: no one should wait for a result that cannot be kept.
-    place = _session_files(session, plan, force) if out is None else _folder(out, files, force)
     done: list[_Import] = []
-    with place as folder:
+    inputs = [*(item.file for item in plan), *session_files(session.path)]
+    inputs += [to_object] if to_object is not None else []
+    with (
+        _session_files(session, plan, force) if out is None else _folder(out, inputs, force)
+    ) as folder:
         for item in plan:
             measured = read_measured(
                 kind,
@@ -230,10 +233,10 @@ def _strangers(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
 
 
 @contextmanager
-def _folder(out: Path, files: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
+def _folder(out: Path, inputs: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
     """Where the CSV files are written in a result folder."""
     with result_folder(out, kind="import", force=force) as folder:
-        record_inputs(folder, [*files[:-1], *session_files(files[-1])])
+        record_inputs(folder, inputs)
         yield folder.joinpath
 
 

@@ -22,7 +22,7 @@ from palpate.lab import (
     make_session,
     read_lab_config,
 )
-from palpate.records import parts_folder, record_inputs, result_folder
+from palpate.records import parts_folder, record_inputs, result_folder, session_files
 
 
 def lab(
@@ -67,7 +67,7 @@ def lab(
     plan = read_lab_config(file)
     plan = plan if seed is None else replace(plan, seed=seed)
     with result_folder(out, kind="lab", force=force) as folder:
-        record_inputs(folder, [file])
+        record_inputs(folder, session_files(file))
         variant = choose_variant()
         print_notes([variant.why])
         with progress_bar() as progress:

@@ -1,5 +1,6 @@
 """Measured surface displacements from and to CSV files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,8 @@ def read_displacement(
     table = read_text_table(path, cure=f"give a header {_HEADER} and a row per observed point")
     notes = _check_header(table)
     known = [column for column in table.columns if column.heading.lower() in _COLUMNS]
-    values = table.values(known)
+    table, values, copies = _without_copies(table, table.values(known))
+    notes += copies
     column = {known[i].heading.lower(): values[:, i] for i in range(len(known))}
     points = metres_per_unit * np.stack([column[name] for name in _PLACE], axis=1)
     if not np.isfinite(points).all():
@@ -53,6 +55,12 @@ def read_displacement(
             " only displacements may be NaN (not measured)"
         )
     moved = metres_per_unit * np.stack([column[name] for name in _MOVE], axis=1)
+    if np.isinf(moved).any():
+        row, k = map(int, np.argwhere(np.isinf(moved))[0])
+        raise RecordError(
+            f"{path}: line {table.numbers[row]}: {_MOVE[k]} is infinite; must be a number, or NaN"
+            " where it was not measured"
+        )
     if np.isnan(moved).any(axis=1).all():
         raise RecordError(
             f"{path}: not one of its {len(moved)} rows has a displacement (all NaN);"
@@ -100,6 +108,23 @@ def write_displacement(
         rows = [[*row, str(index)] for row, index in zip(rows, field.vertex, strict=True)]
     lines = [",".join(row) for row in [names, *rows]]
     write_text(path, "\n".join(lines) + "\n")
+
+
+def _without_copies(
+    table: TextTable, values: np.ndarray
+) -> tuple[TextTable, np.ndarray, tuple[str, ...]]:
+    """A table and its numbers without rows that repeat another: a copy is no measurement of its own
+    and would make the result look surer than it is."""
+    _, first = np.unique(np.nan_to_num(values, nan=np.inf), axis=0, return_index=True)
+    if len(first) == len(values):
+        return table, values, ()
+    kept = np.sort(first)
+    lines, rows = ([each[i] for i in kept] for each in (table.numbers, table.rows))
+    note = (
+        f"{table.path}: {len(values) - len(kept)} of {len(values)} rows repeat another one, number"
+        " by number, and were left out: a copy is no measurement of its own."
+    )
+    return replace(table, numbers=tuple(lines), rows=tuple(rows)), values[kept], (note,)
 
 
 def _check_header(table: TextTable) -> tuple[str, ...]:

@@ -1,12 +1,13 @@
 """Rigs from files, and into the format `rig.toml`."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import tomlkit
 
-from palpate.errors import CalibrationError, RecordError
+from palpate.errors import CalibrationError, RecordError, quoted
 from palpate.files import is_file
 from palpate.records.program import CalibrationFile, make_pose
 from palpate.records.programs import holds_camera_tables, read_calibration
@@ -98,9 +99,10 @@ def _read_toml_rig(root: TomlTable, length_unit: str | None) -> Rig:
 
 
 def _camera(file: CalibrationFile, table: TomlTable, metres: float) -> Camera:
-    table.check_keys(_CAMERA_KEYS)
     name = table.text("name")
-    where = f"[[camera]] '{name}'"
+    where = f"[[camera]] {quoted(name)}"
+    table = replace(table, name=where)
+    table.check_keys(_CAMERA_KEYS)
 
     def array(key: str, shape: tuple[int, ...] | None) -> np.ndarray:
         return file.numbers(f"{where} {key}", table.get(key), shape)

@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,8 @@ def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
 
     Parameters
     ----------
-    files : iterable of Path
-    start : Path                    the folder
+    files : iterable of Path        of a folder the files in it
+    start : Path                    the folder that the paths start from
 
     Returns
     -------
@@ -46,7 +47,8 @@ def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
     ------
     OSError                         one cannot be read
     """
-    below = {Path(os.path.relpath(file, start)).as_posix(): file for file in files}
+    single = chain.from_iterable(_files_in(path) for path in files)
+    below = {Path(os.path.relpath(file, start)).as_posix(): file for file in single}
     return {name: file_sum(file) for name, file in sorted(below.items())}
 
 
@@ -135,9 +137,15 @@ def session_files(path: Path | str) -> list[Path]:
         if "\0" in text or not below.name or len(text) > 1000:
             continue
         top = Path(below.anchor) if below.is_absolute() else file.parent
-        for named in top.glob(str(below.relative_to(below.anchor))):
-            found |= {named} if named.is_file() else set(named.glob("*"))
-    return sorted(each for each in found if each.is_file())
+        found |= set(top.glob(str(below.relative_to(below.anchor))))
+    return sorted(
+        each for each in set(chain.from_iterable(map(_files_in, found))) if each.is_file()
+    )
+
+
+def _files_in(path: Path) -> list[Path]:
+    """A path itself, or the regular files in a folder."""
+    return [each for each in path.glob("*") if each.is_file()] if path.is_dir() else [path]
 
 
 def _texts(value: Any) -> Iterator[str]:

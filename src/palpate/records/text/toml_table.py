@@ -54,7 +54,8 @@ def nearest_file(path: Path) -> str:
     str                             as `nearest_word`; empty too where there is no such folder
     """
     try:
-        return nearest_word(path.name, sorted(os.listdir(path.parent))[:_MOST_NAMES])
+        beside = [name for name in os.listdir(path.parent) if name != path.name]
+        return nearest_word(path.name, sorted(beside)[:_MOST_NAMES])
     except (OSError, ValueError):
         return ""
 
@@ -347,7 +348,8 @@ class TomlTable:
         """
         path = self.file.parent / self.text(key)
         if not is_file(path):
-            self.fail(key, f"no such file: {quoted(str(path))[1:-1]}{nearest_file(path)}")
+            what = "is a folder, not a file" if os.path.isdir(path) else "no such file"
+            self.fail(key, f"{what}: {quoted(str(path))[1:-1]}{nearest_file(path)}")
         return path
 
 
