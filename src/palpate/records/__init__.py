@@ -55,7 +55,6 @@ from palpate.records.measured_points import (
     on_object as on_object,
     on_surface as on_surface,
 )
-from palpate.records.picture_tracks import PictureTracks as PictureTracks
 from palpate.records.probing import (
     DisplacementField as DisplacementField,
     Images as Images,
@@ -81,6 +80,7 @@ from palpate.records.quantities import (
 from palpate.records.rig import (
     DISTORTION_TERMS as DISTORTION_TERMS,
     Camera as Camera,
+    PictureTracks as PictureTracks,
     Rig as Rig,
     camera_centre as camera_centre,
     picture_size as picture_size,

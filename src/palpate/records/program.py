@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
-from palpate.records.picture_tracks import PictureTracks
 from palpate.records.quantities import FILE_LENGTH_UNITS
-from palpate.records.rig import DISTORTION_TERMS, Camera, Rig
+from palpate.records.rig import DISTORTION_TERMS, Camera, PictureTracks, Rig
 from palpate.records.text import TREE_SUFFIXES, nearest_word, read_toml, read_tree
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 

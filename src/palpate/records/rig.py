@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import CalibrationError, InputError
-from palpate.shapes import Matrix3, Vector3
+from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6
@@ -153,3 +153,23 @@ def picture_size(camera: Camera) -> tuple[int, int]:
             f"camera '{camera.name}' has no size; give the columns and rows of its pictures"
         )
     return camera.size
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureTracks:
+    """Pixels at which cameras see the same points, at rest and under load, not yet in space.
+
+    Parameters
+    ----------
+    rest, loaded : (c, n, 2) float [px]     column, row; the first pixel's centre is (0, 0); NaN
+                                    where a point was not found
+    cameras : tuple of str          names of the c cameras, as far as the program knows them
+    score : (n,) float or None      zero-mean normalised correlation of each point's worst match
+    notes : tuple of str            what was assumed, in sentences about the file
+    """
+
+    rest: Float[np.ndarray, "c n 2"]
+    loaded: Float[np.ndarray, "c n 2"]
+    cameras: tuple[str, ...]
+    score: PointScalars | None
+    notes: tuple[str, ...]

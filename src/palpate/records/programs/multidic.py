@@ -12,7 +12,6 @@ from scipy.linalg import rq
 from palpate.errors import RecordError
 from palpate.files import damage, read_bytes
 from palpate.records.mat_file import MAT_MARK, read_mat
-from palpate.records.picture_tracks import PictureTracks
 from palpate.records.program import (
     HDF5_MARK,
     LEAST_CORRELATION,
@@ -23,7 +22,7 @@ from palpate.records.program import (
     chosen_frame,
     make_pose,
 )
-from palpate.records.rig import Camera, Rig
+from palpate.records.rig import Camera, PictureTracks, Rig
 
 _PLACES, _PIXELS = "Points3D", "Points"
 _CURE = "save it again in MATLAB"

@@ -12,7 +12,6 @@ import numpy as np
 from palpate.errors import RecordError
 from palpate.files import damage
 from palpate.records.measured_points import MeasuredPoints, in_metres
-from palpate.records.picture_tracks import PictureTracks
 from palpate.records.program import CalibrationFile, Program, ProgramPoints
 from palpate.records.programs.dice import DICE
 from palpate.records.programs.kalibr import KALIBR
@@ -25,7 +24,7 @@ from palpate.records.programs.pyvale import PYVALE
 from palpate.records.programs.toml_cameras import TOML_CAMERAS
 from palpate.records.programs.vic3d import VIC3D
 from palpate.records.programs.vtu import VTU
-from palpate.records.rig import Rig
+from palpate.records.rig import PictureTracks, Rig
 
 # To add a program: its file beside these, and one line here.
 PROGRAMS: tuple[Program, ...] = (
