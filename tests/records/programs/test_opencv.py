@@ -147,3 +147,22 @@ def test_opencv_zero_terms_beyond_the_eighth_are_no_matter(tmp_path):
     lens[0, 0] = 0.1
     path = _stored(tmp_path / "a.yml", K1=K1, D1=lens, K2=K2, R=R, T=T)
     assert read_rig(path, length_unit="mm").cameras[0].distortion[0] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("entries", "model"),
+    [
+        ({"fisheye_model": 1}, "fisheye"),
+        ({"distortion_model": "equidistant"}, "equidistant"),
+        ({"distortion_model": "fisheye"}, "fisheye"),
+    ],
+)
+def test_opencv_other_lens_models_are_refused(tmp_path, entries, model):
+    path = tmp_path / "a.yml"
+    _stored(path, K1=K1, D1=D1, K2=K2, D2=D2, R=R, T=T, length_unit="mm", **entries)
+    with pytest.raises(CalibrationError, match=f"camera '1' has the lens model {model}; only"):
+        read_rig(path)
+    usual = {"fisheye_model": 0, "distortion_model": "plumb_bob"}
+    _assert_is_the_pair(
+        read_rig(_stored(path, K1=K1, D1=D1, K2=K2, D2=D2, R=R, T=T, length_unit="mm", **usual))
+    )

@@ -22,6 +22,8 @@ _TURN = re.compile(r"(?:R|[Rr]vec|(?:rotation|Rotation)(?:_?[Mm]atrix)?)" + _WHI
 _SHIFT = re.compile(r"(?:T|t|[Tt]vec|[Tt]ranslation(?:_?[Vv]ector)?)" + _WHICH)
 _SIZE = re.compile(r"(?:[Ii]ma?ge?_?)?[Ss]ize" + _WHICH)
 _SHAPES = frozenset({"rows", "sizes"})
+# What ROS and others call OpenCV's usual model; `fisheye_model` is of OpenCV's calibration sample.
+_LENSES = ("plumb_bob", "rational_polynomial", "radtan", "brown_conrady", "opencv", "none", "")
 _COUNTERPART = {"intrinsic": "extrinsic", "extrinsic": "intrinsic"}
 
 
@@ -110,6 +112,13 @@ def _entries(file: CalibrationFile) -> dict[str, Any]:
 def _camera(
     file: CalibrationFile, entries: Mapping[str, Any], name: str, pose: np.ndarray
 ) -> Camera:
+    where = f"camera '{name or file.path.stem}'"
+    model = str(entries.get("distortion_model") or "").lower()
+    if model not in _LENSES or str(entries.get("fisheye_model") or "0") not in ("0", "False"):
+        file.fail(
+            f"{where} has the lens model {model or 'fisheye'}; only OpenCV's usual one is known"
+            " (k1 k2 p1 p2 k3 ..., plumb_bob): calibrate again with it"
+        )
     matrix = _numbered(entries, _MATRIX)[name]
     lens = _numbered(entries, _LENS).get(name, [])
     return file.camera(
