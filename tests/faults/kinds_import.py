@@ -36,11 +36,7 @@ KINDS = [
         options="--min-score 0.99",
     ),
     _kind("a least score in per cent", _table(*_ROWS), "-1 to 1", options="--min-score 75"),
-<<<<<<< HEAD
-    _kind("a least score of nan", _table(*_ROWS), "finite number", options="--min-score nan"),
-=======
     _kind("a least score of nan", _table(*_ROWS), "--min-score is nan", options="--min-score nan"),
->>>>>>> 36e0e134a2b54fe6a0f7370ef705629d03237cda
     _kind(
         "a least score where none is told",
         _table("0.1,0,0,5,5,40", head="u,v,w,ref_x,ref_y,ref_z"),
