@@ -20,7 +20,7 @@ from palpate.geometry import morton_order
 from palpate.shapes import Points, Vector3
 
 # Fewer points show no order; more cost time and show no more.
-_FEWEST, _MOST = 30, 1000
+_MIN_POINTS, _MAX_POINTS = 30, 1000
 # Lengths below are shares of the largest extent of the points.
 _BLOCK = 0.1
 _APART = (0.2, 0.4)
@@ -68,9 +68,9 @@ def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | No
     Contradiction or None           None, too, with fewer than 30 points: they show no order
     """
     known = np.flatnonzero(np.isfinite(fit.residual).all(axis=1))
-    if len(known) < _FEWEST or not probe.displacement[known].any():
+    if len(known) < _MIN_POINTS or not probe.displacement[known].any():
         return None
-    known = known[morton_order(probe.position[known])][:: -(-len(known) // _MOST)]
+    known = known[morton_order(probe.position[known])][:: -(-len(known) // _MAX_POINTS)]
     place, residual = probe.position[known], fit.residual[known]
     size = float(np.linalg.norm(np.ptp(place, axis=0)))
     motion = float(np.sqrt((probe.displacement[known] ** 2).sum(axis=1).mean()))
