@@ -40,7 +40,7 @@ KINDS = [
     _kind(
         "a least score where none is told",
         _table("0.1,0,0,5,5,40", head="u,v,w,ref_x,ref_y,ref_z"),
-        "tells no correlation",
+        "has no correlation",
         options="--min-score 0.5",
     ),
     _kind("codes of failure everywhere", _table(*[r.replace("0.95", "-3") for r in _ROWS]), *_KEPT),

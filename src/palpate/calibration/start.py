@@ -17,7 +17,7 @@ from palpate.records import make_pose
 # Poses of a board from one camera alone are good to a few degrees, or per cent of its distance;
 # those of two instants differ by more.
 _MAX_APART = 0.1
-# Views of a camera below which its lens cannot be told from the boards' poses.
+# Views of a camera below which its lens cannot be separated from the boards' poses.
 _MIN_VIEWS = 3
 Pose = Float[np.ndarray, "4 4"]
 

@@ -175,11 +175,11 @@ def _intervals(
 ) -> tuple[IntervalSet, IntervalSet, dict[str, bool]]:
     """Intervals as the noise alone gives them, within prior ranges, and what is identifiable."""
     intervals = interval_set(uncertainty, settings.interval)
-    told, weights = intervals, uncertainty.weights
+    ranged, weights = intervals, uncertainty.weights
     if uncertainty.is_beyond_range():
-        told = with_open_ratio(intervals, weights)
-    identifiable = identifiable_constants(told, weights)
-    return intervals, with_prior_ranges(told, identifiable, weights), identifiable
+        ranged = with_open_ratio(intervals, weights)
+    identifiable = identifiable_constants(ranged, weights)
+    return intervals, with_prior_ranges(ranged, identifiable, weights), identifiable
 
 
 def _single_constants(

@@ -67,7 +67,7 @@ def fit_notes(
         )
     if not identifiable["poisson_ratio"]:
         notes.append(
-            "Poisson's ratio cannot be told; what the data do tell is"
+            "Poisson's ratio cannot be determined; what the data determine is"
             f" {identifiable_combination(uncertainty.weights)}. Moduli are given for all of its"
             " range."
         )

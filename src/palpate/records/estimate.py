@@ -214,10 +214,10 @@ class Estimate:
     notes: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        told = Status.from_identifiable(self.identifiable)
+        expected = Status.from_identifiable(self.identifiable)
         # The other words speak of something else than what the data determine.
-        if self.status != told and self.status.value.endswith(("ok", "identifiable")):
-            raise InputError(f"status is '{self.status}'; by `identifiable` it must be '{told}'")
+        if self.status != expected and self.status.value.endswith(("ok", "identifiable")):
+            raise InputError(f"status is '{self.status}'; `identifiable` asks for '{expected}'")
         for name in CONSTANT_NAMES:
             if self.identifiable[name] and not math.isfinite(getattr(self, name).value):
                 raise InputError(f"{name} is identifiable by `identifiable`, but has no value")

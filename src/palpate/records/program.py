@@ -244,7 +244,7 @@ class ProgramPoints:
     unit : str or None              of length, where the file names it
     notes : tuple of str            what was left out, in sentences about the file
     score : (n,) float or None      zero-mean normalised correlation of each point's worst match, 1
-                                    at best; NaN where it is not told
+                                    at best; NaN where it is not known
     """
 
     points: Points

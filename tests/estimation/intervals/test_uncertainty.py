@@ -1,4 +1,4 @@
-"""Intervals: coverage, correlation, disagreement, bounds, and what cannot be told."""
+"""Intervals: coverage, correlation, disagreement, bounds, and what is not identifiable."""
 
 from dataclasses import replace
 

@@ -78,5 +78,5 @@ def test_opencorr_matches_that_hardly_correlate_are_no_measurements(tmp_path):
     with pytest.raises(RecordError, match="--min-score is 75; must be a correlation"):
         read_measured("opencorr", path, min_score=75.0)
     bare = write_table(tmp_path / "b.csv", "u,v,w,ref_x,ref_y,ref_z", np.ones((2, 6)))
-    with pytest.raises(RecordError, match="tells no correlation of its points"):
+    with pytest.raises(RecordError, match="has no correlation of its points"):
         read_measured("opencorr", bare, min_score=0.5)

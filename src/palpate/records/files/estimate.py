@@ -54,11 +54,11 @@ def read_estimate(path: Path | str) -> Estimate:
     found = root.values.get("format")
     if found != ESTIMATE_FORMAT:
         root.fail("format", f"is {quoted(found)}; this version reads '{ESTIMATE_FORMAT}'")
-    told = root.table("identifiable")
+    flags = root.table("identifiable")
     with root.blamed():
         return Estimate(
             status=Status(root.choice("status", tuple(Status))),
-            identifiable={name: told.boolean(name) for name in CONSTANT_NAMES},
+            identifiable={name: flags.boolean(name) for name in CONSTANT_NAMES},
             probes=tuple(map(_read_probe, root.tables("probes"))),
             seconds=_numbers(root.table("seconds")),
             method=root.optional("method", root.text) or "",

@@ -39,7 +39,7 @@ class _Object:
 
 
 def _is_transformation(path: Path) -> bool:
-    """True for the files of MultiDIC, which are told by their name."""
+    """True for the files of MultiDIC, which are known by their names."""
     return path.is_dir() or path.name.startswith("DLTstruct")
 
 

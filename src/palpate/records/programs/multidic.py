@@ -133,7 +133,7 @@ def _check_arrays(
 def _score(
     path: Path, criteria: Sequence[np.ndarray], used: Sequence[int], points: Sequence[np.ndarray]
 ) -> Float[np.ndarray, " n"]:
-    """Correlation of the worst of some pictures, of Ncorr's criterion; NaN where none is told."""
+    """Correlation of the worst of some pictures, of Ncorr's criterion; NaN where there is none."""
     sizes = {array.size for array in criteria}
     if len(criteria) != len(points) or sizes != {len(points[0])}:
         raise RecordError(
@@ -141,7 +141,7 @@ def _score(
             f" values) do not belong to {len(points)} of {len(points[0])} points; evaluate them"
             " again"
         )
-    # A picture agrees with itself, which is NaN; so the largest of those that are told.
+    # A picture agrees with itself, which is NaN; so the largest of those that are known.
     return 1.0 - 0.5 * np.fmax.reduce([criteria[i].ravel() for i in used])
 
 

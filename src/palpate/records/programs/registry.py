@@ -77,7 +77,7 @@ def read_measured(
     ------
     RecordError                     unknown kind, or one without matches in pictures; not there,
                                     damaged, 2-D, nothing measured; a least score that is no
-                                    correlation, or of a file that tells none
+                                    correlation, or of a file without any
     """
     program = import_kinds().get(kind)
     if program is None or program.read_points is None:
@@ -95,7 +95,7 @@ def read_measured(
             given = program.read_points(Path(path), frame)
     if min_score is not None and given.score is None:
         raise RecordError(
-            f"{path}: tells no correlation of its points; leave --min-score out, or export them"
+            f"{path}: has no correlation of its points; leave --min-score out, or export them"
             " with it"
         )
     return in_metres(
