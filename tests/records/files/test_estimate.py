@@ -177,12 +177,12 @@ def _set(*keys, to):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (_set("identifiable", "poisson_ratio", to=False), "by `identifiable` it must be 'poisson_"),
+        (_set("identifiable", "poisson_ratio", to=False), "`identifiable` asks for 'poisson_"),
         (
             _set("identifiable", "poisson_ratio", to="yes"),
             r"\[identifiable\] poisson_ratio: is 'yes'",
         ),
-        (_set("status", to="nothing_identifiable"), "by `identifiable` it must be 'ok'"),
+        (_set("status", to="nothing_identifiable"), "`identifiable` asks for 'ok'"),
         (_set("status", to="fine"), "status: is 'fine'"),
         (_set("status", to=["ok"]), r"status: is \['ok'\]"),
         (_set("shear_modulus", "std", to=-1.0), r"\[shear_modulus\]: std is -1"),
