@@ -30,12 +30,12 @@ def half_ball(count: int = 400) -> np.ndarray:
     return np.random.default_rng(0).permutation(points)
 
 
-def found(points, residual):
+def found(points, residual, std=None):
     """What contradicts a model that leaves a residual of a motion of 1 mm."""
     moved = np.tile([0.0, 0.0, -MOTION], (len(points), 1))
     support = RADIUS * np.stack([np.cos(a := np.linspace(0, 6, 20)), np.sin(a), 0 * a], axis=1)
     probe = ProbeObservations(
-        name="n01", position=points, displacement=moved, std=None, force=np.array([0.0, 0, -1]),
+        name="n01", position=points, displacement=moved, std=std, force=np.array([0.0, 0, -1]),
         force_std=np.zeros(3), tip_displacement=None, tip_displacement_std=None,
         response=NoModel(), landmarks={"the contact": TOP[None], "the support": support},
     )  # fmt: skip
@@ -69,6 +69,20 @@ def test_gross_outliers_do_not_contradict():
         wild = rng.random(len(points)) < 0.05
         residual[wild] += MOTION * rng.normal(size=(wild.sum(), 3))
         assert found(points, residual) is None
+
+
+def test_points_that_claim_little_prove_little():
+    """Where the surface turns away from the cameras noise is ten times as large, and shared."""
+    rng, points = np.random.default_rng(5), half_ball()
+    scale = np.where(points[:, 2] < 0.2 * RADIUS, 10.0, 1.0)[:, None]
+    std = np.tile(0.02 * MOTION * scale, 3)
+    blamed = 0
+    for _ in range(10):
+        residual = scale * noise(points, 0.02 * 3**0.5, rng, length=6e-3)
+        assert found(points, residual, std) is None
+        blamed += found(points, residual) is not None
+    # Without the claims it would look like a dent.
+    assert blamed > 5
 
 
 def bent(points, share):

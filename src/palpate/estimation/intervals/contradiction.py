@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from palpate.estimation.intervals.validation import ProbeFit
 from palpate.estimation.observations import ProbeObservations
 from palpate.geometry import morton_order
-from palpate.shapes import Points, Vector3
+from palpate.shapes import Points, PointScalars, Vector3
 
 # Fewer points show no order; more cost time and show no more.
 _MIN_POINTS, _MAX_POINTS = 30, 1000
@@ -44,7 +44,7 @@ class Contradiction:
     ----------
     name : str                      of the probing
     share : float [-]               root mean square of the residuals, their noise smoothed away,
-                                    over that of the motion
+                                    over that of the motion; points count by what they claim
     place : (3,) float [m]          where they are largest
     landmark : str                  the probing's landmark near that place, empty where none is
     """
@@ -71,9 +71,10 @@ def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | No
     if len(known) < _MIN_POINTS or not probe.displacement[known].any():
         return None
     known = known[morton_order(probe.position[known])][:: -(-len(known) // _MAX_POINTS)]
-    place, residual = probe.position[known], fit.residual[known]
+    doubt = _doubt(probe)[known, None]
+    place, residual = probe.position[known], fit.residual[known] / doubt
     size = float(np.linalg.norm(np.ptp(place, axis=0)))
-    motion = float(np.sqrt((probe.displacement[known] ** 2).sum(axis=1).mean()))
+    motion = float(np.sqrt(((probe.displacement[known] / doubt) ** 2).sum(axis=1).mean()))
     count = max(_NEIGHBOURS, len(place) // _NEIGHBOUR_SHARE)
     smooth = np.median(residual[cKDTree(place).query(place, count)[1]], axis=1)
     square = (smooth**2).sum(axis=1)
@@ -86,6 +87,18 @@ def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | No
     worst = place[int(square.argmax())]
     share = float(np.sqrt(square.mean())) / motion
     return Contradiction(probe.name, share, worst, _landmark(probe, worst, _NEAR * size))
+
+
+def _doubt(probe: ProbeObservations) -> PointScalars:
+    """Claimed standard deviation of every point over the median one; 1 where none is claimed.
+
+    Where a surface turns away from the cameras its displacement is ten times as uncertain, and
+    windows that overlap err together.
+    """
+    if probe.std is None:
+        return np.ones(len(probe.position))
+    claim = np.sqrt((probe.std**2).mean(axis=1))
+    return claim / np.nanmedian(claim)
 
 
 def _agreement(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
