@@ -53,7 +53,7 @@ KINDS = [
         _edited(_GIVEN, "support_motion = { translation = [0, 0, 0], rotation = [0, 1] }"),
         "rotation", "three",
     ),
-    _kind("the motion's file is missing", _edited('"foot.csv"', '"fot.csv"'), "fot.csv", "foot.csv"),
+    _kind("the motion's file is missing", _edited('"foot.csv"', '"foots.csv"'), "foots.csv", "foot.csv"),
     _kind("a force on a support that is not there", _edited(_PULLED, "contact = { support = 3 }"),
           "support", "1 to 2"),
     _kind("a force on half a support", _edited(_PULLED, "contact = { support = 1.5 }"), "support"),
@@ -106,8 +106,8 @@ KINDS = [
     ),
     _kind(
         "a load with an unknown key",
-        _with_load('contact = { triangles = "side.txt" }\npresure = 3.0'),
-        "presure", "pressure",
+        _with_load('contact = { triangles = "side.txt" }\npressures = 3.0'),
+        "pressures", "pressure",
     ),
     _kind(
         "a load over triangles that are not there",

@@ -26,9 +26,9 @@ _BLOCK = 0.1
 _APART = (0.2, 0.4)
 _NEAR = 0.15
 # Agreement across the body: standard errors, and share of the motion.
-_SIGNIFICANT, _LEAST_SHARED = 6.0, 0.02
+_SIGNIFICANT, _LEAST_SHARED = 10.0, 0.02
 # Residuals that stand together: energy over that of evenly spread noise, and share of the motion.
-_CONCENTRATED, _LEAST_LOCAL = 3.0, 0.03
+_CONCENTRATED, _LEAST_LOCAL = 4.0, 0.03
 # Of a three-component Gaussian: mean over median of the squared length.
 _MEAN_OVER_MEDIAN = 1.27
 # A median over so many neighbours bears three outliers.
