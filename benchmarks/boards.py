@@ -4,8 +4,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palpate.calibration.adjustment import Bundle, Corners
-from palpate.calibration.lens_model import camera_matrix, seen_points
-from palpate.records import Camera
+from palpate.calibration.lens_model import seen_points
+from palpate.records import Camera, camera_matrix
 from palpate.vision import normalised
 
 SIZE = (1280, 1024)
@@ -69,7 +69,7 @@ def draw_board(
     `texture` covers `extent` [m] of it and is white beyond; every pixel is the mean of parts^2
     rays, so that edges are as sharp as a perfect sensor's.
     """
-    camera = Camera("c", None, camera_matrix(inner), inner[4:], np.eye(4))
+    camera = Camera("c", None, camera_matrix(inner[:4]), inner[4:], np.eye(4))
     columns, rows = size
     away = (np.arange(parts) + 0.5) / parts - 0.5
     total = np.zeros(rows * columns)

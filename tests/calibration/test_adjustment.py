@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.boards import SIZE, board_points, seen_corners, true_bundle
 from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust
-from palpate.calibration.lens_model import camera_matrix, seen_points
+from palpate.calibration.lens_model import seen_points
 from palpate.errors import CalibrationError
-from palpate.records import Camera
+from palpate.records import Camera, camera_matrix
 from palpate.vision import project
 
 
@@ -44,7 +44,9 @@ def test_pixels_are_those_of_the_camera_model() -> None:
     """Projected by the code that the flow uses, which was written apart from this."""
     rng = np.random.default_rng(0)
     truth = true_bundle(rng)
-    camera = Camera("c", SIZE, camera_matrix(truth.inner[1]), truth.inner[1, 4:], truth.camera[1])
+    camera = Camera(
+        "c", SIZE, camera_matrix(truth.inner[1, :4]), truth.inner[1, 4:], truth.camera[1]
+    )
     points = rng.uniform(-0.05, 0.05, (50, 3)) + np.array([0.0, 0.0, 0.3])
     place = points @ truth.camera[1, :3, :3].T + truth.camera[1, :3, 3]
     pixel, _, _ = seen_points(np.tile(truth.inner[1], (50, 1)), place)

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust
-from palpate.calibration.lens_model import LENS_TERMS, camera_matrix
+from palpate.calibration.lens_model import LENS_TERMS
 from palpate.calibration.sightings import Sightings
 from palpate.calibration.start import start_bundle
 from palpate.calibration.targets import Target
 from palpate.errors import CalibrationError
-from palpate.records import Camera
+from palpate.records import Camera, camera_matrix
 
 # A view that leaves more than this many times what views usually leave shows something else than
 # the same flat board at one instant.
@@ -160,7 +160,7 @@ def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
     tuple of Camera
     """
     return tuple(
-        Camera(name, size, camera_matrix(inner), inner[4:], pose)
+        Camera(name, size, camera_matrix(inner[:4]), inner[4:], pose)
         for name, size, inner, pose in zip(
             found.cameras, found.sizes, bundle.inner, bundle.camera, strict=True
         )

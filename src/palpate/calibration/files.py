@@ -9,7 +9,7 @@ import yaml
 
 from palpate.calibration.calibrate import Calibration
 from palpate.errors import RecordError
-from palpate.records import Camera, Rig, write_rig
+from palpate.records import Camera, Rig, write_rig, write_text
 
 COVARIANCE_FORMAT = "palpate-rig-covariance/1"
 
@@ -74,7 +74,4 @@ def _write_kalibr(path: Path, cameras: Sequence[Camera]) -> None:
             step = camera.T_camera_object @ np.linalg.inv(before)
             entry["T_cn_cnm1"] = step.tolist()
         chain[f"cam{number}"] = entry
-    try:
-        path.write_text(yaml.safe_dump(chain, sort_keys=False), encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+    write_text(path, yaml.safe_dump(chain, sort_keys=False))

@@ -9,21 +9,6 @@ from palpate.shapes import Points
 LENS_TERMS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
-def camera_matrix(inner: Float[np.ndarray, "9"]) -> Float[np.ndarray, "3 3"]:
-    """Camera matrix of the numbers in `LENS_TERMS`.
-
-    Parameters
-    ----------
-    inner : (9,) float              focal lengths and centre [px], then the distortion [-]
-
-    Returns
-    -------
-    (3, 3) float [px]               [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
-    """
-    fx, fy, cx, cy = inner[:4]
-    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-
 def seen_points(
     inner: Float[np.ndarray, "n 9"], points: Points
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 9"], Float[np.ndarray, "n 2 3"]]:

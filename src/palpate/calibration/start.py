@@ -8,11 +8,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from palpate.calibration.adjustment import Bundle, Corners
-from palpate.calibration.lens_model import camera_matrix
 from palpate.calibration.sightings import Sightings
 from palpate.calibration.targets import Target
 from palpate.errors import CalibrationError
-from palpate.records import make_pose
+from palpate.records import camera_matrix, make_pose
 
 # Poses of a board from one camera alone are good to a few degrees, or per cent of its distance;
 # those of two instants differ by more.
@@ -74,7 +73,7 @@ def _alone(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, 
     size = found.sizes[c]
     # Where few views leave it open, a lens without its third term starts nearer.
     _, matrix, lens, turn, shift = cv2.calibrateCamera(
-        points, pixels, size, camera_matrix(np.zeros(9)), np.zeros(5), flags=cv2.CALIB_FIX_K3
+        points, pixels, size, camera_matrix(np.zeros(4)), np.zeros(5), flags=cv2.CALIB_FIX_K3
     )
     inner = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens.ravel()[:5]])
     poses = {

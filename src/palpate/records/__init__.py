@@ -68,7 +68,11 @@ from palpate.records.probing import (
     measured_rows as measured_rows,
     observed_rows as observed_rows,
 )
-from palpate.records.program import ProgramPoints as ProgramPoints, make_pose as make_pose
+from palpate.records.program import (
+    ProgramPoints as ProgramPoints,
+    camera_matrix as camera_matrix,
+    make_pose as make_pose,
+)
 from palpate.records.programs import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,
