@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from palpate.estimation import (
     FitSettings,
-    IntervalMethod,
     ProbeObservations,
     cramer_rao_bound,
     fit,
@@ -53,16 +52,16 @@ class Coverage:
     Parameters
     ----------
     repeats : int
-    covered : method -> constant -> share of the intervals that hold the truth
+    covered : constant -> share of the intervals that hold the truth
     error_over_bound : constant -> root mean square error over the Cramer-Rao bound
-    width_over_bound : method -> constant -> median interval over 2 * 1.96 bounds
+    width_over_bound : constant -> median interval over 2 * 1.96 bounds
     bias_over_bound : constant -> mean error over the bound
     """
 
     repeats: int
-    covered: dict[str, dict[str, float]]
+    covered: dict[str, float]
     error_over_bound: dict[str, float]
-    width_over_bound: dict[str, dict[str, float]]
+    width_over_bound: dict[str, float]
     bias_over_bound: dict[str, float]
 
 
@@ -116,12 +115,11 @@ def measured_coverage(
     repeats, seed : int
     settings : FitSettings or None
     """
-    settings = settings or FitSettings()
     young = 2 * shear_modulus * (1 + poisson_ratio)
     truth = dict(zip(NAMES, (poisson_ratio, shear_modulus, young), strict=True))
     errors: list[list[float]] = []
-    inside: dict[str, list[list[bool]]] = {}
-    widths: dict[str, list[list[float]]] = {}
+    inside: list[list[bool]] = []
+    widths: list[list[float]] = []
     for repeat in range(repeats):
         rng = np.random.default_rng([seed, repeat])
         probes = [disturbed(probe, disturbance, rng) for probe in exact]
@@ -129,23 +127,18 @@ def measured_coverage(
             bound = cramer_rao_bound(
                 probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
             )
-        for method in IntervalMethod:
-            found = fit(probes, settings=replace(settings, interval=method.value)).intervals
-            if method == settings.interval:
-                errors.append([getattr(found, name).value - truth[name] for name in NAMES])
-            ends = [getattr(found, name).ci95 for name in NAMES]
-            hit = [e[0] <= truth[name] <= e[1] for e, name in zip(ends, NAMES, strict=True)]
-            inside.setdefault(method.value, []).append(hit)
-            widths.setdefault(method.value, []).append([e[1] - e[0] for e in ends])
+        found = fit(probes, settings=settings or FitSettings()).intervals
+        errors.append([getattr(found, name).value - truth[name] for name in NAMES])
+        ends = [getattr(found, name).ci95 for name in NAMES]
+        inside.append([e[0] <= truth[name] <= e[1] for e, name in zip(ends, NAMES, strict=True)])
+        widths.append([e[1] - e[0] for e in ends])
     limit = np.array([bound[name] for name in NAMES])
     error = np.array(errors)
     return Coverage(
         repeats=repeats,
-        covered={m: _named(np.mean(hit, axis=0)) for m, hit in inside.items()},
+        covered=_named(np.mean(inside, axis=0)),
         error_over_bound=_named(np.sqrt((error**2).mean(0)) / limit),
-        width_over_bound={
-            m: _named(np.median(w, axis=0) / (2 * 1.96 * limit)) for m, w in widths.items()
-        },
+        width_over_bound=_named(np.median(widths, axis=0) / (2 * 1.96 * limit)),
         bias_over_bound=_named(error.mean(0) / limit),
     )
 

@@ -49,24 +49,20 @@ def measure(options: Options) -> list[Figure]:
 
 def _rigid(name: str) -> _Compared:
     session = read_session(SHARED / name)
-    return _compared(session, None, _moved_by_steps(SHARED / name, session.mesh.vertices))
+    return _compared(session, _moved_by_steps(SHARED / name, session.mesh.vertices))
 
 
 def _ball() -> _Compared:
     folder = SHARED / BALL
-    session = read_session(folder)
+    session = read_session(folder, probes=PROBES)
     truth = [_moved_by_pixels(folder / f"truth_{p}.npz", session.mesh.vertices) for p in PROBES]
-    return _compared(session, PROBES, truth)
+    return _compared(session, truth)
 
 
-def _compared(
-    session: Session, probes: tuple[str, ...] | None, truth: list[np.ndarray]
-) -> _Compared:
+def _compared(session: Session, truth: list[np.ndarray]) -> _Compared:
     """Both methods over the same instants, at the same vertices."""
     found = {
-        name: measure_motion(
-            session, probes=probes, method=FLOW_METHODS[name](), pose="given"
-        ).motions
+        name: measure_motion(session, method=FLOW_METHODS[name](), pose="given").motions
         for name in ("joint", "lang-pai")
     }
     ours, theirs, moved = [], [], []

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimation import FitSettings, ProbeObservations, fit
+from palpate.estimation import ProbeObservations, fit
 
 YOUNG_MODULUS, POISSON_RATIO = 30e3, 0.40  # truth
 SIGMA = 2e-6  # of each component of a displacement [m]
@@ -57,8 +57,7 @@ def main() -> float:
         tip_displacement_std=None,
         response=model,
     )
-    # The model is exact here: no term for what a discretised one is off by.
-    estimate = fit([observed], settings=FitSettings(model_error=0.0)).estimate
+    estimate = fit([observed]).estimate
     for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
         constant = getattr(estimate, name)
         print(f"{name} {constant.value:.5g} +- {constant.std:.2g}")

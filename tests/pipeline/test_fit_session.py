@@ -14,8 +14,10 @@ from palpate.estimation import FitResult, FitSettings
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session, make_object_model, session_observations
 from palpate.records import (
+    EXACT,
     Contact,
     DisplacementField,
+    ErrorPriors,
     Probing,
     Session,
     Status,
@@ -117,7 +119,7 @@ def test_gravity_and_the_tip_belong_to_the_model(session: Session, result: FitRe
 
 
 def test_both_methods_end_at_the_same_minimum(still: Session) -> None:
-    noisy = replace(_measured(still, noise=NOISE), gravity=None, density=None)
+    noisy = replace(_measured(still, noise=NOISE), gravity=None, density=None, errors=EXACT)
     noisy = replace(noisy, probings=noisy.probings[:2])
     fast = fit_session(noisy).estimate
     slow = fit_session(noisy, settings=FitSettings(method="nelder-mead")).estimate
@@ -164,18 +166,99 @@ def test_progress_rises_to_one(session: Session) -> None:
     assert dict(told)["validation"] == pytest.approx(0.99)
 
 
-def test_an_error_of_scale_is_added_to_that_of_the_settings(
-    session: Session, result: FitResult
-) -> None:
-    field = replace(session.probings[0].displacement, scale_error=0.03)
-    first = replace(session.probings[0], displacement=field)
-    scaled = replace(session, probings=(first, *session.probings[1:]))
-    found = fit_session(scaled, settings=FitSettings(displacement_error=0.04)).estimate
-    # 3 and 4 make 5, on top of what the fit says without them: rounding.
-    assert found.settings["displacement_error"] == pytest.approx(0.05, rel=1e-12)
-    before = result.estimate.shear_modulus
-    expected = np.hypot(before.std, 0.05 * before.value)
-    assert found.shear_modulus.std == pytest.approx(expected, rel=1e-6)
+def test_an_error_of_scale_is_the_larger_of_priors_and_pictures(session: Session) -> None:
+    exact = replace(session, errors=EXACT)
+    fields = [replace(one.displacement, scale_error=0.03) for one in session.probings]
+    probings = tuple(
+        replace(one, displacement=field) for one, field in zip(exact.probings, fields, strict=True)
+    )
+    for told, expected in ((0.0, 0.03), (0.04, 0.04)):
+        errors = replace(EXACT, length_scale=told)
+        found = fit_session(replace(exact, probings=probings, errors=errors)).estimate
+        assert [one.prior_std for one in found.errors] == [expected] * 3
+        # A scale along one axis of three moves the moduli by about half of it.
+        assert found.shear_modulus.std / found.shear_modulus.value > 0.3 * expected
+
+
+def _unit_load(session: Session) -> np.ndarray:
+    return np.append(session.probings[0].force, 1.0) / SHEAR
+
+
+def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> None:
+    """Against the response of sessions whose contact lies beside, or is wider."""
+    errors = replace(EXACT, contact_point=4e-4, contact_radius=0.05)
+    first = replace(still, probings=still.probings[:1], gravity=None, density=None, errors=errors)
+    (seen,) = session_observations(first, make_object_model(first))
+    contact, load = first.probings[0].contact, _unit_load(first)
+    response = seen.response.value(NU)
+    found = seen.nuisances[-1].columns(np.arange(len(response)), response, load, NU)
+
+    def moved(other: Contact) -> np.ndarray:
+        probing = replace(first.probings[0], contact=other)
+        there = replace(first, probings=(probing,))
+        (one,) = session_observations(there, make_object_model(there))
+        return one.response.value(NU) @ load
+
+    assert [one.unit for one in seen.nuisances[-1].parameters] == ["m", "m", ""]
+    assert all("toward +" in one.name for one in seen.nuisances[-1].parameters[:2])
+    axes = ["xyz".index(one.name[-1]) for one in seen.nuisances[-1].parameters[:2]]
+    for k, axis in enumerate(axes):
+        shift = 4e-4 * np.eye(3)[axis]
+        ends = [
+            closest_points(first.mesh, (contact.point + sign * shift)[None]).position[0]
+            for sign in (1, -1)
+        ]
+        expected = 0.5 * np.subtract(*(moved(replace(contact, point=end)) for end in ends))
+        # Coarse cells and no dips: a derivative to some per cent.
+        np.testing.assert_allclose(found[:, k], expected, atol=0.06 * np.abs(expected).max())
+    wide, narrow = (moved(replace(contact, radius=f * contact.radius)) for f in (1.05, 0.95))
+    expected = 0.5 * (wide - narrow)
+    np.testing.assert_allclose(found[:, 2], expected, atol=0.15 * np.abs(expected).max())
+
+
+def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Session) -> None:
+    """The same pushes on the shifted, turned mesh, seen at the same places of space."""
+    errors = replace(EXACT, pose_translation=3e-4, pose_rotation=4e-3)
+    first = replace(still, probings=still.probings[:1], gravity=None, density=None, errors=errors)
+    model = make_object_model(first)
+    (seen,) = session_observations(first, model)
+    load, response = _unit_load(first), seen.response.value(NU)
+    (pose,) = seen.nuisances
+    found = pose.columns(np.arange(len(response)), response, load, NU)
+    centre = first.mesh.vertices.mean(axis=0)
+    far = np.linalg.norm(seen.position - first.probings[0].contact.point, axis=1) > 0.015
+
+    def seen_from(shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        # Where the points lie in the mesh's own frame.
+        inside = (seen.position - centre - shift) @ turn + centre
+        field = replace(
+            first.probings[0].displacement, points=inside,
+            surface=closest_points(first.mesh, inside),
+        )  # fmt: skip
+        there = replace(first, probings=(replace(first.probings[0], displacement=field),))
+        (one,) = session_observations(there, model)
+        return (one.response.value(NU) @ load).reshape(-1, 3) @ turn.T
+
+    for k in range(6):
+        half = 0.5 * (3e-4 if k < 3 else 4e-3) * np.eye(3)[k % 3]
+        ends = []
+        for vector in (half, -half):
+            shift = vector if k < 3 else np.zeros(3)
+            turn = np.eye(3) if k < 3 else Rotation.from_rotvec(vector).as_matrix()
+            ends.append(seen_from(shift, turn)[far])
+        expected = ends[0] - ends[1]
+        # Off the contact's dip the field is nearly linear over such a step.
+        error = found[:, k].reshape(-1, 3)[far] - expected
+        assert np.abs(error).max() < 0.02 * np.abs(expected).max()
+
+
+def test_a_force_without_a_claim_has_the_default(still: Session) -> None:
+    silent = replace(still.probings[0], force_std=None)
+    (seen,) = session_observations(
+        replace(still, probings=(silent,)), make_object_model(replace(still, probings=(silent,)))
+    )
+    # One per cent of the force's length.
+    np.testing.assert_allclose(seen.force_std, 0.01 * np.linalg.norm(silent.force), rtol=1e-12)
 
 
 def test_a_probing_without_displacement_is_refused(session: Session) -> None:
@@ -194,8 +277,8 @@ def test_one_contact_is_one_patch(still: Session) -> None:
     model = make_object_model(replace(still, probings=(first, second, again)))
     assert model.patch_of.tolist() == [0, 1, 0]
     assert len(model.patches) == 2
-    # Three columns a contact, two of gravity.
-    assert model.right.terms.shape[2] == 3 * 2 + 2
+    # Three columns a contact, two of gravity, three changes of every probing's contact.
+    assert model.right.terms.shape[2] == 3 * 2 + 2 + 3 * 3
 
 
 def test_integrals_are_kept(session: Session, result: FitResult, tmp_path: Path) -> None:
@@ -208,7 +291,8 @@ def test_integrals_are_kept(session: Session, result: FitResult, tmp_path: Path)
 def test_a_turned_session_has_the_same_constants(still: Session) -> None:
     """Everything turned and moved: mesh, gravity, contacts, forces, what is seen."""
     turn = Rotation.from_euler("xyz", [40, 70, -20], degrees=True).as_matrix()
-    noisy = _measured(still, noise=NOISE)
+    # Scales along three axes are those of one frame.
+    noisy = replace(_measured(still, noise=NOISE), errors=ErrorPriors(length_scale=0.0))
     mesh = TriangleMesh(
         noisy.mesh.vertices @ turn.T + np.array([1.0, 2.0, 3.0]), noisy.mesh.triangles
     )

@@ -8,8 +8,7 @@ from lab.planned_sessions import SESSION, planned_session
 
 from palpate.errors import InputError
 from palpate.pipeline import plan_measurement
-from palpate.pipeline.measure_motion import SCALE_ERROR
-from palpate.records import read_rig, read_session
+from palpate.records import EXACT, read_rig, read_session
 from palpate.vision import project, triangulate
 
 GUESS = {"young_modulus": 5e4, "poisson_ratio": 0.2}
@@ -25,12 +24,6 @@ def plan(session):
     return plan_measurement(session, **GUESS)
 
 
-def _noise_part(precision):
-    """The bound without the error of scale that does not follow the noise."""
-    extra = SCALE_ERROR * 5e4
-    return np.sqrt(precision["young_modulus"] ** 2 - extra**2)
-
-
 def test_probings_together_tell_more_than_each(plan):
     assert [one.name for one in plan.probings] == ["n01", "n02"]
     for name, value in plan.precision.items():
@@ -40,15 +33,16 @@ def test_probings_together_tell_more_than_each(plan):
     assert 0.002 < plan.precision["poisson_ratio"] < 0.02
 
 
-def test_without_force_noise_the_bound_follows_the_matches(session):
+def test_without_other_errors_the_bound_follows_the_matches(session, monkeypatch):
+    monkeypatch.setattr("palpate.pipeline.measurement_plan.SCALE_ERROR", 0.0)
     exact = replace(
         session,
+        errors=EXACT,
         probings=tuple(replace(one, force_std=np.full(3, 1e-9)) for one in session.probings),
     )
     fine, rough = (plan_measurement(exact, matching_noise=noise, **GUESS) for noise in (0.01, 0.02))
-    assert _noise_part(rough.precision) == pytest.approx(
-        2.0 * _noise_part(fine.precision), rel=1e-6
-    )
+    for name, value in rough.precision.items():
+        assert value == pytest.approx(2.0 * fine.precision[name], rel=1e-6)
     for one, other in zip(fine.probings, rough.probings, strict=True):
         assert other.sigma == pytest.approx(2.0 * one.sigma, rel=1e-12)
         assert other.displacement == one.displacement

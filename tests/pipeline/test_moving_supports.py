@@ -11,6 +11,7 @@ from palpate.geometry import closest_points
 from palpate.pipeline import fit_session, make_object_model, session_observations
 from palpate.pipeline.moving_supports import moving_supports, rigid_modes
 from palpate.records import (
+    EXACT as NO_ERRORS,
     FREE,
     GIVEN,
     RIGID,
@@ -65,7 +66,7 @@ def bar(probing, *supports, **more):
     held = np.concatenate([one.triangles for one in supports])
     return Session(
         "bar", Path("bar"), MESH, held, (probing,), more.pop("density", None), None, None, (),
-        supports=supports, **more,
+        supports=supports, **{"errors": NO_ERRORS} | more,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
     ElasticState as ElasticState,
+    change_column as change_column,
     load_right_hand as load_right_hand,
     load_shape as load_shape,
     make_elastic_map as make_elastic_map,

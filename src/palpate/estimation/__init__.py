@@ -13,7 +13,15 @@ from palpate.estimation.intervals import (
     LikelihoodMap as LikelihoodMap,
     ProbeFit as ProbeFit,
     cramer_rao_bound as cramer_rao_bound,
-    poisson_ratio_error as poisson_ratio_error,
+)
+from palpate.estimation.nuisance import (
+    ContactError as ContactError,
+    ForceDirection as ForceDirection,
+    ForceGain as ForceGain,
+    LengthScale as LengthScale,
+    Nuisance as Nuisance,
+    NuisanceParameter as NuisanceParameter,
+    Pose as Pose,
 )
 from palpate.estimation.observations import (
     ProbeObservations as ProbeObservations,
@@ -32,5 +40,4 @@ from palpate.estimation.responses import (
 from palpate.estimation.settings import (
     FitMethod as FitMethod,
     FitSettings as FitSettings,
-    IntervalMethod as IntervalMethod,
 )

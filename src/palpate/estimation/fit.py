@@ -13,6 +13,7 @@ from palpate.estimation.intervals import (
     ProbeFit,
     Uncertainty,
     contradiction,
+    error_estimates,
     identifiable_constants,
     interval_set,
     likelihood_map,
@@ -22,13 +23,13 @@ from palpate.estimation.intervals import (
     uncertainty_of,
     with_open_ratio,
     with_prior_ranges,
-    with_systematic_errors,
 )
 from palpate.estimation.noise import NOISE_MODELS, noise_levels
 from palpate.estimation.notes import fit_notes
 from palpate.estimation.observations import ObservedRows, ProbeObservations, observed_rows_of
 from palpate.estimation.responses import ResponseTable, response_table
 from palpate.estimation.search import (
+    FixedWeights,
     Minimum,
     Misfit,
     best_constants,
@@ -56,8 +57,8 @@ class FitResult:
     estimate : Estimate
     likelihood : LikelihoodMap
     probes : tuple of ProbeFit
-    intervals : IntervalSet or None     of the joint constants from the noise alone: without prior
-                                        ranges for what is not identifiable, without shared errors
+    intervals : IntervalSet or None     of the joint constants as the data give them: without prior
+                                        ranges for what is not identifiable
     """
 
     estimate: Estimate
@@ -96,27 +97,21 @@ def fit(
     progress("minimisation", 0.2)
     misfit, minimum = _joint_minimum(rows, table, settings)
     progress("intervals", 0.5)
-    weights = fixed_weights(
-        rows,
-        table,
-        misfit.level,
-        [probe.weight for probe in minimum.probes],
-        np.array([probe.force_weight for probe in minimum.probes]),
-    )
-    joint = uncertainty_of(misfit, minimum, weights)
-    intervals, ranged, identifiable = _intervals(joint, settings)
-    reported = _with_shared_errors(ranged, settings)
+    joint = uncertainty_of(misfit, minimum, _weights(rows, table, misfit, minimum))
+    intervals, reported, identifiable = _intervals(joint)
     progress("single probings", 0.7)
-    singles = _single_constants(misfit, joint, settings) if len(rows) > 1 else [reported]
+    singles = _single_constants(misfit, joint) if len(rows) > 1 else [reported]
     progress("validation", 0.95)
-    fits = probe_fits(probes, misfit.noise, joint)
+    fits = probe_fits(probes, misfit, joint)
     contradictions = [c for c in map(contradiction, probes, fits) if c is not None]
     status = Status.from_identifiable(identifiable)
     if contradictions:
         status = Status.MODEL_CONTRADICTED
     if not minimum.converged:
         status = Status.NOT_CONVERGED
-    exact = [probe.name for probe in probes if not probe.force_std.any()]
+    std = np.sqrt(np.diag(joint.scores.covariance())[2:])
+    errors = error_estimates(misfit.shared, minimum.errors, std)
+    every = [*errors, *(error for one in fits for error in one.errors)]
     estimate = Estimate(
         status=status,
         shear_modulus=reported.shear_modulus,
@@ -126,10 +121,25 @@ def fit(
         probes=tuple(map(probe_estimate, singles, fits)),
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
-        settings=asdict(settings) | {"exact_forces": exact},
-        notes=fit_notes(misfit, joint, identifiable, contradictions),
+        settings=asdict(settings),
+        notes=fit_notes(misfit, joint, identifiable, contradictions, every),
+        errors=errors,
     )
-    return FitResult(estimate, likelihood_map(joint, ranged), fits, intervals)
+    return FitResult(estimate, likelihood_map(joint, reported), fits, intervals)
+
+
+def _weights(
+    rows: tuple[ObservedRows, ...], table: ResponseTable, misfit: Misfit, minimum: Minimum
+) -> FixedWeights:
+    """The misfit with the weights and errors of its minimum held fixed."""
+    return fixed_weights(
+        rows,
+        table,
+        misfit.level,
+        [probe.weight for probe in minimum.probes],
+        np.array([probe.force_weight for probe in minimum.probes]),
+        [minimum.explained(k) * row.sigma(misfit.level) for k, row in enumerate(rows)],
+    )
 
 
 def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ...]:
@@ -148,17 +158,17 @@ def _joint_minimum(
     """Robust start, exact minimum, and noise levels that agree with its residuals."""
     noise, poisson_range = NOISE_MODELS[settings.noise], settings.poisson_range
     start = global_start(rows, table, noise)
-    nu, modulus, shifts, level = (
-        start.poisson_ratio,
-        start.shear_modulus,
-        start.shifts,
-        start.level,
-    )
+    nu, modulus, level = start.poisson_ratio, start.shear_modulus, start.level
+    shifts, errors = Misfit(rows, level, noise).no_shifts(), None
+    for shift, known in zip(shifts, start.shifts, strict=True):
+        shift[: len(known)] = known
     for _ in range(_LEVEL_ROUNDS):
         misfit = Misfit(rows, level, noise)
-        minimum = scored_minimum(misfit, nu, modulus, poisson_range=poisson_range, shifts=shifts)
-        nu, modulus = minimum.poisson_ratio, minimum.shear_modulus
-        shifts = tuple(probe.shift for probe in minimum.probes)
+        minimum = scored_minimum(
+            misfit, nu, modulus, poisson_range=poisson_range, shifts=shifts, errors=errors
+        )
+        nu, modulus, errors = minimum.poisson_ratio, minimum.shear_modulus, minimum.errors
+        shifts = [probe.shift for probe in minimum.probes]
         residuals = [probe.residual * probe.rows.sigma(level) for probe in minimum.probes]
         level = noise_levels(rows, residuals, parameters=fitted_parameters(rows))
         if np.all(np.abs(level / misfit.level - 1) < _LEVEL_TOLERANCE):
@@ -170,11 +180,9 @@ def _joint_minimum(
     return misfit, minimum
 
 
-def _intervals(
-    uncertainty: Uncertainty, settings: FitSettings
-) -> tuple[IntervalSet, IntervalSet, dict[str, bool]]:
-    """Intervals as the noise alone gives them, within prior ranges, and what is identifiable."""
-    intervals = interval_set(uncertainty, settings.interval)
+def _intervals(uncertainty: Uncertainty) -> tuple[IntervalSet, IntervalSet, dict[str, bool]]:
+    """Intervals as the data give them, within prior ranges, and what is identifiable."""
+    intervals = interval_set(uncertainty)
     ranged, weights = intervals, uncertainty.weights
     if uncertainty.is_beyond_range():
         ranged = with_open_ratio(intervals, weights)
@@ -182,9 +190,7 @@ def _intervals(
     return intervals, with_prior_ranges(ranged, identifiable, weights), identifiable
 
 
-def _single_constants(
-    misfit: Misfit, joint: Uncertainty, settings: FitSettings
-) -> list[IntervalSet]:
+def _single_constants(misfit: Misfit, joint: Uncertainty) -> list[IntervalSet]:
     """Constants of every probing alone, with the noise and weights of all."""
     # A force that all others doubt is as good as claimed where there are no others.
     claimed = np.stack([probe.force_std for probe in misfit.probes])
@@ -193,17 +199,9 @@ def _single_constants(
     for k, probe in enumerate(misfit.probes):
         weights, single = apart.only(k), replace(misfit, probes=(probe,))
         minimum = scored_minimum(
-            single, *best_constants(weights), poisson_range=settings.poisson_range
+            single, *best_constants(weights), poisson_range=weights.poisson_range
         )
         scores, _ = scores_of(single, minimum.probes, noise=joint.noise)
         alone = replace(joint, minimum=minimum, scores=scores, weights=weights)
-        found.append(_with_shared_errors(_intervals(alone, settings)[1], settings))
+        found.append(_intervals(alone)[1])
     return found
-
-
-def _with_shared_errors(intervals: IntervalSet, settings: FitSettings) -> IntervalSet:
-    return with_systematic_errors(
-        intervals,
-        model_error=settings.model_error,
-        displacement_error=settings.displacement_error,
-    )

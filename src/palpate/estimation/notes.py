@@ -7,6 +7,7 @@ import numpy as np
 from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
 from palpate.estimation.observations import CLAIMED_GROUPS, GROUP_COUNT
 from palpate.estimation.search import Misfit
+from palpate.records import SURPRISING, ErrorEstimate, error_texts
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
 # Where the model fails, and what is most often wrong there.
@@ -26,6 +27,8 @@ _WORDS = {
     "shear_modulus": "the shear modulus",
     "young_modulus": "Young's modulus",
 }
+# Disagreement of the probings that raises a variance by this factor is mentioned.
+_MENTIONED_FACTOR = 2.0
 # A force of smaller robust weight is mentioned.
 _MIN_FORCE_WEIGHT = 0.5
 
@@ -35,9 +38,10 @@ def fit_notes(
     uncertainty: Uncertainty,
     identifiable: Mapping[str, bool],
     contradictions: Sequence[Contradiction],
+    errors: Sequence[ErrorEstimate],
 ) -> tuple[str, ...]:
-    """Sentences about noise, correlation, disagreement, doubted forces, what is not identifiable,
-    and what contradicts the model.
+    """Sentences about noise, correlation, disagreement, doubted forces, errors far off, what is not
+    identifiable, and what contradicts the model.
 
     Parameters
     ----------
@@ -45,6 +49,7 @@ def fit_notes(
     uncertainty : Uncertainty       of all probings
     identifiable : constant's name -> bool
     contradictions : sequence of Contradiction
+    errors : sequence of ErrorEstimate      of the session and of all its probings
 
     Returns
     -------
@@ -58,6 +63,7 @@ def fit_notes(
                 f"The force of probing {probe.rows.name!r} disagrees with the others by {off:.1f}"
                 " of its standard deviations and was given little weight; check the sensor's scale."
             )
+    notes += [_error_note(error) for error in errors if error.is_surprising]
     notes += map(_contradiction_note, contradictions)
     if uncertainty.is_beyond_range():
         notes.append(
@@ -101,12 +107,20 @@ def _interval_notes(uncertainty: Uncertainty) -> list[str]:
             f" the intervals was widened by {widened:.1f}."
         )
     for name, scatter in uncertainty.scatters.items():
-        if scatter.is_surprising:
+        if scatter.factor > _MENTIONED_FACTOR:
             notes.append(
                 f"The probings disagree about {_WORDS[name]} by {np.sqrt(scatter.ratio):.1f} times"
                 " what their uncertainties explain; its interval was widened accordingly."
             )
     return notes
+
+
+def _error_note(error: ErrorEstimate) -> str:
+    value, std, prior = error_texts(error)
+    return (
+        f"Likely fault: the {error.name} is off by {value} +- {std}, more than"
+        f" {SURPRISING:.0f} times the {prior} that were taken for possible."
+    )
 
 
 def _contradiction_note(found: Contradiction) -> str:

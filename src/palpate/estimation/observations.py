@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
+from palpate.estimation.nuisance import Nuisance, NuisanceParameter
 from palpate.shapes import Points, Vector3
 
 # Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
@@ -57,6 +58,7 @@ class ProbeObservations:
     motion_std : (q,) float                 1 sigma of each, zero = exact; a free motion has a large
                                             one
     landmarks : name -> (k, 3) float [m]    places for messages, such as "the contact"
+    nuisances : tuple of Nuisance           errors that its points share, or all probings
 
     Raises
     ------
@@ -75,6 +77,7 @@ class ProbeObservations:
     motion: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     landmarks: Mapping[str, Float[np.ndarray, "_ 3"]] = field(default_factory=dict)
+    nuisances: tuple[Nuisance, ...] = ()
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "
@@ -130,7 +133,7 @@ class ObservedRows:
     Parameters
     ----------
     name : str
-    rows : (r,) int or None                 rows of the response that were measured, None = all
+    rows : (r,) int                         rows of the response that were measured
     measured : (r,) float [m]
     unit : (r,) float [m]                   claimed 1 sigma, or 1 where the level is estimated
     group : (r,) int                        noise group, see GROUP_COUNT
@@ -141,10 +144,11 @@ class ObservedRows:
     force, force_std : (3,) float [N]
     motion, motion_std : (q,) float
     response : ResponseModel
+    nuisances : tuple of Nuisance
     """
 
     name: str
-    rows: Int[np.ndarray, " r"] | None
+    rows: Int[np.ndarray, " r"]
     measured: Float[np.ndarray, " r"]
     unit: Float[np.ndarray, " r"]
     group: Int[np.ndarray, " r"]
@@ -157,6 +161,22 @@ class ObservedRows:
     motion: Float[np.ndarray, " q"]
     motion_std: Float[np.ndarray, " q"]
     response: ResponseModel
+    nuisances: tuple[Nuisance, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """Parameters of the errors that its points share, in the order of `nuisance_columns`."""
+        return tuple(one for nuisance in self.nuisances for one in nuisance.parameters)
+
+    def nuisance_columns(
+        self,
+        response: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p"]:
+        """Change of the displacements for one prior standard deviation of each parameter [m]."""
+        found = [n.columns(self.rows, response, load, poisson_ratio) for n in self.nuisances]
+        return np.concatenate([np.zeros((len(self.measured), 0)), *found], axis=1)
 
     @property
     def force_components(self) -> int:
@@ -170,10 +190,12 @@ class ObservedRows:
 
     def load(self, shear_modulus: float, shift: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
         """What the response's columns are multiplied with: force and known loads over the shear
-        modulus, motions; force and motions shifted by some of their sigmas."""
+        modulus, motions; force and motions shifted by some of their sigmas (further ones, of
+        nuisance parameters, do not enter)."""
         force = self.force + self.force_std * shift[:3]
         pushed = np.append(force, 1.0) / shear_modulus
-        return np.concatenate([pushed, self.motion + self.motion_std * shift[3:]])
+        moved = self.motion + self.motion_std * shift[3 : 3 + len(self.motion)]
+        return np.concatenate([pushed, moved])
 
     def per_shift(
         self, response: Float[np.ndarray, "r c"], shear_modulus: float
@@ -183,7 +205,7 @@ class ObservedRows:
         return np.concatenate([forces, response[:, 4:] * self.motion_std], axis=1)
 
     def prior(self, force_weight: float) -> Float[np.ndarray, " n"]:
-        """Weight of what was known before about each shift."""
+        """Weight of what was known before about each shift of the force and of the motions."""
         return np.append(np.full(3, force_weight), np.ones(len(self.motion)))
 
     @property
@@ -212,7 +234,9 @@ class ObservedRows:
         return self._measured_rows(self.response.slope(poisson_ratio), poisson_ratio)
 
     def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
-        chosen = response if self.rows is None else response[self.rows]
+        # A copy of all rows costs more than the fit's own work.
+        whole = len(self.rows) == len(response)
+        chosen = response if whole else response[self.rows[self.rows < len(response)]]
         shape = (len(self.measured), 4 + len(self.motion))
         if chosen.shape != shape or not np.isfinite(chosen.sum()):
             raise InputError(
@@ -255,7 +279,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
     position = np.vstack([probe.position, np.full((1, 3), np.nan)])[point]
     return ObservedRows(
         name=probe.name,
-        rows=None if seen.all() else rows,
+        rows=rows,
         measured=displacement[rows],
         unit=unit[rows],
         group=group[rows],
@@ -268,6 +292,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         motion=probe.motion,
         motion_std=probe.motion_std,
         response=probe.response,
+        nuisances=probe.nuisances,
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.sparse import csr_array
 
 from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
@@ -15,6 +16,7 @@ from palpate.estimation import (
     FitMethod,
     FitResult,
     FitSettings,
+    Nuisance,
     ProbeFit,
     ProbeObservations,
     ProbeResponse,
@@ -23,8 +25,10 @@ from palpate.estimation import (
     make_reduced_model,
     reduced_response,
 )
+from palpate.geometry import SurfacePoints, TriangleMesh
 from palpate.pipeline.moving_supports import free_std, given_motion
 from palpate.pipeline.object_model import ObjectModel, make_object_model, probe_rows
+from palpate.pipeline.shared_errors import pose_changes, shared_errors
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     GIVEN,
@@ -72,10 +76,6 @@ def fit_session(
     """
     start = time.perf_counter()
     require_probings(session)
-    scale_error = max(_measured(probing).scale_error for probing in session.probings)
-    settings = replace(
-        settings, displacement_error=float(np.hypot(settings.displacement_error, scale_error))
-    )
     progress("integrals over the surface", 0.0)
     model = make_object_model(session, surface=surface, cache=cache)
     assembled = time.perf_counter()
@@ -99,7 +99,12 @@ def fit_session(
         probes=probes,
         notes=(*result.estimate.notes, *_turn_notes(probes)),
         seconds=seconds,
-        settings={**result.estimate.settings, "surface": asdict(surface)},
+        settings={
+            **result.estimate.settings,
+            "surface": asdict(surface),
+            "errors": asdict(session.errors),
+            "assumed_forces": [one.name for one in session.probings if one.force_std is None],
+        },
     )
     return replace(result, estimate=estimate)
 
@@ -162,6 +167,8 @@ def session_observations(
         probe_rows(model, k, _measured(probing).surface)
         for k, probing in enumerate(session.probings)
     ]
+    every = _vertices(session.mesh)
+    rows += [probe_rows(model, k, every) for k in range(len(session.probings))]
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
     else:
@@ -169,10 +176,26 @@ def session_observations(
             model.system, model.right, poisson_range=settings.poisson_range
         )
         responses = [reduced_response(reduced, row) for row in rows]
+    own, vertices = responses[: len(session.probings)], responses[len(session.probings) :]
     support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
-    return [
-        _observations(session, model, k, response, support) for k, response in enumerate(responses)
-    ]
+    changes: dict[bytes, list[csr_array]] = {}
+    observations = []
+    for k, (response, nodal) in enumerate(zip(own, vertices, strict=True)):
+        field = _measured(session.probings[k])
+        # Probings often have the same points.
+        key = field.surface.position.tobytes()
+        changes[key] = changes.get(key) or pose_changes(model, field.surface)
+        nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
+        observations.append(_observations(session, model, k, response, support, nuisances))
+    return observations
+
+
+def _vertices(mesh: TriangleMesh) -> SurfacePoints:
+    """All vertices as points of the surface."""
+    corner = np.zeros(len(mesh.vertices), dtype=np.int64)
+    corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
+    triangle, place = np.divmod(corner, 3)
+    return SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
 
 
 def _observations(
@@ -181,23 +204,29 @@ def _observations(
     index: int,
     response: ProbeResponse,
     support: Vertices,
+    nuisances: tuple[Nuisance, ...],
 ) -> ProbeObservations:
     probing = session.probings[index]
     field = _measured(probing)
     motion, motion_std = _motions(session, model, index)
+    force_std = probing.force_std
+    if force_std is None:
+        length = float(np.linalg.norm(probing.force))
+        force_std = np.full(3, session.errors.force * length)
     return ProbeObservations(
         name=probing.name,
         position=field.points,
         displacement=field.displacement,
         std=field.std,
         force=probing.force,
-        force_std=np.zeros(3) if probing.force_std is None else probing.force_std,
+        force_std=force_std,
         tip_displacement=probing.tip_displacement,
         tip_displacement_std=probing.tip_displacement_std,
         response=response,
         landmarks={"the contact": probing.contact.point[None], "the support": support},
         motion=motion,
         motion_std=motion_std,
+        nuisances=nuisances,
     )
 
 

@@ -1,14 +1,13 @@
 """The precision to expect of a measurement before it is made: the smallest intervals that its
 cameras, its force sensor and its probings allow."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from palpate.errors import InputError
-from palpate.estimation import ProbeObservations, cramer_rao_bound, poisson_ratio_error
+from palpate.estimation import ProbeObservations, cramer_rao_bound
 from palpate.geometry import bounding_diagonal, closest_points
 from palpate.pipeline.fit_session import make_object_model, session_observations
 from palpate.pipeline.measure_motion import SCALE_ERROR
@@ -125,7 +124,7 @@ def plan_measurement(
     )
     return MeasurementPlan(
         tuple(_planned(probe, poisson_ratio, shear) for probe in observed),
-        _precision(observed, poisson_ratio, shear),
+        cramer_rao_bound(observed, poisson_ratio=poisson_ratio, shear_modulus=shear),
         {camera.name: float(seen[c, free].mean()) for c, camera in enumerate(rig.cameras)},
     )
 
@@ -191,11 +190,9 @@ def _with_seen_vertices(
         vertex=vertex,
         surface=closest_points(session.mesh, place),
         source="plan",
+        scale_error=SCALE_ERROR,
     )
-    known = probing.force_std
-    if known is None:
-        known = np.full(3, _USUAL_FORCE_ERROR * float(np.linalg.norm(probing.force)))
-    return replace(probing, displacement=field, force_std=known)
+    return replace(probing, displacement=field)
 
 
 def _planned(observed: ProbeObservations, poisson: float, shear: float) -> PlannedProbing:
@@ -208,18 +205,5 @@ def _planned(observed: ProbeObservations, poisson: float, shear: float) -> Plann
         count,
         float(np.median(moved)),
         float(np.median(np.sqrt((std**2).mean(axis=1)))),
-        _precision([observed], poisson, shear),
+        cramer_rao_bound([observed], poisson_ratio=poisson, shear_modulus=shear),
     )
-
-
-def _precision(
-    observed: Sequence[ProbeObservations], poisson: float, shear: float
-) -> dict[str, float]:
-    """Bound on each constant's standard deviation, with the error of scale of all pictures."""
-    bound = cramer_rao_bound(observed, poisson_ratio=poisson, shear_modulus=shear)
-    extra = {
-        "poisson_ratio": poisson_ratio_error(poisson, SCALE_ERROR),
-        "shear_modulus": SCALE_ERROR * shear,
-        "young_modulus": SCALE_ERROR * 2.0 * shear * (1.0 + poisson),
-    }
-    return {name: float(np.hypot(value, extra[name])) for name, value in bound.items()}

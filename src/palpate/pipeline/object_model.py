@@ -20,6 +20,7 @@ from palpate.bem import (
     assemble_system,
     body_force_columns,
     cached_system,
+    change_column,
     check_memory,
     face_columns,
     integral_weights,
@@ -33,6 +34,7 @@ from palpate.bem import (
 )
 from palpate.estimation import PointRows, ProbeMotions, ProbeRows
 from palpate.geometry import SurfacePoints, interpolation_matrix
+from palpate.pipeline.contact_changes import ContactChange, contact_changes
 from palpate.pipeline.moving_supports import MovingSupport, moving_supports, support_shapes
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import GIVEN, RIGID, Contact, Session
@@ -67,7 +69,8 @@ class ObjectModel:
     supports : tuple of MovingSupport
     shapes : (v, 3, q) float              how they move what is held (`support_shapes`)
     right : RightHand                     three columns a patch, one a pressure, two of gravity, if
-                                          any, q of the supports
+                                          any, q of the supports, then those of `changes`
+    changes : tuple of ContactChange      of the probings, in their order
     body : BodyForce or None
     tips : ContactPoints or None          None where no tip was measured
     """
@@ -81,6 +84,7 @@ class ObjectModel:
     right: RightHand
     body: BodyForce | None
     tips: ContactPoints | None
+    changes: tuple[ContactChange, ...] = ()
 
     @property
     def gives_motions(self) -> bool:
@@ -140,7 +144,8 @@ def make_object_model(
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
     dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
-    loads = tuple(patches.values()), dips, tuple(pressed.values()), weight, shapes
+    changes = contact_changes(session)
+    loads = tuple(patches.values()), dips, tuple(pressed.values()), weight, shapes, changes
     right, body = _right_hand(system, *loads)
     tips = None
     if any(probing.tip_displacement is not None for probing in session.probings):
@@ -150,7 +155,9 @@ def make_object_model(
             np.array([patch.barycentric for patch in patches.values()]),
         )
         tips = ContactPoints(equations, _right_hand(equations.system, *loads)[0])
-    return ObjectModel(session, system, patches, pressed, supports, shapes, right, body, tips)
+    return ObjectModel(
+        session, system, patches, pressed, supports, shapes, right, body, tips, changes
+    )
 
 
 def surface_load(patch: ContactPatch) -> SurfaceLoad:
@@ -177,8 +184,10 @@ def _right_hand(
     pressed: Sequence[ContactPatch],
     weight: Float[np.ndarray, "3"] | None,
     shapes: Float[np.ndarray, "v 3 q"],
+    changes: Sequence[ContactChange],
 ) -> tuple[RightHand, BodyForce | None]:
-    """Columns of all loads, of the weight [N/m^3], if any, and of what is held and moves."""
+    """Columns of all loads, of the weight [N/m^3], if any, of what is held and moves, and of
+    contacts that differ a little."""
     parts = []
     for patch, dip in zip(patches, dips, strict=True):
         if patch.contact.triangles is None:
@@ -190,7 +199,14 @@ def _right_hand(
     if body is not None:
         parts.append(body.right)
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
+    parts += [_change_column(system, change) for change in changes]
     return joined(parts), body
+
+
+def _change_column(system: BoundarySystem, change: ContactChange) -> RightHand:
+    """The column of one change, under the force of its probing."""
+    higher, lower = surface_load(change.higher), surface_load(change.lower)
+    return RightHand(change.share * change_column(system, higher, lower, change.force).terms)
 
 
 def _distinct_patches(
@@ -243,7 +259,15 @@ def probe_rows(model: ObjectModel, index: int, place: SurfacePoints) -> ProbeRow
     motions = None
     if model.supports:
         motions = _motions(model, index, at_points, with_tip=tip is not None)
-    return ProbeRows(columns, surface, particular, tip, known, model.body is not None, motions)
+    return ProbeRows(
+        columns, surface, particular, tip, known, model.body is not None, motions,
+        changes=len(_own_changes(model, index)),
+    )  # fmt: skip
+
+
+def _own_changes(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
+    """Changes of one probing among those of all."""
+    return np.flatnonzero(np.array([change.probing == index for change in model.changes]))
 
 
 def _columns(
@@ -268,6 +292,7 @@ def _columns(
         columns.append(last + np.arange(2))
         last += 2
     columns.append(last + _own_motions(model, index))
+    columns.append(last + model.shapes.shape[2] + _own_changes(model, index))
     return np.concatenate(columns), np.concatenate([np.zeros(0), *known])
 
 

@@ -18,9 +18,12 @@ from palpate.records.contact import (
     RigidMotion as RigidMotion,
     Support as Support,
 )
+from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
     CONSTANT_NAMES as CONSTANT_NAMES,
+    SURPRISING as SURPRISING,
     Constant as Constant,
+    ErrorEstimate as ErrorEstimate,
     Estimate as Estimate,
     ProbeEstimate as ProbeEstimate,
     Status as Status,
@@ -81,6 +84,7 @@ from palpate.records.programs import (
 from palpate.records.quantities import (
     LENGTH_UNITS as LENGTH_UNITS,
     constant_text as constant_text,
+    error_texts as error_texts,
     interval_text as interval_text,
     length_unit as length_unit,
     modulus_unit as modulus_unit,

@@ -11,6 +11,8 @@ from palpate.errors import InputError
 
 # Rounding of a product in double precision, with room.
 _EXACT = 1e-12
+# Prior standard deviations: an error that lies farther off is named as a likely fault.
+SURPRISING = 3.0
 CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"
@@ -154,6 +156,41 @@ class SupportEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class ErrorEstimate:
+    """An error of the measurement that was estimated along with the constants.
+
+    Parameters
+    ----------
+    name : str                      "gain of the force sensor"
+    unit : str                      "m", "rad", or empty for a share
+    value : float                   by how much the measurement is off, in that unit
+    std : float                     one standard deviation, after the fit
+    prior_std : float               one standard deviation, before
+
+    Raises
+    ------
+    InputError                      a negative standard deviation
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    prior_std: float
+
+    def __post_init__(self) -> None:
+        if self.std < 0.0 or self.prior_std < 0.0:
+            raise InputError(
+                f"std is {self.std:g}, prior_std {self.prior_std:g}; must not be negative"
+            )
+
+    @property
+    def is_surprising(self) -> bool:
+        """Whether it lies more than three prior standard deviations off."""
+        return abs(self.value) > SURPRISING * self.prior_std
+
+
+@dataclass(frozen=True, slots=True)
 class ProbeEstimate:
     """The constants as one probing alone determines them, and how well it was explained.
 
@@ -167,6 +204,7 @@ class ProbeEstimate:
     rms_residual : float [m]        over the observed points, joint estimate
     prediction_error : float [m] or None    rms residual when this probing was left out
     supports : tuple of SupportEstimate     those that move
+    errors : tuple of ErrorEstimate         of the measurement of this probing alone
     """
 
     name: str
@@ -179,6 +217,7 @@ class ProbeEstimate:
     rms_residual: float
     prediction_error: float | None
     supports: tuple[SupportEstimate, ...] = ()
+    errors: tuple[ErrorEstimate, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +234,7 @@ class Estimate:
     method : str                    how the misfit was minimised
     settings : mapping              everything chosen, for repeating the run
     notes : tuple of str            full sentences for the reader of the result
+    errors : tuple of ErrorEstimate     of the measurement, which all probings share
 
     Raises
     ------
@@ -212,6 +252,7 @@ class Estimate:
     method: str
     settings: dict[str, Any]
     notes: tuple[str, ...]
+    errors: tuple[ErrorEstimate, ...] = ()
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

@@ -2,12 +2,14 @@
 
 import math
 
-from palpate.records.estimate import Constant
+from palpate.records.estimate import Constant, ErrorEstimate
 
 # Metres in each unit that a file or a command may name.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 # The units of Palpate's own files, and of calibrations, which are never so small.
 FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
+# How errors are written: factor on the SI unit, and the unit written.
+_ERROR_UNITS = {"": (100.0, "%"), "m": (1e3, "mm"), "rad": (180.0 / math.pi, "degrees")}
 _SPELLINGS = {
     "\u00b5m": "um",
     "\u03bcm": "um",
@@ -120,3 +122,19 @@ def _places(std: float, value: float) -> int:
     if not (math.isfinite(shown) and shown > 0.0):
         return 3
     return min(max(1 - math.floor(math.log10(shown)), 0), 12)
+
+
+def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
+    """Value, standard deviation and that of the prior as a person writes them, with the unit.
+
+    Parameters
+    ----------
+    error : ErrorEstimate
+
+    Returns
+    -------
+    (str, str, str)                 shares in per cent, lengths in mm, angles in degrees
+    """
+    factor, unit = _ERROR_UNITS[error.unit]
+    value, std, prior = (factor * x for x in (error.value, error.std, error.prior_std))
+    return f"{value:.2g} {unit}", f"{std:.2g} {unit}", f"{prior:.2g} {unit}"

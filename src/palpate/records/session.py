@@ -1,6 +1,6 @@
 """A session: one object, one support, any number of probings; or one object that moves rigidly."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,7 @@ from palpate.arrays import fixed_array
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records.contact import RIGID, Support
+from palpate.records.error_priors import ErrorPriors
 from palpate.records.probing import Probing
 from palpate.records.support_checks import check_supports
 from palpate.shapes import Indices, Vector3
@@ -37,9 +38,9 @@ class Step:
     images: str
 
     def __post_init__(self) -> None:
-        for field in ("name", "images"):
-            if not getattr(self, field).strip():
-                raise InputError(f"{field} of a step is blank; must be a text")
+        for name in ("name", "images"):
+            if not getattr(self, name).strip():
+                raise InputError(f"{name} of a step is blank; must be a text")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +87,7 @@ class Session:
     steps: tuple[Step, ...] = ()
     metres_per_unit: float = 1.0
     supports: tuple[Support, ...] = ()
+    errors: ErrorPriors = field(default_factory=ErrorPriors)
 
     def __post_init__(self) -> None:
         held = fixed_array(self.held_triangles, name="held_triangles", shape=(None,), integer=True)

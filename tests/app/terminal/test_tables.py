@@ -9,7 +9,7 @@ from estimate_samples import sample_result
 from rich.console import Console
 
 from palpate.app.terminal.tables import constants_table, number_text, terminal_table
-from palpate.records import read_session
+from palpate.records import ErrorEstimate, read_session
 
 
 def printed(table, width):
@@ -58,9 +58,16 @@ def test_what_is_not_known_is_a_dash(value):
     assert number_text(1.005e3, ".3g") == "1e+03"
 
 
-def test_forces_that_were_taken_as_exact_are_said_below_the_constants(cube_session):
+def test_what_the_intervals_hold_is_said_below_the_constants(cube_session):
     known = sample_result(read_session(cube_session)).estimate
-    assert "taken as exact" not in printed(constants_table(known), 120)
-    exact = replace(known, settings={"exact_forces": ["n01"]})
-    text = " ".join(printed(constants_table(exact), 120).split())
-    assert "with the force of 1 of 1 probings taken as exact, for no force_std is given" in text
+    assert "no force_std" not in printed(constants_table(known), 120)
+    settings = {"assumed_forces": ["n01"], "errors": {"force": 0.01}}
+    errors = (
+        ErrorEstimate("gain of the force sensor", "", 0.004, 0.008, 0.01),
+        ErrorEstimate("shift of the object along x", "m", -3e-4, 5e-5, 2e-4),
+    )
+    assumed = replace(known, settings=settings, errors=errors)
+    text = " ".join(printed(constants_table(assumed), 120).split())
+    assert "The force of 1 of 1 probings is taken as known to 1 % of its length" in text
+    # The one that is farthest off by its own prior.
+    assert "shift of the object along x, by -0.3 mm ± 0.05 mm (taken for possible: 0.2 mm)" in text

@@ -15,7 +15,7 @@ def test_it_is_the_misfit_above_its_minimum() -> None:
     """For Gaussian claims and probings that agree, nothing is to be calibrated."""
     probes = half_space_probes(np.random.default_rng(3), count=1, grid=5, noise=1e-4)
     uncertainty = uncertainty_at(probes)
-    intervals = interval_set(uncertainty, "profile")
+    intervals = interval_set(uncertainty)
     found = likelihood_map(uncertainty, intervals)
     misfit, minimum = misfit_of(probes), uncertainty.minimum
     best = misfit(minimum.poisson_ratio, minimum.shear_modulus)
@@ -40,7 +40,7 @@ def test_wide_noise_lowers_it_in_proportion() -> None:
     probes = half_space_probes(np.random.default_rng(3), count=1, grid=9, noise=4e-5)
     object.__setattr__(probes[0], "std", probes[0].std / 4)
     uncertainty = uncertainty_at(probes)
-    found = likelihood_map(uncertainty, interval_set(uncertainty, "profile"))
+    found = likelihood_map(uncertainty, interval_set(uncertainty))
     misfit, minimum = misfit_of(probes), uncertainty.minimum
     best = misfit(minimum.poisson_ratio, minimum.shear_modulus)
     above = misfit(found.poisson_ratio[5], found.shear_modulus[8]) - best
@@ -53,7 +53,7 @@ def test_wide_noise_lowers_it_in_proportion() -> None:
 def test_without_signal_it_ends_somewhere() -> None:
     probes = half_space_probes(np.random.default_rng(1), count=1, grid=5, noise=1.0)
     uncertainty = uncertainty_at(probes)
-    intervals = interval_set(uncertainty, "profile")
+    intervals = interval_set(uncertainty)
     found = likelihood_map(uncertainty, intervals)
     best = intervals.shear_modulus.value
     assert np.isfinite(found.deviance).all()

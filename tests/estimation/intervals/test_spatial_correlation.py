@@ -56,7 +56,7 @@ def _one_probing(points: int, residual: np.ndarray | None = None) -> LocalProbe:
     field = probe.displacement.copy()
     field[points:] = np.nan
     misfit = misfit_of([replace(probe, displacement=field)])
-    one = misfit.at_best_forces(0.3, 2e4)[0]
+    one = misfit.at_best_forces(0.3, 2e4)[1][0]
     if residual is not None:
         one.table[:, 5] = residual[: len(one.table)]
     return one
@@ -99,8 +99,8 @@ def test_missing_components_and_a_tip_do_not_shift_the_blocks() -> None:
     probe = half_space_probes(rng, count=1, grid=16, noise=3e-5, tip=True)[0]
     response = HalfSpace(probe.response.offset[:-1])
     bare = replace(probe, tip_displacement=None, tip_displacement_std=None, response=response)
-    plain = misfit_of([bare]).at_best_forces(0.3, 2e4)[0]
-    with_tip = misfit_of([probe]).at_best_forces(0.3, 2e4)[0]
+    plain = misfit_of([bare]).at_best_forces(0.3, 2e4)[1][0]
+    with_tip = misfit_of([probe]).at_best_forces(0.3, 2e4)[1][0]
     plain.table[:, 5] = 5.0
     with_tip.table[:, 5] = 5.0
     with_tip.table[-3:, 5] = 1e6

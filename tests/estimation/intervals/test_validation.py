@@ -13,7 +13,6 @@ from palpate.estimation.intervals.validation import (
     probe_estimate,
     probe_fits,
 )
-from palpate.estimation.noise.registry import NOISE_MODELS
 from palpate.records import Constant
 
 
@@ -55,7 +54,7 @@ def test_predictions_are_those_of_the_constants() -> None:
     field[6] += 2e-3
     probes[0] = replace(probes[0], displacement=field)
     uncertainty = uncertainty_at(probes, "student-t")
-    fits = probe_fits(probes, NOISE_MODELS["student-t"], uncertainty)
+    fits = probe_fits(probes, misfit_of(probes, "student-t"), uncertainty)
     minimum = uncertainty.minimum
     for probe, one, fit in zip(probes, minimum.probes, fits, strict=True):
         force = probe.force + probe.force_std * one.shift

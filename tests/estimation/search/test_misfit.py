@@ -58,7 +58,7 @@ def test_uncertain_forces_take_their_best_values(uncertain: list[float]) -> None
     misfit = misfit_of([probe], "student-t")
     # BFGS with difference gradients stops at 1e-8 of the minimum.
     assert misfit(NU, SHEAR) == pytest.approx(best.fun, rel=1e-8)
-    local = misfit.at_best_forces(NU, SHEAR)[0]
+    local = misfit.at_best_forces(NU, SHEAR)[1][0]
     assert local.loss == pytest.approx(misfit(NU, SHEAR), rel=1e-12)
     np.testing.assert_allclose(local.shift, best.x * uncertain, atol=1e-4)
     weight = (8 + sum(uncertain)) / (8 + local.shift @ local.shift)
@@ -68,13 +68,14 @@ def test_uncertain_forces_take_their_best_values(uncertain: list[float]) -> None
 def test_slopes_of_the_prediction_are_derivatives() -> None:
     misfit = misfit_of(_probes(count=1, force_noise=0.05, tip=True))
     shift, step = np.array([0.5, -1.0, 2.0]), 1e-6
-    rows = misfit.scaled(NU)
-    here = misfit.linearised(rows, 0.0, SHEAR, [shift])[0]
+    none = np.zeros(0)
+    rows = misfit.scaled(NU, SHEAR, [shift])
+    here = misfit.linearised(rows, 0.0, SHEAR, [shift], none)[0]
 
     def residual(change: np.ndarray) -> np.ndarray:
-        moved = misfit.linearised(
-            misfit.scaled(NU + change[0]), 0.0, SHEAR * np.exp(change[1]), [shift + change[2:]]
-        )
+        rows = misfit.scaled(NU + change[0], SHEAR, [shift])
+        modulus = SHEAR * float(np.exp(change[1]))
+        moved = misfit.linearised(rows, 0.0, modulus, [shift + change[2:]], none)
         return moved[0].residual
 
     for column, turn in enumerate(np.eye(5)):
@@ -88,8 +89,10 @@ def test_an_offset_is_another_poisson_ratio() -> None:
     """The half space's response is linear in nu, so linearised there it is exact."""
     misfit = misfit_of(_probes(count=2, force_noise=0.05))
     shifts = [np.array([0.1, 0.2, 0.3]), np.zeros(3)]
-    moved = misfit.linearised(misfit.scaled(0.1), 0.2, SHEAR, shifts)
-    direct = misfit.linearised(misfit.scaled(0.3), 0.0, SHEAR, shifts)
+    moved, direct = (
+        misfit.linearised(misfit.scaled(nu, SHEAR, shifts), 0.3 - nu, SHEAR, shifts, np.zeros(0))
+        for nu in (0.1, 0.3)
+    )
     for one, other in zip(moved, direct, strict=True):
         np.testing.assert_allclose(one.table, other.table, rtol=1e-9, atol=1e-9)
         assert one.loss == pytest.approx(other.loss, rel=1e-9)
@@ -100,7 +103,7 @@ def test_missing_components_leave_their_points() -> None:
     field = probe.displacement.copy()
     field[0, 1:] = np.nan
     field[1] = np.nan
-    local = misfit_of([replace(probe, displacement=field)]).at_best_forces(NU, SHEAR)[0]
+    local = misfit_of([replace(probe, displacement=field)]).at_best_forces(NU, SHEAR)[1][0]
     assert local.rows.components[:2].tolist() == [1.0, 3.0]
     assert local.squared[0] == pytest.approx(local.residual[0] ** 2, rel=1e-12)
     assert local.squared[1] == pytest.approx((local.residual[1:4] ** 2).sum(), rel=1e-12)

@@ -93,7 +93,7 @@ def test_a_simplex_is_linearised_where_it_ends(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(nelder_mead_module, "_MAX_EVALUATIONS", 9)
     found = nelder_mead_minimum(misfit, 0.1, 3e4, poisson_range=RANGE)
     assert not found.converged
-    here = misfit.at_best_forces(found.poisson_ratio, found.shear_modulus)
+    _, here = misfit.at_best_forces(found.poisson_ratio, found.shear_modulus)
     for one, other in zip(found.probes, here, strict=True):
         np.testing.assert_array_equal(one.table, other.table)
 

@@ -15,6 +15,7 @@ from palpate.records import (
     Estimate,
     Rig,
     constant_text,
+    error_texts,
     interval_text,
     length_unit,
     modulus_unit,
@@ -114,13 +115,28 @@ def constants_table(estimate: Estimate) -> Table:
         values = constant_text(constant, factor=factor), interval_text(constant, factor=factor)
         rows.append((label, *values, unit, "yes" if estimate.identifiable[name] else "no"))
     columns = ("constant", "value ± 1 sigma", "95 % interval", "unit", "identifiable")
-    caption = ""
-    if exact := len(estimate.settings.get("exact_forces", ())):
-        caption = (
-            f"95 % interval: with the force of {exact} of {len(estimate.probes)} probings taken as"
-            " exact, for no force_std is given"
-        )
+    caption = " ".join(_captions(estimate))
     return terminal_table("Elastic constants", columns, rows, caption=caption)
+
+
+def _captions(estimate: Estimate) -> list[str]:
+    """What the intervals hold beside noise, in sentences."""
+    found = []
+    if assumed := len(estimate.settings.get("assumed_forces", ())):
+        share = estimate.settings["errors"]["force"]
+        found.append(
+            f"The force of {assumed} of {len(estimate.probes)} probings is taken as known to"
+            f" {100 * share:.2g} % of its length, for no force_std is given."
+        )
+    every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
+    if every:
+        worst = max(every, key=lambda one: abs(one.value) / one.prior_std)
+        value, std, prior = error_texts(worst)
+        found.append(
+            "Errors of force, contact, pose and scale are in the intervals; farthest off is the"
+            f" {worst.name}, by {value} ± {std} (taken for possible: {prior})."
+        )
+    return found
 
 
 def probes_table(estimate: Estimate) -> Table:

@@ -209,7 +209,12 @@ def loaded_triangles(surface: BoundarySurface, load: SurfaceLoad) -> Int[np.ndar
 
 
 def integrate_load(
-    surface: BoundarySurface, load: SurfaceLoad, collocation: Collocation, blocks: FieldBlocks
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    collocation: Collocation,
+    blocks: FieldBlocks,
+    *,
+    cells: LoadCells | None = None,
 ) -> Float[np.ndarray, "r 6"]:
     """The six displacement fields integrated against a load, at every collocation point.
 
@@ -219,12 +224,13 @@ def integrate_load(
     load : SurfaceLoad
     collocation : Collocation
     blocks : FieldBlocks          of that collocation, for the order of its rows
+    cells : LoadCells or None     see `load_points`
 
     Returns
     -------
     (r, 6) float [1/m]            in the order of the blocks' rows
     """
-    points = load_points(surface, load)
+    points = load_points(surface, load, cells=cells)
     rows = blocks.rows
     order = rows.ravel()[: blocks.n_rows]
     sources = _as_sources(points.position, points.weight)

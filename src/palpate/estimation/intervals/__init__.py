@@ -3,7 +3,8 @@
 Purpose    : intervals, what is identifiable, the likelihood's map, how probings are predicted.
 Takes      : a `Misfit` and its `Minimum`.
 Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, the Cramer-Rao bound.
-Depends on : `estimation.noise`, `estimation.search`, `records`, `geometry`; files of its room.
+Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.search`, `records`, `geometry`; files of
+             its room.
 Read first : `sandwich.py`, then `uncertainty.py`.
 """
 
@@ -25,10 +26,6 @@ from palpate.estimation.intervals.sandwich import (
     cramer_rao_bound as cramer_rao_bound,
     scores_of as scores_of,
 )
-from palpate.estimation.intervals.systematic_error import (
-    poisson_ratio_error as poisson_ratio_error,
-    with_systematic_errors as with_systematic_errors,
-)
 from palpate.estimation.intervals.uncertainty import (
     IntervalSet as IntervalSet,
     Uncertainty as Uncertainty,
@@ -37,6 +34,7 @@ from palpate.estimation.intervals.uncertainty import (
 )
 from palpate.estimation.intervals.validation import (
     ProbeFit as ProbeFit,
+    error_estimates as error_estimates,
     probe_estimate as probe_estimate,
     probe_fits as probe_fits,
 )

@@ -48,7 +48,7 @@ def correlation_factor(
     Parameters
     ----------
     local : sequence of LocalProbe      at the joint minimum
-    projection : (2 + n, 2) for each    takes forces and motions out of the design
+    projection : (d + n, 2) for each    takes the shifts out of the design of (nu, log G)
     score_variance : float              mean square of the robust score
 
     Returns
@@ -121,7 +121,7 @@ def _block_sums(probe: LocalProbe, projection: np.ndarray) -> _BlockSums:
     order = morton_order(rows.position)
     order = order[: int(np.isfinite(rows.position[:, 0]).sum())]
     finest = min(_MAX_HALVINGS, int(np.log2(len(order) / _MIN_POINTS_PER_BLOCK)))
-    clean, shifts = probe.design @ projection, probe.design[:, 2:]
+    clean, shifts = probe.design @ projection, probe.design[:, probe.common :]
     row_score = rows.per_row(probe.weight) * probe.residual
     columns = np.concatenate(
         [

@@ -1,16 +1,14 @@
-"""Intervals of the constants by three methods; the one that covers is the default.
+"""Intervals of the constants: the calibrated profile of the misfit.
 
-Coverage in seeded repeats (benchmarks/coverage.py) decides: the calibrated profile likelihood. The
-Fisher interval agrees with it away from the bounds of Poisson's ratio and is wrong at them; the
-percentile bootstrap over few probings is too narrow.
+Coverage in seeded repeats (benchmarks/coverage.py) and on bodies that nobody tuned for
+(benchmarks/coverage_of_bodies.py) decides. Far from the bounds of Poisson's ratio the profile is a
+parabola, and the interval follows from the variance alone.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import ndtri
 
 from palpate.estimation.intervals.profile_likelihood import profile_curve, profile_intervals
 from palpate.estimation.intervals.sandwich import (
@@ -18,18 +16,16 @@ from palpate.estimation.intervals.sandwich import (
     Scatter,
     ScoreNoise,
     Scores,
+    Variance,
     directions,
-    quantile_of,
     scores_of,
 )
 from palpate.estimation.search import FixedWeights, Minimum, Misfit
-from palpate.estimation.settings import IntervalMethod
 from palpate.records import Constant
 
-# Below this standard error of nu, and this far from the bounds, profile and Fisher are one.
+# Below this standard error of nu, and this far from the bounds, the profile is a parabola.
 _SMALL_ERROR = 1e-3
 _FAR_FROM_BOUND = 8.0
-_RESAMPLES = 500
 # Standard errors: chance alone leads farther beyond the range in one session of forty.
 _CLEARLY = 2.0
 # Exponents beyond this overflow.
@@ -62,7 +58,7 @@ class Uncertainty:
     scores : Scores                 at the minimum
     noise : ScoreNoise
     scatters : constant's name -> Scatter    disagreement of all probings of the session
-    weights : FixedWeights          of the same probings
+    weights : FixedWeights          of the same probings, less what the errors explain
     """
 
     minimum: Minimum
@@ -71,22 +67,25 @@ class Uncertainty:
     scatters: Mapping[str, Scatter]
     weights: FixedWeights
 
-    def variance(self, name: str) -> float:
-        """Variance of nu, log G or log E, raised where the probings disagree."""
+    def variance(self, name: str) -> Variance:
+        """Variance of nu, log G or log E."""
         turn = directions(self.minimum.poisson_ratio)[name]
-        return float(turn @ self.scores.covariance() @ turn) * self.scatters[name].factor
+        found = self.scores.variance(turn, self.scatters[name])
+        known = min(self.noise.degrees, self.noise.correlation.degrees)
+        return replace(found, degrees=min(found.degrees, known))
+
+    def error(self, name: str) -> float:
+        """Standard error of nu, log G or log E."""
+        return float(np.sqrt(self.variance(name).total))
 
     def is_beyond_range(self) -> bool:
         """Whether the misfit's unbounded minimum lies clearly beyond the range of nu."""
-        # At a minimum inside the range the score vanishes.
-        information, score = self.scores.information.sum(0), self.scores.score.sum(0)
-        step = np.linalg.lstsq(information, score, rcond=1e-11)[0]
-        return bool(abs(step[0]) > _CLEARLY * np.sqrt(self.variance("poisson_ratio")))
+        return bool(abs(self.scores.step()[0]) > _CLEARLY * self.error("poisson_ratio"))
 
     def calibration(self, name: str) -> float:
         """That variance over the one that the bare curvature of the misfit claims."""
         turn = directions(self.minimum.poisson_ratio)[name]
-        return self.variance(name) / self.scores.curvature_variance(turn)
+        return self.variance(name).total / self.scores.curvature_variance(turn)
 
 
 def uncertainty_of(misfit: Misfit, minimum: Minimum, weights: FixedWeights) -> Uncertainty:
@@ -108,13 +107,12 @@ def uncertainty_of(misfit: Misfit, minimum: Minimum, weights: FixedWeights) -> U
     return Uncertainty(minimum, scores, noise, scatters, weights)
 
 
-def interval_set(uncertainty: Uncertainty, method: str) -> IntervalSet:
+def interval_set(uncertainty: Uncertainty) -> IntervalSet:
     """The constants with their 95 % intervals.
 
     Parameters
     ----------
     uncertainty : Uncertainty
-    method : IntervalMethod, or its name
 
     Returns
     -------
@@ -125,17 +123,9 @@ def interval_set(uncertainty: Uncertainty, method: str) -> IntervalSet:
     young = 2 * minimum.shear_modulus * (1 + minimum.poisson_ratio)
     values = (minimum.poisson_ratio, minimum.shear_modulus, young)
     centre = dict(zip(DIRECTIONS, values, strict=True))
-    if method == IntervalMethod.BOOTSTRAP:
-        quantile = dict.fromkeys(DIRECTIONS, float(ndtri(0.975)))
-        ends = _percentiles(uncertainty, centre)
-    else:
-        quantile = {
-            name: quantile_of(uncertainty.noise, scatter)
-            for name, scatter in uncertainty.scatters.items()
-        }
-        ends = _fisher(uncertainty, centre, quantile)
-        if method == IntervalMethod.PROFILE and not _is_narrow(uncertainty):
-            ends = _profile(uncertainty, quantile)
+    quantile = {name: uncertainty.variance(name).quantile for name in DIRECTIONS}
+    narrow = _is_narrow(uncertainty)
+    ends = _parabola(uncertainty, centre, quantile) if narrow else _profile(uncertainty, quantile)
     constants = {}
     for name in DIRECTIONS:
         low, high = min(ends[name][0], centre[name]), max(ends[name][1], centre[name])
@@ -148,82 +138,31 @@ def _is_narrow(uncertainty: Uncertainty) -> bool:
     low, high = uncertainty.weights.poisson_range
     nu = uncertainty.minimum.poisson_ratio
     room = min(nu - low, high - nu)
-    error = np.sqrt(uncertainty.variance("poisson_ratio"))
-    return bool(error < min(_SMALL_ERROR, room / _FAR_FROM_BOUND))
+    return uncertainty.error("poisson_ratio") < min(_SMALL_ERROR, room / _FAR_FROM_BOUND)
 
 
-def _fisher(
+def _parabola(
     uncertainty: Uncertainty, centre: Mapping[str, float], quantile: Mapping[str, float]
 ) -> dict[str, Ends]:
     """Symmetric intervals of nu, cut at its range, and of the logarithms of the moduli."""
     ends = {}
     for name, value in centre.items():
-        half_width = quantile[name] * float(np.sqrt(uncertainty.variance(name)))
-        ends[name] = _about(uncertainty, name, value, (-half_width, half_width))
+        reach = quantile[name] * uncertainty.error(name)
+        if name == "poisson_ratio":
+            low, high = np.clip([value - reach, value + reach], *uncertainty.weights.poisson_range)
+        else:
+            low, high = value * np.exp(np.clip([-reach, reach], -_MAX_EXPONENT, _MAX_EXPONENT))
+        ends[name] = (float(low), float(high))
     return ends
 
 
 def _profile(uncertainty: Uncertainty, quantile: Mapping[str, float]) -> dict[str, Ends]:
     """Where the calibrated profile of the misfit stays below the square of the quantile."""
     allowed = {name: quantile[name] ** 2 * uncertainty.calibration(name) for name in DIRECTIONS}
-    error = float(np.sqrt(uncertainty.variance("poisson_ratio")))
     curve = profile_curve(
         uncertainty.weights,
         centre=uncertainty.minimum.poisson_ratio,
-        half_width=2 * quantile["poisson_ratio"] * error,
+        half_width=2 * quantile["poisson_ratio"] * uncertainty.error("poisson_ratio"),
         enough=max(allowed.values()),
     )
     return profile_intervals(curve, allowed)
-
-
-def _percentiles(uncertainty: Uncertainty, centre: Mapping[str, float]) -> dict[str, Ends]:
-    """Central 95 % of the resampled constants; the same seed always, so that a fit repeats."""
-    drawn = bootstrap_constants(uncertainty.scores, count=_RESAMPLES, rng=np.random.default_rng(0))
-    ends = {}
-    for name, turn in directions(uncertainty.minimum.poisson_ratio).items():
-        low, high = np.percentile(drawn @ turn, [2.5, 97.5]).tolist()
-        ends[name] = _about(uncertainty, name, centre[name], (low, high))
-    return ends
-
-
-def _about(uncertainty: Uncertainty, name: str, value: float, deviation: Ends) -> Ends:
-    """Interval of a constant from the deviations of nu or of the logarithm of a modulus."""
-    if name == "poisson_ratio":
-        low, high = np.clip(value + np.array(deviation), *uncertainty.weights.poisson_range)
-    else:
-        low, high = value * np.exp(np.clip(deviation, -_MAX_EXPONENT, _MAX_EXPONENT))
-    return float(low), float(high)
-
-
-def bootstrap_constants(
-    scores: Scores, *, count: int, rng: np.random.Generator
-) -> Float[np.ndarray, "b 2"]:
-    """Deviations of (nu, log G) from the estimate, one for each resampled set of probings.
-
-    Refits are one scoring step each from the scores of the probings, so a thousand of them cost a
-    few milliseconds. For small spreads that is the refit itself; towards a bound or along a flat
-    valley it is not, and the profile is to be preferred.
-
-    Parameters
-    ----------
-    scores : Scores
-    count : int                     number of resamples, b
-    rng : numpy Generator
-
-    Returns
-    -------
-    (b, 2) float                    drawn from the model where there is one probing only
-    """
-    k = len(scores.score)
-    if k < 2:
-        value, vector = np.linalg.eigh(scores.covariance())
-        root = vector * np.sqrt(np.maximum(value, 0.0))
-        return rng.normal(size=(count, 2)) @ root.T
-    times = rng.multinomial(k, np.full(k, 1.0 / k), size=count).astype(np.float64)
-    centred = scores.score - scores.score.mean(0)
-    total = np.einsum("bk,kij->bij", times, scores.information)
-    size = np.sqrt(np.maximum(np.einsum("bii->bi", total), np.finfo(float).tiny))
-    unit = total / (size[:, :, None] * size[:, None, :]) + 1e-10 * np.eye(2)
-    step = np.linalg.solve(unit, ((times @ centred) / size)[..., None])[..., 0] / size
-    # k resampled probings scatter by (k - 1) / k of what they stand for.
-    return step * np.sqrt(k / (k - 1))

@@ -1,16 +1,17 @@
 """How well the model explains each probing, and predicts one that it has not seen."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
-from palpate.estimation.noise import NoiseModel, relative_weight
+from palpate.estimation.noise import relative_weight
+from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.search import LocalProbe, best_constants
-from palpate.records import ProbeEstimate
+from palpate.estimation.search import LocalProbe, Minimum, Misfit, best_constants
+from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points
 
 # One scoring step is the refit itself to second order; beyond this the table is searched.
@@ -32,6 +33,7 @@ class ProbeFit:
     left_out_predicted : (n, 3) float [m] or None
         from the constants of all other probings and the measured force; motions as fitted
     motion, motion_std : (q,) float         of supports, as fitted (`ProbeObservations`)
+    errors : tuple of ErrorEstimate         those that belong to this probing alone
     """
 
     name: str
@@ -41,6 +43,7 @@ class ProbeFit:
     left_out_predicted: Points | None
     motion: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    errors: tuple[ErrorEstimate, ...] = ()
 
 
 def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
@@ -59,7 +62,8 @@ def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
     left = scores.curvature.sum(0) - scores.curvature
     size = np.sqrt(np.maximum(np.einsum("kii->ki", left), np.finfo(float).tiny))
     unit = left / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(2)
-    pull = (scores.score.sum(0) - scores.score) / size
+    score = scores.score[:, :2]
+    pull = (score.sum(0) - score) / size
     step = np.linalg.solve(unit, pull[..., None])[..., 0] / size
     nu = minimum.poisson_ratio + step[:, 0]
     if np.abs(step).max() < _SMALL_MOVE and nu.min() > low and nu.max() < high:
@@ -69,14 +73,14 @@ def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
 
 
 def probe_fits(
-    probes: Sequence[ProbeObservations], noise: NoiseModel, uncertainty: Uncertainty
+    probes: Sequence[ProbeObservations], misfit: Misfit, uncertainty: Uncertainty
 ) -> tuple[ProbeFit, ...]:
     """Predictions, residuals and weights of every probing.
 
     Parameters
     ----------
     probes : sequence of ProbeObservations
-    noise : NoiseModel              of the fit
+    misfit : Misfit                 of these probings
     uncertainty : Uncertainty       of these probings, in this order
 
     Returns
@@ -85,40 +89,88 @@ def probe_fits(
     """
     minimum = uncertainty.minimum
     left_out = left_out_constants(uncertainty) if len(probes) > 1 else None
+    names = [one.name for one in misfit.shared]
     fits = []
     for k, (probe, local) in enumerate(zip(probes, minimum.probes, strict=True)):
         n = len(probe.position)
-        nu, load = minimum.poisson_ratio, local.rows.load(minimum.shear_modulus, local.shift)
-        predicted = _predicted(probe, nu, load)
+        own = 3 + len(probe.motion)
+        known = dict(zip(names, minimum.errors, strict=True))
+        mine = [one.name for one in misfit.own(local.rows)]
+        sigmas = known | dict(zip(mine, local.shift[own:], strict=True))
+        predicted = _predicted(probe, minimum, local, local.shift, sigmas)
         factor = np.zeros(n + 1)
-        factor[local.rows.point] = relative_weight(noise, local.squared, local.rows.components)
+        factor[local.rows.point] = relative_weight(
+            misfit.noise, local.squared, local.rows.components
+        )
         weight = np.where(np.isfinite(probe.displacement), factor[:n, None], 0.0)
         left = None
         if left_out is not None:
             # The motion of its support cannot come from the others.
             shift = np.where(np.arange(len(local.shift)) < 3, 0.0, local.shift)
             nu, modulus = left_out[k].tolist()
-            left = _predicted(probe, nu, local.rows.load(modulus, shift))
-        residual, motion_std = probe.displacement - predicted, _motion_std(local, uncertainty)
-        fits.append(ProbeFit(probe.name, predicted, residual, weight, left, load[4:], motion_std))
+            elsewhere = replace(minimum, poisson_ratio=nu, shear_modulus=modulus)
+            left = _predicted(probe, elsewhere, local, shift, known)
+        load = local.rows.load(minimum.shear_modulus, local.shift)
+        std = _shift_std(local, uncertainty)
+        motion_std = local.rows.motion_std * std[3:own]
+        errors = error_estimates(misfit.own(local.rows), local.shift[own:], std[own:])
+        residual = probe.displacement - predicted
+        fits.append(
+            ProbeFit(probe.name, predicted, residual, weight, left, load[4:], motion_std, errors)
+        )
     return tuple(fits)
 
 
-def _motion_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray, " q"]:
-    """Standard deviations of the motions of supports, those of the constants included."""
-    noise, products = uncertainty.noise, probe.weighted_products()
-    inverse = np.linalg.inv(products[2:-1, 2:-1] + np.diag(probe.prior))
-    turn = inverse @ products[2:-1, :2]
+def error_estimates(
+    parameters: Sequence[NuisanceParameter],
+    value: Float[np.ndarray, " p"],
+    std: Float[np.ndarray, " p"],
+) -> tuple[ErrorEstimate, ...]:
+    """What the data say about errors that have a prior.
+
+    Parameters
+    ----------
+    parameters : sequence of p NuisanceParameter
+    value, std : (p,) float         best value and standard deviation, in prior standard deviations
+
+    Returns
+    -------
+    tuple of p ErrorEstimate
+    """
+    return tuple(
+        ErrorEstimate(one.name, one.unit, float(one.std * x), float(one.std * s), one.std)
+        for one, x, s in zip(parameters, value, std, strict=True)
+    )
+
+
+def _shift_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray, " n"]:
+    """Standard deviations of a probing's shifts, those of the common parameters included."""
+    noise, products, d = uncertainty.noise, probe.weighted_products(), probe.common
+    inverse = np.linalg.inv(products[d:-1, d:-1] + np.diag(probe.prior()))
+    turn = inverse @ products[d:-1, :d]
     # As in the sandwich: the curvature holds the slope of the score, its noise has this power.
     own = noise.power / noise.slope * noise.correlation.variance * np.diag(inverse)
     shared = np.einsum("ni,ij,nj->n", turn, uncertainty.scores.covariance(), turn)
-    return probe.rows.motion_std * np.sqrt(own + shared)[3:]
+    # A share of the prior is left over: no noise of the displacements makes it larger.
+    return np.sqrt(np.minimum(own, np.maximum(np.diag(inverse), 1.0)) + shared)
 
 
-def _predicted(probe: ProbeObservations, poisson_ratio: float, load: np.ndarray) -> np.ndarray:
-    """Displacement of every point of the probing, measured or not."""
-    response = probe.response.value(poisson_ratio)[: 3 * len(probe.position)]
-    return (response @ load).reshape(-1, 3)
+def _predicted(
+    probe: ProbeObservations,
+    minimum: Minimum,
+    local: LocalProbe,
+    shift: Float[np.ndarray, " s"],
+    errors: Mapping[str, float],
+) -> Points:
+    """Displacement of every point of the probing, measured or not, under some shifts and errors."""
+    rows, nu = np.arange(3 * len(probe.position)), minimum.poisson_ratio
+    response = probe.response.value(nu)[: len(rows)]
+    load = local.rows.load(minimum.shear_modulus, shift)
+    moved = response @ load
+    for nuisance in probe.nuisances:
+        sigmas = np.array([errors.get(one.name, 0.0) for one in nuisance.parameters])
+        moved = moved + nuisance.columns(rows, response, load, nu) @ sigmas
+    return np.asarray(moved).reshape(-1, 3)
 
 
 def probe_estimate(constants: IntervalSet, fit: ProbeFit) -> ProbeEstimate:
@@ -148,6 +200,7 @@ def probe_estimate(constants: IntervalSet, fit: ProbeFit) -> ProbeEstimate:
         rejected=int((seen & ~kept).sum()),
         rms_residual=_rms(fit.residual[kept]),
         prediction_error=error,
+        errors=fit.errors,
     )
 
 

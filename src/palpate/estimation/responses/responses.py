@@ -95,6 +95,7 @@ class ProbeRows:
     known : (l,) float                how much there is of each known load
     weighs : bool                     whether there is a body force
     motions : ProbeMotions or None    None: nothing that is held moves
+    changes : int                     how many columns follow, of contacts that differ a little
     """
 
     columns: Int[np.ndarray, " c"]
@@ -104,6 +105,7 @@ class ProbeRows:
     known: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
     weighs: bool = False
     motions: ProbeMotions | None = None
+    changes: int = 0
 
     @property
     def grip(self) -> csr_array | None:
@@ -175,16 +177,36 @@ class ProbeResponse:
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Displacement times shear modulus per unit force and under known loads, and displacement
         per unit of motion (`ResponseModel`)."""
+        moved, grip = self._moved(poisson_ratio)
+        particular, tip = self.rows.particular, self.rows.tip
+        if tip is not None:
+            particular = np.concatenate([particular, tip.particular])
+        kept = moved.shape[1] - self.rows.changes
+        return self.rows.response(moved[:, :kept], grip[:, :kept], particular, poisson_ratio)
+
+    def change(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows p"]:
+        """Displacement times shear modulus that the columns of changed contacts give [m Pa].
+
+        Parameters
+        ----------
+        poisson_ratio : float
+        """
+        moved, _ = self._moved(poisson_ratio)
+        return moved[:, moved.shape[1] - self.rows.changes :]
+
+    def _moved(
+        self, poisson_ratio: float
+    ) -> tuple[Float[np.ndarray, "n_rows c"], Float[np.ndarray, "3 c"]]:
+        """Displacement of the rows for every column, and the force on a support that is pulled."""
         seen = self.seen(poisson_ratio)
         observed, equations, grip = seen[:-9], seen[-9:-3], seen[-3:]
-        particular, tip = self.rows.particular, self.rows.tip
+        tip = self.rows.tip
         if tip is not None:
             own = tip.own[0] + poisson_ratio * tip.own[1]
             right = tip.right[0] + poisson_ratio * (tip.right[1] + poisson_ratio * tip.right[2])
             left = equations[:3] + poisson_ratio * equations[3:]
             observed = np.concatenate([observed, np.linalg.solve(own, left - right)])
-            particular = np.concatenate([particular, tip.particular])
-        return self.rows.response(observed, grip, particular, poisson_ratio)
+        return observed, grip
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Derivative of `value` with respect to Poisson's ratio, by a central difference (error

@@ -3,7 +3,8 @@
 Purpose    : a robust start over the whole range, then the exact minimum; a simplex to check it.
 Takes      : `ObservedRows`, a `ResponseTable`, a `NoiseModel`.
 Gives      : `Misfit`, `Minimum` with the probings linearised there, `FixedWeights`.
-Depends on : `estimation.noise`, `estimation.responses`; the observations of its room.
+Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.responses`; the observations of
+             its room.
 Read first : `misfit.py`, `variable_projection.py`, then `global_search.py`.
 """
 

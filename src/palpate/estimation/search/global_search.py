@@ -29,7 +29,8 @@ class GlobalStart:
     poisson_ratio : float [-]
     shear_modulus : float [Pa]
     level : (8,) float                  noise level of each group
-    shifts : tuple of (n,) float        of the force and motions of each probing, in sigmas
+    shifts : tuple of (n,) float        of the force and motions of each probing, in
+                                        sigmas
     """
 
     poisson_ratio: float

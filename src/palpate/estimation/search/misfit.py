@@ -3,8 +3,8 @@
 A measured force is an observation like any other: F_measured = F + noise, with the true force F
 unknown. For given constants the true forces are eliminated probing by probing (profile likelihood
 of a functional errors-in-variables model), and with them the motions of supports that are not
-known. No normaliser of an integral over F enters: it would favour large moduli by three force
-variances over the squared force for every probing.
+known, and every error that points share (`nuisance`). No normaliser of an integral over F enters:
+it would favour large moduli by three force variances over the squared force for every probing.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import weighted_square
 from palpate.errors import NotConvergedError
 from palpate.estimation.noise import NoiseModel
+from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ObservedRows
 
 _MAX_FORCE_STEPS = 200
@@ -32,27 +34,32 @@ class ScaledRows:
     base : (r, c) float             response at a reference Poisson's ratio, over the noise
     slope : (r, c) float            its derivative with respect to Poisson's ratio, zero where not
                                     asked for
+    effects : (r, m + e) float      change for one prior standard deviation of each error, at the
+                                    reference: of the m that probings share, then of its own
     """
 
     probe: ObservedRows
     measured: Float[np.ndarray, " r"]
     base: Float[np.ndarray, "r c"]
     slope: Float[np.ndarray, "r c"]
+    effects: Float[np.ndarray, "r e"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalProbe:
-    """One probing linearised at given constants, true force and motions, in units of the noise.
+    """One probing linearised at given constants, true force, motions and errors, in units of the
+    noise.
 
     Parameters
     ----------
     rows : ObservedRows
-    table : (r, 3 + n) float        slope of the prediction in nu, log G and the n shifts, and last
-                                    the residual, measured minus predicted
+    table : (r, d + n + 1) float    slope of the prediction in d parameters of all probings (nu, log
+                                    G, errors that probings share) and in the n shifts, and last the
+                                    residual, measured minus predicted
     squared : (p,) float            squared residual of every point
     weight : (p,) float             robust weight of every point
     shift : (n,) float              true minus measured force, then the same of the motions of
-                                    supports, in sigmas
+                                    supports, then errors of this probing alone, in sigmas
     force_weight : float            robust weight of the measured force
     loss : float                    contribution to the misfit
     """
@@ -66,6 +73,11 @@ class LocalProbe:
     loss: float
 
     @property
+    def common(self) -> int:
+        """How many parameters it has in common with the other probings, d."""
+        return self.table.shape[1] - len(self.shift) - 1
+
+    @property
     def design(self) -> Float[np.ndarray, "r d"]:
         """Slope of the prediction."""
         return self.table[:, :-1]
@@ -75,31 +87,48 @@ class LocalProbe:
         """Measured minus predicted."""
         return self.table[:, -1]
 
-    @property
-    def prior(self) -> Float[np.ndarray, " n"]:
-        """Weight of what was known before about each shift."""
-        return self.rows.prior(self.force_weight)
+    def prior(self, force_weight: float | None = None) -> Float[np.ndarray, " n"]:
+        """Weight of what was known before about each shift; of the force as it turned out to be,
+        or as given."""
+        weight = self.force_weight if force_weight is None else force_weight
+        known = self.rows.prior(weight)
+        return np.append(known, np.ones(len(self.shift) - len(known)))
 
     def weighted_products(self) -> Float[np.ndarray, "t t"]:
         """Products of the table's columns under the robust weights, table' W table."""
-        # One small product: a product with a vector would be threaded, at ten times the cost.
-        return (self.table * self.rows.per_row(self.weight)[:, None]).T @ self.table
+        return weighted_square(self.table.T, self.rows.per_row(self.weight))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """Minus twice the log likelihood of the constants, true forces eliminated.
+    """Minus twice the log likelihood of the constants, true forces and errors eliminated.
 
     Parameters
     ----------
     probes : tuple of ObservedRows
     level : (8,) float                      noise level of each group, see `noise_levels`
     noise : NoiseModel                      of a point's displacement and of a probing's force
+    shared : tuple of NuisanceParameter     the m errors that probings of the session share; by
+                                            default those of more than one of these
     """
 
     probes: tuple[ObservedRows, ...]
     level: Float[np.ndarray, " 8"]
     noise: NoiseModel
+    shared: tuple[NuisanceParameter, ...] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.shared is None:
+            object.__setattr__(self, "shared", _shared_parameters(self.probes))
+
+    def own(self, probe: ObservedRows) -> tuple[NuisanceParameter, ...]:
+        """The errors that belong to one probing alone."""
+        shared = {one.name for one in self.shared}
+        return tuple(one for one in probe.parameters if one.name not in shared)
+
+    def no_shifts(self) -> list[Float[np.ndarray, " n"]]:
+        """Shifts of every probing where all is as measured."""
+        return [np.zeros(3 + len(one.motion) + len(self.own(one))) for one in self.probes]
 
     def __call__(self, poisson_ratio: float, shear_modulus: float) -> float:
         """Misfit at given constants, the best true force taken for every probing.
@@ -117,47 +146,88 @@ class Misfit:
         ------
         NotConvergedError                   the force of a probing did not settle
         """
-        return sum(
-            _at_best_force(self.noise, rows, shear_modulus).loss
-            for rows in self.scaled(poisson_ratio, with_slope=False)
-        )
+        errors, local = self.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
+        return float(sum(probe.loss for probe in local) + errors @ errors)
 
-    def at_best_forces(self, poisson_ratio: float, shear_modulus: float) -> tuple[LocalProbe, ...]:
-        """Every probing linearised at given constants and its best true force.
+    def at_best_forces(
+        self, poisson_ratio: float, shear_modulus: float, *, with_slope: bool = True
+    ) -> tuple[Float[np.ndarray, " m"], tuple[LocalProbe, ...]]:
+        """Every probing linearised at given constants and at the best true forces, motions and
+        errors, by reweighted least squares.
 
         Parameters
         ----------
         poisson_ratio : float [-]
         shear_modulus : float [Pa]      > 0
+        with_slope : bool               False: without the derivative in Poisson's ratio
+
+        Returns
+        -------
+        (m,) float, tuple of LocalProbe     shared errors in sigmas; probings
 
         Raises
         ------
         NotConvergedError                   the force of a probing did not settle
         """
-        return tuple(
-            _at_best_force(self.noise, rows, shear_modulus) for rows in self.scaled(poisson_ratio)
+        shifts, errors = self.no_shifts(), np.zeros(len(self.shared))
+        rows = self.scaled(poisson_ratio, shear_modulus, shifts, with_slope=with_slope)
+        local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
+        for _ in range(_MAX_FORCE_STEPS):
+            normal, gradient, solved = common_equations(local, errors)
+            step = np.linalg.solve(normal[2:, 2:], gradient[2:])
+            moves = [one[:, -1] - one[:, 2:-1] @ step for one in solved]
+            errors = errors + step
+            shifts = [one.shift + move for one, move in zip(local, moves, strict=True)]
+            local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
+            largest = np.abs(np.concatenate([step, *moves])).max()
+            if largest < _FORCE_TOLERANCE * (1 + np.abs(np.concatenate([errors, *shifts])).max()):
+                return errors, local
+        worst = max(local, key=lambda one: float(np.abs(one.shift).max()))
+        raise NotConvergedError(
+            f"probing {worst.rows.name!r}: the true force did not settle in {_MAX_FORCE_STEPS}"
+            " steps; check force_std against the force"
         )
 
-    def scaled(self, poisson_ratio: float, *, with_slope: bool = True) -> list[ScaledRows]:
-        """Rows of every probing in units of the noise, the response taken at one Poisson's ratio.
+    def scaled(
+        self,
+        poisson_ratio: float,
+        shear_modulus: float,
+        shifts: Sequence[Float[np.ndarray, " n"]],
+        *,
+        with_slope: bool = True,
+    ) -> list[ScaledRows]:
+        """Rows of every probing in units of the noise, about one point of the constants.
 
         Parameters
         ----------
         poisson_ratio : float [-]
-        with_slope : bool               False: the derivative is left at zero
+        shear_modulus : float [Pa]                  > 0
+        shifts : one (n,) float for each probing    see `LocalProbe.shift`
+        with_slope : bool                           False: the derivative is left at zero
 
         Returns
         -------
         list of ScaledRows              one for each probing
         """
+        names = [one.name for one in self.shared]
         scaled = []
-        for probe in self.probes:
-            sigma = probe.sigma(self.level)
-            base = probe.value(poisson_ratio) / sigma[:, None]
-            slope = np.zeros_like(base)
+        for probe, shift in zip(self.probes, shifts, strict=True):
+            sigma = probe.sigma(self.level)[:, None]
+            response = probe.value(poisson_ratio)
+            slope = np.zeros_like(response)
             if with_slope:
-                slope = probe.slope(poisson_ratio) / sigma[:, None]
-            scaled.append(ScaledRows(probe, probe.measured / sigma, base, slope))
+                slope = probe.slope(poisson_ratio) / sigma
+            load = probe.load(shear_modulus, shift)
+            found = probe.nuisance_columns(response, load, poisson_ratio) / sigma
+            effects = np.zeros((len(sigma), len(names) + len(self.own(probe))))
+            free = len(names)
+            for column, one in zip(found.T, probe.parameters, strict=True):
+                place = names.index(one.name) if one.name in names else free
+                free += place == free
+                effects[:, place] = column
+            scaled.append(
+                ScaledRows(probe, probe.measured / sigma[:, 0], response / sigma, slope, effects)
+            )
         return scaled
 
     def linearised(
@@ -166,6 +236,7 @@ class Misfit:
         offset: float,
         shear_modulus: float,
         shifts: Sequence[Float[np.ndarray, " n"]],
+        errors: Float[np.ndarray, " m"],
     ) -> tuple[LocalProbe, ...]:
         """Every probing at nu = reference + offset, a shear modulus, true forces and motions.
 
@@ -175,11 +246,58 @@ class Misfit:
         offset : float [-]              in Poisson's ratio
         shear_modulus : float [Pa]      > 0
         shifts : one (n,) float for each probing    see `LocalProbe.shift`
+        errors : (m,) float             that probings share, in sigmas
         """
         return tuple(
-            _linearised(self.noise, row, offset, shear_modulus, shift)
+            _linearised(self.noise, row, offset, shear_modulus, shift, errors)
             for row, shift in zip(rows, shifts, strict=True)
         )
+
+
+def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParameter, ...]:
+    """Parameters of more than one probing."""
+    seen: dict[str, NuisanceParameter] = {}
+    shared: dict[str, NuisanceParameter] = {}
+    for probe in probes:
+        for one in probe.parameters:
+            (shared if one.name in seen else seen)[one.name] = one
+    return tuple(shared.values())
+
+
+def common_equations(
+    local: Sequence[LocalProbe],
+    errors: Float[np.ndarray, " m"],
+    factors: Sequence[float] | None = None,
+) -> tuple[Float[np.ndarray, "d d"], Float[np.ndarray, " d"], list[Float[np.ndarray, "_ _"]]]:
+    """Normal equations of what probings have in common, the shifts of each eliminated.
+
+    Parameters
+    ----------
+    local : sequence of LocalProbe
+    errors : (m,) float             that probings share, in sigmas; d = 2 + m
+    factors : one for each probing  on the products of the displacements, by default 1
+
+    Returns
+    -------
+    normal : (d, d) float
+    gradient : (d,) float
+    solved : one (n, d + 1) float for each probing     shifts of it per unit of each common
+                                    parameter, with the other sign, and last where those stay
+    """
+    d = 2 + len(errors)
+    normal, gradient = np.diag(np.append(np.zeros(2), np.ones(d - 2))), np.zeros(d)
+    gradient[2:] = -errors
+    eliminated = []
+    for probe, factor in zip(local, factors or np.ones(len(local)), strict=True):
+        products, prior = probe.weighted_products(), probe.prior()
+        inner, pull = factor * products[:-1, :-1], products[:-1, -1]
+        own = inner[d:, d:] + np.diag(prior)
+        own_pull = pull[d:] - prior * probe.shift
+        solved = np.linalg.solve(own, np.column_stack([inner[d:, :d], own_pull]))
+        normal += inner[:d, :d] - inner[:d, d:] @ solved[:, :d]
+        gradient += pull[:d] - inner[:d, d:] @ solved[:, d]
+        eliminated.append(solved)
+    return normal, gradient, eliminated
 
 
 def _linearised(
@@ -188,16 +306,23 @@ def _linearised(
     offset: float,
     shear_modulus: float,
     shift: Float[np.ndarray, " n"],
+    errors: Float[np.ndarray, " m"],
 ) -> LocalProbe:
     probe = rows.probe
     response = rows.base if offset == 0 else rows.base + offset * rows.slope
     load = probe.load(shear_modulus, shift)
     pushed = response[:, :4] @ load[:4]
-    table = np.empty((len(pushed), 3 + len(shift)))
+    shared, first = len(errors), 2 + len(errors)
+    motions = 3 + len(probe.motion)
+    table = np.empty((len(pushed), first + len(shift) + 1))
     table[:, 0] = rows.slope @ load
     np.negative(pushed, out=table[:, 1])
-    table[:, 2:-1] = probe.per_shift(response, shear_modulus)
-    np.subtract(rows.measured, pushed + response[:, 4:] @ load[4:], out=table[:, -1])
+    table[:, 2:first] = rows.effects[:, :shared]
+    table[:, first : first + motions] = probe.per_shift(response, shear_modulus)
+    table[:, first + motions : -1] = rows.effects[:, shared:]
+    moved = pushed + response[:, 4:] @ load[4:]
+    moved += rows.effects @ np.append(errors, shift[motions:])
+    np.subtract(rows.measured, moved, out=table[:, -1])
     squared = probe.squared_length(table[:, -1])
     length = np.array([shift[:3] @ shift[:3]])
     count = np.array([float(probe.force_components)])
@@ -211,21 +336,4 @@ def _linearised(
         shift=shift,
         force_weight=float(noise.weight(length, count)[0]),
         loss=float(loss),
-    )
-
-
-def _at_best_force(noise: NoiseModel, rows: ScaledRows, shear_modulus: float) -> LocalProbe:
-    """One probing at its best true force and motions, by reweighted least squares."""
-    shift = np.zeros(3 + len(rows.probe.motion))
-    for _ in range(_MAX_FORCE_STEPS):
-        local = _linearised(noise, rows, 0.0, shear_modulus, shift)
-        products = local.weighted_products()
-        normal = products[2:-1, 2:-1] + np.diag(local.prior)
-        step = np.linalg.solve(normal, products[2:-1, -1] - local.prior * shift)
-        shift = shift + step
-        if np.abs(step).max() < _FORCE_TOLERANCE * (1 + np.abs(shift).max()):
-            return _linearised(noise, rows, 0.0, shear_modulus, shift)
-    raise NotConvergedError(
-        f"probing {rows.probe.name!r}: the true force did not settle in {_MAX_FORCE_STEPS} steps;"
-        " check force_std against the force"
     )

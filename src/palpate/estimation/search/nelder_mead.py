@@ -61,4 +61,5 @@ def nelder_mead_minimum(
         },
     )
     nu, modulus = float(found.x[0]), shear_modulus * float(np.exp(found.x[1]))
-    return Minimum(nu, modulus, misfit.at_best_forces(nu, modulus), bool(found.success))
+    errors, local = misfit.at_best_forces(nu, modulus)
+    return Minimum(nu, modulus, local, errors, bool(found.success))

@@ -5,13 +5,18 @@ weights are updated at every step; outside, the exact responses are taken again.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation.noise import NoiseModel, score_moments
-from palpate.estimation.search.misfit import LocalProbe, Misfit, ScaledRows
+from palpate.estimation.search.misfit import (
+    LocalProbe,
+    Misfit,
+    ScaledRows,
+    common_equations,
+)
 
 _MAX_LINEARISATIONS = 8
 _MAX_STEPS = 12
@@ -35,13 +40,27 @@ class Minimum:
     poisson_ratio : float [-]
     shear_modulus : float [Pa]
     probes : tuple of LocalProbe    linearised at the minimum
+    errors : (m,) float             that probings share, in prior standard deviations
     converged : bool
     """
 
     poisson_ratio: float
     shear_modulus: float
     probes: tuple[LocalProbe, ...]
+    errors: Float[np.ndarray, " m"]
     converged: bool
+
+    def explained(self, probing: int) -> Float[np.ndarray, " r"]:
+        """What errors with a prior explain of one probing's displacements, in units of the noise.
+
+        Parameters
+        ----------
+        probing : int               its number
+        """
+        probe = self.probes[probing]
+        shared = probe.design[:, 2 : probe.common] @ self.errors
+        own = 3 + len(probe.rows.motion)
+        return np.asarray(shared + probe.design[:, probe.common + own :] @ probe.shift[own:])
 
 
 def scored_minimum(
@@ -51,6 +70,7 @@ def scored_minimum(
     *,
     poisson_range: tuple[float, float],
     shifts: Sequence[Float[np.ndarray, " n"]] | None = None,
+    errors: Float[np.ndarray, " m"] | None = None,
 ) -> Minimum:
     """Minimum of the misfit near a start.
 
@@ -60,94 +80,91 @@ def scored_minimum(
     poisson_ratio : float [-]       start
     shear_modulus : float [Pa]      start, > 0
     poisson_range : (float, float)  Poisson's ratio stays inside
-    shifts : one (n,) float for each probing, or None   start of forces and motions, in sigmas
+    shifts : one (n,) float for each probing, or None   start of forces, motions and errors, in
+                                    sigmas
+    errors : (m,) float or None     start of what probings share, in sigmas
 
     Returns
     -------
     Minimum                         `converged` is false where the steps did not die out
     """
     nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
-    shifts = shifts or [np.zeros(3 + len(probe.motion)) for probe in misfit.probes]
+    shifts = misfit.no_shifts() if shifts is None else shifts
+    errors = np.zeros(len(misfit.shared)) if errors is None else errors
+    found = Minimum(nu, modulus, (), errors, False)
     for _ in range(_MAX_LINEARISATIONS):
-        reference = nu
-        rows = misfit.scaled(reference)
-        nu, modulus, local, error = _linear_minimum(
-            misfit, rows, reference, modulus, shifts, poisson_range
+        reference, scale = found.poisson_ratio, found.shear_modulus
+        rows = misfit.scaled(reference, scale, shifts)
+        found, error = _linear_minimum(misfit, rows, found, shifts, poisson_range)
+        shifts = [probe.shift for probe in found.probes]
+        # Responses and effects are taken linear over a move; what that leaves is of its square.
+        moved = max(
+            abs(found.poisson_ratio - reference), abs(float(np.log(found.shear_modulus / scale)))
         )
-        shifts = [probe.shift for probe in local]
-        # The response is taken linear over a move; what that leaves is of the move's square.
-        moved = abs(nu - reference)
-        converged = moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error
-        if converged:
-            break
-    return Minimum(nu, modulus, local, converged)
+        if moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error:
+            return replace(found, converged=True)
+    return found
 
 
 def _linear_minimum(
     misfit: Misfit,
     rows: Sequence[ScaledRows],
-    reference: float,
-    modulus: float,
+    start: Minimum,
     shifts: Sequence[np.ndarray],
     poisson_range: tuple[float, float],
-) -> tuple[float, float, tuple[LocalProbe, ...], float]:
-    """Constants, linearised probings and a standard error after scoring steps with the response
-    linear in Poisson's ratio about a reference."""
-    nu, error = reference, np.inf
-    local = misfit.linearised(rows, 0.0, modulus, shifts)
-    loss = sum(probe.loss for probe in local)
+) -> tuple[Minimum, float]:
+    """Minimum and a standard error after scoring steps with the response linear in Poisson's ratio
+    about the start."""
+    reference, best = start.poisson_ratio, start
+    local = misfit.linearised(rows, 0.0, start.shear_modulus, shifts, start.errors)
+    best, loss = replace(start, probes=local), _loss(local, start.errors)
     for _ in range(_MAX_STEPS):
-        constants, forces, error = _step(misfit.noise, local, nu, poisson_range)
+        step, moves, error = _step(misfit.noise, best, poisson_range)
         for factor in 0.5 ** np.arange(_MAX_HALVINGS):
-            new_nu = float(np.clip(nu + factor * constants[0], *poisson_range))
-            new_modulus = modulus * float(np.exp(factor * constants[1]))
+            nu = float(np.clip(best.poisson_ratio + factor * step[0], *poisson_range))
+            modulus = best.shear_modulus * float(np.exp(factor * step[1]))
+            errors = best.errors + factor * step[2:]
             new_shifts = [
-                probe.shift + factor * move for probe, move in zip(local, forces, strict=True)
+                probe.shift + factor * move for probe, move in zip(best.probes, moves, strict=True)
             ]
-            trial = misfit.linearised(rows, new_nu - reference, new_modulus, new_shifts)
-            new_loss = sum(probe.loss for probe in trial)
+            trial = misfit.linearised(rows, nu - reference, modulus, new_shifts, errors)
+            new_loss = _loss(trial, errors)
             if new_loss <= loss + 1e-12 * (1 + abs(loss)):
                 break
         else:
             # No step of this direction lowers the misfit: rounding is all that is left.
             break
-        moved = max(abs(new_nu - nu), abs(factor * constants[1]))
-        nu, modulus, local, loss = new_nu, new_modulus, trial, new_loss
+        moved = max(abs(nu - best.poisson_ratio), abs(factor * step[1]))
+        best, loss = Minimum(nu, modulus, trial, errors, False), new_loss
         if moved < max(_STEP_TOLERANCE, 0.1 * _STEP_OVER_ERROR * error):
             break
-    return nu, modulus, local, error
+    return best, error
+
+
+def _loss(local: Sequence[LocalProbe], errors: Float[np.ndarray, " m"]) -> float:
+    return float(sum(probe.loss for probe in local) + errors @ errors)
 
 
 def _step(
-    noise: NoiseModel,
-    local: Sequence[LocalProbe],
-    nu: float,
-    poisson_range: tuple[float, float],
+    noise: NoiseModel, here: Minimum, poisson_range: tuple[float, float]
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Scoring step of (nu, log G), of forces and motions, and a standard error of nu and log G."""
-    normal, gradient = np.zeros((2, 2)), np.zeros(2)
-    eliminated = []
-    for probe in local:
+    """Scoring step of (nu, log G) and shared errors, of the shifts, and a standard error."""
+    factors = []
+    for probe in here.probes:
         _, slope = score_moments(noise, probe.squared, probe.rows.components)
         # Scoring, not plain reweighting: the mean slope of the score replaces the mean weight.
-        factor = max(slope / float(probe.weight.mean()), _SMALLEST_SLOPE)
-        products = probe.weighted_products()
-        inner, pull = factor * products[:-1, :-1], products[:-1, -1]
-        force = inner[2:, 2:] + np.diag(probe.prior)
-        force_pull = pull[2:] - probe.prior * probe.shift
-        solved = np.linalg.solve(force, np.column_stack([inner[2:, :2], force_pull]))
-        normal += inner[:2, :2] - inner[:2, 2:] @ solved[:, :2]
-        gradient += pull[:2] - inner[:2, 2:] @ solved[:, 2]
-        eliminated.append(solved)
-    step = _bounded(normal, gradient, nu, poisson_range)
-    forces = [solved[:, 2] - solved[:, :2] @ step for solved in eliminated]
-    return step, forces, float(1 / diagonal_root(normal).max())
+        factors.append(max(slope / float(probe.weight.mean()), _SMALLEST_SLOPE))
+    normal, gradient, solved = common_equations(here.probes, here.errors, factors)
+    step = _bounded(normal, gradient, here.poisson_ratio, poisson_range)
+    moves = [one[:, -1] - one[:, :-1] @ step for one in solved]
+    return step, moves, float(1 / diagonal_root(normal[:2, :2]).max())
 
 
 def _bounded(
     normal: np.ndarray, gradient: np.ndarray, nu: float, poisson_range: tuple[float, float]
 ) -> np.ndarray:
-    """Step of (nu, log G); at an end of the range nu is held where the step leads outwards."""
+    """Step of all common parameters; at an end of the range nu is held where the step leads
+    outwards."""
     # Scaled to a unit diagonal, least squares: nothing breaks where only one combination is
     # identifiable.
     scale = diagonal_root(normal)
@@ -155,9 +172,11 @@ def _bounded(
     step = np.linalg.lstsq(unit, gradient / scale, rcond=1e-11)[0] / scale
     low, high = poisson_range
     if not low <= nu + step[0] <= high:
-        fixed = float(np.clip(nu + step[0], low, high) - nu)
-        step = np.array([fixed, (gradient[1] - normal[1, 0] * fixed) / scale[1] ** 2])
-    return np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+        step[0] = float(np.clip(nu + step[0], low, high) - nu)
+        rest = (gradient - normal[:, 0] * step[0])[1:] / scale[1:]
+        step[1:] = np.linalg.lstsq(unit[1:, 1:], rest, rcond=1e-11)[0] / scale[1:]
+    step[:2] = np.clip(step[:2], -_LONGEST_STEP, _LONGEST_STEP)
+    return step
 
 
 def diagonal_root(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " n"]:

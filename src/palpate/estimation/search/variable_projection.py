@@ -21,6 +21,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from palpate.arrays import weighted_square
 from palpate.estimation.observations import ObservedRows
 from palpate.estimation.responses import ResponseTable, interpolation_weights
 
@@ -29,8 +30,6 @@ _NEWTON_TOLERANCE = 1e-10
 _LONGEST_STEP = 0.7
 _SMALLEST_COMPLIANCE = 1e-9
 _GRID = 49
-# Multiplications below which OpenBLAS keeps to one thread.
-_UNTHREADED = 2**18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,6 +161,7 @@ def fixed_weights(
     level: Float[np.ndarray, " 8"],
     weights: Sequence[Float[np.ndarray, " _"]],
     force_weights: Float[np.ndarray, " k"],
+    explained: Sequence[Float[np.ndarray, " _"]] | None = None,
 ) -> FixedWeights:
     """The misfit for given noise levels and robust weights.
 
@@ -172,19 +172,26 @@ def fixed_weights(
     level : (8,) float                      see `noise_levels`
     weights : one (p,) float for each       of the points
     force_weights : (k,) float              of the measured forces
+    explained : one (r,) float [m] for each probing, or None    what errors with a prior explain of
+                                            the displacements; none by default
 
     Returns
     -------
     FixedWeights
     """
     count = len(table.poisson_ratio)
+    measured = [probe.measured for probe in probes]
+    if explained is not None:
+        measured = [value - known for value, known in zip(measured, explained, strict=True)]
     products = np.stack(
         [
-            _weighted_square(
-                np.vstack([response.reshape(-1, len(probe.measured)), probe.measured]),
+            weighted_square(
+                np.vstack([response.reshape(-1, len(value)), value]),
                 probe.per_row(weight) / probe.sigma(level) ** 2,
             )
-            for probe, response, weight in zip(probes, table.response, weights, strict=True)
+            for probe, response, weight, value in zip(
+                probes, table.response, weights, measured, strict=True
+            )
         ]
     )
     columns = 4 + len(probes[0].motion)
@@ -200,23 +207,6 @@ def fixed_weights(
         np.stack([probe.motion for probe in probes]),
         np.stack([probe.motion_std for probe in probes]),
     )
-
-
-def _weighted_square(
-    stacked: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
-) -> Float[np.ndarray, "s s"]:
-    """Matrix product of rows with themselves, in pieces too small for BLAS to start threads.
-
-    Threads that wait for each other cost ten times the product where other work is running.
-    """
-    size, rows = stacked.shape
-    piece = max(1, _UNTHREADED // size**2)
-    weighted = stacked * weight
-    total = np.zeros((size, size))
-    for first in range(0, rows, piece):
-        chosen = slice(first, first + piece)
-        total += weighted[:, chosen] @ stacked[:, chosen].T
-    return total
 
 
 def deviance_of(

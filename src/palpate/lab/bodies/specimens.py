@@ -55,8 +55,8 @@ def half_ball(*, radius: float, edge: float) -> TriangleMesh:
     InputError                      lengths that are not positive; an edge too long for the shape
     """
     _check(edge, radius=radius)
-    base = _segment((0.0, 0.0), (radius, 0.0), edge)
-    return _revolved(np.concatenate([base, _arc(radius, 0.0, 0.5 * np.pi, edge)[1:]]), edge)
+    base = straight_rings((0.0, 0.0), (radius, 0.0), edge)
+    return revolved(np.concatenate([base, _arc(radius, 0.0, 0.5 * np.pi, edge)[1:]]), edge)
 
 
 def glued_ball(*, radius: float, patch_radius: float, edge: float) -> TriangleMesh:
@@ -85,8 +85,8 @@ def glued_ball(*, radius: float, patch_radius: float, edge: float) -> TriangleMe
     below = np.arccos(patch_radius / radius)
     arc = _arc(radius, -below, 0.5 * np.pi, edge)
     arc[:, 1] += radius * np.sin(below)
-    base = _segment((0.0, 0.0), (patch_radius, 0.0), edge)
-    return _revolved(np.concatenate([base, arc[1:]]), edge)
+    base = straight_rings((0.0, 0.0), (patch_radius, 0.0), edge)
+    return revolved(np.concatenate([base, arc[1:]]), edge)
 
 
 def cylinder(*, radius: float, height: float, edge: float) -> TriangleMesh:
@@ -106,11 +106,11 @@ def cylinder(*, radius: float, height: float, edge: float) -> TriangleMesh:
     """
     _check(edge, radius=radius, height=height)
     contour = [
-        _segment((0.0, 0.0), (radius, 0.0), edge),
-        _segment((radius, 0.0), (radius, height), edge)[1:],
-        _segment((radius, height), (0.0, height), edge)[1:],
+        straight_rings((0.0, 0.0), (radius, 0.0), edge),
+        straight_rings((radius, 0.0), (radius, height), edge)[1:],
+        straight_rings((radius, height), (0.0, height), edge)[1:],
     ]
-    return _revolved(np.concatenate(contour), edge)
+    return revolved(np.concatenate(contour), edge)
 
 
 def block(*, length: float, width: float, height: float, edge: float) -> TriangleMesh:
@@ -199,7 +199,7 @@ def rod(end: Float[np.ndarray, "k 2"], *, radius: float, length: float) -> Trian
     """
     _check(radius, radius=radius, length=length)
     top = [[end[-1, 0], length], [0.0, length]]
-    return _revolved(np.concatenate([end, top]), radius / _ROD_SIDES)
+    return revolved(np.concatenate([end, top]), radius / _ROD_SIDES)
 
 
 SHAPES = {
@@ -225,10 +225,20 @@ def _check(edge: float, **lengths: float) -> None:
         )
 
 
-def _segment(
+def straight_rings(
     start: tuple[float, float], end: tuple[float, float], edge: float
 ) -> Float[np.ndarray, "k 2"]:
-    """Radius and height of evenly spaced rings along a straight line."""
+    """Evenly spaced rings along a straight line.
+
+    Parameters
+    ----------
+    start, end : (radius, height) [m]
+    edge : float [m]                about how far apart
+
+    Returns
+    -------
+    (k, 2) float [m]                radius and height of each ring, both ends included
+    """
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
     return np.linspace(start, end, max(int(np.rint(length / edge)), 1) + 1)
 
@@ -243,7 +253,7 @@ def _arc(radius: float, start: float, end: float, edge: float) -> Float[np.ndarr
     return contour
 
 
-def _revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
+def revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
     """Surface of revolution about z, from the axis out, up, and back to the axis.
 
     Parameters
@@ -251,6 +261,10 @@ def _revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
     contour : (k, 2) float [m]      radius and height of each ring; the first and last are on the
                                     axis
     edge : float [m]                spacing of the vertices on a ring
+
+    Returns
+    -------
+    TriangleMesh                    closed, outward
     """
     rings, vertices, count = [], [], 0
     for k, (radius, height) in enumerate(contour):

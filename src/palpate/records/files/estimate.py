@@ -10,6 +10,7 @@ from palpate.errors import quoted
 from palpate.records.estimate import (
     CONSTANT_NAMES,
     Constant,
+    ErrorEstimate,
     Estimate,
     ProbeEstimate,
     Status,
@@ -64,6 +65,7 @@ def read_estimate(path: Path | str) -> Estimate:
             method=root.optional("method", root.text) or "",
             settings=_values(root.optional("settings", root.table)),
             notes=tuple(root.optional("notes", root.texts) or ()),
+            errors=_read_errors(root),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
 
@@ -110,6 +112,17 @@ def _read_support(table: TomlTable) -> SupportEstimate:
     return SupportEstimate(support=table.count("support"), **parts)
 
 
+def _read_errors(table: TomlTable) -> tuple[ErrorEstimate, ...]:
+    return tuple(
+        ErrorEstimate(
+            name=one.text("name"),
+            unit=str(one.get("unit")),
+            **{key: _number(one, key) for key in ("value", "std", "prior_std")},
+        )
+        for one in table.optional("errors", table.tables) or ()
+    )
+
+
 def _vector_parts(table: TomlTable, key: str) -> list[float]:
     values = table.get(key)
     if not isinstance(values, list) or len(values) != 3:
@@ -131,5 +144,6 @@ def _read_probe(table: TomlTable) -> ProbeEstimate:
         rms_residual=_known(table, "rms_residual"),
         prediction_error=None if error is None else _number(table, "prediction_error"),
         supports=tuple(map(_read_support, table.optional("supports", table.tables) or ())),
+        errors=_read_errors(table),
         **constants,
     )

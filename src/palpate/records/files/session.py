@@ -10,6 +10,7 @@ from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.contact import Support
+from palpate.records.error_priors import read_error_priors
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.loads import (
     held_triangles,
@@ -33,7 +34,9 @@ from palpate.records.text import TomlTable, nearest_file, nearest_word, read_tom
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
-_ROOT_KEYS = ("format", "name", "object", "support", "gravity", "rig", "probe", "step")
+_ROOT_KEYS = (
+    "format", "name", "object", "support", "gravity", "rig", "errors", "probe", "step",
+)  # fmt: skip
 # The keys of these tables are the fields of their records.
 _STEP_KEYS, _PROBE_KEYS = ([field.name for field in fields(kind)] for kind in (Step, Probing))
 _PROBE_KEYS[_PROBE_KEYS.index("loads")] = "load"
@@ -97,6 +100,7 @@ def read_session(
             steps=_steps(root),
             metres_per_unit=metres,
             supports=supports,
+            errors=read_error_priors(root, metres_per_unit=metres),
         )
     return replace(session, notes=notes + plausibility_notes(session))
 

@@ -2,7 +2,7 @@
 
 import os
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -204,6 +204,40 @@ class TomlTable:
         if not _is_number(value):
             self.fail(key, f"is {quoted(value)}; must be a finite number{_RANGE}")
         return float(value)
+
+    def quantity(self, key: str, units: Mapping[str, float], plain: float | None = None) -> float:
+        """A number with its unit, in quotes, such as "0.5 mm"; or a plain number.
+
+        Parameters
+        ----------
+        key : str
+        units : unit -> what one of it is in SI units
+        plain : float or None           what a number without a unit is multiplied with; None: only
+                                        zero may stand without one
+
+        Returns
+        -------
+        float                           in SI units
+
+        Raises
+        ------
+        RecordError                     missing, no number, not finite, another unit
+        """
+        value = self.get(key)
+        factor = plain
+        if isinstance(value, str):
+            number, _, unit = value.strip().partition(" ")
+            factor = units.get(unit.strip())
+            try:
+                value = float(number)
+            except ValueError:
+                factor = None
+        elif value == 0:
+            factor = 1.0
+        if factor is None or not _is_number(value):
+            example = ", ".join(f'"1 {unit}"' for unit in units)
+            self.fail(key, f"is {quoted(self.get(key))}; must be a number with its unit: {example}")
+        return factor * float(value)
 
     def count(self, key: str) -> int:
         """A whole number that is not negative.

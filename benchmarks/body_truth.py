@@ -1,0 +1,137 @@
+"""True displacements of a body under a tool, from quadratic tetrahedra: nothing of them is shared
+with the boundary elements that estimate."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from benchmarks.bodies import BODIES, Shape
+from palpate.geometry import (
+    TriangleMesh,
+    quadratic_shapes,
+    unit_normals,
+)
+from palpate.lab.bodies.finite_elements import Body, make_body, solve_load, surface_values
+from palpate.lab.bodies.tetrahedra import Solid, make_solid
+from palpate.shapes import Points
+
+SHEAR_MODULUS = 2e4
+RADIUS = 5e-3
+# A tool keeps its radius and a little more away from edges and from the support.
+_CLEARANCE = 1.35
+# Between contacts.
+_APART = 15e-3
+_STEPS = 14
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A place to press at.
+
+    Attributes
+    ----------
+    point, inward : (3,) float      [m], unit vector
+    """
+
+    point: Float[np.ndarray, "3"]
+    inward: Float[np.ndarray, "3"]
+
+
+def contacts(mesh: TriangleMesh, shape: Shape) -> list[Contact]:
+    """Vertices toward the shape's directions, away from edges, support and each other."""
+    normals = unit_normals(mesh)
+    edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T)
+    pairs = np.repeat(np.arange(len(normals)), 3)[order].reshape(-1, 2)
+    ends = mesh.vertices[edges[order][::2]]
+    sharp = (normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(1) < np.cos(np.radians(40))
+    held = (mesh.vertices[mesh.triangles][:, :, 2] < shape.held).all(1)
+    rim = sharp | (held[pairs[:, 0]] != held[pairs[:, 1]])
+    along = np.linspace(0, 1, 9)[:, None, None]
+    away = np.full(len(mesh.vertices), np.inf)
+    if rim.any():
+        lines = (ends[rim, 0] * (1 - along) + ends[rim, 1] * along).reshape(-1, 3)
+        away = cKDTree(lines).query(mesh.vertices)[0]
+    away[np.unique(mesh.triangles[held])] = 0.0
+    chosen: list[Contact] = []
+    for toward in shape.towards:
+        free = away > _CLEARANCE * RADIUS
+        for other in chosen:
+            free &= np.linalg.norm(mesh.vertices - other.point, axis=1) > _APART
+        place = mesh.vertices - mesh.vertices.mean(0)
+        vertex = int(np.where(free, place @ np.array(toward), -np.inf).argmax())
+        near = (mesh.triangles == vertex).any(axis=1)
+        normal = -normals[near].mean(axis=0)
+        chosen.append(Contact(mesh.vertices[vertex], normal / np.linalg.norm(normal)))
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A held body of one material, factorised for any load.
+
+    Attributes
+    ----------
+    body : Body
+    """
+
+    body: Body
+
+    @cached_property
+    def _load_places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Shape functions (s, 6), places (f, s, 3), areas and outward sides of the outer faces."""
+        steps = (np.arange(_STEPS) + 0.5) / _STEPS
+        a, b = (g.ravel() for g in np.meshgrid(steps, steps))
+        a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+        shape = quadratic_shapes(np.stack([1 - a - b, a, b], axis=1)).T
+        solid = self.body.solid
+        nodes = solid.nodes[solid.facets]
+        side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
+        return shape, np.einsum("sn,fna->fsa", shape, nodes), np.linalg.norm(side, axis=1), side
+
+    def displacement(
+        self, point: Float[np.ndarray, "3"], force: Float[np.ndarray, "3"], radius: float
+    ) -> Float[np.ndarray, "n 3"]:
+        """Nodal displacement [m] under a pressure (1 - r^2 / a^2)^2 around a point."""
+        shape, place, area, side = self._load_places
+        facing = (side @ force < 0)[:, None]
+        square = ((place - point) ** 2).sum(axis=2) / radius**2
+        density = np.where(facing, np.clip(1 - square, 0, None) ** 2 * area[:, None], 0.0)
+        share = np.zeros(len(self.body.solid.nodes))
+        np.add.at(share, self.body.solid.facets, density @ shape)
+        return solve_load(self.body, share[:, None] / share.sum() * force)
+
+    def at(self, nodal: Float[np.ndarray, "n 3"], points: Points) -> Points:
+        """Displacement of points of the surface, or of the nearest places."""
+        return surface_values(self.body.solid, points) @ nodal
+
+
+def make_truth(name: str, poisson_ratio: float, *, edge: float) -> Truth:
+    """A body of `BODIES`, filled from a surface much finer than the one that estimates.
+
+    Parameters
+    ----------
+    name : str
+    poisson_ratio : float [-]
+    edge : float [m]            of the tetrahedra; half of it under the tools
+    """
+    shape = BODIES[name]
+    places = contacts(shape.make(shape.edge), shape)
+    surface = shape.make(0.45 * shape.edge)
+    fine = [(place.point, 1.2 * RADIUS, 0.5 * edge) for place in places]
+    solid = make_solid(surface, edge=edge, fine=fine)
+    return Truth(
+        make_body(
+            solid, _held(solid, shape), shear_modulus=SHEAR_MODULUS, poisson_ratio=poisson_ratio
+        )
+    )
+
+
+def _held(solid: Solid, shape: Shape) -> Float[np.ndarray, " n"]:
+    low = (solid.nodes[solid.facets][:, :, 2] < shape.held).all(axis=1)
+    held = np.zeros(len(solid.nodes), dtype=bool)
+    held[solid.facets[low]] = True
+    return held

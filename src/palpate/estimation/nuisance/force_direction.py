@@ -1,0 +1,36 @@
+"""A force sensor whose axes are turned against the object's frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.estimation.nuisance.nuisance import NuisanceParameter
+
+
+@dataclass(frozen=True, slots=True)
+class ForceDirection:
+    """Turn of the force sensor's axes (`Nuisance`).
+
+    Parameters
+    ----------
+    std : float [rad]               about each axis of the object's frame, > 0
+    """
+
+    std: float
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """Three for all probings."""
+        names = (f"turn of the force sensor about {axis}" for axis in "xyz")
+        return tuple(NuisanceParameter(name, self.std, "rad") for name in names)
+
+    def columns(
+        self,
+        rows: Int[np.ndarray, " r"],
+        response: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p"]:
+        """What a small turn of the force moves (`Nuisance.columns`)."""
+        return response[:, :3] @ (self.std * np.cross(np.eye(3), load[:3])).T

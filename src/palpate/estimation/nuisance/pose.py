@@ -1,0 +1,59 @@
+"""A mesh that lies a little beside the object on which the displacements were measured."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+
+from palpate.estimation.nuisance.nuisance import NuisanceParameter
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Place of the mesh against the measured points: three shifts, three turns (`Nuisance`).
+
+    Parameters
+    ----------
+    translation, rotation : float [m], [rad]    standard deviation along and about each axis; 0 =
+                                                exact
+    change : sparse arrays (3 n, 3 v)           change of the displacement at the n points, from
+                                                that of the mesh's vertices, for one standard
+                                                deviation of each that is not exact
+    vertices : function                         Poisson's ratio -> (rows, c) float: response of all
+                                                vertices, three rows each (`ResponseModel`)
+    """
+
+    translation: float
+    rotation: float
+    change: tuple[csr_array, ...]
+    vertices: Callable[[float], Float[np.ndarray, "rows c"]]
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """Six for all probings, fewer where one of the standard deviations is zero."""
+        shifts = (
+            NuisanceParameter(f"shift of the object along {axis}", self.translation, "m")
+            for axis in "xyz"
+        )
+        turns = (
+            NuisanceParameter(f"turn of the object about {axis}", self.rotation, "rad")
+            for axis in "xyz"
+        )
+        return tuple(parameter for parameter in (*shifts, *turns) if parameter.std > 0.0)
+
+    def columns(
+        self,
+        rows: Int[np.ndarray, " r"],
+        response: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p"]:
+        """What the points see of the field when they lie elsewhere in it (`Nuisance.columns`)."""
+        # A measured contact point has rows of its own behind those of the vertices.
+        field = (self.vertices(poisson_ratio) @ load)[: self.change[0].shape[1]]
+        moved = np.stack([change @ field for change in self.change], axis=1)
+        # It moves with the tool, not with the mesh.
+        tip = np.zeros((3, len(self.change)))
+        return np.concatenate([moved, tip])[rows]

@@ -1,0 +1,107 @@
+"""The errors that a session's points and probings share, as nuisances of the estimation."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_array, kron
+
+from palpate.estimation import (
+    ContactError,
+    ForceDirection,
+    ForceGain,
+    LengthScale,
+    Nuisance,
+    Pose,
+    ProbeResponse,
+)
+from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
+from palpate.pipeline.moving_supports import rigid_modes
+from palpate.pipeline.object_model import ObjectModel
+from palpate.shapes import Points
+
+Response = Callable[[float], Float[np.ndarray, "v c"]]
+
+
+def shared_errors(
+    model: ObjectModel,
+    index: int,
+    response: ProbeResponse,
+    change: Sequence[csr_array],
+    vertices: Response,
+    scale_error: float,
+) -> tuple[Nuisance, ...]:
+    """Errors of one probing.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    index : int                     of the probing
+    response : ProbeResponse        of the probing
+    change : sequence of csr_array  `pose_changes` of its points
+    vertices : function             response of all vertices to its loads
+    scale_error : float [-]         of its displacements' lengths, beside the session's own prior
+
+    Returns
+    -------
+    tuple of Nuisance               those whose prior is not exact
+    """
+    priors, found = model.session.errors, list[Nuisance]()
+    pushed = bool(model.session.probings[index].force.any())
+    if priors.force_gain > 0.0 and pushed:
+        found.append(ForceGain(priors.force_gain))
+    if priors.force_direction > 0.0 and pushed:
+        found.append(ForceDirection(priors.force_direction))
+    scale = max(priors.length_scale, scale_error)
+    if scale > 0.0:
+        found.append(LengthScale(scale))
+    if change:
+        found.append(Pose(priors.pose_translation, priors.pose_rotation, tuple(change), vertices))
+    mine = tuple(one.parameter for one in model.changes if one.probing == index)
+    if mine:
+        found.append(ContactError(mine, response.change))
+    return tuple(found)
+
+
+def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
+    """How displacements at points follow from those of the vertices where the mesh lies elsewhere.
+
+    A mesh that is shifted by d against the points is seen at x - d in its own frame; one that is
+    turned turns its displacements, too.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    place : SurfacePoints           of n points
+
+    Returns
+    -------
+    list of (3 n, 3 v) sparse       for one standard deviation of three shifts, of three turns; none
+                                    of those that are exact
+    """
+    mesh, priors = model.session.mesh, model.session.errors
+    centre = mesh.vertices.mean(axis=0)
+    modes = rigid_modes(place.position, centre)
+    found = []
+    for k, std in enumerate([priors.pose_translation] * 3 + [priors.pose_rotation] * 3):
+        if std == 0.0:
+            continue
+        shift = std * modes[:, :, k]
+        higher, lower = (_at(model, place.position + sign * shift) for sign in (-0.5, 0.5))
+        change = kron(higher - lower, np.eye(3))
+        if k >= 3:
+            turn = std * np.cross(np.eye(3)[k - 3], np.eye(3)).T
+            here = interpolation_matrix(
+                model.system.surface.displacement, place.triangle, place.barycentric
+            )
+            change = change + kron(here, turn)
+        found.append(csr_array(change))
+    return found
+
+
+def _at(model: ObjectModel, points: Points) -> csr_array:
+    """Displacement at points near the surface from that of the vertices."""
+    place = closest_points(model.session.mesh, points)
+    return interpolation_matrix(
+        model.system.surface.displacement, place.triangle, place.barycentric
+    )

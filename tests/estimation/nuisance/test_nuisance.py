@@ -1,0 +1,204 @@
+"""Shared errors: columns against differences of the prediction, and what becomes of an error that
+is there."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from estimation.fitted import misfit_of
+from estimation.half_space import HalfSpace, half_space_probes
+from scipy.sparse import csr_array, kron
+
+from palpate.estimation import (
+    ContactError,
+    FitSettings,
+    ForceDirection,
+    ForceGain,
+    LengthScale,
+    Nuisance,
+    NuisanceParameter,
+    Pose,
+    ProbeObservations,
+    cramer_rao_bound,
+    fit,
+)
+
+NU, SHEAR, NOISE = 0.3, 2e4, 2e-5
+
+
+def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:
+    return half_space_probes(
+        np.random.default_rng(seed), **{"count": 4, "grid": 8, "noise": NOISE} | options
+    )
+
+
+def _load(probe: ProbeObservations) -> np.ndarray:
+    return np.append(probe.force, 1.0) / SHEAR
+
+
+def _columns(nuisance: Nuisance, probe: ProbeObservations) -> np.ndarray:
+    response = probe.response.value(NU)
+    return nuisance.columns(np.arange(len(response)), response, _load(probe), NU)
+
+
+def _predicted(probe: ProbeObservations, force: np.ndarray) -> np.ndarray:
+    return probe.response.value(NU)[:, :3] @ force / SHEAR
+
+
+@dataclass(frozen=True)
+class _MovedContact:
+    """Displacement for contacts beside the stated one, per prior standard deviation."""
+
+    probe: ProbeObservations
+    std: float
+
+    def __call__(self, poisson_ratio: float) -> np.ndarray:
+        offset, force = self.probe.response.offset, self.probe.force
+        columns = []
+        for axis in (0, 1):
+            shift = 0.5 * self.std * np.eye(3)[axis]
+            higher, lower = (HalfSpace(offset - sign * shift) for sign in (1.0, -1.0))
+            change = higher.value(poisson_ratio) - lower.value(poisson_ratio)
+            columns.append(change[:, :3] @ force)
+        return np.stack(columns, axis=1)
+
+
+def _contact_error(probe: ProbeObservations, std: float = 5e-4) -> ContactError:
+    names = (f"contact point of {probe.name} toward +{axis}" for axis in "xy")
+    parameters = tuple(NuisanceParameter(name, std, "m") for name in names)
+    return ContactError(parameters, _MovedContact(probe, std))
+
+
+def test_a_gain_is_a_force_that_is_larger() -> None:
+    probe = _probes()[0]
+    expected = _predicted(probe, 1.01 * probe.force) - _predicted(probe, probe.force)
+    # Linear, so exact but for rounding.
+    np.testing.assert_allclose(_columns(ForceGain(0.01), probe)[:, 0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_direction_is_a_force_that_is_turned(axis: int) -> None:
+    probe, angle = _probes()[0], 1e-5
+    turn = np.cross(np.eye(3)[axis], probe.force)
+    expected = _predicted(probe, probe.force + angle * turn) - _predicted(probe, probe.force)
+    found = _columns(ForceDirection(angle), probe)[:, axis]
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_scale_stretches_one_component() -> None:
+    probe = _probes()[0]
+    found = _columns(LengthScale(0.002), probe).reshape(-1, 3, 3)
+    moved = _predicted(probe, probe.force).reshape(-1, 3)
+    for axis in range(3):
+        expected = np.zeros_like(moved)
+        expected[:, axis] = 0.002 * moved[:, axis]
+        np.testing.assert_allclose(found[:, :, axis], expected, rtol=1e-12)
+
+
+def test_a_pose_takes_the_field_of_the_vertices() -> None:
+    """A change that doubles every vertex's displacement doubles what is seen, not the tip's."""
+    probe = replace(_probes(tip=True)[0])
+    count = len(probe.position)
+    whole = kron(csr_array(np.eye(count)), np.eye(3))
+    pose = Pose(1e-4, 0.0, (csr_array(whole),), probe.response.value)
+    found = _columns(pose, probe)
+    moved = _predicted(probe, probe.force)
+    np.testing.assert_allclose(found[:-3, 0], moved[:-3], rtol=1e-12)
+    assert not found[-3:].any()
+    assert [one.name for one in pose.parameters] == [
+        f"shift of the object along {axis}" for axis in "xyz"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("nuisance", "scale"),
+    [(ForceGain(0.02), 0.02), (LengthScale(0.02), 0.02)],
+    ids=["gain", "length"],
+)
+def test_a_shared_error_widens_the_moduli_and_no_number_of_points_helps(
+    nuisance: Nuisance, scale: float
+) -> None:
+    for count in (3, 12):
+        probes = [replace(p, nuisances=(nuisance,)) for p in _probes(count=count, noise=1e-7)]
+        found = fit(probes).estimate
+        # A gain moves both moduli by itself; scales along three axes, by about a weighted mean.
+        assert found.young_modulus.std / found.young_modulus.value > 0.5 * scale
+        bound = cramer_rao_bound(probes, poisson_ratio=NU, shear_modulus=SHEAR)
+        assert bound["young_modulus"] / 5.2e4 > 0.5 * scale
+
+
+def test_intervals_hold_a_gain_that_is_off() -> None:
+    """A force scale drawn from its prior: 2 % were eight standard errors without it."""
+    held, rng = 0, np.random.default_rng(4)
+    for seed in range(30):
+        gain = 1.0 + 0.02 * rng.normal()
+        probes = [
+            replace(p, force=gain * p.force, nuisances=(ForceGain(0.02),)) for p in _probes(seed)
+        ]
+        low, high = fit(probes).estimate.young_modulus.ci95
+        held += low <= 5.2e4 <= high
+    # 95 % of 30: three standard deviations are 12 %.
+    assert held / 30 > 0.83
+
+
+def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
+    """1.8 mm beside what the session says, 0.5 mm told: the constants follow the true contact."""
+    plain, mended = [], []
+    for probe in _probes(grid=14):
+        beside = replace(probe, response=HalfSpace(probe.response.offset - [1.8e-3, 0.0, 0.0]))
+        plain.append(beside)
+        mended.append(replace(beside, nuisances=(_contact_error(beside),)))
+    wrong, right = fit(plain).estimate, fit(mended).estimate
+    error = {
+        name: abs(found.young_modulus.value / 5.2e4 - 1)
+        for name, found in (("wrong", wrong), ("right", right))
+    }
+    assert error["right"] < 0.4 * error["wrong"]
+    assert error["right"] < 0.01
+    for one in right.probes:
+        along = one.errors[0]
+        assert along.name == f"contact point of {one.name} toward +x"
+        # Linear about the stated point, three standard deviations away.
+        assert along.value == pytest.approx(-1.8e-3, rel=0.35)
+    assert any("Likely fault: the contact point of n01 toward +x" in n for n in right.notes)
+
+
+def test_errors_that_are_not_there_stay_small() -> None:
+    nuisances = (ForceGain(0.01), ForceDirection(0.01), LengthScale(0.003))
+    probes = [replace(p, nuisances=(*nuisances, _contact_error(p))) for p in _probes()]
+    found = fit(probes).estimate
+    every = [*found.errors, *(error for one in found.probes for error in one.errors)]
+    assert len(found.errors) == 7
+    assert len(every) == 7 + 2 * len(probes)
+    assert not any(one.is_surprising for one in every)
+    assert not any("Likely fault" in note for note in found.notes)
+    for one in every:
+        # The data can only say more than the prior; a noise level above 1 leaves it some room.
+        assert one.std <= 1.01 * one.prior_std
+    low, high = found.young_modulus.ci95
+    assert low < 5.2e4 < high
+
+
+def test_probings_share_by_name() -> None:
+    probes = [replace(p, nuisances=(ForceGain(0.01), _contact_error(p))) for p in _probes(count=2)]
+    misfit = misfit_of(probes)
+    assert [one.name for one in misfit.shared] == ["gain of the force sensor"]
+    assert [one.name for one in misfit.own(misfit.probes[1])] == [
+        "contact point of n02 toward +x",
+        "contact point of n02 toward +y",
+    ]
+    # One probing alone has nobody to share with.
+    assert misfit_of(probes[:1]).shared == ()
+
+
+def test_simplex_and_scoring_agree_with_errors() -> None:
+    nuisances = (ForceGain(0.01), LengthScale(0.003))
+    probes = [
+        replace(p, nuisances=(*nuisances, _contact_error(p))) for p in _probes(count=2, grid=5)
+    ]
+    quick = fit(probes).estimate
+    slow = fit(probes, settings=FitSettings(method="nelder-mead")).estimate
+    # Columns are taken under the measured force, and under the true one: their product with the
+    # errors differs by a per cent of a per cent.
+    assert slow.poisson_ratio.value == pytest.approx(quick.poisson_ratio.value, abs=1e-4)
+    assert slow.shear_modulus.value == pytest.approx(quick.shear_modulus.value, rel=5e-4)
