@@ -130,7 +130,7 @@ def make_object_model(
     ------
     InputError                        the model does not fit into memory, a bad contact
     """
-    check_memory(len(session.mesh.vertices))
+    check_memory(len(session.mesh.vertices), len(session.probings))
     patches, pressed = _distinct_patches(session)
     supports = moving_supports(session)
     shapes = support_shapes(session, supports)

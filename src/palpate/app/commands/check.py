@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palpate.app.terminal import number_text, print_text, terminal_table
+from palpate.bem import check_memory
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (
     NEAR_RADII,
@@ -32,7 +33,7 @@ def check(session: Path, /) -> int:
     session
         Folder of the session, or a session file in it.
     """
-    given = read_session(session)
+    given = read_session(session, allow=check_memory)
     require_given_motions(given)
     cameras, remarks = survey_cameras(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
