@@ -20,7 +20,7 @@ from palpate.disk import InUseError, placed
 from palpate.errors import InputError
 
 # Raised by whoever changes what is stored or how it is computed.
-_FORMAT = 1
+_FORMAT = 2
 _KERNELS = ("traction", "displacement")
 
 
@@ -70,7 +70,8 @@ def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
     -------
     str
     """
-    parts = [np.array([_FORMAT]), surface.mesh.triangles, surface.element_nodes, surface.held]
+    parts = [np.array([_FORMAT]), surface.mesh.triangles, surface.element_nodes]
+    parts += [surface.held, surface.held_directions]
     for nodes in (surface.displacement, surface.traction):
         weights = nodes.weights
         parts += [nodes.element, weights.indptr, weights.indices, weights.data]

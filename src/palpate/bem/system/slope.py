@@ -30,7 +30,7 @@ class SystemSlope:
     flux: Float[np.ndarray, "r f"]
     trace: Float[np.ndarray, "r s"]
 
-    def apply(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
+    def apply(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "r c"]:
         """Product with vectors of unknowns.
 
         Parameters
@@ -39,7 +39,7 @@ class SystemSlope:
 
         Returns
         -------
-        (k, c) float
+        (r, c) float              rows in the order of `system_matrix`
         """
         (n_rows, n_free), count = self.flux.shape, unknowns.shape[1]
         u = unknowns[: 3 * n_free].reshape(n_free, 3 * count)

@@ -21,6 +21,7 @@ from palpate.bem.integrals import (
     with_rigid_body_sum,
 )
 from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
+from palpate.bem.system.rollers import Elimination, make_elimination
 from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes, triangle_areas
 from palpate.threads import in_threads
@@ -80,12 +81,15 @@ class FactorisedSystem:
     ----------
     poisson_ratio : float
     lu, pivots : arrays                   LAPACK's factorisation
+    elimination : Elimination or None     where supports hold some directions only: what of the
+                                          system is factorised
     reciprocal_condition : float          estimate in the 1-norm
     """
 
     poisson_ratio: float
     lu: Float[np.ndarray, "k k"]
     pivots: Int[np.ndarray, " k"]
+    elimination: Elimination | None
     reciprocal_condition: float
 
 
@@ -233,6 +237,10 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
     SingularSystemError       the support does not hold the object
     """
     matrix = system_matrix(system, poisson_ratio)
+    order = system.traction_kernel.rows.ravel()[: system.traction_kernel.n_rows]
+    elimination = make_elimination(system.surface, system.unknowns, system.collocation, order)
+    if elimination is not None:
+        matrix = elimination.matrix(matrix)
     gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
     norm = lange("1", matrix)
     lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
@@ -243,21 +251,25 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
             f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate "
             "parts: run `palpate check`"
         )
-    return FactorisedSystem(poisson_ratio, lu, pivots, rcond)
+    return FactorisedSystem(poisson_ratio, lu, pivots, elimination, rcond)
 
 
 def solve(
-    factorised: FactorisedSystem, right: Float[np.ndarray, "k c"]
+    factorised: FactorisedSystem, right: Float[np.ndarray, "r c"]
 ) -> Float[np.ndarray, "k c"]:
     """Solve the factorised system for several right-hand sides.
 
     Parameters
     ----------
     factorised : FactorisedSystem
-    right : (k, c) float      rows in the order of `system_matrix`
+    right : (r, c) float      rows in the order of `system_matrix`
 
     Returns
     -------
     (k, c) float [m]
     """
-    return lu_solve((factorised.lu, factorised.pivots), right, check_finite=False)
+    pair, elimination = (factorised.lu, factorised.pivots), factorised.elimination
+    if elimination is None:
+        return lu_solve(pair, right, check_finite=False)
+    solution = lu_solve(pair, elimination.right(right), check_finite=False)
+    return elimination.unknowns(solution)
