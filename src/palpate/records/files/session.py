@@ -131,6 +131,8 @@ def session_file(path: Path) -> Path:
     settle(path / "session.toml" if folder else path)
     if folder:
         file = path / "session.toml"
+        if not os.access(path, os.R_OK | os.X_OK):
+            raise RecordError(f"{path}: the folder cannot be read (Permission denied)")
         if not is_file(file):
             others = sorted(map(quoted, (p.name for p in path.glob("*.toml") if is_file(p))))[:5]
             hint = f"; it has {', '.join(others)}: name one of them" if others else ""
