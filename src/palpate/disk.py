@@ -17,6 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -334,10 +335,8 @@ def _copy(path: Path, other: Path) -> None:
 
 def _sync_all(path: Path) -> None:
     """Have the disk keep a file, or a folder with all that is in it."""
-    if path.is_dir():
-        for below in path.rglob("*"):
-            _sync(below)
-    _sync(path)
+    for each in (*path.rglob("*"), path):
+        _sync(each)
 
 
 def _sync(path: Path) -> None:
@@ -360,8 +359,12 @@ def _beside(final: Path, what: str) -> Path:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there."""
+    """Remove a file or a folder, if it is there, whatever the rights of what is in it."""
     if path.is_dir() and not path.is_symlink():
+        with suppress(OSError):
+            for folder in chain([path], path.rglob("*/")):
+                if not folder.is_symlink():
+                    folder.chmod(0o700)
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)

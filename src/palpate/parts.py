@@ -15,6 +15,7 @@ import numpy as np
 import palpate
 from palpate.disk import write_bytes
 from palpate.errors import RecordError
+from palpate.files import read_bytes
 
 T = TypeVar("T")
 # How numpy puts arrays together again.
@@ -140,8 +141,8 @@ class _Reader(pickle.Unpickler):
 def _read(path: Path, known: Mapping[str, Any]) -> tuple[Any] | None:
     """A part in a file, or None where there is none that can be read."""
     try:
-        found = _Reader(io.BytesIO(path.read_bytes()), known).load()
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, ImportError, EOFError,
+        found = _Reader(io.BytesIO(read_bytes(path)), known).load()
+    except (RecordError, ValueError, LookupError, TypeError, AttributeError, ImportError, EOFError,
             pickle.UnpicklingError):  # fmt: skip
         return None
     return found if isinstance(found, tuple) and len(found) == 1 else None

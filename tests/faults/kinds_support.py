@@ -81,6 +81,23 @@ KINDS = [
         _edited("[0.04, 0, 0], normal = [1, 0, 0]", "[0, 0, 0], normal = [0, 1, 0]"),
         "supports 1 and 2 share",
     ),
+    *(
+        _kind(f"directions {value}", _edited('motion = "given"', f"directions = {value}"), "[[support]] number 1", *says)
+        for value, says in {
+            "3": ("list of vectors",),
+            "[0, 0, 1]": ("two pairs of brackets",),
+            "[[0, 0]]": ("three finite numbers",),
+            "[[0, 0, 0]]": ("zero",),
+            "[]": ("no direction",),
+            "[[0, 0, 1], [0, 0, -2]]": ("twice",),
+            "[[0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 1, 1]]": ("follows from the others",),
+            "[[0, 0, nan]]": ("three finite numbers",),
+            '"z"': ("list of vectors",),
+        }.items()
+    ),
+    _kind("a force on a roller", _edited('"free"', '"free"\ndirections = [[1, 0, 0]]'), "roller", "uniform"),
+    _kind("a triangle in two supports",
+          _edited("[0.04, 0, 0], normal = [1, 0, 0]", "[0, 0, 0], normal = [1, 0, 0]"), "supports 1 and 2 share 8 triangles"),
     _kind("gravity with a pulled support",
           _edited("[[probe]]", "[gravity]\nacceleration = [0, 0, -9.81]\n[[probe]]"), "density"),
     _kind("tip displacement of a support",

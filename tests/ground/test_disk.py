@@ -1,12 +1,16 @@
 """Files and folders appear whole or not at all, at whatever step a process dies or a disk fails."""
 
 import os
+import shutil
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from fault_injection import in_child
 
+import palpate
 from palpate import disk
 from palpate.errors import RecordError
 
@@ -199,3 +203,28 @@ def test_what_is_no_file_or_elsewhere_is_not_replaced(tmp_path):
     # One alone may lie anywhere.
     disk.write_bytes(tmp_path / "n01", b"new")
     assert (tmp_path / "below" / "n01").read_text() == "new"
+
+
+def test_an_older_folder_without_rights_is_not_left_behind(tmp_path):
+    """As a user who may do only what rights allow: root, here, is asked to give that up."""
+    older = tmp_path / "result"
+    (older / "plots").mkdir(parents=True)
+    (older / "plots" / "one.png").write_text("old")
+    code = (
+        "import sys, pathlib; from palpate.disk import placed\n"
+        "with placed([pathlib.Path(sys.argv[1])], folder=True) as (new,):\n"
+        "    (new / 'a').write_text('new')"
+    )
+    drop = [shutil.which("setpriv"), "--inh-caps=-all", "--bounding-set=-all"]
+    if os.getuid() != 0:
+        drop = []
+    elif drop[0] is None:
+        pytest.skip("needs setpriv, or another user than root")
+    for folder in (older / "plots", older):
+        folder.chmod(0o555)
+    source = str(Path(palpate.__file__).parents[1])
+    subprocess.run(
+        [*drop, sys.executable, "-c", code, str(older)], check=True, env={"PYTHONPATH": source}
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+    assert [path.name for path in older.iterdir()] == ["a"]

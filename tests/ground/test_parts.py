@@ -1,5 +1,6 @@
 """Parts of long work are read as they were made, and only by the work that made them."""
 
+import os
 import pickle
 from dataclasses import dataclass
 
@@ -84,3 +85,13 @@ class _Pair:
 )
 def test_digests_tell_apart(one, other):
     assert content_digest(one) != content_digest(other)
+
+
+def test_a_pipe_in_the_place_of_a_part_is_no_part(tmp_path):
+    """Reading it would wait for ever."""
+    parts = Parts(tmp_path, "key")
+    parts.kept("a", lambda: 1)
+    (file,) = tmp_path.iterdir()
+    file.unlink()
+    os.mkfifo(file)
+    assert parts.kept("a", lambda: 2) == 2

@@ -16,6 +16,8 @@ from io import StringIO
 from pathlib import Path
 
 from palpate import __version__
+from palpate.app.environment import kernel_cache, seen_columns
+from palpate.errors import InputError
 
 try:
     import resource
@@ -26,6 +28,8 @@ _BAD_INPUT = 2
 _UNEXPECTED = 70
 # Address space that the libraries and a small model need [bytes]; with less they end the process.
 _LEAST_MEMORY = 1.5 * 2**30
+# Libraries that take orders from the environment, and how the names of these begin.
+_VARIABLES = {"numba": "NUMBA_", "matplotlib": "MPL"}
 _PLAIN = {"±": "+-", "µ": "u", "μ": "u"}
 Main = Callable[[Sequence[str] | None], int]
 
@@ -46,9 +50,13 @@ def guarded(main: Main) -> Main:
     def safe(arguments: Sequence[str] | None = None) -> int:
         if _too_little_memory():
             return _UNEXPECTED
-        with _plain_output(), _quiet_libraries() as said:
+        with _plain_output(), seen_columns(), _quiet_libraries() as said:
             try:
-                return main(arguments)
+                with kernel_cache():
+                    return main(arguments)
+            except InputError as error:
+                print(f"palpate: {error}", file=sys.stderr)
+                return _BAD_INPUT
             except Exception as error:  # noqa: BLE001 - the last guard is for all of them
                 words = sys.argv[1:] if arguments is None else arguments
                 text, code = _outcome(error, words, said.getvalue())
@@ -68,9 +76,12 @@ def _outcome(error: Exception, words: Sequence[str], said: str) -> tuple[str, in
         what = "memory ran out" + (f" ({why})" if why else "")
         return f"{what}; use a coarser mesh or fewer points, or close other programs", _UNEXPECTED
     place = traceback.extract_tb(causes[-1].__traceback__)[-1].filename
-    variables = [f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_")]
-    if variables and f"{os.sep}numba{os.sep}" in place:
-        return f"{causes[-1]} (numba); correct or unset {', '.join(variables)}", _BAD_INPUT
+    for library, prefix in _VARIABLES.items():
+        names = [key for key in os.environ if key.startswith(prefix)]
+        if names and f"{os.sep}{library}{os.sep}" in place:
+            found = ", ".join(f"{key}={os.environ[key]}" for key in names)
+            text = " ".join(str(causes[-1]).split())[:200]
+            return f"{text} ({library}); correct or unset {found}", _BAD_INPUT
     what = "lists in lists without end" if isinstance(error, RecursionError) else _first_line(error)
     report = _written_report(error, words, said)
     return (

@@ -47,6 +47,7 @@ from palpate.bem.system import (
     cached_system as cached_system,
     check_memory as check_memory,
     factorise as factorise,
+    loose_motions as loose_motions,
     point_equations as point_equations,
     solve as solve,
     system_slope as system_slope,

@@ -40,6 +40,7 @@ from palpate.pipeline.motion_figures import (
 from palpate.pipeline.moving_supports import (
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
+    sliding_motion as sliding_motion,
 )
 from palpate.pipeline.object_model import (
     make_object_model as make_object_model,

@@ -1,14 +1,17 @@
-"""How supports move: rigid motions as columns of the model, and the motion that points show."""
+"""How supports move, and what they hold: rigid motions as columns of the model, the motion that
+points show, and how an object slides that rollers hold."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.arrays import known_median
+from palpate.bem import loose_motions, make_surface
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, bounding_diagonal
-from palpate.records import FIXED, GIVEN, DisplacementField, Probing, Session, observed_rows
+from palpate.records import FIXED, FREE, GIVEN, DisplacementField, Probing, Session, observed_rows
 from palpate.shapes import Points, Vector3
 
 # Robust fit of a motion: rounds, and Student's degrees of freedom.
@@ -17,11 +20,14 @@ _ROUNDS, _DEGREES = 10, 8.0
 _UNSEEN = 1e-3
 # Normal distribution: standard deviation over the median absolute value.
 _SIGMA_OVER_MEDIAN = 1.4826
+# Of a force: what may push along directions that nothing holds. A true roller has friction, and no
+# tool is at right angles.
+_UNANSWERED = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingSupport:
-    """A support that moves.
+    """A support that moves, or the object that slides along its rollers.
 
     Attributes
     ----------
@@ -30,6 +36,9 @@ class MovingSupport:
     vertices : (h,) int
     centre : (3,) float [m]         about which it turns
     motion : str                    `GIVEN` or `FREE`
+    holding : (3, 3) float          projector onto the directions that it holds; along the others
+                                    it takes nothing with it
+    mix : (6, 6) float              what becomes of a motion: itself, or the part of it that is free
     """
 
     number: int
@@ -37,6 +46,21 @@ class MovingSupport:
     vertices: Int[np.ndarray, " h"]
     centre: Vector3
     motion: str
+    holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    mix: Float[np.ndarray, "6 6"] = field(default_factory=lambda: np.eye(6))
+
+    def modes(self, points: Points) -> Float[np.ndarray, "n 3 6"]:
+        """Displacement of points that are held, per unit of each motion.
+
+        Parameters
+        ----------
+        points : (n, 3) float [m]
+
+        Returns
+        -------
+        (n, 3, 6) float [-], [m]
+        """
+        return self.holding @ rigid_modes(points, self.centre) @ self.mix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +96,11 @@ def moving_supports(session: Session) -> tuple[MovingSupport, ...]:
         vertices = np.unique(session.mesh.triangles[support.triangles])
         centre = session.mesh.vertices[vertices].mean(axis=0)
         if support.motion != FIXED:
-            found.append(MovingSupport(number, support.triangles, vertices, centre, support.motion))
+            found.append(
+                MovingSupport(
+                    number, support.triangles, vertices, centre, support.motion, support.holding
+                )
+            )
     return tuple(found)
 
 
@@ -199,7 +227,8 @@ def _strain(offset: Points, left: Points) -> Float[np.ndarray, "3 3"]:
 def support_shapes(
     session: Session, supports: tuple[MovingSupport, ...]
 ) -> Float[np.ndarray, "v 3 q"]:
-    """Displacement of every vertex that is held per unit of each motion, zero elsewhere.
+    """Displacement of every vertex that is held per unit of each motion, zero elsewhere; where the
+    object slides, of every vertex.
 
     Parameters
     ----------
@@ -214,7 +243,7 @@ def support_shapes(
     vertices = session.mesh.vertices
     shapes = np.zeros((len(vertices), 3, 6 * len(supports)))
     for k, support in enumerate(supports):
-        modes = rigid_modes(vertices[support.vertices], support.centre)
+        modes = support.modes(vertices[support.vertices])
         shapes[support.vertices, :, 6 * k : 6 * k + 6] = modes
     if not any(support.motion == GIVEN for support in supports):
         return shapes
@@ -224,5 +253,111 @@ def support_shapes(
             if support.motion == GIVEN:
                 offset = vertices[support.vertices] - support.centre
                 strain = given_motion(session, probing, support).strain
-                strains[support.vertices, :, k] = offset @ strain.T
+                strains[support.vertices, :, k] = offset @ strain.T @ support.holding
     return np.concatenate([shapes, strains], axis=2)
+
+
+def held_directions(session: Session) -> Float[np.ndarray, "k 3 3"]:
+    """Projector onto the directions in which each of a session's held triangles is held.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    (k, 3, 3) float                 in the order of `session.held_triangles`
+    """
+    found = np.tile(np.eye(3), (len(session.held_triangles), 1, 1))
+    for support in session.supports:
+        found[np.searchsorted(session.held_triangles, support.triangles)] = support.holding
+    return found
+
+
+def sliding_motion(session: Session) -> MovingSupport | None:
+    """The rigid motions of the whole object that its supports leave, as those of a support.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    MovingSupport or None           by the number of the first roller; None: none are left
+    """
+    rollers = [k for k, one in enumerate(session.supports) if one.directions is not None]
+    if not rollers:
+        return None
+    mesh, held = session.mesh, session.held_triangles
+    loose = loose_motions(make_surface(mesh, held, directions=held_directions(session)))
+    if not loose.shape[2]:
+        return None
+    vertices = mesh.vertices
+    centre = vertices[np.unique(mesh.triangles[held])].mean(axis=0)
+    length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
+    unit = np.array([1.0, 1.0, 1.0, length, length, length])
+    # In units in which a turn moves the object as far as a shift: of those that are left, the
+    # nearest to each motion.
+    flat = (rigid_modes(vertices, centre) / unit).reshape(-1, 6)
+    left = np.linalg.qr(np.linalg.lstsq(flat, loose.reshape(len(flat), -1), rcond=None)[0])[0]
+    return MovingSupport(
+        number=rollers[0] + 1,
+        triangles=session.supports[rollers[0]].triangles,
+        vertices=np.arange(len(vertices)),
+        centre=centre,
+        motion=FREE,
+        mix=(left @ left.T) * unit / unit[:, None],
+    )
+
+
+def require_balance(session: Session, sliding: MovingSupport | None) -> None:
+    """Refuse forces along motions that no support holds.
+
+    Parameters
+    ----------
+    session : Session
+    sliding : MovingSupport or None     of `sliding_motion`
+
+    Raises
+    ------
+    InputError                      the text names the probing
+    """
+    for probing in session.probings:
+        forces = [(probing.contact.point, probing.force)]
+        forces += [(x.contact.point, x.force) for x in probing.loads if x.force is not None]
+        check_balance(sliding, forces, f"probing '{probing.name}'")
+
+
+def check_balance(
+    sliding: MovingSupport | None, forces: Sequence[tuple[Vector3, Vector3]], place: str
+) -> None:
+    """Refuse forces that together push along a motion that no support holds.
+
+    Parameters
+    ----------
+    sliding : MovingSupport or None     of `sliding_motion`
+    forces : sequence of (point, force)     [m], [N]
+    place : str                     for the message
+
+    Raises
+    ------
+    InputError
+    """
+    if sliding is None:
+        return
+    point, force = (np.stack(part) for part in zip(*forces, strict=True))
+    size = float(np.linalg.norm(force, axis=1).sum())
+    pushed = np.abs(np.einsum("ni,niq->q", force, sliding.modes(point)))
+    # A force that turns the object acts at a lever.
+    pushed[3:] /= np.linalg.norm(point - sliding.centre, axis=1).max() + np.finfo(float).tiny
+    worst = int(np.argmax(pushed))
+    if pushed[worst] > _UNANSWERED * size:
+        axis = "xyz"[worst % 3]
+        motion = (
+            f"shifts the object along {axis}" if worst < 3 else f"turns the object about {axis}"
+        )
+        raise InputError(
+            f"{place}: {pushed[worst]:.3g} N of its force {motion}, which no support holds (support"
+            f" {sliding.number} is a roller): it would slide away; hold that direction too"
+            " (directions in [support]), or correct the force"
+        )

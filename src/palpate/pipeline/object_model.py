@@ -35,7 +35,14 @@ from palpate.bem import (
 from palpate.estimation import PointRows, ProbeMotions, ProbeRows
 from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.contact_changes import ContactChange, contact_changes
-from palpate.pipeline.moving_supports import MovingSupport, moving_supports, support_shapes
+from palpate.pipeline.moving_supports import (
+    MovingSupport,
+    held_directions,
+    moving_supports,
+    require_balance,
+    sliding_motion,
+    support_shapes,
+)
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import GIVEN, RIGID, Contact, Session
 
@@ -66,7 +73,8 @@ class ObjectModel:
     system : BoundarySystem
     patches : dict of ContactPatch        distinct contacts, by what makes them distinct
     pressed : dict of ContactPatch        those under a pressure
-    supports : tuple of MovingSupport
+    supports : tuple of MovingSupport     the object itself last, where it slides
+    slides : bool                         whether the object slides along rollers
     shapes : (v, 3, q) float              how they move what is held (`support_shapes`)
     right : RightHand                     three columns a patch, one a pressure, two of gravity, if
                                           any, q of the supports, then those of `changes`
@@ -80,6 +88,7 @@ class ObjectModel:
     patches: dict[_Key, ContactPatch]
     pressed: dict[_Key, ContactPatch]
     supports: tuple[MovingSupport, ...]
+    slides: bool
     shapes: Float[np.ndarray, "v 3 q"]
     right: RightHand
     body: BodyForce | None
@@ -134,11 +143,15 @@ def make_object_model(
     ------
     InputError                        the model does not fit into memory, a bad contact
     """
-    check_memory(len(session.mesh.vertices))
-    patches, pressed = _distinct_patches(session)
-    supports = moving_supports(session)
+    check_memory(len(session.mesh.vertices), len(session.probings))
+    sliding = sliding_motion(session)
+    require_balance(session, sliding)
+    supports = (*moving_supports(session), *filter(None, [sliding]))
     shapes = support_shapes(session, supports)
-    boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
+    patches, pressed = _distinct_patches(session)
+    boundary = make_surface(
+        session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
+    )
     system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
     weight = None
     if session.gravity is not None and session.density is not None:
@@ -156,8 +169,9 @@ def make_object_model(
         )
         tips = ContactPoints(equations, _right_hand(equations.system, *loads)[0])
     return ObjectModel(
-        session, system, patches, pressed, supports, shapes, right, body, tips, changes
-    )
+        session, system, patches, pressed, supports, sliding is not None, shapes, right, body, tips,
+        changes,
+    )  # fmt: skip
 
 
 def surface_load(patch: ContactPatch) -> SurfaceLoad:
@@ -249,7 +263,7 @@ def probe_rows(model: ObjectModel, index: int, place: SurfacePoints) -> ProbeRow
     at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
     particular = np.zeros(3 * place.triangle.size)
     if model.body is not None:
-        particular = (at_points @ model.body.particular).ravel()
+        particular = (at_points @ _particular(model.system, model.body)).ravel()
     free = at_points[:, model.system.unknowns.free_vertices]
     rest = csr_array((particular.size, model.system.size - 3 * free.shape[1]))
     surface = csr_array(hstack([kron(free, np.eye(3)), rest]))
@@ -268,6 +282,13 @@ def probe_rows(model: ObjectModel, index: int, place: SurfacePoints) -> ProbeRow
 def _own_changes(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
     """Changes of one probing among those of all."""
     return np.flatnonzero(np.array([change.probing == index for change in model.changes]))
+
+
+def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v 3"]:
+    """Particular displacement of every vertex; none where the support answers it with its own."""
+    moved, held = body.particular.copy(), system.unknowns.held_vertices
+    moved[held] -= np.einsum("hij,hj->hi", system.unknowns.vertex_directions, moved[held])
+    return moved
 
 
 def _columns(
@@ -308,7 +329,12 @@ def _motions(
     shapes = model.shapes[:, :, _own_motions(model, index)]
     own = (at_points @ shapes.reshape(len(shapes), -1)).reshape(-1, shapes.shape[2])
     if with_tip:
-        own = np.concatenate([own, np.zeros((3, own.shape[1]))])
+        at_tip = np.zeros((3, own.shape[1]))
+        if model.slides:
+            last = len(model.supports)
+            point = model.session.probings[index].contact.point
+            at_tip[:, 6 * last - 6 : 6 * last] = model.supports[-1].modes(point[None])[0]
+        own = np.concatenate([own, at_tip])
     pulled = model.pulled(index)
     if pulled is None:
         return ProbeMotions(own)
@@ -337,7 +363,7 @@ def _tip_rows(
         at_tip = interpolation_matrix(
             nodes, np.array([contact.triangle]), contact.barycentric[None]
         )
-        particular = (at_tip @ model.body.particular)[0]
+        particular = (at_tip @ _particular(model.system, model.body))[0]
     return PointRows(
         tips.equations.matrix[:, patch], tips.equations.own[:, patch], np.stack(right), particular
     )

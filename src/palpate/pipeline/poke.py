@@ -18,6 +18,7 @@ from palpate.bem import (
 )
 from palpate.errors import InputError
 from palpate.geometry import interpolation_matrix
+from palpate.pipeline.moving_supports import check_balance, held_directions, sliding_motion
 from palpate.pipeline.object_model import surface_load
 from palpate.probe import find_contact_patch
 from palpate.progress import Progress, silent
@@ -87,9 +88,12 @@ def poke_session(
     """
     say = progress or silent
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
-    boundary = make_surface(session.mesh, session.held_triangles, settings=surface)
+    boundary = make_surface(
+        session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
+    )
     say("integrals over the surface", 0.0)
     system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
+    check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
     say("factorisation", 0.6)
     elastic_map = make_elastic_map(system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
     load = surface_load(patch)

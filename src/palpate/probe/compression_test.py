@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from palpate.errors import InputError
 from palpate.shapes import PointScalars
@@ -124,9 +124,9 @@ def compression_test(
             "compression and its force must both be positive: check the signs of the columns"
         )
     deviation, freedom = slope_deviation(strain, stress)
-    half_width = float(stats.t.ppf(0.975, freedom)) * deviation
+    half_width = float(stdtrit(freedom, 0.975)) * deviation
     sizes = slope * np.hypot(2 * dimension_std[0] / diameter, dimension_std[1] / height)
-    half_width = float(np.hypot(half_width, stats.norm.ppf(0.975) * sizes))
+    half_width = float(np.hypot(half_width, ndtri(0.975) * sizes))
     residual = stress - (intercept + slope * strain)
     half = len(strain) // 2
     lower, _ = _line(strain[: half + 1], stress[: half + 1])
@@ -169,7 +169,7 @@ def compression_series(results: Sequence[CompressionResult]) -> CompressionSerie
     if len(values) == 1:
         return CompressionSeries(mean, float("nan"), results[0].ci95, tuple(results))
     spread = float(values.std(ddof=1))
-    half_width = float(stats.t.ppf(0.975, len(values) - 1)) * spread / np.sqrt(len(values))
+    half_width = float(stdtrit(len(values) - 1, 0.975)) * spread / np.sqrt(len(values))
     return CompressionSeries(
         mean, spread, (float(mean - half_width), float(mean + half_width)), tuple(results)
     )

@@ -72,6 +72,8 @@ VERTEX = "vertex"
 UNIFORM, RIGID = "uniform", "rigid"
 # How a support moves.
 FIXED, GIVEN, FREE = MOTIONS = ("fixed", "given", "free")
+# Of the largest singular value: directions that add less to others are the same again.
+_SAME_DIRECTION = 1e-3
 # Turns beyond which the displacement of a rigid motion is no longer linear in it: cos differs from
 # 1 by 1e-3.
 _LARGEST_TURN = 0.05
@@ -145,20 +147,49 @@ class Support:
     triangles : (k,) int            sorted, distinct
     motion : str                    `FIXED`; `GIVEN` by every probing; or `FREE`: a rigid motion is
                                     estimated along with the constants, for every probing
+    directions : (d, 3) float or None    of a roller: only these are held, along the others the
+                                    surface slides without friction; orthonormal afterwards; None:
+                                    all are held
 
     Raises
     ------
-    InputError                      another motion
+    InputError                      another motion; a direction that is zero, or depends on others
     """
 
     triangles: Indices
     motion: str = FIXED
+    directions: Float[np.ndarray, "d 3"] | None = None
 
     def __post_init__(self) -> None:
         triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
         object.__setattr__(self, "triangles", np.unique(triangles))
         if self.motion not in MOTIONS:
             raise InputError(f"motion is '{self.motion}'; must be one of {', '.join(MOTIONS)}")
+        if self.directions is not None:
+            object.__setattr__(self, "directions", _orthonormal(self.directions))
+
+    @property
+    def holding(self) -> Float[np.ndarray, "3 3"]:
+        """Projector onto the directions that are held."""
+        return np.eye(3) if self.directions is None else self.directions.T @ self.directions
+
+
+def _orthonormal(directions: Float[np.ndarray, "d 3"]) -> Float[np.ndarray, "d 3"] | None:
+    """Directions at right angles that span the same; None where these are all."""
+    given = fixed_array(directions, name="directions", shape=(None, 3))
+    length = np.linalg.norm(given, axis=1, keepdims=True)
+    if not len(given) or not length.all():
+        raise InputError(
+            "directions has no direction, or one that is zero; give one or two that are held, e.g."
+            " [[0, 0, 1]], or leave the key out: then all are"
+        )
+    _, size, found = np.linalg.svd(given / length, full_matrices=False)
+    if len(given) > 3 or size[-1] < _SAME_DIRECTION:
+        raise InputError(
+            "directions holds one direction twice, or one that follows from the others; give each"
+            " once"
+        )
+    return None if len(given) == 3 else fixed_array(found, name="directions", shape=(None, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import FREE, GIVEN, RIGID, Support
+from palpate.records.contact import FIXED, FREE, GIVEN, RIGID, Support
 from palpate.records.probing import Probing
 from palpate.shapes import Indices
 
@@ -26,20 +26,32 @@ def check_supports(
     ------
     InputError                      the text names supports by their number from 1, and the probing
     """
-    corners = [np.unique(mesh.triangles[support.triangles]) for support in supports]
     for second in range(len(supports)):
         for first in range(second):
-            shared = np.intersect1d(corners[first], corners[second]).size
-            if shared:
-                raise InputError(
-                    f"supports {first + 1} and {second + 1} share {shared} vertices, which cannot"
-                    " follow both; leave a row of free triangles between them"
-                )
+            _check_apart(mesh, supports, first, second)
     given = [number for number, one in enumerate(supports, start=1) if one.motion == GIVEN]
     for probing in probings:
         _check_motion(probing, given)
         if probing.contact.profile == RIGID and probing.contact.triangles is not None:
             _check_pulled(probing, probing.contact.triangles, supports)
+
+
+def _check_apart(mesh: TriangleMesh, supports: Sequence[Support], first: int, second: int) -> None:
+    """Refuse a triangle in two supports, and a vertex in two of which one moves."""
+    one, other = supports[first], supports[second]
+    twice = np.intersect1d(one.triangles, other.triangles).size
+    if twice:
+        raise InputError(
+            f"supports {first + 1} and {second + 1} share {twice} triangles; a triangle belongs to"
+            " one of them: correct the selectors"
+        )
+    corners, others = (np.unique(mesh.triangles[x.triangles]) for x in (one, other))
+    shared = np.intersect1d(corners, others).size
+    if shared and (one.motion != FIXED or other.motion != FIXED):
+        raise InputError(
+            f"supports {first + 1} and {second + 1} share {shared} vertices, which cannot"
+            " follow both; leave a row of free triangles between them"
+        )
 
 
 def _check_motion(probing: Probing, given: Sequence[int]) -> None:
@@ -81,6 +93,12 @@ def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Suppo
             f"{place}: its force acts on support {pulled[0]}, whose motion is"
             f" '{supports[pulled[0] - 1].motion}'; a support that is pulled moves as the force"
             ' makes it: say motion = "free", and give its measured points in the displacement file'
+        )
+    if supports[pulled[0] - 1].directions is not None:
+        raise InputError(
+            f"{place}: its force acts on support {pulled[0]}, a roller, which is not built yet;"
+            " load that face instead: contact = { triangles = ..., traction = "
+            '"uniform" }'
         )
     if probing.tip_displacement is not None:
         raise InputError(

@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import pytest
 from flow_samples import SHAPE, rig
 
 from palpate.records import write_rig
@@ -51,3 +52,15 @@ def test_a_rigid_motion_is_checked_with_its_cameras_and_pictures(palpate, cube_s
     code, _, err = palpate("check", cube_session)
     assert code == 2
     assert "step 'b', camera 'c1'" in err
+
+
+@pytest.mark.parametrize("command", ["check", "fit"])
+def test_a_model_that_memory_cannot_hold_is_refused_at_once(
+    palpate, cube_session, monkeypatch, command
+):
+    # 218 vertices need 9 MB beside the program's 0.3 GB.
+    monkeypatch.setattr("palpate.bem.system.memory._machine_memory", lambda: 0.34e9)
+    code, _, err = palpate(command, cube_session)
+    assert code == 2
+    assert "mesh.ply: the mesh has 218 vertices" in err
+    assert "decimate" in err

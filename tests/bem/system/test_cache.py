@@ -1,5 +1,7 @@
 """What is read back is what was computed, and nothing else is."""
 
+import os
+
 import numpy as np
 import pytest
 from surfaces import sphere
@@ -7,7 +9,7 @@ from surfaces import sphere
 from palpate.bem import Quadrature, SurfaceSettings, cached_system, make_surface
 from palpate.bem.system import cache as module
 from palpate.bem.system.cache import content_hash
-from palpate.errors import InputError
+from palpate.errors import InputError, RecordError
 
 
 def low_part(mesh):
@@ -61,3 +63,10 @@ def test_a_cache_that_cannot_be_written_is_said(surface, tmp_path):
     blocked.write_text("no folder")
     with pytest.raises(InputError, match="the cache cannot be written"):
         cached_system(surface, blocked)
+
+
+def test_what_lies_in_the_place_of_the_cache_and_is_no_file_is_said(surface, tmp_path):
+    """Reading a pipe would wait for ever."""
+    os.mkfifo(tmp_path / f"system-{content_hash(surface, Quadrature())}.npz")
+    with pytest.raises(RecordError, match="no regular file"):
+        cached_system(surface, tmp_path)

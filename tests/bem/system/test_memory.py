@@ -1,8 +1,13 @@
 """A mesh too large is refused before any work, with the size that would do."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from palpate.bem import check_memory
+from palpate.bem.system.memory import memory_needed
 from palpate.errors import InputError
 
 
@@ -11,11 +16,39 @@ def test_a_mesh_that_fits_is_let_through():
 
 
 def test_a_mesh_that_does_not_fit_is_refused():
-    # 22 doubles a pair: 17.6 GB for 10 000 vertices; 90 % of 8 GB hold 6396.
-    with pytest.raises(InputError, match=r"10000 vertices.* 18 GB.* at most 6300 vertices"):
+    # 24 doubles a pair and 480 vectors: 19.9 GB for 10 000 vertices; 90 % of 8 GB hold 5972.
+    with pytest.raises(InputError, match=r"10000 vertices.* 19\.\d GB.* at most 5900 vertices"):
         check_memory(10_000, available=8e9)
+
+
+def test_what_is_offered_fits():
+    with pytest.raises(InputError) as refused:
+        check_memory(50_000, 17, available=8e9)
+    offered = int(str(refused.value).split("at most ")[1].split()[0])
+    check_memory(offered, 17, available=8e9)
+    with pytest.raises(InputError):
+        check_memory(offered + 200, 17, available=8e9)
 
 
 def test_the_machine_is_asked():
     with pytest.raises(InputError, match="simplify the surface"):
         check_memory(10_000_000)
+
+
+def test_a_limit_of_the_process_counts():
+    code = (
+        "import resource, palpate.bem as b\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (4 << 30,) * 2)\n"
+        "try: b.check_memory(6000)\n"
+        "except b.system.memory.InputError as e: print(e)"
+    )
+    src = str(Path(__file__).parents[3] / "src")
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={"PYTHONPATH": src}
+    ).stdout
+    assert "3.9 GB can be used here" in said
+
+
+def test_every_probing_needs_memory():
+    # Three columns of 3 x 1000 unknowns, 160 vectors each.
+    assert memory_needed(1000, 2) - memory_needed(1000, 1) == 3 * 3000 * 160 * 8

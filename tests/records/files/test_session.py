@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from surfaces import box, joined, sphere
 
-from palpate.errors import MeshError, RecordError
+from palpate.errors import InputError, MeshError, RecordError
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas, write_mesh
 from palpate.records import observed_rows, read_session
 
@@ -406,3 +406,17 @@ def test_shared_sessions_are_read(shared_data):
     beam = read_session(shared_data / "real" / "dragonskin_beam")
     assert beam.probings[0].name == "load52_a"
     assert any("outside small deformation" in note for note in beam.notes)
+
+
+def test_what_is_too_large_is_refused_before_the_surface_is_checked(session_folder):
+    mesh = box(size=(0.04, 0.04, 0.04), cells=4)
+    # An open surface: the checks, which take long, would complain first.
+    write_mesh(session_folder / "mesh.ply", TriangleMesh(mesh.vertices, mesh.triangles[:-1]))
+
+    def allow(vertices, probings):
+        raise InputError(f"{vertices} vertices and {probings} probings are too many")
+
+    with pytest.raises(RecordError, match=r"mesh\.ply: 98 vertices and 2 probings are too many"):
+        read_session(session_folder, allow=allow)
+    with pytest.raises(MeshError, match="open"):
+        read_session(session_folder)

@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palpate.app.terminal import number_text, print_text, terminal_table
+from palpate.bem import check_memory
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (
     NEAR_RADII,
@@ -15,6 +16,7 @@ from palpate.pipeline import (
     moving_supports,
     require_given_motions,
     session_outlook,
+    sliding_motion,
     survey_cameras,
     survey_probing,
 )
@@ -32,7 +34,7 @@ def check(session: Path, /) -> int:
     session
         Folder of the session, or a session file in it.
     """
-    given = read_session(session)
+    given = read_session(session, allow=check_memory)
     require_given_motions(given)
     cameras, remarks = survey_cameras(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
@@ -68,11 +70,26 @@ def _mesh_table(session: Session) -> Table:
         ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
         ("support", support if session.probings else "-"),
         *((f"support {n} moves", motion) for n, motion in moving),
+        *((f"support {n} holds", what) for n, what in _rollers(session)),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
         ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),
     )
     title = "Surface: closed, manifold, outward, without self-intersection"
     return terminal_table(title, ("figure", "value"), rows)
+
+
+def _rollers(session: Session) -> list[tuple[int, str]]:
+    """Supports that hold some directions only, by their numbers; at the first, what slides."""
+    found = []
+    slides = sliding_motion(session)
+    for number, support in enumerate(session.supports, start=1):
+        if support.directions is not None:
+            held = [", ".join(f"{x:.3g}" for x in row) for row in support.directions + 0.0]
+            text = "only " + " and ".join(f"({row})" for row in held)
+            if slides is not None and slides.number == number:
+                text += "; the object slides, and how far is estimated"
+            found.append((number, text))
+    return found
 
 
 def _acceleration(vector: Vector3) -> str:

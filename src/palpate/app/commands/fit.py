@@ -14,7 +14,7 @@ from palpate.app.terminal import (
     probes_table,
     progress_bar,
 )
-from palpate.bem import SurfaceSettings
+from palpate.bem import SurfaceSettings, check_memory
 from palpate.estimation import FitSettings
 from palpate.figures import write_plots
 from palpate.pipeline import (
@@ -85,7 +85,7 @@ def fit(
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
     with result_folder(target, kind="fit", force=force) as folder:
-        given = read_session(session, probes=probe)
+        given = read_session(session, probes=probe, allow=check_memory)
         record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)

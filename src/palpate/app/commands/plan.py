@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.bem import check_memory
 from palpate.errors import InputError
 from palpate.lab import choose_variant, planned_pictures
 from palpate.pipeline import MATCHING_NOISE, MeasurementPlan, plan_measurement
@@ -63,7 +64,7 @@ def plan(
     """
     target = out or default_folder(session, "plan")
     with result_folder(target, kind="lab plan", force=force) as folder:
-        given = read_session(session)
+        given = read_session(session, allow=check_memory)
         record_inputs(folder, session_files(session))
         print_notes(given.notes)
         with progress_bar() as progress:

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
-from palpate.bem import InteriorState, SurfaceSettings
+from palpate.bem import InteriorState, SurfaceSettings, check_memory
 from palpate.errors import InputError
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
 from palpate.records import Status, modulus_unit, read_estimate, read_session
@@ -79,7 +79,7 @@ def poke(
     shear, ratio = _material(result, young_modulus, shear_modulus, poisson_ratio)
     if not any(force):
         raise InputError("--force is zero; give the force of the tool in newtons: --force 0 0 -1")
-    given = read_session(session)
+    given = read_session(session, allow=lambda count, _: check_memory(count))
     print_notes(given.notes)
     contact = tool_contact(given, np.array(at), radius)
     points = None if interior is None else np.array(interior)

@@ -51,6 +51,8 @@ class BoundarySurface:
     mesh : TriangleMesh
     sides : Sides
     held : (m,) bool                  triangles of the support
+    held_directions : (m, 3, 3) float projector onto the directions in which each triangle is held:
+                                      the unit matrix, less for a roller, zero where nothing holds
     element_nodes : (m, 6, 3) float   [m]
     displacement : QuadraticNodes     continuous, one node a vertex
     traction : QuadraticNodes         one node a side of a vertex
@@ -61,6 +63,7 @@ class BoundarySurface:
     mesh: TriangleMesh
     sides: Sides
     held: Bool[np.ndarray, " m"]
+    held_directions: Float[np.ndarray, "m 3 3"]
     element_nodes: Float[np.ndarray, "m 6 3"]
     displacement: QuadraticNodes
     traction: QuadraticNodes
@@ -71,6 +74,7 @@ def make_surface(
     mesh: TriangleMesh,
     held_triangles: Int[np.ndarray, " k"],
     *,
+    directions: Float[np.ndarray, "k 3 3"] | None = None,
     settings: SurfaceSettings = SurfaceSettings(),
 ) -> BoundarySurface:
     """Prepare a closed mesh and its support for the boundary integrals.
@@ -79,6 +83,8 @@ def make_surface(
     ----------
     mesh : TriangleMesh               closed, outward
     held_triangles : (k,) int         triangles that do not move
+    directions : (k, 3, 3) float      projector onto the directions in which each of them does not;
+                                      None: all directions
     settings : SurfaceSettings
 
     Returns
@@ -96,7 +102,11 @@ def make_surface(
             f"the support has {held.sum()} of {held.size} triangles; it must hold a part of "
             "the surface and leave a part free; check the selectors of [support]"
         )
-    sides = split_sides(mesh, held.astype(np.int64), crease_angle=settings.crease_angle)
+    held_directions = np.zeros((held.size, 3, 3))
+    held_directions[held_triangles] = np.eye(3) if directions is None else directions
+    # Where a roller meets another support or the free surface, its traction ends.
+    _, region = np.unique(held_directions.reshape(-1, 9), axis=0, return_inverse=True)
+    sides = split_sides(mesh, region.ravel(), crease_angle=settings.crease_angle)
     displacement, traction = displacement_nodes(mesh, sides), side_nodes(mesh, sides)
     geometry = displacement if settings.smooth else linear_nodes(displacement)
     if not settings.quadratic:
@@ -104,7 +114,9 @@ def make_surface(
     position = np.concatenate([mesh.vertices, geometry.weights @ mesh.vertices])
     nodes = position[geometry.element]
     follows_dips = settings.smooth and settings.quadratic
-    return BoundarySurface(mesh, sides, held, nodes, displacement, traction, follows_dips)
+    return BoundarySurface(
+        mesh, sides, held, held_directions, nodes, displacement, traction, follows_dips
+    )
 
 
 def integral_weights(

@@ -77,8 +77,11 @@ def body_force_columns(
     y = surface.mesh.vertices - origin
     square = np.einsum("vi,vi->v", y, y)[:, None]
     particular = 0.5 * square * force_density - (y @ force_density)[:, None] * y
-    free = np.flatnonzero(~surface.held)
+    # What is held takes the traction of the particular solution along the directions it holds.
+    left = np.eye(3) - surface.held_directions
+    free = np.flatnonzero(left.any(axis=(1, 2)))
     traction = _hydrostatic_traction(surface, free, force_density, origin)
+    traction = np.einsum("kij,kqj->kqi", left[free], traction)
     pressed = traction_column(system, free, traction, quadrature=quadrature)
     return BodyForce(joined([pressed, support_columns(system, -particular)]), particular)
 

@@ -91,13 +91,15 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
     Parameters
     ----------
     system : BoundarySystem
-    displacement : (v, 3) float [m]   of every vertex; only that of the held ones is used
+    displacement : (v, 3) float [m]   of every vertex; only that of the held ones is used, along the
+                                      directions in which they are held
 
     Returns
     -------
     RightHand                         3 r + 3 rows, one column, for a shear modulus of one pascal
     """
     held = system.unknowns.held_vertices
+    given = np.einsum("hij,hj->hi", system.unknowns.vertex_directions, displacement[held])
     blocks = system.traction_kernel
     terms = np.zeros((3, 3 * blocks.n_rows + 3, 1))
     equations = terms[:, :-3].reshape(3, 3, blocks.n_rows)
@@ -105,7 +107,7 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
         rows = slice(b * LANES, min((b + 1) * LANES, blocks.n_rows))
         fields = np.moveaxis(values[held][..., : rows.stop - rows.start], 1, 0)
         scaled, constant = (
-            np.einsum("ijvl,vj->il", part, displacement[held]) for part in traction_parts(fields)
+            np.einsum("ijvl,vj->il", part, given) for part in traction_parts(fields)
         )
         equations[0, :, rows] = -(scaled + constant)
         equations[1, :, rows] = 2 * scaled

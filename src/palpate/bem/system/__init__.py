@@ -9,6 +9,8 @@ Read first : `system.py`, `boundary.py`.
 """
 
 from palpate.bem.system.cache import cached_system as cached_system
+from palpate.bem.system.memory import check_memory as check_memory
+from palpate.bem.system.rollers import loose_motions as loose_motions
 from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope
 from palpate.bem.system.surface_point import (
     PointEquations as PointEquations,
@@ -18,7 +20,6 @@ from palpate.bem.system.system import (
     BoundarySystem as BoundarySystem,
     FactorisedSystem as FactorisedSystem,
     assemble_system as assemble_system,
-    check_memory as check_memory,
     factorise as factorise,
     solve as solve,
 )

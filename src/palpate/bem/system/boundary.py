@@ -4,19 +4,23 @@ The free surface has an unknown displacement at each vertex. The support has an 
 each side of each of its vertices; on its rim the free side is not the support's, so there is just
 one. A vertex where two or three held faces meet has as many unknown tractions but a single place:
 there the equation is written at points moved a little into each face (Beer, Smith and Duenser 2008;
-MultiFEBE does the same).
+MultiFEBE does the same). A roller holds some directions only: its vertices have an unknown
+displacement along the others, its sides an unknown traction along those that it holds.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from palpate.bem.integrals import BoundarySurface, Collocation
 from palpate.geometry import quadratic_shapes
 
 # How far a collocation point is moved off its vertex, as a barycentric coordinate.
 _SHIFT = 0.1
+# Two supports that meet hold the same direction where their sum has no more than this of another:
+# the sine of half a degree, squared.
+_SAME_DIRECTION = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,14 +29,37 @@ class Unknowns:
 
     Attributes
     ----------
-    free_vertices : (f,) int          vertices with an unknown displacement
-    held_vertices : (h,) int          vertices with a given displacement
+    free_vertices : (f,) int          vertices with an unknown displacement, along some direction
+                                      at least
+    held_vertices : (h,) int          vertices with a given displacement, along some direction at
+                                      least
     held_sides : (s,) int             sides with an unknown traction
+    vertex_directions : (h, 3, 3) float    projector onto the directions in which each held vertex
+                                           is held
+    side_directions : (s, 3, 3) float      the same for the held sides
     """
 
     free_vertices: Int[np.ndarray, " f"]
     held_vertices: Int[np.ndarray, " h"]
     held_sides: Int[np.ndarray, " s"]
+    vertex_directions: Float[np.ndarray, "h 3 3"]
+    side_directions: Float[np.ndarray, "s 3 3"]
+
+    def shares_one_point(self, side_vertex: Int[np.ndarray, " s"]) -> Bool[np.ndarray, " h"]:
+        """Where one point of collocation has equations enough: the unknowns of a held vertex and of
+        its sides are three.
+
+        Parameters
+        ----------
+        side_vertex : (s,) int            vertex of each held side
+
+        Returns
+        -------
+        (h,) bool
+        """
+        place = np.searchsorted(self.held_vertices, side_vertex)
+        tractions = np.bincount(place, ranks(self.side_directions), self.held_vertices.size)
+        return ranks(self.vertex_directions) == tractions
 
 
 def find_unknowns(surface: BoundarySurface) -> Unknowns:
@@ -47,9 +74,37 @@ def find_unknowns(surface: BoundarySurface) -> Unknowns:
     Unknowns
     """
     held_vertices = np.unique(surface.mesh.triangles[surface.held])
-    free_vertices = np.setdiff1d(np.arange(surface.mesh.vertices.shape[0]), held_vertices)
-    held_sides = np.unique(surface.sides.corner[surface.held])
-    return Unknowns(free_vertices, held_vertices, held_sides)
+    held_sides, first = np.unique(surface.sides.corner[surface.held], return_index=True)
+    side_directions = surface.held_directions[np.flatnonzero(surface.held)[first // 3]]
+    place = np.searchsorted(held_vertices, surface.sides.vertex[held_sides])
+    total = np.zeros((held_vertices.size, 3, 3))
+    np.add.at(total, place, side_directions)
+    vertex_directions = _span(total)
+    rolling = held_vertices[ranks(vertex_directions) < 3]
+    fixed = np.setdiff1d(held_vertices, rolling)
+    free_vertices = np.setdiff1d(np.arange(surface.mesh.vertices.shape[0]), fixed)
+    return Unknowns(free_vertices, held_vertices, held_sides, vertex_directions, side_directions)
+
+
+def ranks(projectors: Float[np.ndarray, "n 3 3"]) -> Int[np.ndarray, " n"]:
+    """How many directions each projector keeps.
+
+    Parameters
+    ----------
+    projectors : (n, 3, 3) float
+
+    Returns
+    -------
+    (n,) int
+    """
+    return np.rint(np.trace(projectors, axis1=1, axis2=2)).astype(np.int64)
+
+
+def _span(total: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Projector onto all directions that a sum of projectors reaches."""
+    value, vector = np.linalg.eigh(total)
+    kept = vector * (value > _SAME_DIRECTION)[:, None, :]
+    return np.einsum("nik,njk->nij", kept, vector)
 
 
 def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocation:
@@ -62,13 +117,16 @@ def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocati
 
     Returns
     -------
-    Collocation               every vertex, but for those with several held sides: these have a
-                              point inside each
+    Collocation               every vertex, but for those whose held sides need more equations than
+                              one point has: these have a point inside each, and their own only
+                              where a roller leaves them something to say
     """
-    n = surface.mesh.vertices.shape[0]
     side_vertex = surface.sides.vertex[unknowns.held_sides]
-    several = np.bincount(side_vertex, minlength=n) > 1
-    vertex = np.flatnonzero(~several)
+    several = np.zeros(surface.mesh.vertices.shape[0], dtype=bool)
+    several[unknowns.held_vertices] = ~unknowns.shares_one_point(side_vertex)
+    left_out = several.copy()
+    left_out[unknowns.free_vertices] = False
+    vertex = np.flatnonzero(~left_out)
     moved = unknowns.held_sides[several[side_vertex]]
     triangle, barycentric = _points_inside(surface, moved)
     inside = np.einsum("ak,kai->ki", quadratic_shapes(barycentric), surface.element_nodes[triangle])

@@ -17,10 +17,11 @@ from palpate.bem.integrals import BoundarySurface, FieldBlocks, Quadrature
 from palpate.bem.system.boundary import find_unknowns, place_collocation
 from palpate.bem.system.system import BoundarySystem, assemble_system
 from palpate.disk import InUseError, placed
-from palpate.errors import InputError
+from palpate.errors import InputError, RecordError
+from palpate.files import checked_file
 
 # Raised by whoever changes what is stored or how it is computed.
-_FORMAT = 1
+_FORMAT = 2
 _KERNELS = ("traction", "displacement")
 
 
@@ -70,7 +71,8 @@ def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
     -------
     str
     """
-    parts = [np.array([_FORMAT]), surface.mesh.triangles, surface.element_nodes, surface.held]
+    parts = [np.array([_FORMAT]), surface.mesh.triangles, surface.element_nodes]
+    parts += [surface.held, surface.held_directions]
     for nodes in (surface.displacement, surface.traction):
         weights = nodes.weights
         parts += [nodes.element, weights.indptr, weights.indices, weights.data]
@@ -84,9 +86,10 @@ def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
 def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
     """The system in a file, or None where there is none that can be read."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        with checked_file(path).open("rb") as file, np.load(file, allow_pickle=False) as stored:
             kernels = [(stored[f"{name}_values"], stored[f"{name}_rows"]) for name in _KERNELS]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+    # What is there and is no file is said when the system is kept in its place.
+    except (RecordError, OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)

@@ -30,7 +30,7 @@ class SystemSlope:
     flux: Float[np.ndarray, "r f"]
     trace: Float[np.ndarray, "r s"]
 
-    def apply(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
+    def apply(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "r c"]:
         """Product with vectors of unknowns.
 
         Parameters
@@ -39,7 +39,7 @@ class SystemSlope:
 
         Returns
         -------
-        (k, c) float
+        (r, c) float              rows in the order of `system_matrix`
         """
         (n_rows, n_free), count = self.flux.shape, unknowns.shape[1]
         u = unknowns[: 3 * n_free].reshape(n_free, 3 * count)
@@ -65,9 +65,14 @@ def system_slope(system: BoundarySystem) -> SystemSlope:
     """
     free = system.unknowns.free_vertices
     traction, displacement = system.traction_kernel, system.displacement_kernel
-    skew = 2.0 * np.stack([_rows(traction, slice(k, k + 1))[:, free] for k in range(3)])
-    flux = 2.0 / 3 * _rows(traction, TRACTION.diagonal)[:, free]
-    trace = 2.0 / system.traction_length * _rows(displacement, DISPLACEMENT.diagonal)
+    # In place: together these are half as large as the matrix itself.
+    skew = np.empty((3, traction.n_rows, free.size))
+    for k, part in enumerate(skew):
+        np.multiply(2.0, _rows(traction, slice(k, k + 1))[:, free], out=part)
+    flux = _rows(traction, TRACTION.diagonal)[:, free]
+    flux *= 2.0 / 3
+    trace = _rows(displacement, DISPLACEMENT.diagonal)
+    trace = 2.0 / system.traction_length * trace
     return SystemSlope(skew, flux, trace)
 
 

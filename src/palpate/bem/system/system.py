@@ -1,6 +1,5 @@
 """The linear system of a held object, linear in Poisson's ratio, and its factorisation."""
 
-import os
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,16 +21,13 @@ from palpate.bem.integrals import (
     with_rigid_body_sum,
 )
 from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
-from palpate.errors import InputError, SingularSystemError
+from palpate.bem.system.rollers import Elimination, make_elimination
+from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes, triangle_areas
 from palpate.threads import in_threads
 
 # A body that floats has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
 SMALLEST_RCOND = 1e-13
-# Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
-# slope.
-_DOUBLES_A_PAIR = 22
-_USABLE_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,12 +81,15 @@ class FactorisedSystem:
     ----------
     poisson_ratio : float
     lu, pivots : arrays                   LAPACK's factorisation
+    elimination : Elimination or None     where supports hold some directions only: what of the
+                                          system is factorised
     reciprocal_condition : float          estimate in the 1-norm
     """
 
     poisson_ratio: float
     lu: Float[np.ndarray, "k k"]
     pivots: Int[np.ndarray, " k"]
+    elimination: Elimination | None
     reciprocal_condition: float
 
 
@@ -238,6 +237,10 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
     SingularSystemError       the support does not hold the object
     """
     matrix = system_matrix(system, poisson_ratio)
+    order = system.traction_kernel.rows.ravel()[: system.traction_kernel.n_rows]
+    elimination = make_elimination(system.surface, system.unknowns, system.collocation, order)
+    if elimination is not None:
+        matrix = elimination.matrix(matrix)
     gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
     norm = lange("1", matrix)
     lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
@@ -248,52 +251,25 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
             f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate "
             "parts: run `palpate check`"
         )
-    return FactorisedSystem(poisson_ratio, lu, pivots, rcond)
+    return FactorisedSystem(poisson_ratio, lu, pivots, elimination, rcond)
 
 
 def solve(
-    factorised: FactorisedSystem, right: Float[np.ndarray, "k c"]
+    factorised: FactorisedSystem, right: Float[np.ndarray, "r c"]
 ) -> Float[np.ndarray, "k c"]:
     """Solve the factorised system for several right-hand sides.
 
     Parameters
     ----------
     factorised : FactorisedSystem
-    right : (k, c) float      rows in the order of `system_matrix`
+    right : (r, c) float      rows in the order of `system_matrix`
 
     Returns
     -------
     (k, c) float [m]
     """
-    return lu_solve((factorised.lu, factorised.pivots), right, check_finite=False)
-
-
-def check_memory(n_vertices: int, *, available: float | None = None) -> None:
-    """Refuse a mesh whose dense matrices do not fit.
-
-    Parameters
-    ----------
-    n_vertices : int
-    available : float [byte]          memory of the machine; None: asked of the system, unlimited
-                                      where it does not tell
-
-    Raises
-    ------
-    InputError                        more memory is needed than there is
-    """
-    needed = 8.0 * _DOUBLES_A_PAIR * n_vertices**2
-    usable = _USABLE_SHARE * (_physical_memory() if available is None else available)
-    if needed > usable:
-        most = int((usable / (8.0 * _DOUBLES_A_PAIR)) ** 0.5) // 100 * 100
-        raise InputError(
-            f"the mesh has {n_vertices} vertices, whose model needs {needed / 1e9:.0f} GB of "
-            f"memory; {usable / 1e9:.1f} GB can be used here: simplify the surface to at most "
-            f"{most} vertices (1000 to 3000 serve most objects)"
-        )
-
-
-def _physical_memory() -> float:
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):
-        return float("inf")
+    pair, elimination = (factorised.lu, factorised.pivots), factorised.elimination
+    if elimination is None:
+        return lu_solve(pair, right, check_finite=False)
+    solution = lu_solve(pair, elimination.right(right), check_finite=False)
+    return elimination.unknowns(solution)

@@ -34,13 +34,20 @@ _TETRAHEDRON_FACES = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
 _MOST_TRIANGLES = 100_000
 # Solids and text take more bytes than the triangles that come of them.
 _MOST_BYTES = 10_000 * _MOST_TRIANGLES
+# A solid has some cells for each triangle of its surface.
+_MOST_CELLS = 5 * _MOST_TRIANGLES
 # Where files say, or show, how many cells they have.
 _CELLS = {
     ".ply": re.compile(rb"element\s+face\s+(\d+)"),
     ".off": re.compile(rb"^OFF\s+(?:#.*\s+)*\d+\s+(\d+)"),
     ".vtp": re.compile(rb'NumberOfPolys="\s*(\d+)'),
+    ".vtu": re.compile(rb'NumberOfCells="\s*(\d+)'),
+    # One number in version 2 of the format; in version 4 that of the groups is before it.
+    ".msh": re.compile(rb"\$Elements\s+(?:\d+[ \t]+)?(\d+)"),
 }
 _CELL_STARTS = {".obj": b"\nf ", ".stl": b"endfacet"}
+# A binary STL: 80 bytes of anything, the number of triangles, 50 bytes for each.
+_STL_HEAD, _STL_TRIANGLE = 84, 50
 # Sizes of objects [m]: from the largest cell to a mountain. Beyond, a unit is wrong, and squares
 # and cubes of lengths would leave the range of numbers.
 _SPAN = (1e-6, 1e4)
@@ -73,7 +80,7 @@ def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh
             f" convert it to one of {' '.join(MESH_SUFFIXES)}"
         )
     content = read_bytes(path, most=_MOST_BYTES, kind=MeshError)
-    _check_count(path, _claimed(content, suffix))
+    _check_count(path, _claimed(content, suffix), solid=suffix in _MESHIO_SUFFIXES)
     with damage(
         path,
         "open it in a mesh program and save it again",
@@ -155,13 +162,19 @@ def _claimed(content: bytes, suffix: str) -> int:
     """Triangles or polygons that a file says it has, before anything is made of them."""
     if suffix in _CELLS:
         return sum(map(int, _CELLS[suffix].findall(content)))
+    if suffix == ".stl" and (len(content) - _STL_HEAD) % _STL_TRIANGLE == 0:
+        count = (len(content) - _STL_HEAD) // _STL_TRIANGLE
+        if content[_STL_HEAD - 4 : _STL_HEAD] == count.to_bytes(4, "little"):
+            return count
     return content.count(_CELL_STARTS[suffix]) if suffix in _CELL_STARTS else 0
 
 
-def _check_count(path: Path, count: int) -> None:
-    if count > _MOST_TRIANGLES:
+def _check_count(path: Path, count: int, *, solid: bool = False) -> None:
+    most = _MOST_CELLS if solid else _MOST_TRIANGLES
+    if count > most:
         raise MeshError(
-            f"{path}: has {count} triangles, too large: at most {_MOST_TRIANGLES} are read;"
+            f"{path}: has {count} {'cells' if solid else 'triangles'}, too large: at most {most}"
+            " are read;"
             " reduce it in a mesh program (decimate, remesh): 1000 to 10000 are enough for an"
             " object"
         )

@@ -22,7 +22,7 @@ from palpate.shapes import Indices, Vector3
 
 
 def held_triangles(supports: Sequence[Support], *, still: bool = False) -> Indices:
-    """Triangles of all supports together, or of those that do not move.
+    """Triangles of all supports together, or of those whose points do not move.
 
     Parameters
     ----------
@@ -33,7 +33,11 @@ def held_triangles(supports: Sequence[Support], *, still: bool = False) -> Indic
     -------
     (k,) int
     """
-    parts = [one.triangles for one in supports if not still or one.motion == FIXED]
+    parts = [
+        one.triangles
+        for one in supports
+        if not still or (one.motion == FIXED and one.directions is None)
+    ]
     return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
 

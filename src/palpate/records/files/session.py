@@ -1,7 +1,7 @@
 """Sessions from folders in the format `palpate-session/1`."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -42,8 +42,16 @@ _STEP_KEYS, _PROBE_KEYS = ([field.name for field in fields(kind)] for kind in (S
 _PROBE_KEYS[_PROBE_KEYS.index("loads")] = "load"
 
 
+def _any_size(n_vertices: int, n_probings: int) -> None:
+    """Every session is allowed."""
+
+
 def read_session(
-    path: Path | str, *, probes: Sequence[str] | None = None, observations: bool = True
+    path: Path | str,
+    *,
+    probes: Sequence[str] | None = None,
+    observations: bool = True,
+    allow: Callable[[int, int], object] = _any_size,
 ) -> Session:
     """Read and check a whole session; everything is in SI units afterwards.
 
@@ -54,6 +62,9 @@ def read_session(
     observations : bool             False: leave out the displacements and pictures of the probings,
                                     which may still be missing, and do not ask yet whether the
                                     contacts are on the surface
+    allow : callable                told the number of vertices and of probings, where there are
+                                    probings, before anything is done that takes long; raises an
+                                    `InputError` about what is too much
 
     Returns
     -------
@@ -74,12 +85,13 @@ def read_session(
     body = root.table("object")
     body.check_keys(("mesh", "length_unit", "density"))
     metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
-    mesh, notes = _mesh(body, metres)
+    chosen = _chosen(root, probes)
+    mesh, notes = _mesh(body, metres, lambda count: chosen and allow(count, len(chosen)))
     supports: tuple[Support, ...] = ()
     if "support" in root.values or root.values.get("probe"):
         supports = read_supports(root, mesh, metres_per_unit=metres)
     probings: list[Probing] = []
-    for table in _chosen(root, probes):
+    for table in chosen:
         probing, probing_notes = _probing(table, mesh, supports, metres, observations=observations)
         probings.append(probing)
         notes += probing_notes
@@ -123,6 +135,8 @@ def session_file(path: Path) -> Path:
     settle(path / "session.toml" if folder else path)
     if folder:
         file = path / "session.toml"
+        if not os.access(path, os.R_OK | os.X_OK):
+            raise RecordError(f"{path}: the folder cannot be read (Permission denied)")
         if not is_file(file):
             others = sorted(map(quoted, (p.name for p in path.glob("*.toml") if is_file(p))))[:5]
             hint = f"; it has {', '.join(others)}: name one of them" if others else ""
@@ -136,11 +150,16 @@ def session_file(path: Path) -> Path:
     return path
 
 
-def _mesh(body: TomlTable, metres: float) -> tuple[TriangleMesh, tuple[str, ...]]:
+def _mesh(
+    body: TomlTable, metres: float, allow: Callable[[int], object]
+) -> tuple[TriangleMesh, tuple[str, ...]]:
     """The object's surface in metres, checked."""
     path = body.existing_file("mesh")
     try:
-        mesh, notes = checked_mesh(read_mesh(path, metres_per_unit=metres))
+        mesh = read_mesh(path, metres_per_unit=metres)
+        with replace(body, file=path, name="").blamed():
+            allow(len(mesh.vertices))
+        mesh, notes = checked_mesh(mesh)
     except MeshError as error:
         text = str(error)
         raise MeshError(text if text.startswith(str(path)) else f"{path}: {text}") from error

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
-from palpate.errors import RecordError
+from palpate.errors import RecordError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records.contact import FIXED, MOTIONS, Support
 from palpate.records.text import TomlTable, read_text
@@ -35,14 +36,29 @@ def read_supports(
     name = None if isinstance(root.get("support"), list) else "[support]"
     supports = []
     for table in root.tables("support", name):
-        table.check_keys((*_SELECTORS, "motion"))
+        table.check_keys((*_SELECTORS, "motion", "directions"))
         motion = table.choice("motion", MOTIONS) if "motion" in table.values else FIXED
-        selectors = {key: value for key, value in table.values.items() if key != "motion"}
+        directions = _directions(table) if "directions" in table.values else None
+        selectors = {key: value for key, value in table.values.items() if key in _SELECTORS}
         held = read_support(replace(table, values=selectors), mesh, metres_per_unit=metres_per_unit)
-        supports.append(Support(held, motion))
+        with table.blamed():
+            supports.append(Support(held, motion, directions))
     if not supports:
         root.fail("support", "has no table; say what is held")
     return tuple(supports)
+
+
+def _directions(table: TomlTable) -> Float[np.ndarray, "d 3"]:
+    """The directions that a support holds."""
+    value = table.get("directions")
+    if not isinstance(value, list) or not all(isinstance(item, list) for item in value):
+        table.fail(
+            "directions",
+            f"is {quoted(value)}; must be a list of vectors, e.g. [[0, 0, 1]], in two pairs of"
+            " brackets",
+        )
+    found = [replace(table, values={"directions": item}).vector("directions") for item in value]
+    return np.array(found).reshape(-1, 3)
 
 
 def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> Indices:

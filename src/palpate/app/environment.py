@@ -1,0 +1,82 @@
+"""What the environment of a process may lack: a terminal of some width, a place for kernels."""
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from palpate.errors import InputError
+
+# Fewer columns show no table at all.
+_FEWEST_COLUMNS = 20
+
+
+@contextmanager
+def seen_columns() -> Iterator[None]:
+    """A width of the terminal that shows nothing is as good as none."""
+    width = os.environ.get("COLUMNS", "")
+    if not width.isdecimal() or int(width) >= _FEWEST_COLUMNS:
+        yield
+        return
+    del os.environ["COLUMNS"]
+    try:
+        yield
+    finally:
+        os.environ["COLUMNS"] = width
+
+
+@contextmanager
+def kernel_cache() -> Iterator[None]:
+    """Where neither the installation nor the user's cache can be written, compiled kernels have a
+    folder that goes with the process.
+
+    Raises
+    ------
+    InputError                      there is none
+    """
+    if "NUMBA_CACHE_DIR" in os.environ or any(map(_writable, _cache_places())):
+        yield
+        return
+    try:
+        folder = tempfile.mkdtemp(prefix="palpate-kernels-")
+    except OSError as error:
+        raise InputError(
+            "compiled kernels cannot be kept anywhere: the installation, the user's cache and the"
+            f" system's temporary folder cannot be written ({error.strerror}); set NUMBA_CACHE_DIR"
+            " to a folder that can"
+        ) from error
+    os.environ["NUMBA_CACHE_DIR"] = folder
+    print(
+        "palpate: note: neither the installation nor the user's cache can be written, so kernels"
+        " are compiled anew every time, for half a minute; set NUMBA_CACHE_DIR to a folder that can"
+        " be written",
+        file=sys.stderr,
+    )
+    try:
+        yield
+    finally:
+        del os.environ["NUMBA_CACHE_DIR"]
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _cache_places() -> list[Path]:
+    """Where numba keeps compiled kernels: beside the source, else in the user's cache."""
+    places = [Path(__file__).parents[1]]
+    if sys.platform == "darwin":
+        user = "~/Library/Caches"
+    else:
+        user = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"
+    # A user without a home has no cache.
+    with suppress(RuntimeError):
+        places.append(Path(user).expanduser())
+    return places
+
+
+def _writable(folder: Path) -> bool:
+    """Whether a folder, or the nearest one above that is there, can be written."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)

@@ -1,0 +1,96 @@
+"""How much memory the model of an object takes, said before any work is done for it."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from palpate.errors import InputError
+
+try:
+    import resource
+except ModuleNotFoundError:  # Windows has no such limits
+    resource = None  # type: ignore[assignment]
+
+# The program and its libraries [bytes].
+_PROGRAM = 0.3e9
+# Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
+# slope, and two that come and go with these.
+_DOUBLES_A_PAIR = 24
+# Vectors of unknowns that are kept for each of a probing's three directions of force: at most 80
+# directions of the solutions, and once more while they are put together.
+_VECTORS_A_COLUMN = 160
+_COLUMNS_A_PROBING = 3
+_USABLE_SHARE = 0.9
+# Where Linux says how much a container may have.
+_CONTAINER_LIMITS = (
+    Path("/sys/fs/cgroup/memory.max"),
+    Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
+)
+
+
+def check_memory(n_vertices: int, n_probings: int = 1, *, available: float | None = None) -> None:
+    """Refuse a mesh whose dense matrices do not fit.
+
+    Parameters
+    ----------
+    n_vertices : int
+    n_probings : int                  that are fitted together, or pushes that are predicted
+    available : float [byte]          memory of the machine; None: asked of the system, unlimited
+                                      where it does not tell
+
+    Raises
+    ------
+    InputError                        more memory is needed than there is
+    """
+    needed = memory_needed(n_vertices, n_probings)
+    usable = _USABLE_SHARE * (_machine_memory() if available is None else available)
+    if needed > usable:
+        raise InputError(
+            f"the mesh has {n_vertices} vertices, whose model needs {needed / 1e9:.1f} GB of"
+            f" memory {_for(n_probings)}; {usable / 1e9:.1f} GB can be used here: simplify"
+            f" the surface to at most {_most_vertices(n_probings, usable)} vertices in a mesh"
+            " program (decimate, remesh; 1000 to 3000 serve most objects)"
+        )
+
+
+def memory_needed(n_vertices: int, n_probings: int) -> float:
+    """Most memory that a fit of some probings takes at a time.
+
+    Parameters
+    ----------
+    n_vertices : int
+    n_probings : int
+
+    Returns
+    -------
+    float [byte]
+    """
+    vectors = 3.0 * n_vertices * _COLUMNS_A_PROBING * n_probings * _VECTORS_A_COLUMN
+    return _PROGRAM + 8.0 * (_DOUBLES_A_PAIR * float(n_vertices) ** 2 + vectors)
+
+
+def _for(n_probings: int) -> str:
+    return "for one probing" if n_probings == 1 else f"for {n_probings} probings"
+
+
+def _most_vertices(n_probings: int, usable: float) -> int:
+    """The largest round number of vertices that fits; zero: none."""
+    low, high = 0, 1_000_000
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if memory_needed(middle, n_probings) <= usable else (low, middle)
+    return low // 100 * 100
+
+
+def _machine_memory() -> float:
+    """What this process may have at most [bytes]."""
+    limits = [float("inf")]
+    with suppress(AttributeError, OSError, ValueError):
+        limits.append(float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES")))
+    for path in _CONTAINER_LIMITS:
+        # The word "max" stands where there is no limit.
+        with suppress(OSError, ValueError):
+            limits.append(float(path.read_text(encoding="ascii")))
+    if resource is not None:
+        limits += [float(n) for n in resource.getrlimit(resource.RLIMIT_AS)[:1] if n > 0]
+    return min(limits)

@@ -1,0 +1,202 @@
+"""Supports that hold some directions only: the unknowns that remain, and the equations for them.
+
+Along the directions that a roller holds, the displacement is given and the traction unknown; along
+the others it is the other way round. Both are written as unknowns of the whole system, and what is
+known of them is eliminated before it is solved: the columns are combined to those that remain, the
+rows to as many.
+
+What no support holds at all, an object may do: slide along a plane, turn about an axis. Such rigid
+motions are pinned to a mean of zero over the surface; whoever measures them adds them again. Each
+of them takes the place of a balance of forces, which then is the load's own business, or of a
+balance of moments, for which a slack is added as for the forces.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import orth
+from scipy.sparse import block_diag, csr_array, eye_array
+
+from palpate.bem.integrals import BoundarySurface, Collocation
+from palpate.bem.system.boundary import Unknowns, find_unknowns
+
+# Of the largest singular value: rigid motions that supports hold less than this are not held.
+_NOT_HELD = 1e-6
+# The equations are multiplied by 8 pi (1 - nu): what is added to them is made as large.
+_SCALE = 8 * np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Elimination:
+    """From the whole system, k unknowns in r rows, to the square one that is solved.
+
+    The square matrix is [[rows M columns, slack], [pins columns, 0]], its right-hand side
+    [rows b, 0]; what it gives for the first unknowns, times `columns`, solves the whole system.
+
+    Attributes
+    ----------
+    rows : (m, r) sparse
+    columns : (k, n) sparse               orthonormal
+    slack : (m, e) float                  of the balances of moments that nothing answers
+    pins : (q, k) float                   mean of each rigid motion that is not held
+    """
+
+    rows: csr_array
+    columns: csr_array
+    slack: Float[np.ndarray, "m e"]
+    pins: Float[np.ndarray, "q k"]
+
+    def matrix(self, whole: Float[np.ndarray, "r k"]) -> Float[np.ndarray, "s s"]:
+        """The square matrix, in Fortran order.
+
+        Parameters
+        ----------
+        whole : (r, k) float
+
+        Returns
+        -------
+        (s, s) float
+        """
+        m, n = self.rows.shape[0], self.columns.shape[1]
+        square = np.zeros((n + self.slack.shape[1], m + len(self.pins))).T
+        square[:m, :n] = (self.columns.T @ (self.rows @ whole).T).T
+        square[:m, n:] = self.slack
+        square[m:, :n] = (self.columns.T @ self.pins.T).T
+        return square
+
+    def right(self, whole: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "s c"]:
+        """Right-hand sides of the square system."""
+        return np.concatenate([self.rows @ whole, np.zeros((len(self.pins), whole.shape[1]))])
+
+    def unknowns(self, solution: Float[np.ndarray, "s c"]) -> Float[np.ndarray, "k c"]:
+        """All unknowns from a solution of the square system."""
+        return self.columns @ solution[: self.columns.shape[1]]
+
+
+def loose_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:
+    """Small rigid motions that no support holds.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+
+    Returns
+    -------
+    (v, 3, q) float [-]           displacement of every vertex; translations first, then what turns
+    """
+    unknowns = find_unknowns(surface)
+    modes = _rigid_modes(surface.mesh.vertices, surface.mesh.vertices[unknowns.held_vertices])
+    return modes @ _loose(modes, unknowns)
+
+
+def make_elimination(
+    surface: BoundarySurface,
+    unknowns: Unknowns,
+    collocation: Collocation,
+    order: Int[np.ndarray, " p"],
+) -> Elimination | None:
+    """What remains of the whole system where supports hold some directions only.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    unknowns : Unknowns
+    collocation : Collocation
+    order : (p,) int              collocation point of each row of one component
+
+    Returns
+    -------
+    Elimination or None           None: every support holds all directions, nothing is eliminated
+    """
+    n_free, n_points = unknowns.free_vertices.size, order.size
+    if unknowns.free_vertices.size + unknowns.held_vertices.size == len(surface.mesh.vertices):
+        return None
+    open_directions = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
+    open_directions[unknowns.held_vertices] -= unknowns.vertex_directions
+    moving = _bases(open_directions[unknowns.free_vertices])
+    columns = block_diag([moving, _bases(unknowns.side_directions), eye_array(3)], format="csr")
+    answered = orth(unknowns.side_directions.sum(axis=0), rcond=_NOT_HELD)
+    by_point = _bases(_equations(surface, unknowns, collocation, open_directions)[order])
+    # Of the whole system, rows go by component first.
+    place = (np.arange(n_points)[:, None] + n_points * np.arange(3)).ravel()
+    shuffled = csr_array(
+        (np.ones(3 * n_points), (np.arange(3 * n_points), place)), shape=(3 * n_points,) * 2
+    )
+    rows = block_diag([by_point.T @ shuffled, answered.T], format="csr")
+    loose = loose_motions(surface)
+    turns = _slack(surface, unknowns, collocation.point[order], 3 - answered.shape[1])
+    slack = np.zeros((rows.shape[0], turns.shape[2]))
+    slack[: -answered.shape[1]] = by_point.T @ turns.reshape(3 * n_points, -1)
+    pins = np.zeros((loose.shape[2], columns.shape[0]))
+    pins[:, : 3 * n_free] = loose[unknowns.free_vertices].reshape(3 * n_free, -1).T
+    norm = np.linalg.norm(pins, axis=1, keepdims=True)
+    return Elimination(csr_array(rows), csr_array(columns), _SCALE * slack, _SCALE * pins / norm)
+
+
+def _equations(
+    surface: BoundarySurface,
+    unknowns: Unknowns,
+    collocation: Collocation,
+    open_directions: Float[np.ndarray, "v 3 3"],
+) -> Float[np.ndarray, "p 3 3"]:
+    """Projector onto the components of the integral equation that are used at each point."""
+    side_vertex = surface.sides.vertex[unknowns.held_sides]
+    several = np.zeros(len(surface.mesh.vertices), dtype=bool)
+    several[unknowns.held_vertices] = ~unknowns.shares_one_point(side_vertex)
+    at_vertex = collocation.vertex >= 0
+    used = np.tile(np.eye(3), (at_vertex.size, 1, 1))
+    vertex = collocation.vertex[at_vertex]
+    used[at_vertex] = np.where(several[vertex, None, None], open_directions[vertex], np.eye(3))
+    used[~at_vertex] = unknowns.side_directions[several[side_vertex]]
+    return used
+
+
+def _slack(
+    surface: BoundarySurface, unknowns: Unknowns, point: Float[np.ndarray, "p 3"], shifts: int
+) -> Float[np.ndarray, "p 3 e"]:
+    """The motions that are not held and are no translations, at points."""
+    held = surface.mesh.vertices[unknowns.held_vertices]
+    loose = _loose(_rigid_modes(surface.mesh.vertices, held), unknowns)
+    return _rigid_modes(point, held) @ loose[:, shifts:]
+
+
+def _rigid_modes(
+    points: Float[np.ndarray, "n 3"], held: Float[np.ndarray, "h 3"]
+) -> Float[np.ndarray, "n 3 6"]:
+    """Three translations, and three turns about the middle of what is held by an angle that moves
+    its points by about one."""
+    offset = points - held.mean(axis=0)
+    length = np.sqrt(((held - held.mean(axis=0)) ** 2).sum(axis=1).mean())
+    turns = np.cross(np.eye(3)[None], offset[:, None]) / length
+    shifts = np.tile(np.eye(3), (len(points), 1, 1))
+    return np.concatenate([shifts, turns.transpose(0, 2, 1)], axis=2)
+
+
+def _loose(modes: Float[np.ndarray, "v 3 6"], unknowns: Unknowns) -> Float[np.ndarray, "6 q"]:
+    """Combinations of rigid motions that supports do not hold, translations first."""
+    held = unknowns.vertex_directions @ modes[unknowns.held_vertices]
+    motions = _null_space(held.reshape(-1, 6))
+    shifts = _null_space(unknowns.side_directions.sum(axis=0))
+    shifts = np.concatenate([shifts, np.zeros((3, shifts.shape[1]))])
+    others = np.linalg.svd(motions - shifts @ (shifts.T @ motions), full_matrices=False)[0]
+    return np.concatenate([shifts, others[:, : motions.shape[1] - shifts.shape[1]]], axis=1)
+
+
+def _null_space(matrix: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k q"]:
+    """Orthonormal vectors that a matrix of k rows or more takes to nothing."""
+    _, size, vectors = np.linalg.svd(matrix, full_matrices=False)
+    return vectors[size <= _NOT_HELD * size.max()].T
+
+
+def _bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
+    """Orthonormal directions that each projector keeps, block by block."""
+    value, vector = np.linalg.eigh(projectors)
+    kept = value > 0.5
+    whole = np.isclose(projectors, np.eye(3), atol=1e-12).all(axis=(1, 2))
+    vector[whole] = np.eye(3)
+    block, column = np.nonzero(kept)
+    data = vector[block, :, column].ravel()
+    row = (3 * block[:, None] + np.arange(3)).ravel()
+    number = np.repeat(np.arange(block.size), 3)
+    return csr_array((data, (row, number)), shape=(3 * len(projectors), block.size))
