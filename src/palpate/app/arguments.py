@@ -32,6 +32,10 @@ _COMMANDS = {
         "compression:compression",
         "Young's modulus from compression tests of cylinders.",
     ),
+    "mesh": (
+        "surface:mesh",
+        "Make a closed surface with even triangles of any surface: mended, remeshed, compared.",
+    ),
     "verify": (
         "verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",
