@@ -36,6 +36,10 @@ _COMMANDS = {
         "surface:mesh",
         "Make a closed surface with even triangles of any surface: mended, remeshed, compared.",
     ),
+    "scan": (
+        "surface:scan",
+        "Make the mesh of an object of what scanners and cameras saw of it from their viewpoints.",
+    ),
     "verify": (
         "verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",

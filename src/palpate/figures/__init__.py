@@ -33,4 +33,4 @@ from palpate.figures.style import (
     save_pixels as save_pixels,
     styled as styled,
 )
-from palpate.figures.surface import surface_figure as surface_figure
+from palpate.figures.surface import scan_figure as scan_figure, surface_figure as surface_figure

@@ -1,4 +1,4 @@
-"""Pictures of a surface that was mended and remeshed: before, after, and between them."""
+"""Pictures of surfaces that were mended or scanned: before, after, and how well they are known."""
 
 from typing import Any, cast
 
@@ -7,20 +7,33 @@ from jaxtyping import Bool, Int
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, to_rgb
+from matplotlib.colors import Normalize, to_rgb, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from palpate.figures.displacement import CLAY, SurfaceView, make_view, projected
-from palpate.figures.style import INK, ORANGE, add_texts, styled, three_panels, title_panel
+from palpate.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    MIDDLE_BLUE,
+    ORANGE,
+    add_texts,
+    styled,
+    three_panels,
+    title_panel,
+)
 from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas, unit_normals
-from palpate.scanning import PreparedSurface, distances
+from palpate.scanning import PreparedSurface, ScannedSurface, distances
 from palpate.shapes import Points, TriangleScalars, Vector3
 
 # From above the front, a little from the right.
 _DIRECTION = np.array([0.45, -0.75, 0.48]) / np.linalg.norm([0.45, -0.75, 0.48])
 # More lines than these and the triangles are not seen for their edges.
 _MOST_LINED = 20_000
+# More points than these hide each other.
+_MOST_POINTS = 40_000
+_PALE_GREY = "#d9dce1"
 # Below, distances are all one colour [mm].
 _SMALLEST = 0.01
 
@@ -56,7 +69,7 @@ def surface_figure(name: str, surface: PreparedSurface) -> Figure:
     gap = 1e3 * distances(
         surface.mesh.vertices[surface.mesh.triangles].mean(axis=1), surface.mended
     )
-    _coloured(figure, panels[2], surface.mesh, direction, gap)
+    _coloured(figure, panels[2], surface.mesh, direction, gap, label="distance (mm)")
     for axes, mesh, title in (
         (panels[0], surface.given, "given"), (panels[1], surface.mesh, "made"),
     ):  # fmt: skip
@@ -67,6 +80,76 @@ def surface_figure(name: str, surface: PreparedSurface) -> Figure:
     guessed = f"; orange triangles: closed, not measured, {100.0 * share:.1f} % of the area"
     add_texts(figure, name, marks + (guessed if share else ""), "")
     return figure
+
+
+@styled
+def scan_figure(name: str, surface: ScannedSurface) -> Figure:
+    """Three views: the points, a colour a view; the mesh, guessed triangles orange; its sigma.
+
+    Parameters
+    ----------
+    name : str                      heading
+    surface : ScannedSurface
+
+    Returns
+    -------
+    Figure
+    """
+    mesh, direction = surface.mesh, _scan_direction(surface)
+    made = make_view(mesh, direction)
+    corners = 1e3 * made.polygons.reshape(-1, 2)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = 0.06 * float((high - low).max())
+    figure, panels = three_panels(high - low + 2 * margin)
+    for axes in panels:
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        axes.set_aspect("equal")
+    _points_of_views(panels[0], made, surface, direction)
+    shown = _drawn_order(mesh, direction)
+    lined = len(mesh.triangles) <= _MOST_LINED
+    _draw(panels[1], made, lined=lined, orange=surface.guessed[shown])
+    corner = surface.sigma[mesh.triangles]
+    known = np.isfinite(corner)
+    sigma = np.where(known, corner, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    sigma[~known.any(axis=1)] = np.nan
+    _coloured(figure, panels[2], mesh, direction, 1e3 * sigma, label="1 sigma (mm)")
+    count = sum(len(view.points) for view in surface.views)
+    title_panel(panels[0], f"{count} points of {_counted(len(surface.views), 'view')}")
+    title_panel(panels[1], f"mesh: {len(mesh.vertices)} vertices")
+    title_panel(panels[2], "its standard deviation")
+    share = float((areas := triangle_areas(mesh))[surface.guessed].sum() / areas.sum())
+    guessed = f"orange: not seen, {100.0 * share:.1f} % of the area; " if share else ""
+    add_texts(figure, name, guessed + "grey on the right: no standard deviation", "")
+    return figure
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" + "s" * (count != 1)
+
+
+def _scan_direction(surface: ScannedSurface) -> Vector3:
+    """From the viewpoints' side, a little above, so that what was seen is shown."""
+    middle = surface.mesh.vertices.mean(axis=0)
+    toward = np.mean([view.eye for view in surface.views], axis=0) - middle
+    flat = toward - toward[2] * np.array([0.0, 0.0, 1.0])
+    if len(surface.views) > 1 or np.linalg.norm(flat) < 1e-9:
+        return _DIRECTION
+    side = flat / np.linalg.norm(flat)
+    turned = np.array([side[0] - 0.7 * side[1], side[1] + 0.7 * side[0], 0.55])
+    return turned / np.linalg.norm(turned)
+
+
+def _points_of_views(
+    axes: Axes, view: SurfaceView, surface: ScannedSurface, direction: Vector3
+) -> None:
+    """Points on the near side, a colour for each view."""
+    colours = [BLUE, ORANGE, MIDDLE_BLUE, GREY, INK]
+    for k, one in enumerate(surface.views):
+        front = one.normals @ direction > 0.0
+        place = 1e3 * projected(view, one.points[front])
+        step = max(1, len(place) * len(surface.views) // _MOST_POINTS)
+        x, y = place[::step, 0], place[::step, 1]
+        axes.scatter(x, y, s=0.6, color=colours[k % len(colours)], linewidths=0)
 
 
 def _seen_from(surface: PreparedSurface) -> Vector3:
@@ -122,13 +205,20 @@ def _mark(axes: Axes, view: SurfaceView, places: Points) -> None:
 
 
 def _coloured(
-    figure: Figure, axes: Axes, mesh: TriangleMesh, direction: Vector3, value: TriangleScalars
+    figure: Figure,
+    axes: Axes,
+    mesh: TriangleMesh,
+    direction: Vector3,
+    value: TriangleScalars,
+    *,
+    label: str,
 ) -> None:
-    """Triangles in the colour of a value [mm], with its bar below."""
+    """Triangles in the colour of a value [mm], grey where it is not known, with its bar below."""
     view = make_view(mesh, direction)
     shown = value[_drawn_order(mesh, direction)]
-    norm = Normalize(0.0, max(float(np.quantile(value, 0.99)), _SMALLEST))
-    colours = ScalarMappable(norm, "magma_r").to_rgba(shown)
+    norm = Normalize(0.0, max(float(np.nanquantile(value, 0.99)), _SMALLEST))
+    colours = ScalarMappable(norm, "magma_r").to_rgba(np.nan_to_num(shown))
+    colours[np.isnan(shown)] = to_rgba(_PALE_GREY)
     axes.add_collection(
         PolyCollection(
             cast(Any, 1e3 * view.polygons), facecolors=colours, edgecolors=colours, linewidths=0.3
@@ -143,4 +233,4 @@ def _coloured(
         extend="max", ticks=MaxNLocator(3),
     )  # fmt: skip
     bar.outline.set_linewidth(0.4)
-    bar.set_label("distance (mm)", labelpad=2)
+    bar.set_label(label, labelpad=2)

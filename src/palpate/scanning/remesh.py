@@ -1,5 +1,8 @@
 """Even triangles over a closed surface, finer near given points, as many as asked for."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
@@ -14,6 +17,7 @@ from palpate.geometry import (
     unit_normals,
 )
 from palpate.scanning.mending import adapted, distances, place_text
+from palpate.scanning.plane import Plane
 from palpate.shapes import Points, PointScalars, Vertices
 
 # Edges at the given points over edges far away, and how fast they grow with the distance.
@@ -30,7 +34,14 @@ _FACING, _KNIFE = 0.7, -0.34
 _NEIGHBOURS = 40
 
 
-def remeshed(mesh: TriangleMesh, *, vertices: int, near: Points | None = None) -> TriangleMesh:
+def remeshed(
+    mesh: TriangleMesh,
+    *,
+    vertices: int,
+    near: Points | None = None,
+    creases: bool = True,
+    support: Plane | None = None,
+) -> TriangleMesh:
     """The same surface with about so many vertices, evenly, its creases kept.
 
     Parameters
@@ -38,6 +49,9 @@ def remeshed(mesh: TriangleMesh, *, vertices: int, near: Points | None = None) -
     mesh : TriangleMesh             closed, manifold, outward
     vertices : int                  wanted, 50 to 50000; reached within some per cent
     near : (n, 3) float [m] or None where edges are to be a third as long as far away
+    creases : bool                  keep edges where the surface turns by more than 40 degrees; on
+                                    a scan these are noise
+    support : Plane or None         without creases: keep the edges where the surface leaves it
 
     Returns
     -------
@@ -59,10 +73,11 @@ def remeshed(mesh: TriangleMesh, *, vertices: int, near: Points | None = None) -
         _check_near(near, mesh)
     # Of equal-sided triangles with edge h, 2 a vertex.
     edge = np.sqrt(2.0 * float(triangle_areas(mesh).sum()) / (np.sqrt(3.0) * vertices))
-    base = _base(mesh, edge, near)
+    keep: dict[str, Any] = {"creases": creases, "support": support}
+    base = _base(mesh, edge, near, keep)
     best, scale = None, 1.0
     for _ in range(_TRIES):
-        found = adapted(base, scale * _sizes(base.vertices, edge, near), onto=mesh)
+        found = adapted(base, scale * _sizes(base.vertices, edge, near), onto=mesh, **keep)
         off = len(found.vertices) / vertices
         if best is None or abs(off - 1.0) < abs(len(best.vertices) / vertices - 1.0):
             best = found
@@ -84,7 +99,9 @@ def _check_near(near: Points, mesh: TriangleMesh) -> None:
         )
 
 
-def _base(mesh: TriangleMesh, edge: float, near: Points | None) -> TriangleMesh:
+def _base(
+    mesh: TriangleMesh, edge: float, near: Points | None, keep: Mapping[str, Any]
+) -> TriangleMesh:
     """The surface with triangles small enough to carry the sizes."""
     smallest = edge * (1.0 if near is None else FINER)
     wanted = smallest / np.sqrt(_OVERSAMPLING)
@@ -93,10 +110,11 @@ def _base(mesh: TriangleMesh, edge: float, near: Points | None) -> TriangleMesh:
     if float(np.quantile(longest, 0.95)) <= 1.5 * wanted:
         return mesh
     # Sizes that change are told at vertices that must be there first.
-    even = adapted(mesh, np.full(len(mesh.vertices), edge / np.sqrt(_OVERSAMPLING)))
+    fine = np.sqrt(_OVERSAMPLING)
+    even = adapted(mesh, np.full(len(mesh.vertices), edge / fine), **keep)
     if near is None:
         return even
-    return adapted(even, _sizes(even.vertices, edge, near) / np.sqrt(_OVERSAMPLING), onto=mesh)
+    return adapted(even, _sizes(even.vertices, edge, near) / fine, onto=mesh, **keep)
 
 
 def _sizes(place: Vertices, edge: float, near: Points | None) -> Float[np.ndarray, " v"]:

@@ -1,4 +1,4 @@
-"""`palpate mesh`: one closed surface with even triangles, of whatever surface there is."""
+"""`palpate mesh` and `palpate scan`: one closed surface with even triangles, of what there is."""
 
 from pathlib import Path
 from typing import Literal
@@ -8,16 +8,21 @@ from rich.console import Console
 from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
-from palpate.figures import save_figure, surface_figure
+from palpate.figures import save_figure, scan_figure, surface_figure
 from palpate.geometry import TriangleMesh, bounding_diagonal, read_mesh, triangle_areas
-from palpate.records import LENGTH_UNITS, record_inputs, result_folder
+from palpate.progress import part_of
+from palpate.records import LENGTH_UNITS, default_folder, record_inputs, result_folder
 from palpate.scanning import (
     PreparedSurface,
+    ScannedSurface,
     place_text,
     plane_from_text,
     prepare_surface,
     read_points,
+    read_scan,
+    scan_surface,
     write_prepared,
+    write_scanned,
 )
 
 # A scan may have as many; they are remeshed to a thousandth.
@@ -88,6 +93,100 @@ def mesh(
     console.print(_figures_table(made))
     print_text(f"Result in {place}")
     return 0
+
+
+def scan(
+    scan: Path,
+    /,
+    *,
+    vertices: int = 1000,
+    near: Path | None = None,
+    length_unit: _Unit = "m",
+    out: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Make the mesh of an object of what was seen of it from one or more viewpoints.
+
+    Points, depth maps or pictures of a calibrated rig, as scan.toml lists them, are joined to one
+    surface; what no view shows is closed and marked; each vertex has its standard deviation.
+
+    Parameters
+    ----------
+    scan
+        scan.toml, or its folder.
+    vertices
+        How many the mesh is to have: 500 to 3000 are good for a fit.
+    near
+        File of points x y z that the mesh is to be finer near.
+    length_unit
+        Of that file.
+    out
+        Result folder. Default: the scan's folder name followed by -mesh, in the current folder.
+    force
+        Write although something else is at that place; it is kept beside it as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    place = out or default_folder(scan if scan.is_dir() else scan.parent, "mesh")
+    with result_folder(place, kind="scan", force=force) as folder:
+        with progress_bar() as progress:
+            read = read_scan(scan, progress=part_of(progress, 0.0, 0.6))
+            record_inputs(folder, read.files if near is None else [*read.files, near])
+            points = None
+            if near is not None:
+                points = read_points(near, metres_per_unit=LENGTH_UNITS[length_unit])
+            made = scan_surface(
+                read.views, vertices=vertices, near=points, support=read.support,
+                progress=part_of(progress, 0.6, 1.0),
+            )  # fmt: skip
+        write_scanned(folder, made)
+        save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
+    console = Console()
+    console.print(_views_table(made))
+    console.print(_scan_table(made))
+    print_text(f"Result in {place}")
+    return 0
+
+
+def _views_table(made: ScannedSurface) -> Table:
+    rows = [
+        (one.name, str(one.points), f"{100.0 * one.overlap:.0f}", f"{1e3 * one.offset:.2g}")
+        for one in made.agreements
+    ]
+    return terminal_table(
+        "Views", ("view", "points", "overlap %", "off mm"), rows,
+        caption="overlap: of its points, those that other views show too; off: median distance from"
+        " the others' surface there",
+    )  # fmt: skip
+
+
+def _scan_table(made: ScannedSurface) -> Table:
+    quality, areas = made.quality, triangle_areas(made.mesh)
+    share = float(areas[made.guessed].sum() / areas.sum())
+    edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
+    sigma = 1e3 * made.sigma[np.isfinite(made.sigma)]
+    spread = f"{np.median(sigma):.2g}, {np.quantile(sigma, 0.95):.2g} mm" if len(sigma) else "-"
+    rows = (
+        ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
+        ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
+        ("volume", f"{1e6 * quality.volume:.4g} ± {1e6 * made.volume_std:.2g} cm^3"),
+        ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
+        ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
+        (
+            "points from the mesh median, 95 %",
+            ", ".join(f"{1e3 * g:.2g}" for g in made.distance) + " mm",
+        ),
+        ("1 sigma of vertices median, 95 %", spread),
+        ("area that no view shows", f"{100.0 * share:.1f} %"),
+    )
+    return terminal_table(
+        "Surface: closed, manifold, outward, without self-intersection", ("figure", "value"), rows,
+        caption="± and sigma: from the scatter of the points; what all points of a view share, as"
+        " an error of its pose, is not in them, nor is what no view shows",
+    )  # fmt: skip
 
 
 def _size_note(given: TriangleMesh, unit: str) -> list[str]:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import MeshError
-from palpate.geometry import TriangleMesh, checked_mesh, enclosed_volume
+from palpate.geometry import TriangleMesh, bounding_diagonal, checked_mesh, enclosed_volume
 from palpate.optional_imports import late_import
 from palpate.scanning.mending.action import Action, place_text
 from palpate.scanning.mending.adapt import adapted
@@ -22,7 +22,11 @@ _PART = 0.01
 _NODES = 4e5
 # Edges of the triangles made of it, in cells.
 _EDGE = 2.5
+# Least distance of a node from the surface, in cells.
+_LEAST = 0.02
 _MARGIN = 3
+# Edges shorter than this beside a cut are collapsed, of the diagonal.
+_NEEDLE = 3e-4
 
 
 def united(parts: list[TriangleMesh]) -> tuple[TriangleMesh, list[Action]]:
@@ -85,7 +89,9 @@ def wrapped(mesh: TriangleMesh, *, nodes: float = _NODES) -> TriangleMesh:
     place = origin + cell * np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
     # Turned inside out, a part winds -1 times around its inside: no body.
     inside = np.asarray(igl.fast_winding_number(mesh.vertices, mesh.triangles, place)).ravel() > 0.5
-    signed = np.where(inside, -1.0, 1.0) * distances(place, mesh)
+    # A surface through a node would have triangles without area there.
+    gap = np.maximum(distances(place, mesh), _LEAST * cell)
+    signed = np.where(inside, -1.0, 1.0) * gap
     found = igl.marching_cubes(signed, place, *(len(side) for side in sides), 0.0)
     skin = compacted(np.asarray(found[0]), found[1].astype(np.int64))
     # The steps of the grid are no creases.
@@ -130,7 +136,9 @@ def above(mesh: TriangleMesh, plane: Plane) -> TriangleMesh:
     TriangleMesh
     """
     cut = _solid(mesh).trim_by_plane(plane.normal.tolist(), float(plane.normal @ plane.point))
-    return checked_mesh(_mesh(cut))[0]
+    # Where the plane passes close by a vertex it leaves needles.
+    cut = cut.simplify(_NEEDLE * bounding_diagonal(mesh))
+    return checked_mesh(largest_piece(_mesh(cut)))[0]
 
 
 def _several(parts: list[Any]) -> MeshError:
