@@ -32,6 +32,14 @@ _COMMANDS = {
         "compression:compression",
         "Young's modulus from compression tests of cylinders.",
     ),
+    "mesh": (
+        "surface:mesh",
+        "Make a closed surface with even triangles of any surface: mended, remeshed, compared.",
+    ),
+    "scan": (
+        "surface:scan",
+        "Make the mesh of an object of what scanners and cameras saw of it from their viewpoints.",
+    ),
     "verify": (
         "verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",

@@ -1,9 +1,9 @@
-"""Pictures: of an estimate, of a probing's displacement, of measured motions.
+"""Pictures: of an estimate, of a probing's displacement, of measured motions, of surfaces.
 
 Purpose    : draw results with matplotlib, all in one style; only what a picture needs is computed.
 Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`.
 Gives      : matplotlib figures, PNG files, pixels.
-Depends on : `pipeline`, `calibration`, `vision`, `estimation`, `records`, `geometry`.
+Depends on : `pipeline`, `calibration`, `scanning`, `vision`, `estimation`, `records`, `geometry`.
 Read first : `style.py`, then `estimate.py` and `flow.py`.
 """
 
@@ -33,3 +33,4 @@ from palpate.figures.style import (
     save_pixels as save_pixels,
     styled as styled,
 )
+from palpate.figures.surface import scan_figure as scan_figure, surface_figure as surface_figure

@@ -56,6 +56,7 @@ from palpate.geometry.triangle_mesh import (
     TriangleMesh as TriangleMesh,
     area_vectors as area_vectors,
     bounding_diagonal as bounding_diagonal,
+    connected_groups as connected_groups,
     enclosed_volume as enclosed_volume,
     half_edges as half_edges,
     triangle_areas as triangle_areas,

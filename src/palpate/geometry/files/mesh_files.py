@@ -31,11 +31,15 @@ _FACETS = {
 }
 _TETRAHEDRON_FACES = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
 # The checks of a surface take seconds at this many, the model would take all memory long before.
-_MOST_TRIANGLES = 100_000
+MOST_TRIANGLES = 100_000
 # Solids and text take more bytes than the triangles that come of them.
+<<<<<<< HEAD
 _MOST_BYTES = 10_000 * _MOST_TRIANGLES
 # A solid has some cells for each triangle of its surface.
 _MOST_CELLS = 5 * _MOST_TRIANGLES
+=======
+_MOST_BYTES = 10_000 * MOST_TRIANGLES
+>>>>>>> in-b
 # Where files say, or show, how many cells they have.
 _CELLS = {
     ".ply": re.compile(rb"element\s+face\s+(\d+)"),
@@ -53,7 +57,9 @@ _STL_HEAD, _STL_TRIANGLE = 84, 50
 _SPAN = (1e-6, 1e4)
 
 
-def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh:
+def read_mesh(
+    path: Path | str, *, metres_per_unit: float = 1.0, most: int = MOST_TRIANGLES
+) -> TriangleMesh:
     """Surface of an object from a file, in metres, with vertices that coincide welded into one.
 
     Vertices that no triangle uses are left out; the others keep their order. Quadrangles are cut
@@ -64,10 +70,11 @@ def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh
     ----------
     path : path                     suffix .ply .obj .stl .off .msh .vtu .vtp
     metres_per_unit : float         length of the file's unit, e.g. 0.001 for millimetres; > 0
+    most : int                      triangles; a file with more is refused
 
     Raises
     ------
-    MeshError                       no such file, unknown suffix, unreadable, no triangles
+    MeshError                       no such file, unknown suffix, unreadable, no triangles, too many
     InputError                      unit not positive; the optional package for MSH/VTU is missing
     """
     path = Path(path)
@@ -80,7 +87,11 @@ def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh
             f" convert it to one of {' '.join(MESH_SUFFIXES)}"
         )
     content = read_bytes(path, most=_MOST_BYTES, kind=MeshError)
+<<<<<<< HEAD
     _check_count(path, _claimed(content, suffix), solid=suffix in _MESHIO_SUFFIXES)
+=======
+    _check_count(path, _claimed(content, suffix), most)
+>>>>>>> in-b
     with damage(
         path,
         "open it in a mesh program and save it again",
@@ -91,7 +102,7 @@ def read_mesh(path: Path | str, *, metres_per_unit: float = 1.0) -> TriangleMesh
         used = vertices[np.unique(triangles)]
     if len(triangles) == 0:
         raise MeshError(f"{path}: holds no triangles; give a closed triangle surface")
-    _check_count(path, len(triangles))
+    _check_count(path, len(triangles), most)
     if not np.isfinite(used).all():
         raise MeshError(f"{path}: has vertices that are not finite; write the file again")
     _check_span(path, used * metres_per_unit)
@@ -169,6 +180,7 @@ def _claimed(content: bytes, suffix: str) -> int:
     return content.count(_CELL_STARTS[suffix]) if suffix in _CELL_STARTS else 0
 
 
+<<<<<<< HEAD
 def _check_count(path: Path, count: int, *, solid: bool = False) -> None:
     most = _MOST_CELLS if solid else _MOST_TRIANGLES
     if count > most:
@@ -177,6 +189,16 @@ def _check_count(path: Path, count: int, *, solid: bool = False) -> None:
             " are read;"
             " reduce it in a mesh program (decimate, remesh): 1000 to 10000 are enough for an"
             " object"
+=======
+def _check_count(path: Path, count: int, most: int) -> None:
+    if count > most:
+        cure = "in a mesh program (decimate, remesh)"
+        if most == MOST_TRIANGLES:
+            cure = f"with `palpate mesh`, or {cure}"
+        raise MeshError(
+            f"{path}: has {count} triangles, too large: at most {most} are read; reduce it {cure}:"
+            " 1000 to 10000 are enough for an object"
+>>>>>>> in-b
         )
 
 

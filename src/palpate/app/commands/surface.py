@@ -1,0 +1,236 @@
+"""`palpate mesh` and `palpate scan`: one closed surface with even triangles, of what there is."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.figures import save_figure, scan_figure, surface_figure
+from palpate.geometry import TriangleMesh, bounding_diagonal, read_mesh, triangle_areas
+from palpate.progress import part_of
+from palpate.records import LENGTH_UNITS, default_folder, record_inputs, result_folder
+from palpate.scanning import (
+    PreparedSurface,
+    ScannedSurface,
+    place_text,
+    plane_from_text,
+    prepare_surface,
+    read_points,
+    read_scan,
+    scan_surface,
+    write_prepared,
+    write_scanned,
+)
+
+# A scan may have as many; they are remeshed to a thousandth.
+_MOST_TRIANGLES = 2_000_000
+# Beyond, a file in millimetres was taken for one in metres [m].
+_LARGE = 3.0
+_Unit = Literal["m", "cm", "mm", "um", "in"]
+
+
+def mesh(
+    file: Path,
+    /,
+    *,
+    vertices: int = 1000,
+    near: Path | None = None,
+    support: str | None = None,
+    length_unit: _Unit = "m",
+    out: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Make a closed surface with even triangles of any surface.
+
+    Holes, cracks, copies, flipped and degenerate triangles, overlapping parts and stray pieces are
+    mended; what cannot be is refused with its place and the reason. Everything done is printed and
+    drawn, with the distance between both surfaces and the change of volume.
+
+    Parameters
+    ----------
+    file
+        A surface: .ply .obj .stl .off .msh .vtu .vtp
+    vertices
+        How many the mesh is to have: 500 to 3000 are good for a fit.
+    near
+        File of points, x y z in the unit of the mesh, that the mesh is to be finer near: where the
+        object will be touched.
+    support
+        Plane that the object stood on, in the unit of the mesh: z=0, or a point and a normal,
+        0,0,0,0,0,1. An open base is closed there; what is below is cut off.
+    length_unit
+        Of the file.
+    out
+        Result folder. Default: the file's name followed by -mesh, in the current folder.
+    force
+        Write although something else is at that place; it is kept beside it as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    unit = LENGTH_UNITS[length_unit]
+    plane = None if support is None else plane_from_text(support, metres_per_unit=unit)
+    place = out or Path(f"{file.stem}-mesh")
+    with result_folder(place, kind="mesh", force=force) as folder:
+        record_inputs(folder, [file] if near is None else [file, near])
+        given = read_mesh(file, metres_per_unit=unit, most=_MOST_TRIANGLES)
+        print_notes(_size_note(given, length_unit))
+        points = None if near is None else read_points(near, metres_per_unit=unit)
+        with progress_bar() as progress:
+            made = prepare_surface(
+                given, vertices=vertices, near=points, support=plane, progress=progress
+            )
+        write_prepared(folder, made)
+        save_figure(surface_figure(file.name, made), folder / "mesh.png")
+    console = Console()
+    if made.actions:
+        console.print(_actions_table(made))
+    console.print(_figures_table(made))
+    print_text(f"Result in {place}")
+    return 0
+
+
+def scan(
+    scan: Path,
+    /,
+    *,
+    vertices: int = 1000,
+    near: Path | None = None,
+    length_unit: _Unit = "m",
+    out: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Make the mesh of an object of what was seen of it from one or more viewpoints.
+
+    Points, depth maps or pictures of a calibrated rig, as scan.toml lists them, are joined to one
+    surface; what no view shows is closed and marked; each vertex has its standard deviation.
+
+    Parameters
+    ----------
+    scan
+        scan.toml, or its folder.
+    vertices
+        How many the mesh is to have: 500 to 3000 are good for a fit.
+    near
+        File of points x y z that the mesh is to be finer near.
+    length_unit
+        Of that file.
+    out
+        Result folder. Default: the scan's folder name followed by -mesh, in the current folder.
+    force
+        Write although something else is at that place; it is kept beside it as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    place = out or default_folder(scan if scan.is_dir() else scan.parent, "mesh")
+    with result_folder(place, kind="scan", force=force) as folder:
+        with progress_bar() as progress:
+            read = read_scan(scan, progress=part_of(progress, 0.0, 0.6))
+            record_inputs(folder, read.files if near is None else [*read.files, near])
+            points = None
+            if near is not None:
+                points = read_points(near, metres_per_unit=LENGTH_UNITS[length_unit])
+            made = scan_surface(
+                read.views, vertices=vertices, near=points, support=read.support,
+                progress=part_of(progress, 0.6, 1.0),
+            )  # fmt: skip
+        write_scanned(folder, made)
+        save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
+    console = Console()
+    console.print(_views_table(made))
+    console.print(_scan_table(made))
+    print_text(f"Result in {place}")
+    return 0
+
+
+def _views_table(made: ScannedSurface) -> Table:
+    rows = [
+        (one.name, str(one.points), f"{100.0 * one.overlap:.0f}", f"{1e3 * one.offset:.2g}")
+        for one in made.agreements
+    ]
+    return terminal_table(
+        "Views", ("view", "points", "overlap %", "off mm"), rows,
+        caption="overlap: of its points, those that other views show too; off: median distance from"
+        " the others' surface there",
+    )  # fmt: skip
+
+
+def _scan_table(made: ScannedSurface) -> Table:
+    quality, areas = made.quality, triangle_areas(made.mesh)
+    share = float(areas[made.guessed].sum() / areas.sum())
+    edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
+    sigma = 1e3 * made.sigma[np.isfinite(made.sigma)]
+    spread = f"{np.median(sigma):.2g}, {np.quantile(sigma, 0.95):.2g} mm" if len(sigma) else "-"
+    rows = (
+        ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
+        ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
+        ("volume", f"{1e6 * quality.volume:.4g} ± {1e6 * made.volume_std:.2g} cm^3"),
+        ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
+        ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
+        (
+            "points from the mesh median, 95 %",
+            ", ".join(f"{1e3 * g:.2g}" for g in made.distance) + " mm",
+        ),
+        ("1 sigma of vertices median, 95 %", spread),
+        ("area that no view shows", f"{100.0 * share:.1f} %"),
+    )
+    return terminal_table(
+        "Surface: closed, manifold, outward, without self-intersection", ("figure", "value"), rows,
+        caption="± and sigma: from the scatter of the points; what all points of a view share, as"
+        " an error of its pose, is not in them, nor is what no view shows",
+    )  # fmt: skip
+
+
+def _size_note(given: TriangleMesh, unit: str) -> list[str]:
+    size = bounding_diagonal(given)
+    if size < _LARGE:
+        return []
+    return [f"the object is {size:.3g} m across; if the file is not in {unit}, say --length-unit"]
+
+
+def _actions_table(made: PreparedSurface) -> Table:
+    rows = [(a.defect, str(a.count), place_text(a.place), a.done) for a in made.actions]
+    return terminal_table("Mended", ("defect", "count", "the first", "done"), rows)
+
+
+def _figures_table(made: PreparedSurface) -> Table:
+    quality, off = made.quality, made.deviation
+    edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
+    gaps = (off.median, off.percentile_95, off.largest)
+    rows = (
+        ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
+        ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
+        ("volume", f"{1e6 * quality.volume:.4g} cm^3"),
+        ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
+        ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
+        (
+            "distance median, 95 %, largest",
+            ", ".join(f"{_rounded(1e3 * g):.2g}" for g in gaps) + " mm",
+        ),
+        ("change of volume", f"{round(100.0 * off.volume, 2) + 0.0:+.2f} %"),
+        ("area that nobody measured", f"{100.0 * _guessed_share(made):.1f} %"),
+    )
+    return terminal_table(
+        "Surface: closed, manifold, outward, without self-intersection",
+        ("figure", "value"),
+        rows,
+        caption="distance and change of volume: of the even triangles against the mended surface",
+    )
+
+
+def _rounded(millimetres: float) -> float:
+    """A length without digits below a nanometre."""
+    return round(millimetres, 6)
+
+
+def _guessed_share(made: PreparedSurface) -> float:
+    areas = triangle_areas(made.mesh)
+    return float(areas[made.guessed].sum() / areas.sum())

@@ -1,0 +1,236 @@
+"""Pictures of surfaces that were mended or scanned: before, after, and how well they are known."""
+
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Bool, Int
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_rgb, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from palpate.figures.displacement import CLAY, SurfaceView, make_view, projected
+from palpate.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    MIDDLE_BLUE,
+    ORANGE,
+    add_texts,
+    styled,
+    three_panels,
+    title_panel,
+)
+from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas, unit_normals
+from palpate.scanning import PreparedSurface, ScannedSurface, distances
+from palpate.shapes import Points, TriangleScalars, Vector3
+
+# From above the front, a little from the right.
+_DIRECTION = np.array([0.45, -0.75, 0.48]) / np.linalg.norm([0.45, -0.75, 0.48])
+# More lines than these and the triangles are not seen for their edges.
+_MOST_LINED = 20_000
+# More points than these hide each other.
+_MOST_POINTS = 40_000
+_PALE_GREY = "#d9dce1"
+# Below, distances are all one colour [mm].
+_SMALLEST = 0.01
+
+
+@styled
+def surface_figure(name: str, surface: PreparedSurface) -> Figure:
+    """Three views: the surface as it came, as it is now, and how far one is from the other.
+
+    Parameters
+    ----------
+    name : str                      heading
+    surface : PreparedSurface
+
+    Returns
+    -------
+    Figure
+    """
+    direction = _seen_from(surface)
+    given, made = _view(surface.given, direction), make_view(surface.mesh, direction)
+    corners = np.concatenate([view.polygons.reshape(-1, 2) for view in (given, made)])
+    low, high = 1e3 * corners.min(axis=0), 1e3 * corners.max(axis=0)
+    margin = 0.04 * float((high - low).max())
+    figure, panels = three_panels(high - low + 2 * margin)
+    for axes in panels:
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        axes.set_aspect("equal")
+    _draw(panels[0], given, lined=len(surface.given.triangles) <= _MOST_LINED)
+    shown = _drawn_order(surface.mesh, direction)
+    lined = len(surface.mesh.triangles) <= _MOST_LINED
+    _draw(panels[1], made, lined=lined, orange=surface.guessed[shown])
+    places = np.array([action.place for action in surface.actions]).reshape(-1, 3)
+    _mark(panels[0], given, places)
+    gap = 1e3 * distances(
+        surface.mesh.vertices[surface.mesh.triangles].mean(axis=1), surface.mended
+    )
+    _coloured(figure, panels[2], surface.mesh, direction, gap, label="distance (mm)")
+    for axes, mesh, title in (
+        (panels[0], surface.given, "given"), (panels[1], surface.mesh, "made"),
+    ):  # fmt: skip
+        title_panel(axes, f"{title}: {len(mesh.vertices)} vertices")
+    title_panel(panels[2], "distance between them")
+    marks = "dots: the first defect of each kind" if len(places) else "nothing was broken"
+    share = float((areas := triangle_areas(surface.mesh))[surface.guessed].sum() / areas.sum())
+    guessed = f"; orange triangles: closed, not measured, {100.0 * share:.1f} % of the area"
+    add_texts(figure, name, marks + (guessed if share else ""), "")
+    return figure
+
+
+@styled
+def scan_figure(name: str, surface: ScannedSurface) -> Figure:
+    """Three views: the points, a colour a view; the mesh, guessed triangles orange; its sigma.
+
+    Parameters
+    ----------
+    name : str                      heading
+    surface : ScannedSurface
+
+    Returns
+    -------
+    Figure
+    """
+    mesh, direction = surface.mesh, _scan_direction(surface)
+    made = make_view(mesh, direction)
+    corners = 1e3 * made.polygons.reshape(-1, 2)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = 0.06 * float((high - low).max())
+    figure, panels = three_panels(high - low + 2 * margin)
+    for axes in panels:
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        axes.set_aspect("equal")
+    _points_of_views(panels[0], made, surface, direction)
+    shown = _drawn_order(mesh, direction)
+    lined = len(mesh.triangles) <= _MOST_LINED
+    _draw(panels[1], made, lined=lined, orange=surface.guessed[shown])
+    corner = surface.sigma[mesh.triangles]
+    known = np.isfinite(corner)
+    sigma = np.where(known, corner, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    sigma[~known.any(axis=1)] = np.nan
+    _coloured(figure, panels[2], mesh, direction, 1e3 * sigma, label="1 sigma (mm)")
+    count = sum(len(view.points) for view in surface.views)
+    title_panel(panels[0], f"{count} points of {_counted(len(surface.views), 'view')}")
+    title_panel(panels[1], f"mesh: {len(mesh.vertices)} vertices")
+    title_panel(panels[2], "its standard deviation")
+    share = float((areas := triangle_areas(mesh))[surface.guessed].sum() / areas.sum())
+    guessed = f"orange: not seen, {100.0 * share:.1f} % of the area; " if share else ""
+    add_texts(figure, name, guessed + "grey on the right: no standard deviation", "")
+    return figure
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" + "s" * (count != 1)
+
+
+def _scan_direction(surface: ScannedSurface) -> Vector3:
+    """From the viewpoints' side, a little above, so that what was seen is shown."""
+    middle = surface.mesh.vertices.mean(axis=0)
+    toward = np.mean([view.eye for view in surface.views], axis=0) - middle
+    flat = toward - toward[2] * np.array([0.0, 0.0, 1.0])
+    if len(surface.views) > 1 or np.linalg.norm(flat) < 1e-9:
+        return _DIRECTION
+    side = flat / np.linalg.norm(flat)
+    turned = np.array([side[0] - 0.7 * side[1], side[1] + 0.7 * side[0], 0.55])
+    return turned / np.linalg.norm(turned)
+
+
+def _points_of_views(
+    axes: Axes, view: SurfaceView, surface: ScannedSurface, direction: Vector3
+) -> None:
+    """Points on the near side, a colour for each view."""
+    colours = [BLUE, ORANGE, MIDDLE_BLUE, GREY, INK]
+    for k, one in enumerate(surface.views):
+        front = one.normals @ direction > 0.0
+        place = 1e3 * projected(view, one.points[front])
+        step = max(1, len(place) * len(surface.views) // _MOST_POINTS)
+        x, y = place[::step, 0], place[::step, 1]
+        axes.scatter(x, y, s=0.6, color=colours[k % len(colours)], linewidths=0)
+
+
+def _seen_from(surface: PreparedSurface) -> Vector3:
+    """The usual view, from the side of the first defect where that is on the other side."""
+    if not surface.actions:
+        return _DIRECTION
+    offset = surface.actions[0].place - surface.mesh.vertices.mean(axis=0)
+    sign = np.where(offset * _DIRECTION < -0.1 * bounding_diagonal(surface.mesh), -1.0, 1.0)
+    return _DIRECTION * sign
+
+
+def _view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
+    """A view of triangles that may have no area, or their back to the viewer."""
+    sound = triangle_areas(mesh) > 0.0
+    mesh = TriangleMesh(vertices=mesh.vertices, triangles=mesh.triangles[sound])
+    both = TriangleMesh(
+        vertices=mesh.vertices, triangles=np.concatenate([mesh.triangles, mesh.triangles[:, ::-1]])
+    )
+    return make_view(both, direction)
+
+
+def _drawn_order(mesh: TriangleMesh, direction: Vector3) -> Int[np.ndarray, " k"]:
+    """Triangles in the order that `make_view` draws them."""
+    front = np.flatnonzero(unit_normals(mesh) @ direction > 0.0)
+    depth = mesh.vertices[mesh.triangles[front]].mean(axis=1) @ direction
+    return front[np.argsort(depth)]
+
+
+def _draw(
+    axes: Axes, view: SurfaceView, *, lined: bool, orange: Bool[np.ndarray, " m"] | None = None
+) -> None:
+    colours = CLAY(view.brightness)
+    if orange is not None:
+        colours[orange, :3] = 0.35 * colours[orange, :3] + 0.65 * np.array(to_rgb(ORANGE))
+    axes.add_collection(
+        PolyCollection(
+            cast(Any, 1e3 * view.polygons),
+            facecolors=colours,
+            edgecolors=INK if lined else colours,
+            linewidths=0.15 if lined else 0.3,
+        ),
+        autolim=False,
+    )
+
+
+def _mark(axes: Axes, view: SurfaceView, places: Points) -> None:
+    """Points in orange, also those that the surface hides."""
+    if len(places):
+        place = 1e3 * projected(view, places)
+        axes.scatter(
+            place[:, 0], place[:, 1], s=26.0, color=ORANGE, linewidths=0.4, edgecolors=INK, zorder=3
+        )
+
+
+def _coloured(
+    figure: Figure,
+    axes: Axes,
+    mesh: TriangleMesh,
+    direction: Vector3,
+    value: TriangleScalars,
+    *,
+    label: str,
+) -> None:
+    """Triangles in the colour of a value [mm], grey where it is not known, with its bar below."""
+    view = make_view(mesh, direction)
+    shown = value[_drawn_order(mesh, direction)]
+    norm = Normalize(0.0, max(float(np.nanquantile(value, 0.99)), _SMALLEST))
+    colours = ScalarMappable(norm, "magma_r").to_rgba(np.nan_to_num(shown))
+    colours[np.isnan(shown)] = to_rgba(_PALE_GREY)
+    axes.add_collection(
+        PolyCollection(
+            cast(Any, 1e3 * view.polygons), facecolors=colours, edgecolors=colours, linewidths=0.3
+        ),
+        autolim=False,
+    )
+    total = figure.get_figheight()
+    cell = axes.get_position(original=True)
+    place = (cell.x0 + 0.19 * cell.width, 0.61 / total, 0.62 * cell.width, 0.075 / total)
+    bar = figure.colorbar(
+        ScalarMappable(norm, "magma_r"), cax=figure.add_axes(place), orientation="horizontal",
+        extend="max", ticks=MaxNLocator(3),
+    )  # fmt: skip
+    bar.outline.set_linewidth(0.4)
+    bar.set_label(label, labelpad=2)

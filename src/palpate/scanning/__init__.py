@@ -1,0 +1,44 @@
+"""From views, scans or broken meshes to one closed surface with even triangles.
+
+Purpose    : the mesh of an object for a person who has scanned it, printed it or drawn it.
+Takes      : surfaces as triangles, closed or not; points, depth maps and pictures of views.
+Gives      : `PreparedSurface` and `ScannedSurface`: a surface that the boundary element model
+             takes, what was mended or guessed, and how well it is known.
+Depends on : `vision`, `geometry`, `records`.
+Read first : `prepare.py`, `mending/mend.py`, `remesh.py`; `scan.py`, `joining/fusion.py`.
+"""
+
+from palpate.scanning.mending import (
+    Action as Action,
+    Deviation as Deviation,
+    Mended as Mended,
+    deviation as deviation,
+    distances as distances,
+    mend as mend,
+    place_text as place_text,
+)
+from palpate.scanning.plane import (
+    Plane as Plane,
+    plane_from_text as plane_from_text,
+    plane_text as plane_text,
+)
+from palpate.scanning.prepare import (
+    PreparedSurface as PreparedSurface,
+    prepare_surface as prepare_surface,
+    write_prepared as write_prepared,
+)
+from palpate.scanning.remesh import remeshed as remeshed
+from palpate.scanning.scan import (
+    ScannedSurface as ScannedSurface,
+    scan_surface as scan_surface,
+    write_scanned as write_scanned,
+)
+from palpate.scanning.views import (
+    Scan as Scan,
+    Turntable as Turntable,
+    View as View,
+    depth_points as depth_points,
+    make_view as make_view,
+    read_points as read_points,
+    read_scan as read_scan,
+)

@@ -1,0 +1,16 @@
+"""Views of one object joined to one surface.
+
+Purpose    : a closed surface through the points of all views, with its standard deviation.
+Takes      : `View`s; points with normals and sigmas in one frame.
+Gives      : `TriangleMesh`; `FittedSurface`; how each view fits the others.
+Depends on : `geometry`, `scanning.mending`, `scanning.views`; libigl.
+Read first : `fusion.py`, then `vertex_fit.py`.
+"""
+
+from palpate.scanning.joining.agreement import (
+    Agreement as Agreement,
+    agreements as agreements,
+)
+from palpate.scanning.joining.fusion import fused as fused
+from palpate.scanning.joining.poses import posed as posed
+from palpate.scanning.joining.vertex_fit import FittedSurface as FittedSurface, fitted as fitted

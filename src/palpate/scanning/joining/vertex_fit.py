@@ -1,0 +1,124 @@
+"""Vertices put on the points around them, each with its standard deviation."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from palpate.geometry import TriangleMesh, half_edges, vertex_normals
+from palpate.shapes import Points, PointScalars
+
+# Points that a quadratic surface is fitted to, and the fewest.
+_NEIGHBOURS, _FEWEST = 60, 15
+# Tukey's constant: 95 % efficient for normal noise.
+_TUKEY = 4.685
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedSurface:
+    """A surface fitted to points.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+    sigma : (v,) float [m]          standard deviation of each vertex along its normal, from the
+                                    scatter of the points; NaN where no points were
+    """
+
+    mesh: TriangleMesh
+    sigma: Float[np.ndarray, " v"]
+
+
+def fitted(
+    mesh: TriangleMesh,
+    points: Points,
+    normals: Points,
+    sigma: PointScalars,
+    *,
+    fixed: Float[np.ndarray, " v"] | None = None,
+) -> FittedSurface:
+    """Move vertices along their normals onto the smooth surface through the points around.
+
+    A quadratic surface through the nearest points has no bias of curvature, which the mean of
+    tangent planes has.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             of v vertices, near the points
+    points, normals : (n, 3) float [m]
+    sigma : (n,) float [m]          of the points along their normals
+    fixed : (v,) bool or None       vertices that stay
+
+    Returns
+    -------
+    FittedSurface
+    """
+    normal = vertex_normals(mesh.vertices, mesh.triangles)
+    ends = half_edges(mesh.triangles).ends
+    edge = float(np.linalg.norm(np.diff(mesh.vertices[ends], axis=1)[:, 0], axis=1).mean())
+    k = min(_NEIGHBOURS, len(points))
+    gap, index = cKDTree(points).query(mesh.vertices, k=k, distance_upper_bound=edge)
+    near = np.isfinite(gap)
+    index = np.where(near, index, 0)
+    near &= np.einsum("vka,va->vk", normals[index], normal) > 0.5
+    offset = points[index] - mesh.vertices[:, None]
+    height = np.einsum("vka,va->vk", offset, normal)
+    base = _fit_rows(offset, normal, edge)
+    # Far neighbours count less; the noise of each point counts as it is.
+    radius = np.maximum(np.where(near, gap, 0.0).max(axis=1), 1e-12)[:, None]
+    weight = np.where(near, (1.0 - (np.where(near, gap, 0.0) / (1.0001 * radius)) ** 2) ** 2, 0.0)
+    weight /= sigma[index] ** 2
+    move, std = _solved(base, height, weight, sigma[index])
+    known = (near.sum(axis=1) >= _FEWEST) & (abs(move) < 0.5 * edge)
+    # Points on one side only would be led on into nothing.
+    middle = np.linalg.norm((weight[..., None] * offset).sum(axis=1), axis=1)
+    known &= middle < 0.6 * radius[:, 0] * np.maximum(weight.sum(axis=1), 1e-300)
+    if fixed is not None:
+        known &= ~fixed
+    vertices = mesh.vertices + np.where(known, move, 0.0)[:, None] * normal
+    return FittedSurface(
+        TriangleMesh(vertices=vertices, triangles=mesh.triangles), np.where(known, std, np.nan)
+    )
+
+
+def _fit_rows(
+    offset: Float[np.ndarray, "v k 3"], normal: Float[np.ndarray, "v 3"], scale: float
+) -> Float[np.ndarray, "v k 6"]:
+    """1, s, t, s^2, s t, t^2 in tangent coordinates over the scale."""
+    axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    first = np.cross(normal, axis)
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
+    second = np.cross(normal, first)
+    s = np.einsum("vka,va->vk", offset, first) / scale
+    t = np.einsum("vka,va->vk", offset, second) / scale
+    return np.stack([np.ones_like(s), s, t, s * s, s * t, t * t], axis=2)
+
+
+def _solved(
+    base: Float[np.ndarray, "v k 6"],
+    height: Float[np.ndarray, "v k"],
+    weight: Float[np.ndarray, "v k"],
+    sigma: Float[np.ndarray, "v k"],
+) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, " v"]]:
+    """Height of the surface at each vertex and its standard deviation [m]."""
+    robust = weight.copy()
+    damping = 1e-9 * np.eye(6)
+    for _ in range(_ROUNDS):
+        rows = robust[..., None] * base
+        total = np.maximum(robust.sum(axis=1), 1e-300)[:, None, None]
+        matrix = np.einsum("vki,vkj->vij", rows, base) / total + damping
+        right = np.einsum("vki,vk->vi", rows, height) / total[:, :, 0]
+        inverse = np.linalg.inv(matrix)
+        coefficients = np.einsum("vij,vj->vi", inverse, right)
+        residual = height - np.einsum("vki,vi->vk", base, coefficients)
+        unit = residual / sigma
+        level = 1.4826 * np.ma.median(np.ma.array(abs(unit), mask=weight <= 0.0), axis=1)
+        level = np.maximum(level.filled(1.0), 1e-6)[:, None]
+        u = unit / (_TUKEY * level)
+        robust = weight * np.where(abs(u) < 1.0, (1.0 - u**2) ** 2, 0.0)
+    # What each height adds to the result; their noise is the larger of claimed and seen.
+    gain = np.einsum("vi,vki,vk->vk", inverse[:, 0], base, robust) / total[:, :, 0]
+    noise = sigma * np.maximum(level, 1.0)
+    return coefficients[:, 0], np.sqrt((gain**2 * noise**2).sum(axis=1))

@@ -1,0 +1,25 @@
+"""Broken surfaces made the skin of one solid.
+
+Purpose    : what a scanner, a printer's file or a drawing program leaves open, doubled, folded or
+             turned, mended; what cannot be is refused with its place and the reason.
+Takes      : `TriangleMesh`, closed or not; the plane that the object stood on.
+Gives      : `Mended` with its `Action`s; `Deviation` between two surfaces.
+Depends on : `geometry`; libigl, manifold3d and Mmg.
+Read first : `mend.py`, then `cleaning.py`, `pieces.py`, `holes.py`, `solid.py`.
+"""
+
+from palpate.scanning.mending.action import Action as Action, place_text as place_text
+from palpate.scanning.mending.adapt import adapted as adapted
+from palpate.scanning.mending.cleaning import compacted as compacted, seam_width as seam_width
+from palpate.scanning.mending.deviation import (
+    Deviation as Deviation,
+    deviation as deviation,
+    distances as distances,
+    spread as spread,
+)
+from palpate.scanning.mending.mend import Mended as Mended, mend as mend
+from palpate.scanning.mending.solid import (
+    above as above,
+    largest_piece as largest_piece,
+    wrapped as wrapped,
+)

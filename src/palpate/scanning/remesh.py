@@ -1,0 +1,171 @@
+"""Even triangles over a closed surface, finer near given points, as many as asked for."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from palpate.errors import InputError, MeshError
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    checked_mesh,
+    half_edges,
+    triangle_areas,
+    unit_normals,
+)
+from palpate.scanning.mending import adapted, distances, place_text
+from palpate.scanning.plane import Plane
+from palpate.shapes import Points, PointScalars, Vertices
+
+# Edges at the given points over edges far away, and how fast they grow with the distance.
+FINER = 1.0 / 3.0
+_GROWTH = 0.25
+# Triangles before the last pass, over those after it: sizes are told at their vertices.
+_OVERSAMPLING = 4.0
+_TRIES, _CLOSE = 6, 0.03
+_FEWEST, _MOST = 50, 50_000
+# A wall thinner than this, in edges of its own triangles, cannot be told from a sheet.
+_THINNEST = 0.5
+# Cosine from which normals face away from each other; that across an edge of less than 70 degrees.
+_FACING, _KNIFE = 0.7, -0.34
+_NEIGHBOURS = 40
+
+
+def remeshed(
+    mesh: TriangleMesh,
+    *,
+    vertices: int,
+    near: Points | None = None,
+    creases: bool = True,
+    support: Plane | None = None,
+) -> TriangleMesh:
+    """The same surface with about so many vertices, evenly, its creases kept.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, manifold, outward
+    vertices : int                  wanted, 50 to 50000; reached within some per cent
+    near : (n, 3) float [m] or None where edges are to be a third as long as far away
+    creases : bool                  keep edges where the surface turns by more than 40 degrees; on
+                                    a scan these are noise
+    support : Plane or None         without creases: keep the edges where the surface leaves it
+
+    Returns
+    -------
+    TriangleMesh                    closed, manifold, outward, without self-intersection
+
+    Raises
+    ------
+    InputError                      vertices out of range, `near` away from the surface
+    MeshError                       so few triangles cannot follow the surface: it names the place
+
+    Source
+    ------
+    Dapogny, Dobrzynski, Frey, Three-dimensional adaptive domain remeshing, implicit domain meshing
+    and applications to free and moving boundary problems, J. Comput. Phys. 262 (2014): Mmg.
+    """
+    if not _FEWEST <= vertices <= _MOST:
+        raise InputError(f"{vertices} vertices are asked for; must be {_FEWEST} to {_MOST}")
+    if near is not None:
+        _check_near(near, mesh)
+    # Of equal-sided triangles with edge h, 2 a vertex.
+    edge = np.sqrt(2.0 * float(triangle_areas(mesh).sum()) / (np.sqrt(3.0) * vertices))
+    keep: dict[str, Any] = {"creases": creases, "support": support}
+    base = _base(mesh, edge, near, keep)
+    best, scale = None, 1.0
+    for _ in range(_TRIES):
+        found = adapted(base, scale * _sizes(base.vertices, edge, near), onto=mesh, **keep)
+        off = len(found.vertices) / vertices
+        if best is None or abs(off - 1.0) < abs(len(best.vertices) / vertices - 1.0):
+            best = found
+        if abs(off - 1.0) < _CLOSE:
+            break
+        scale *= np.sqrt(off)
+    return _accepted(best or base)
+
+
+def _check_near(near: Points, mesh: TriangleMesh) -> None:
+    gap = distances(near, mesh)
+    far = gap > 0.25 * bounding_diagonal(mesh)
+    if far.any():
+        k = int(gap.argmax())
+        raise InputError(
+            f"{int(far.sum())} of {len(near)} points that the mesh is to be finer near are away"
+            f" from it, the farthest {place_text(near[k])} by {1e3 * gap[k]:.4g} mm; check their"
+            " unit and frame"
+        )
+
+
+def _base(
+    mesh: TriangleMesh, edge: float, near: Points | None, keep: Mapping[str, Any]
+) -> TriangleMesh:
+    """The surface with triangles small enough to carry the sizes."""
+    smallest = edge * (1.0 if near is None else FINER)
+    wanted = smallest / np.sqrt(_OVERSAMPLING)
+    corner = mesh.vertices[mesh.triangles]
+    longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
+    if float(np.quantile(longest, 0.95)) <= 1.5 * wanted:
+        return mesh
+    # Sizes that change are told at vertices that must be there first.
+    fine = np.sqrt(_OVERSAMPLING)
+    even = adapted(mesh, np.full(len(mesh.vertices), edge / fine), **keep)
+    if near is None:
+        return even
+    return adapted(even, _sizes(even.vertices, edge, near) / fine, onto=mesh, **keep)
+
+
+def _sizes(place: Vertices, edge: float, near: Points | None) -> Float[np.ndarray, " v"]:
+    """Wanted length of edges at points [m]."""
+    if near is None:
+        return np.full(len(place), edge)
+    gap, _ = cKDTree(near).query(place)
+    return np.minimum(edge, FINER * edge + _GROWTH * gap)
+
+
+def _accepted(mesh: TriangleMesh) -> TriangleMesh:
+    """The surface, or why so few triangles cannot follow it."""
+    try:
+        sound = checked_mesh(mesh)[0]
+    except MeshError as error:
+        raise MeshError(
+            f"{len(mesh.vertices)} vertices are too few for this surface: remeshed, {error}; ask"
+            " for more vertices"
+        ) from error
+    corner = sound.vertices[sound.triangles]
+    edge = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean(axis=1)
+    thickness = _thickness(sound)
+    ratio = thickness / edge
+    k = int(ratio.argmin())
+    if ratio[k] < _THINNEST:
+        more = len(sound.vertices) * (_THINNEST / ratio[k]) ** 2
+        cure = f"ask for {1.2 * more:.2g} vertices" if more < _MOST else "thicken it"
+        place = place_text(corner[k].mean(axis=0))
+        raise MeshError(
+            f"the body is {1e3 * thickness[k]:.2g} mm thin near {place}, where"
+            f" the triangles' edges have {1e3 * edge[k]:.2g} mm: both sides would act as one;"
+            f" {cure}, or use points finer there"
+        )
+    return sound
+
+
+def _thickness(mesh: TriangleMesh) -> PointScalars:
+    """Distance of each triangle's centre to the nearest one that faces the other way behind it."""
+    centre, normal = mesh.vertices[mesh.triangles].mean(axis=1), unit_normals(mesh)
+    gap, other = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
+    away = centre[other] - centre[:, None]
+    behind = np.einsum("kja,ka->kj", away, normal) < -_FACING * gap
+    opposite = np.einsum("kja,ka->kj", normal[other], normal) < -_FACING
+    thickness = np.where(behind & opposite, gap, np.inf).min(axis=1)
+    # The two sides of a knife's edge meet there: no sheet.
+    halves = half_edges(mesh.triangles)
+    a, b = halves.pairs().T
+    knife = np.einsum("ka,ka->k", normal[a // 3], normal[b // 3]) < _KNIFE
+    if knife.any():
+        middle = mesh.vertices[halves.ends[halves.edge[a[knife]]]].mean(axis=1)
+        length = np.linalg.norm(np.diff(mesh.vertices[halves.ends], axis=1)[:, 0], axis=1)
+        close, _ = cKDTree(middle).query(centre)
+        thickness[close < 3.0 * float(np.median(length))] = np.inf
+    return thickness

@@ -1,0 +1,186 @@
+"""From the views of an object to its mesh, each vertex with its standard deviation."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from palpate.errors import MeshError
+from palpate.geometry import (
+    MeshQuality,
+    TriangleMesh,
+    bounding_diagonal,
+    checked_mesh,
+    mesh_quality,
+    triangle_areas,
+    write_mesh,
+)
+from palpate.progress import Progress, part_of, silent
+from palpate.records import json_text, write_text
+from palpate.scanning.joining import Agreement, agreements, fitted, fused, posed
+from palpate.scanning.mending import above, distances, place_text
+from palpate.scanning.plane import Plane
+from palpate.scanning.prepare import SURFACE_FORMAT
+from palpate.scanning.remesh import remeshed
+from palpate.scanning.views import View
+from palpate.shapes import Points
+
+# The most of a surface that may be guessed where no support says what closes it.
+_MOST_GUESSED = 0.10
+# A triangle is measured where points are as near to it, of its edge and of the object's size.
+_NEAR_EDGE, _NEAR_SIZE = 0.5, 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScannedSurface:
+    """A mesh made of views.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh             closed, manifold, outward
+    sigma : (v,) float [m]          standard deviation of each vertex along its normal, from the
+                                    points' scatter; without the errors that all points of a view
+                                    share; NaN at creases, on the support and where it is guessed
+    guessed : (m,) bool             triangles that no view shows
+    agreements : tuple of Agreement a view each
+    views : tuple of View           in the object's frame
+    distance : (float, float) [m]   of the points from the mesh: median, 95 %
+    volume_std : float [m^3]        that of the measured vertices' sigmas
+    quality : MeshQuality
+    """
+
+    mesh: TriangleMesh
+    sigma: Float[np.ndarray, " v"]
+    guessed: Bool[np.ndarray, " m"]
+    agreements: tuple[Agreement, ...]
+    views: tuple[View, ...]
+    distance: tuple[float, float]
+    volume_std: float
+    quality: MeshQuality
+
+
+def scan_surface(
+    views: Sequence[View],
+    *,
+    vertices: int,
+    near: Points | None = None,
+    support: Plane | None = None,
+    progress: Progress = silent,
+) -> ScannedSurface:
+    """Join views, close what they do not show, and cover it with even triangles.
+
+    Parameters
+    ----------
+    views : sequence of View        all with their poses, or none, which are then estimated
+    vertices : int                  wanted
+    near : (n, 3) float [m] or None where triangles are to be finer
+    support : Plane or None         that the object stood on
+    progress : callable
+
+    Returns
+    -------
+    ScannedSurface
+
+    Raises
+    ------
+    InputError                      views that do not overlap or contradict each other
+    MeshError                       the surface does not close, or so few triangles cannot follow it
+    """
+    views = posed(views, progress=part_of(progress, 0.0, 0.3))
+    found = agreements(views)
+    points = np.concatenate([view.points for view in views])
+    normals = np.concatenate([view.normals for view in views])
+    sigma = np.concatenate([view.sigma for view in views])
+    if support is not None:
+        if np.median(support.heights(points)) < 0.0:
+            support = Plane(support.point, -support.normal)
+        kept = support.heights(points) > -_NEAR_SIZE * float(np.ptp(points, axis=0).max())
+        points, normals, sigma = points[kept], normals[kept], sigma[kept]
+    progress("joining", 0.3)
+    skin = fused(points, normals, support=support)
+    skin = skin if support is None else above(skin, support)
+    _check_closed(skin, points, support)
+    progress("remeshing", 0.7)
+    even = remeshed(skin, vertices=vertices, near=near, creases=False, support=support)
+    fixed = np.zeros(len(even.vertices), dtype=bool)
+    if support is not None:
+        fixed = abs(support.heights(even.vertices)) < 1e-4 * bounding_diagonal(even)
+    progress("fitting", 0.9)
+    result = fitted(even, points, normals, sigma, fixed=fixed)
+    mesh = checked_mesh(result.mesh)[0]
+    gap = distances(points, mesh)
+    return ScannedSurface(
+        mesh=mesh,
+        sigma=result.sigma,
+        guessed=_guessed(mesh, points),
+        agreements=found,
+        views=tuple(views),
+        distance=(float(np.median(gap)), float(np.quantile(gap, 0.95))),
+        volume_std=_volume_std(mesh, result.sigma),
+        quality=mesh_quality(mesh),
+    )
+
+
+def _guessed(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " m"]:
+    """Triangles away from all points."""
+    centre = mesh.vertices[mesh.triangles].mean(axis=1)
+    gap, _ = cKDTree(points).query(centre)
+    # Of equal-sided triangles, the edge is 1.52 times the root of the area.
+    edge = 1.52 * np.sqrt(triangle_areas(mesh))
+    return gap > np.maximum(_NEAR_EDGE * edge, _NEAR_SIZE * bounding_diagonal(mesh))
+
+
+def _check_closed(skin: TriangleMesh, points: Points, support: Plane | None) -> None:
+    """Refuse a surface whose missing side nothing told."""
+    if support is not None:
+        return
+    guessed = _guessed(skin, points)
+    areas = triangle_areas(skin)
+    share = float(areas[guessed].sum() / areas.sum())
+    if share > _MOST_GUESSED:
+        centre = skin.vertices[skin.triangles[guessed]].mean(axis=1)
+        middle = np.average(centre, axis=0, weights=areas[guessed])
+        raise MeshError(
+            f"the surface does not close: no view shows {100.0 * share:.0f} % of it, around"
+            f" {place_text(middle)}, and at most {100.0 * _MOST_GUESSED:.0f} % is guessed; add"
+            ' views of that side, or say support = "..." if the object stood there'
+        )
+
+
+def _volume_std(mesh: TriangleMesh, sigma: Float[np.ndarray, " v"]) -> float:
+    """Standard deviation of the volume from those of vertices that err by themselves."""
+    share = np.zeros(len(mesh.vertices))
+    np.add.at(share, mesh.triangles.ravel(), np.repeat(triangle_areas(mesh) / 3.0, 3))
+    known = np.isfinite(sigma)
+    return float(np.sqrt(((share * sigma)[known] ** 2).sum()))
+
+
+def write_scanned(folder: Path, surface: ScannedSurface) -> None:
+    """Write mesh.ply, surface.json and vertex_sigma.csv.
+
+    Parameters
+    ----------
+    folder : Path                   exists
+    surface : ScannedSurface
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    write_mesh(folder / "mesh.ply", surface.mesh)
+    content = {
+        "format": SURFACE_FORMAT,
+        "views": [asdict(one) for one in surface.agreements],
+        "distance": {"median": surface.distance[0], "percentile_95": surface.distance[1]},
+        "volume_std": surface.volume_std,
+        "guessed_triangles": np.flatnonzero(surface.guessed),
+        "quality": asdict(surface.quality),
+    }
+    write_text(folder / "surface.json", json_text(content))
+    rows = np.column_stack([surface.mesh.vertices, surface.sigma])
+    lines = ["x_m,y_m,z_m,sigma_m"]
+    lines += [",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in rows]
+    write_text(folder / "vertex_sigma.csv", "\n".join(lines) + "\n")

@@ -1,0 +1,124 @@
+"""Points in files: PLY, PCD, XYZ and other columns of text, NPY."""
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import RecordError
+from palpate.files import damage, read_bytes
+from palpate.optional_imports import late_import
+from palpate.shapes import Points
+
+POINT_SUFFIXES = (".ply", ".pcd", ".npy", ".xyz", ".txt", ".csv", ".asc")
+_MOST_BYTES = 2**30
+# Objects and their scans, [m]: beyond, a unit is wrong.
+_SPAN = (1e-6, 1e4)
+_PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
+
+
+def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
+    """Points of a cloud, in metres, without those that the scanner marked as not measured.
+
+    Parameters
+    ----------
+    path : Path                     .ply .pcd .npy, or columns x y z of text: .xyz .txt .csv .asc
+    metres_per_unit : float         length of the file's unit; > 0
+
+    Returns
+    -------
+    (n, 3) float [m]                n > 0; rows with NaN, and those at 0, 0, 0 where there are many,
+                                    are left out
+
+    Raises
+    ------
+    RecordError                     not there, not readable, no points, of no object's size
+    """
+    suffix = path.suffix.lower()
+    if suffix not in POINT_SUFFIXES:
+        raise RecordError(
+            f"{path}: point files of type '{suffix}' are not read; convert it to one of"
+            f" {' '.join(POINT_SUFFIXES)}"
+        )
+    content = read_bytes(path, most=_MOST_BYTES)
+    what = f"cannot be read as points of type {suffix[1:].upper()}"
+    with damage(path, "three columns x y z of text are read, too", what=what):
+        points = np.asarray(_read(content, suffix), dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] < 3:
+            raise ValueError(f"its numbers have the shape {points.shape}, not three columns")
+    points = points[:, :3]
+    points = points[np.isfinite(points).all(axis=1)]
+    # Scanners write the origin where they saw nothing.
+    nothing = (points == 0.0).all(axis=1)
+    points = points[~nothing] if nothing.sum() > 1 else points
+    if len(points) == 0:
+        raise RecordError(f"{path}: holds no points with three finite coordinates")
+    points = points * metres_per_unit
+    span, place = float(np.ptp(points, axis=0).max()), float(abs(points).max())
+    if place > _SPAN[1] or (len(points) > 1 and span < _SPAN[0]):
+        raise RecordError(
+            f"{path}: its points are {span:.3g} m across, up to {place:.3g} m from the origin; an"
+            f" object must be {_SPAN[0]:g} m across or more, within {_SPAN[1]:g} m: check the unit"
+        )
+    return points
+
+
+def _read(content: bytes, suffix: str) -> np.ndarray:
+    if suffix == ".npy":
+        return np.load(BytesIO(content), allow_pickle=False)
+    if suffix == ".pcd":
+        return _pcd(content)
+    if suffix == ".ply":
+        trimesh = late_import("trimesh", extra=None, purpose="reading a PLY")
+        loaded = trimesh.load(BytesIO(content), file_type="ply", process=False)
+        return np.asarray(loaded.vertices)
+    return _text(content.decode("utf-8", errors="replace"))
+
+
+def _text(text: str) -> Float[np.ndarray, "n 3"]:
+    """The first three columns below a heading; separated by blanks, commas or semicolons."""
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if len(words) < 3:
+            continue
+        try:
+            rows.append([float(word) for word in words[:3]])
+        except ValueError:
+            # Headings stand above the first row.
+            if rows:
+                raise ValueError(f"line {number}: '{line[:40]}' is no row of numbers") from None
+    return np.array(rows).reshape(-1, 3)
+
+
+def _pcd(content: bytes) -> Float[np.ndarray, "n 3"]:
+    """Point Cloud Library's format, as text or binary; compressed data are not read.
+
+    Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
+    """
+    head, _, rest = content.partition(b"\nDATA ")
+    kind, _, data = rest.partition(b"\n")
+    field = {}
+    for line in head.decode("ascii", errors="replace").splitlines():
+        word, _, value = line.partition(" ")
+        field[word] = value.split()
+    names, sizes, types = field["FIELDS"], field["SIZE"], field["TYPE"]
+    counts = [int(word) for word in field.get("COUNT", ["1"] * len(names))]
+    if kind.strip() == b"ascii":
+        table = np.array([line.split() for line in data.decode().splitlines() if line.strip()])
+        first = np.cumsum([0, *counts[:-1]])
+        return table[:, [first[names.index(axis)] for axis in "xyz"]].astype(np.float64)
+    if kind.strip() != b"binary":
+        raise ValueError(f"its data are {kind.strip().decode()!r}; save it as ascii or binary")
+    layout = np.dtype(
+        [
+            (f"{name}_{k}", f"<{_PCD_TYPES[kind_]}{size}", (count,))
+            for k, (name, kind_, size, count) in enumerate(
+                zip(names, types, sizes, counts, strict=True)
+            )
+        ]
+    )
+    table = np.frombuffer(data, layout, int(field["POINTS"][0]))
+    place = [names.index(axis) for axis in "xyz"]
+    return np.stack([table[f"{names[k]}_{k}"][:, 0] for k in place], axis=1).astype(np.float64)
