@@ -32,6 +32,14 @@ _COMMANDS = {
         "compression:compression",
         "Young's modulus from compression tests of cylinders.",
     ),
+    "record": (
+        "record:record",
+        "Make a session from videos of presses and the log of a force gauge.",
+    ),
+    "init": (
+        "init:init",
+        "Write a commented session.toml with what is found in a folder.",
+    ),
     "verify": (
         "verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",
