@@ -115,7 +115,7 @@ def write_recording(folder: Path) -> Path:
     shifted = type(mesh)(mesh.vertices - [EDGE / 2, EDGE / 2, 0.03], mesh.triangles)
     write_mesh(folder / "mesh.ply", shifted)
     write_rig(folder / "rig.toml", rig())
-    time, force = readings(peaks=PEAKS)
+    time, force = readings(peaks=PEAKS, drift=0.01)
     write_log(folder / "force.csv", time, force, "time [s],Fx [N],Fy [N],Fz [N]")
     for k, offset in enumerate(OFFSETS):
         write_video(folder / f"c{k}.avi", k, offset)

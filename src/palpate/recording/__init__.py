@@ -9,12 +9,30 @@ Read first : `record.py`, then `touches.py`, `clock.py` and `session_folder.py`.
 """
 
 from palpate.recording.clock import Clock as Clock
+from palpate.recording.folder_survey import (
+    SIDES as SIDES,
+    FolderSurvey as FolderSurvey,
+    Side as Side,
+    chosen_side as chosen_side,
+    flat_sides as flat_sides,
+    likely_unit as likely_unit,
+    read_surface as read_surface,
+    survey_folder as survey_folder,
+    usual_radius as usual_radius,
+)
 from palpate.recording.force import (
     ForceLog as ForceLog,
     Gauge as Gauge,
     Reading as Reading,
     Touch as Touch,
     Zero as Zero,
+)
+from palpate.recording.outline import (
+    TEMPLATES as TEMPLATES,
+    Outline as Outline,
+    Template as Template,
+    likely_template as likely_template,
+    outline_text as outline_text,
 )
 from palpate.recording.pictures import CameraMotion as CameraMotion
 from palpate.recording.record import (

@@ -111,18 +111,26 @@ def find_presses(recording: Recording, *, progress: Progress = silent) -> Record
     zero = find_zero(log, touches)
     still = still_force(even, zero)
     plateaus = [find_plateau(even, zero, touch, still) for touch in touches]
+    _require_any(recording, [why_unread(log, plateau) for plateau in plateaus])
     motions, clocks = follow(recording, even, zero, touches, plateaus, progress=progress)
     seen = still & still_pictures(even, motions, clocks, plateaus)
     presses, reasons = _presses(log, even, zero, touches, (motions, clocks), seen)
-    if not presses:
-        raise RecordError(f"{recording.path}: no press can be measured: {'; '.join(reasons[:3])}")
+    _require_any(recording, reasons if not presses else [""])
     knocked = [f"{knocks} touches too short or too weak for a press were passed over"] * (
         knocks > 0
     )
     remarks = [text for one in motions for text in one.notes]
     remarks += [text for one in clocks for text in one.notes]
-    notes = tuple(f"{text}." for text in (*remarks, *knocked, *reasons))
+    left = [f"left out is {reason}" for reason in reasons]
+    notes = tuple(f"{text}." for text in (*remarks, *knocked, *left))
     return Recorded(log, even, zero, touches, presses, motions, clocks, log.notes + notes)
+
+
+def _require_any(recording: Recording, reasons: list[str]) -> None:
+    """Refuse a recording of which every press is left out for a reason."""
+    if reasons and all(reasons):
+        told = "; ".join(dict.fromkeys(reasons[:3]))
+        raise RecordError(f"{recording.path}: none of the presses can be measured: {told}")
 
 
 def _presses(
@@ -140,7 +148,7 @@ def _presses(
         free = (touches[k - 1].end if k else float(even.time[0]) - 1.0, touch.begin)
         rest = rest_before(even, *cameras, free, still)
         if reason := why_unread(log, plateau) or ("" if rest else _NO_REST):
-            reasons.append(f"press {k + 1} is left out: {reason}")
+            reasons.append(f"press {k + 1}: {reason}")
         elif plateau and rest:
             reading = read_force(log, zero, plateau, 0.5 * (plateau[0] + plateau[1]))
             presses.append(Press(k + 1, f"n{k + 1:02d}", touch, reading, rest))

@@ -139,7 +139,7 @@ def why_unread(log: ForceLog, plateau: tuple[float, float] | None) -> str:
     if plateau is None:
         return (
             "force and pictures are at no time at rest together under its full load for"
-            f" {_SHORTEST} s; hold the tool still for a second or two"
+            f" {_SHORTEST} s, gaps of the log apart; hold the tool still for a second or two"
         )
     rows = (log.time >= plateau[0]) & (log.time <= plateau[1])
     if log.saturated[rows].any():

@@ -195,7 +195,7 @@ def _start(
     zero = np.median(first, axis=0)
     largest = float(np.linalg.norm(force - zero, axis=1).max())
     scatter = float(np.sqrt(((first - zero) ** 2).sum(axis=1).mean()))
-    if scatter > _QUIET * largest:
+    if scatter > max(_QUIET * largest, 3.0 * noise):
         raise RecordError(
             f"the force changes by {scatter:.3g} N within the first {_START} s, up to"
             f" {largest:.3g} N later on: the recording must begin with the tool at rest and off the"
