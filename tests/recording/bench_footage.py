@@ -108,16 +108,16 @@ def write_video(path: Path, seed: int, offset: float, *, peaks: np.ndarray = PEA
     writer.release()
 
 
-def write_recording(folder: Path) -> Path:
+def write_recording(folder: Path, *, peaks: np.ndarray = PEAKS, rate: float = 200.0) -> Path:
     """A whole recording: mesh, rig, two videos, a force log, recording.toml."""
     folder.mkdir(parents=True, exist_ok=True)
     mesh = box(size=(EDGE, EDGE, 0.03), cells=6)
     shifted = type(mesh)(mesh.vertices - [EDGE / 2, EDGE / 2, 0.03], mesh.triangles)
     write_mesh(folder / "mesh.ply", shifted)
     write_rig(folder / "rig.toml", rig())
-    time, force = readings(peaks=PEAKS, drift=0.01)
+    time, force = readings(peaks=peaks, drift=0.01, rate=rate)
     write_log(folder / "force.csv", time, force, "time [s],Fx [N],Fy [N],Fz [N]")
     for k, offset in enumerate(OFFSETS):
-        write_video(folder / f"c{k}.avi", k, offset)
+        write_video(folder / f"c{k}.avi", k, offset, peaks=peaks)
     (folder / "recording.toml").write_text(RECORDING)
     return folder

@@ -33,11 +33,11 @@ _COMMANDS = {
         "Young's modulus from compression tests of cylinders.",
     ),
     "record": (
-        "record:record",
+        "door.record:record",
         "Make a session from videos of presses and the log of a force gauge.",
     ),
     "init": (
-        "init:init",
+        "door.init:init",
         "Write a commented session.toml with what is found in a folder.",
     ),
     "verify": (

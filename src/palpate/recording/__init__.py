@@ -5,7 +5,7 @@ Purpose    : find the presses in a recording, the clocks' offsets and the moment
 Takes      : recording.toml: a video or pictures a camera, a force log, a mesh, a rig.
 Gives      : `Recorded`, a session folder; `survey_folder` and the outline of a session.
 Depends on : `vision`, `probe`, `records`, `geometry`.
-Read first : `record.py`, then `touches.py`, `clock.py` and `session_folder.py`.
+Read first : `record.py`, then `force/touches.py`, `clock.py` and `session_folder.py`.
 """
 
 from palpate.recording.clock import Clock as Clock

@@ -21,6 +21,8 @@ _CURE = (
 )
 # Forces beyond these are not those of a probing: a unit is mistaken.
 _LARGEST, _SMALLEST = 500.0, 1e-4
+# A recording is not longer [s].
+_LONGEST = 86400.0
 # A longer step than so many usual ones is a gap; shorter pauses than this [s] hide no press.
 _GAP_STEPS, _GAP = 5.0, 0.05
 # So many equal readings in a row at the end of the range, where of the others no more than this
@@ -242,8 +244,12 @@ def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray)
             f" above, {time[k]:g} s ({len(back)} such lines); were two recordings joined, or did"
             " the clock wrap round?"
         )
-    if time[-1] <= time[0]:
-        raise RecordError(f"{path}: all its rows have the same time, {time[0]:g} s")
+    if not 0.0 < time[-1] - time[0] <= _LONGEST:
+        raise RecordError(
+            f"{path}: its times run over {time[-1] - time[0]:g} s; a recording has some seconds to"
+            " a day: are they in another unit? Say it as `time_unit` in [force]"
+            f" ({', '.join(SECONDS)})"
+        )
 
 
 def _check_size(path: Path, reading: Float[np.ndarray, "n k"]) -> None:

@@ -15,6 +15,8 @@ from palpate.files import checked_file
 from palpate.records import read_text_table
 from palpate.vision import read_grey
 
+# Times of a recording run over no more than this [s].
+_LONGEST = 86400.0
 # FFmpeg's own remarks on the terminal: none.
 _QUIET = {"OPENCV_FFMPEG_LOGLEVEL": "-8"}
 _CURE = "copy it again, or convert it, e.g. to MP4 with H.264 or to AVI with MJPEG"
@@ -52,10 +54,11 @@ class Footage:
         if self.times is not None:
             times = fixed_array(self.times, name="times", shape=(None,))
             object.__setattr__(self, "times", times)
-            if len(times) < 2 or np.any(np.diff(times) <= 0.0):
+            steps = np.diff(times)
+            if len(times) < 2 or np.any(steps <= 0.0) or steps.sum() > _LONGEST:
                 raise InputError(
-                    f"times of camera '{self.camera}' must increase from frame to frame, and be two"
-                    " or more"
+                    f"times of camera '{self.camera}' must be two or more seconds of one day that"
+                    " increase from frame to frame"
                 )
         if self.pictures and (self.times is None or len(self.times) != len(self.pictures)):
             count = "no" if self.times is None else len(self.times)
