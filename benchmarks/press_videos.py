@@ -11,6 +11,7 @@ import argparse
 import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -98,17 +99,19 @@ def duration() -> float:
 class PressedBall:
     """One press solved at several depths: its force, and how the pixels of every camera move."""
 
-    def __init__(self, config: LabConfig, rig: Rig, tip: Tip, file: Path) -> None:
+    def __init__(self, config: LabConfig, tip: Tip, file: Path) -> None:
         solved = pickle.loads(file.read_bytes())
         share, moved = solved["share"], solved["moved"]
         self.tip, self.point, self.radius = tip, solved["point"], solved["radius"]
         self.place, self.depth = solved["place"], solved["depth"]
         # Hertz: the force grows with the power 1.5 of the depth; the rest is smooth.
         self.force_law = CubicSpline(np.sqrt(share), solved["force"])
-        self.fields = [
-            CubicSpline(share, pixel_motion(camera, config, solved["solid"], moved))
-            for camera in rig.cameras
-        ]
+        self._motion = partial(pixel_motion, config=config, solid=solved["solid"], moved=moved)
+        self._share = share
+
+    def field(self, camera: Camera) -> CubicSpline:
+        """Motion of the pixels of a camera over the share of the depth."""
+        return CubicSpline(self._share, self._motion(camera))
 
     def force(self, share: np.ndarray) -> np.ndarray:
         """Force of the tool on the ball at a share of the depth [N], (n, 3)."""
@@ -240,6 +243,7 @@ def frames(
     rng = np.random.default_rng([3, camera_number])
     times = np.arange(0.0, duration() - CLOCK_OFFSET, 1.0 / FRAME_RATE) + CLOCK_OFFSET
     kept: tuple[tuple[int, float], np.ndarray] | None = None
+    fields = [ball.field(camera) for ball in balls]
     for time in times:
         shares = [float(depth_share(np.array([time]), begin)[0]) for begin in begins()]
         k = int(np.argmax(shares))
@@ -248,7 +252,7 @@ def frames(
             picture = rest
             if key[0] >= 0:
                 if key[1] > 0.0:
-                    picture = warped(rest, balls[k].fields[camera_number](key[1]))
+                    picture = warped(rest, fields[k](key[1]))
                 place = balls[k].tip_place(key[1])
                 picture = with_rod(picture.copy(), camera, balls[k].tip, place, rig)
             kept = key, chip(picture, config)
@@ -287,7 +291,7 @@ def make_recording(folder: Path, *, columns: int = 480, rows: int = 360) -> list
         if not file.exists():
             write_bytes(file, pickle.dumps(solve_press(config, tip, k)))
             print(f"{file} is solved", flush=True)
-    balls = [PressedBall(config, rig, tip, file) for tip, file in zip(tips, files, strict=True)]
+    balls = [PressedBall(config, tip, file) for tip, file in zip(tips, files, strict=True)]
     videos = [folder / f"{camera.name}.avi" for camera in rig.cameras]
     rests = rest_pictures(config, rig, folder / "rest.npz")
     for number, path in enumerate(videos):

@@ -1,8 +1,11 @@
 """What a recording shows over time: force, motion, and what was chosen."""
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from palpate.figures.style import (
     BLUE,
@@ -34,7 +37,7 @@ def recording_figure(found: Recorded, name: str) -> Figure:
     Figure
     """
     rows = 1 + len(found.motions)
-    figure = Figure(figsize=(8.4, 2.0 + 0.85 * len(found.motions)), layout="constrained")
+    figure = Figure(figsize=(8.4, 2.3 + 0.85 * len(found.motions)), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, height_ratios=[2.2, *[1.0] * (rows - 1)])
     axes = np.atleast_1d(axes)
     _draw_force(axes[0], found)
@@ -50,17 +53,30 @@ def recording_figure(found: Recorded, name: str) -> Figure:
         )  # fmt: skip
         panel.set_ylim(0.0, 1.35 * float(motion.change.max()))
         panel.set_yticks([])
-        panel.set_ylabel("change")
+        panel.set_ylabel("picture's\nchange")
     for panel in axes:
         _draw_moments(panel, found)
         open_frame(panel)
     axes[-1].set_xlabel("time of the force log [s]")
     axes[-1].set_xlim(found.even.time[0], found.even.time[-1])
+    figure.legend(handles=_keys(found), loc="outside lower center", ncols=4)
     kept, all_of = len(found.presses), len(found.touches)
     figure.suptitle(
         f"{name}: {kept} of {all_of} presses", fontsize=9, weight="bold", parse_math=False
     )
     return figure
+
+
+def _keys(found: Recorded) -> list[Artist]:
+    """What the colours mean."""
+    keys: list[Artist] = [
+        Patch(color=MIDDLE_BLUE, alpha=0.7, label="picture at rest"),
+        Patch(color=PALE_BLUE, label="plateau: nothing moves"),
+        Line2D([], [], color=ORANGE, linewidth=2.0, label="force that is read"),
+    ]
+    if len(found.presses) < len(found.touches):
+        keys.append(Patch(color=GREY, alpha=0.35, label="left out"))
+    return keys
 
 
 def _draw_force(axes: Axes, found: Recorded) -> None:

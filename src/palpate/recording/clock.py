@@ -2,7 +2,9 @@
 
 First the offset at which the picture's changes go best with the force over the whole recording.
 Then, press by press, the one at which the force is best told from how far the picture has gone,
-whatever the law between the two: the same picture has the same force, going in and coming out.
+whatever the law between the two: the same picture has the same force, going in and coming out. A
+material with hysteresis shifts that by half of it, as a share of a ramp's time. It costs nothing:
+where pictures are taken nothing moves, and a tenth of a second would do.
 """
 
 from collections.abc import Sequence
@@ -21,9 +23,13 @@ _STEP = 0.02
 # Signals that overlap less, as a share of the shorter one, say nothing.
 _OVERLAP = 0.5
 # Below it the picture does not go with the force at all; another offset as good as this is a doubt.
-_LEAST_CORRELATION, _DOUBT = 0.5, 0.95
+_LEAST_CORRELATION, _DOUBT = 0.3, 0.95
+# Presses that follow each other in the same time, to so many seconds, can be taken for each other.
+_REGULAR = 0.05
 # Of the press's force: below it, the tool may still be in the air, where motion means no force.
 _CONTACT = 0.15
+# The same where the clocks are known.
+_KNOWN_CONTACT = 0.02
 # The law from motion to force: a polynomial of this order, without a say for the offset.
 _ORDER = 3
 # Steps of the second search [s], and half its width in the last round.
@@ -45,7 +51,7 @@ class Clock:
     scatter : float [s]             standard deviation of single presses' offsets; NaN: unknown
     hysteresis : tuple of float [-] of each press: how much larger the force is going in than coming
                                     out, at the same picture, as a share of the full force; NaN:
-                                    unknown
+                                    unknown, as where the offset is found: an offset looks alike
     given : bool                    the offset was told, not found
     doubt : float [s] or None       another offset that fits nearly as well
     """
@@ -175,12 +181,24 @@ def fine_clock(
         width, step = 4.0 * _FINE, _LAST
     single = np.array([_lowest(trial, one) for one in cost.T if np.isfinite(one).all()])
     scatter = float(single.std(ddof=1)) if len(single) > 1 else np.nan
-    hysteresis = tuple(
-        np.nan if ramp is None else _hysteresis(force, touch, ramp, offset)
-        for touch, ramp in zip(touches, ramps, strict=True)
-    )
+    unknown = (np.nan,) * len(touches)
     std = scatter / np.sqrt(max(len(single), 1))
-    return Clock(camera, offset, std, coarse[1], scatter, hysteresis, doubt=coarse[2])
+    doubt = coarse[2]
+    if doubt is not None and not _alike(touches, doubt - offset):
+        doubt = None
+    return Clock(camera, offset, std, coarse[1], scatter, unknown, doubt=doubt)
+
+
+def _alike(touches: Sequence[Touch], shift: float) -> bool:
+    """Whether the presses would follow each other as they do if they were others, so much later.
+
+    Where the pauses differ, each press would ask for an offset of its own.
+    """
+    begin = np.array([touch.begin for touch in touches])
+    away = begin[:, None] - (begin + shift)
+    nearest = away[np.abs(away).argmin(axis=0), np.arange(len(begin))]
+    inside = (begin + shift > begin[0] - MARGIN) & (begin + shift < begin[-1] + MARGIN)
+    return inside.sum() < 2 or float(nearest[inside].std()) < _REGULAR
 
 
 def _lowest(trial: Float[np.ndarray, " t"], cost: Float[np.ndarray, " t"]) -> float:
@@ -193,12 +211,12 @@ def _lowest(trial: Float[np.ndarray, " t"], cost: Float[np.ndarray, " t"]) -> fl
 
 
 def _in_contact(
-    force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float
+    force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float, least: float = _CONTACT
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, shares and forces of the frames in which the tool surely touches."""
     time = ramp.time + offset
     size = force.at(time)
-    inside = (time > touch.begin) & (time < touch.end) & (size > _CONTACT * touch.peak)
+    inside = (time > touch.begin) & (time < touch.end) & (size > least * touch.peak)
     return time[inside], ramp.share[inside], size[inside]
 
 
@@ -212,14 +230,30 @@ def _unexplained(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) ->
     return float(rest @ rest / max(float(np.square(size - size.mean()).sum()), 1e-300))
 
 
-def _hysteresis(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -> float:
-    """How much larger the force is going in than coming out, over the full force."""
-    time, share, size = _in_contact(force, touch, ramp, offset)
+def hysteresis_of(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -> float:
+    """How much larger the force is going in than coming out at the same picture.
+
+    Only with clocks that are known: on even ramps an offset makes the same difference.
+
+    Parameters
+    ----------
+    force : SizeOfForce
+    touch, ramp : Touch, Ramp       of one press
+    offset : float [s]              gauge's time less the camera's
+
+    Returns
+    -------
+    float [-]                       mean over the way, share of the full force; NaN: too little seen
+    """
+    time, share, size = _in_contact(force, touch, ramp, offset, _KNOWN_CONTACT)
     middle = 0.5 * (touch.begin + touch.end)
     levels = []
     for rows in (time < middle, time > middle):
         if rows.sum() < 4:
             return np.nan
         order = np.argsort(share[rows])
-        levels.append(np.interp(_COMPARED, share[rows][order], size[rows][order]))
-    return float((levels[0] - levels[1]).mean() / touch.peak)
+        seen = share[rows][order]
+        levels.append(np.interp(_COMPARED, seen, size[rows][order], left=np.nan, right=np.nan))
+    difference = levels[0] - levels[1]
+    known = np.isfinite(difference)
+    return float(difference[known].mean() / touch.peak) if known.any() else np.nan

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from palpate.errors import RecordError
 from palpate.progress import Progress, part_of, silent
-from palpate.recording.clock import Clock, SizeOfForce, coarse_offset, fine_clock
+from palpate.recording.clock import Clock, SizeOfForce, coarse_offset, fine_clock, hysteresis_of
 from palpate.recording.force import EvenForce, Touch, Zero, true_runs
 from palpate.recording.pictures import (
     CameraMotion,
@@ -26,8 +26,9 @@ from palpate.recording.recording_file import Recording
 _AWAY, _REST = 0.15, 0.2
 # Offsets of single presses may scatter by so many frames; more than that is a clock of its own.
 _MOST_SCATTER = 1.0
-# An offset that was told may differ from what is found by so many of its sigmas, and frames.
-_SIGMAS, _FRAMES = 5.0, 1.0
+# An offset that was told may differ from what is found by so many of its sigmas, frames, and shares
+# of a ramp: a hysteresis of 30 % shifts by the last.
+_SIGMAS, _FRAMES, _RAMPS = 5.0, 1.0, 0.15
 
 Span = tuple[float, float]
 
@@ -92,7 +93,8 @@ def _clock(
         RampTimes(*(time - coarse[0] for time in (touch.begin, *rest, touch.end)))
         for touch, rest in zip(touches, rests, strict=True)
     ]
-    found = fine_clock(coarse, force, touches, camera_ramps(footage, times), footage.camera)
+    ramps = camera_ramps(footage, times)
+    found = fine_clock(coarse, force, touches, ramps, footage.camera)
     frame = motion.interval
     if found.scatter > _MOST_SCATTER * frame:
         raise RecordError(
@@ -104,13 +106,18 @@ def _clock(
     if told is None:
         return found
     away = abs(found.offset - told)
-    if away > max(_SIGMAS * found.std, _FRAMES * frame):
+    ramp = float(np.median([a - touch.begin for touch, (a, _) in zip(touches, rests, strict=True)]))
+    if away > max(_SIGMAS * found.std, _FRAMES * frame, _RAMPS * ramp):
         raise RecordError(
             f"{footage.source}: the offset of camera '{footage.camera}' is said to be {told:g} s,"
             f" and its pictures go with the force at {found.offset:.3f} s, {away / frame:.1f}"
             " frames away: the camera was not synchronised; correct `offset`, or leave it out"
         )
-    return replace(found, offset=told, given=True)
+    hysteresis = tuple(
+        np.nan if ramp is None else hysteresis_of(force, touch, ramp, told)
+        for touch, ramp in zip(touches, ramps, strict=True)
+    )
+    return replace(found, offset=told, given=True, hysteresis=hysteresis)
 
 
 def still_pictures(

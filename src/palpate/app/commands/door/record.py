@@ -101,7 +101,8 @@ def _presses(found: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
     )  # fmt: skip
     caption = (
         "time: of the picture under load, gauge's clock; creep: of the force along the plateau;"
-        " hysteresis: force going in less coming out at the same picture, of the full force;"
+        " hysteresis: force going in less coming out at the same picture, of the full force, where"
+        " the clocks' offset is told;"
         " frames: whose mean the picture is; ±: one standard deviation, - where the place was told"
     )
     return terminal_table(
