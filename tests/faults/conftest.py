@@ -18,6 +18,7 @@ from faults.samples import (
     write_texts,
 )
 from flow_samples import rig
+from recording.bench_footage import write_recording
 from surfaces import box
 
 from palpate.geometry import write_mesh
@@ -40,6 +41,12 @@ def cube(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cube")
     write_cube(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of three presses by two cameras and a force gauge."""
+    return write_recording(tmp_path_factory.mktemp("recorded"))
 
 
 @pytest.fixture(scope="session")

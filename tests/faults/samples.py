@@ -23,11 +23,16 @@ from program_files import (
     write_mat,
     write_table,
 )
+from recording.bench_footage import PEAKS, write_recording
 from surfaces import box
 
 from palpate.geometry import read_mesh, write_mesh
 from palpate.lab import read_lab_config
 from palpate.probe import read_compression
+from palpate.recording import read_recording
+from palpate.recording.force import even_force, find_touches, find_zero, read_force_log
+from palpate.recording.pictures import Footage, camera_motion, read_times
+from palpate.recording.poses import read_poses
 from palpate.records import (
     CONSTANT_NAMES,
     Camera,
@@ -233,10 +238,32 @@ def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     found += list(zip(write_texts(folder), _TEXTS.values(), strict=True))
     write_estimate_sample(folder / "estimate.json")
     found.append((folder / "estimate.json", read_estimate))
+    found += write_recorded(folder / "recorded")
     for file in write_pictures(folder):
         pattern = folder / file.name.replace("c0", "{camera}")
         found.append((file, lambda _path, p=pattern: _read_picture(p)))
     return found
+
+
+def write_recorded(folder: Path) -> list[tuple[Path, Reader]]:
+    """A recording with its tables and a short video, each with what is done with it."""
+    write_recording(folder, peaks=PEAKS[:1], rate=50.0)
+    (folder / "poses.csv").write_text("time,x,y,z\n0.1,0,0,0.04\n0.2,0,0,0.03\n")
+    (folder / "times.csv").write_text("time\n0.1\n0.2\n0.35\n")
+    gauge = read_recording(folder).gauge
+
+    def presses(_path: Path) -> object:
+        log = read_force_log(gauge)
+        touches, _ = find_touches(even_force(log))
+        return find_zero(log, touches)
+
+    return [
+        (folder / "recording.toml", read_recording),
+        (folder / "force.csv", presses),
+        (folder / "poses.csv", partial(read_poses, metres_per_unit=1.0)),
+        (folder / "times.csv", lambda path: Footage("c0", folder / "c0.avi", (), read_times(path))),
+        (folder / "c0.avi", lambda path: camera_motion(Footage("c0", path))),
+    ]
 
 
 def _measured(kind: str, path: Path) -> object:

@@ -40,6 +40,14 @@ _COMMANDS = {
         "surface:scan",
         "Make the mesh of an object of what scanners and cameras saw of it from their viewpoints.",
     ),
+    "record": (
+        "door.record:record",
+        "Make a session from videos of presses and the log of a force gauge.",
+    ),
+    "init": (
+        "door.init:init",
+        "Write a commented session.toml with what is found in a folder.",
+    ),
     "verify": (
         "verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",

@@ -1,9 +1,10 @@
 """Pictures: of an estimate, of a probing's displacement, of measured motions, of surfaces.
 
 Purpose    : draw results with matplotlib, all in one style; only what a picture needs is computed.
-Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`.
+Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`, `Recorded`.
 Gives      : matplotlib figures, PNG files, pixels.
-Depends on : `pipeline`, `calibration`, `scanning`, `vision`, `estimation`, `records`, `geometry`.
+Depends on : `pipeline`, `calibration`, `scanning`, `recording`, `vision`, `estimation`, `records`,
+             `geometry`.
 Read first : `style.py`, then `estimate.py` and `flow.py`.
 """
 
@@ -20,6 +21,7 @@ from palpate.figures.flow import (
     write_flow_pictures as write_flow_pictures,
 )
 from palpate.figures.flow_view import make_flow_view as make_flow_view
+from palpate.figures.recording import recording_figure as recording_figure
 from palpate.figures.style import (
     BLUE as BLUE,
     GREY as GREY,

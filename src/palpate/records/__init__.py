@@ -46,6 +46,7 @@ from palpate.records.files import (
     read_rig as read_rig,
     read_session as read_session,
     read_support as read_support,
+    read_supports as read_supports,
     record_inputs as record_inputs,
     result_file as result_file,
     result_folder as result_folder,
@@ -82,6 +83,7 @@ from palpate.records.programs import (
     read_measured as read_measured,
 )
 from palpate.records.quantities import (
+    FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
     LENGTH_UNITS as LENGTH_UNITS,
     constant_text as constant_text,
     error_texts as error_texts,
@@ -109,6 +111,7 @@ from palpate.records.text import (
     TomlTable as TomlTable,
     json_text as json_text,
     make_table as make_table,
+    read_text_table as read_text_table,
     read_toml as read_toml,
     split_cells as split_cells,
     text_lines as text_lines,

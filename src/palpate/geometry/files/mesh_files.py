@@ -33,13 +33,9 @@ _TETRAHEDRON_FACES = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
 # The checks of a surface take seconds at this many, the model would take all memory long before.
 MOST_TRIANGLES = 100_000
 # Solids and text take more bytes than the triangles that come of them.
-<<<<<<< HEAD
-_MOST_BYTES = 10_000 * _MOST_TRIANGLES
-# A solid has some cells for each triangle of its surface.
-_MOST_CELLS = 5 * _MOST_TRIANGLES
-=======
 _MOST_BYTES = 10_000 * MOST_TRIANGLES
->>>>>>> in-b
+# A solid has some cells for each triangle of its surface.
+_CELLS_PER_TRIANGLE = 5
 # Where files say, or show, how many cells they have.
 _CELLS = {
     ".ply": re.compile(rb"element\s+face\s+(\d+)"),
@@ -87,11 +83,8 @@ def read_mesh(
             f" convert it to one of {' '.join(MESH_SUFFIXES)}"
         )
     content = read_bytes(path, most=_MOST_BYTES, kind=MeshError)
-<<<<<<< HEAD
-    _check_count(path, _claimed(content, suffix), solid=suffix in _MESHIO_SUFFIXES)
-=======
-    _check_count(path, _claimed(content, suffix), most)
->>>>>>> in-b
+    solid = suffix in _MESHIO_SUFFIXES
+    _check_count(path, _claimed(content, suffix), most, solid=solid)
     with damage(
         path,
         "open it in a mesh program and save it again",
@@ -180,25 +173,15 @@ def _claimed(content: bytes, suffix: str) -> int:
     return content.count(_CELL_STARTS[suffix]) if suffix in _CELL_STARTS else 0
 
 
-<<<<<<< HEAD
-def _check_count(path: Path, count: int, *, solid: bool = False) -> None:
-    most = _MOST_CELLS if solid else _MOST_TRIANGLES
-    if count > most:
-        raise MeshError(
-            f"{path}: has {count} {'cells' if solid else 'triangles'}, too large: at most {most}"
-            " are read;"
-            " reduce it in a mesh program (decimate, remesh): 1000 to 10000 are enough for an"
-            " object"
-=======
-def _check_count(path: Path, count: int, most: int) -> None:
-    if count > most:
+def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> None:
+    limit = _CELLS_PER_TRIANGLE * most if solid else most
+    if count > limit:
         cure = "in a mesh program (decimate, remesh)"
         if most == MOST_TRIANGLES:
             cure = f"with `palpate mesh`, or {cure}"
         raise MeshError(
-            f"{path}: has {count} triangles, too large: at most {most} are read; reduce it {cure}:"
-            " 1000 to 10000 are enough for an object"
->>>>>>> in-b
+            f"{path}: has {count} {'cells' if solid else 'triangles'}, too large: at most {limit}"
+            f" are read; reduce it {cure}: 1000 to 10000 are enough for an object"
         )
 
 

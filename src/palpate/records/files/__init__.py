@@ -44,7 +44,10 @@ from palpate.records.files.sums import (
     file_sums as file_sums,
     session_files as session_files,
 )
-from palpate.records.files.support import read_support as read_support
+from palpate.records.files.support import (
+    read_support as read_support,
+    read_supports as read_supports,
+)
 from palpate.records.files.verification import (
     Finding as Finding,
     verify_result as verify_result,

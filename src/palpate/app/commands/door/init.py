@@ -1,0 +1,127 @@
+"""`palpate init`: the first session.toml of a folder, with what is found in it."""
+
+import sys
+from pathlib import Path
+from typing import Literal, cast
+
+from rich.prompt import Prompt
+
+from palpate.app.terminal import print_text
+from palpate.errors import InputError, RecordError
+from palpate.recording import (
+    TEMPLATES,
+    FolderSurvey,
+    Outline,
+    Template,
+    chosen_side,
+    flat_sides,
+    likely_template,
+    likely_unit,
+    outline_text,
+    read_surface,
+    survey_folder,
+    usual_radius,
+)
+from palpate.records import FILE_LENGTH_UNITS, write_text
+
+_Side = Literal["x-", "x+", "y-", "y+", "z-", "z+"]
+_Unit = Literal["m", "cm", "mm", "in"]
+
+
+def init(
+    folder: Path,
+    /,
+    *,
+    template: Template | None = None,
+    name: str | None = None,
+    mesh: str | None = None,
+    unit: _Unit | None = None,
+    held: _Side | None = None,
+    radius: float | None = None,
+) -> int:
+    """Write a commented session.toml, or recording.toml, with what is found in a folder.
+
+    On a terminal it asks for what is not given; elsewhere it takes what is most likely. Nothing
+    that is there is replaced.
+
+    Parameters
+    ----------
+    folder
+        Holds the mesh, and whatever else there is: rig, pictures, videos, tables.
+    template
+        lab: sorted pictures of calibrated cameras. dic: displacements of another program. robot:
+        videos, force log and log of poses. gauge: videos and force log. Default: what the files
+        look like.
+    name
+        Of the session. Default: the folder's.
+    mesh
+        File of the surface. Default: the only one.
+    unit
+        Of the mesh and all lengths. Default: the one in which the object can stand on a bench.
+    held
+        Flat side of the object that does not move. Default: the largest.
+    radius
+        Of the touched patch, in that unit.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    survey = survey_folder(folder)
+    if not survey.meshes:
+        raise RecordError(
+            f"{folder}: holds no surface of the object (PLY, STL, OBJ, OFF, MSH, VTU or VTP); put"
+            " it there first"
+        )
+    asked = sys.stdin is not None and sys.stdin.isatty()
+    kind = template or _choice("what is it", likely_template(survey), list(TEMPLATES), asked=asked)
+    target = folder / TEMPLATES[kind][1]
+    if target.exists():
+        raise InputError(f"{target}: is there already; nothing was changed: move it away first")
+    file = mesh or _choice("mesh", survey.meshes[0], list(survey.meshes), asked=asked)
+    surface = read_surface(survey, file)
+    sides = flat_sides(surface)
+    units = list(FILE_LENGTH_UNITS)
+    length = unit or _choice("unit of lengths", likely_unit(surface), units, asked=asked)
+    flat = [side.name for side in sides]
+    if held is None and flat:
+        held = _choice("side that is held", flat[0], flat, asked=asked)  # type: ignore[assignment]
+    outline = Outline(
+        cast(Template, kind), name or folder.resolve().name, file, length,
+        chosen_side(sides, held), _checked(radius) or usual_radius(surface), radius is not None,
+    )  # fmt: skip
+    write_text(target, outline_text(survey, outline))
+    print_text(f"{_found(survey)}\n{target} is written; {_next(kind, target)}")
+    return 0
+
+
+def _checked(radius: float | None) -> float | None:
+    if radius is not None and radius <= 0.0:
+        raise InputError(f"--radius is {radius:g}; must be positive, in the unit of the mesh")
+    return radius
+
+
+def _choice(what: str, usual: str, allowed: list[str], *, asked: bool) -> str:
+    """What the person says, or what is most likely where nobody can be asked."""
+    if not asked or len(allowed) == 1:
+        return usual
+    return Prompt.ask(what, choices=allowed, default=usual)
+
+
+def _found(survey: FolderSurvey) -> str:
+    """How many files of each kind are there."""
+    counts = {
+        "meshes": survey.meshes, "rigs": survey.rigs, "videos": survey.videos,
+        "pictures": survey.pictures, "displacements": survey.displacements,
+        "force logs": survey.forces, "logs of poses": survey.poses,
+    }  # fmt: skip
+    return "Found: " + ", ".join(f"{len(names)} {what}" for what, names in counts.items() if names)
+
+
+def _next(kind: str, target: Path) -> str:
+    marks = target.read_text(encoding="utf-8").count("<- fill in")
+    places = "place" if marks == 1 else f"{marks} places"
+    done = f"fill in the {places} marked, then" if marks else "next"
+    command = "record" if TEMPLATES[kind][1] == "recording.toml" else "check"
+    return f"{done}: palpate {command} {target.parent}"

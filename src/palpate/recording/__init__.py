@@ -1,0 +1,52 @@
+"""From videos of presses and the log of a force gauge to a session.
+
+Purpose    : find the presses in a recording, the clocks' offsets and the moments to measure at, and
+             write them down as a session.
+Takes      : recording.toml: a video or pictures a camera, a force log, a mesh, a rig.
+Gives      : `Recorded`, a session folder; `survey_folder` and the outline of a session.
+Depends on : `vision`, `probe`, `records`, `geometry`.
+Read first : `record.py`, then `force/touches.py`, `clock.py` and `session_folder.py`.
+"""
+
+from palpate.recording.clock import Clock as Clock
+from palpate.recording.folder_survey import (
+    SIDES as SIDES,
+    FolderSurvey as FolderSurvey,
+    Side as Side,
+    chosen_side as chosen_side,
+    flat_sides as flat_sides,
+    likely_unit as likely_unit,
+    read_surface as read_surface,
+    survey_folder as survey_folder,
+    usual_radius as usual_radius,
+)
+from palpate.recording.force import (
+    ForceLog as ForceLog,
+    Gauge as Gauge,
+    Reading as Reading,
+    Touch as Touch,
+    Zero as Zero,
+)
+from palpate.recording.outline import (
+    TEMPLATES as TEMPLATES,
+    Outline as Outline,
+    Template as Template,
+    likely_template as likely_template,
+    outline_text as outline_text,
+)
+from palpate.recording.pictures import CameraMotion as CameraMotion
+from palpate.recording.record import (
+    Press as Press,
+    Recorded as Recorded,
+    find_presses as find_presses,
+)
+from palpate.recording.recording_file import (
+    RECORDING_FORMAT as RECORDING_FORMAT,
+    Recording as Recording,
+    read_recording as read_recording,
+)
+from palpate.recording.session_folder import (
+    PlacedPress as PlacedPress,
+    hysteresis as hysteresis,
+    write_recorded as write_recorded,
+)

@@ -1,0 +1,231 @@
+"""What lies in a folder that is to become a session: surface, cameras, pictures, videos, tables."""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palpate.errors import InputError, MeshError, PalpateError, RecordError
+from palpate.geometry import MESH_SUFFIXES, TriangleMesh, read_mesh, triangle_areas
+from palpate.records import Rig, read_rig, read_text_table
+from palpate.shapes import Vector3
+
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_RIG_SUFFIXES = (".toml", ".yml", ".yaml", ".xml", ".json", ".mat", ".caldat")
+_TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
+# Files of Palpate's that are no rig.
+_OWN = ("session.toml", "recording.toml", "truth.toml")
+# More files are no bench's folder; a folder in the folder is looked into, not farther.
+_MOST_FILES = 20_000
+# Flat sides are within this share of the object's size of its end.
+_FLAT = 1e-3
+_SIDES = {"x-": (0, -1.0), "x+": (0, 1.0), "y-": (1, -1.0), "y+": (1, 1.0), "z-": (2, -1.0),
+          "z+": (2, 1.0)}  # fmt: skip
+SIDES = tuple(_SIDES)
+# The most likely unit of a mesh by its largest extent: a probed object has 5 mm to 2 m.
+_UNITS = (("m", 2.0), ("cm", 20.0), ("mm", np.inf))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """A flat side of an object, along an axis.
+
+    Attributes
+    ----------
+    name : str                      of `SIDES`
+    point, normal : (3,) float      on it, unit of the mesh; outward
+    tolerance : float               unit of the mesh
+    share : float                   of the whole surface
+    """
+
+    name: str
+    point: Vector3
+    normal: Vector3
+    tolerance: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FolderSurvey:
+    """What was found; names are relative to the folder.
+
+    Attributes
+    ----------
+    folder : Path
+    meshes, rigs, videos, pictures : tuple of str
+    displacements, forces, poses, times : tuple of str      tables, by their columns
+    rig : Rig or None               of the first file that holds one
+    """
+
+    folder: Path
+    meshes: tuple[str, ...]
+    rigs: tuple[str, ...]
+    videos: tuple[str, ...]
+    pictures: tuple[str, ...]
+    displacements: tuple[str, ...]
+    forces: tuple[str, ...]
+    poses: tuple[str, ...]
+    times: tuple[str, ...]
+    rig: Rig | None
+
+
+def survey_folder(folder: Path) -> FolderSurvey:
+    """Look through a folder and the folders in it; nothing is changed.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    FolderSurvey
+
+    Raises
+    ------
+    RecordError                     no such folder, or one of too many files
+    """
+    if not folder.is_dir():
+        raise RecordError(f"{folder}: no such folder; make it, and put the mesh into it")
+    files = sorted(path for path in _files(folder) if path.is_file())
+    if len(files) > _MOST_FILES:
+        raise RecordError(f"{folder}: has {len(files)} files; name the folder of one measurement")
+
+    def named(suffixes: Iterable[str]) -> tuple[str, ...]:
+        chosen = (path for path in files if path.suffix.lower() in tuple(suffixes))
+        return tuple(path.relative_to(folder).as_posix() for path in chosen)
+
+    rigs: list[str] = []
+    first: Rig | None = None
+    for name in named(_RIG_SUFFIXES):
+        if Path(name).name in _OWN:
+            continue
+        with suppress(PalpateError):
+            rig = read_rig(folder / name)
+            rigs.append(name)
+            first = first or rig
+    kinds: dict[str, list[str]] = {"displacement": [], "force": [], "pose": [], "time": []}
+    for name in named(_TABLE_SUFFIXES):
+        if kind := _table_kind(folder / name):
+            kinds[kind].append(name)
+    return FolderSurvey(
+        folder, named(MESH_SUFFIXES), tuple(rigs), named(VIDEO_SUFFIXES), named(PICTURE_SUFFIXES),
+        tuple(kinds["displacement"]), tuple(kinds["force"]), tuple(kinds["pose"]),
+        tuple(kinds["time"]), first,
+    )  # fmt: skip
+
+
+def _files(folder: Path) -> list[Path]:
+    return [*folder.glob("*"), *folder.glob("*/*")]
+
+
+def _table_kind(path: Path) -> str:
+    """What a table holds, by its columns; empty where it is none of ours."""
+    try:
+        table = read_text_table(path, cure="")
+    except PalpateError:
+        return ""
+    words = {column.name.partition("(")[0].strip().lower() for column in table.columns}
+    if {"ux", "uy", "uz"} <= words:
+        return "displacement"
+    timed = words & {"t", "time", "timestamp", "elapsed"}
+    if timed and {"x", "y", "z"} <= words:
+        return "pose"
+    if timed and any(word.startswith(("f", "load")) for word in words):
+        return "force"
+    return "time" if timed and len(table.columns) == 1 else ""
+
+
+def read_surface(survey: FolderSurvey, name: str) -> TriangleMesh:
+    """The surface of a mesh file, in its own unit.
+
+    Parameters
+    ----------
+    survey : FolderSurvey
+    name : str                      of the file
+
+    Raises
+    ------
+    MeshError                       it cannot be read
+    """
+    try:
+        return read_mesh(survey.folder / name, metres_per_unit=1.0)
+    except MeshError as error:
+        raise MeshError(f"{error}; mend it, or name another with --mesh") from error
+
+
+def likely_unit(mesh: TriangleMesh) -> str:
+    """The unit in which an object that one can probe on a bench has these numbers.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in its own unit
+
+    Returns
+    -------
+    str                             m, cm or mm
+    """
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    return next(unit for unit, most in _UNITS if extent <= most)
+
+
+def usual_radius(mesh: TriangleMesh) -> float:
+    """A radius of contact to begin with: a twentieth of the object, one digit.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in its own unit
+
+    Returns
+    -------
+    float                           in that unit
+    """
+    return float(f"{0.05 * np.ptp(mesh.vertices, axis=0).max():.1g}")
+
+
+def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
+    """Flat sides at the ends of the axes, the largest first; the lower one of equals is first.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             in its own unit
+
+    Returns
+    -------
+    tuple of Side                   empty where there is none
+    """
+    areas = triangle_areas(mesh)
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    found = []
+    for name, (axis, sign) in _SIDES.items():
+        height = sign * mesh.vertices[:, axis]
+        on = (height[mesh.triangles] > height.max() - _FLAT * size).all(axis=1)
+        if on.any():
+            point, normal = np.zeros(3), np.zeros(3)
+            point[axis], normal[axis] = sign * height.max(), sign
+            share = float(areas[on].sum() / areas.sum())
+            found.append(Side(name, point, normal, _FLAT * size, share))
+    return tuple(sorted(found, key=lambda side: (-round(side.share, 3), side.name != "z-")))
+
+
+def chosen_side(sides: tuple[Side, ...], name: str | None) -> Side | None:
+    """The side that was asked for, or the largest.
+
+    Parameters
+    ----------
+    sides : tuple of Side
+    name : str or None              of `SIDES`
+
+    Raises
+    ------
+    InputError                      the object is not flat there
+    """
+    if name is None:
+        return sides[0] if sides else None
+    for side in sides:
+        if side.name == name:
+            return side
+    there = ", ".join(side.name for side in sides) or "none"
+    raise InputError(f"the object has no flat side at {name}; it has: {there}")

@@ -1,0 +1,32 @@
+"""What a force gauge's log says: when the tool touches, when it rests, with what force.
+
+Purpose    : forces on the object, without the tool's weight and the gauge's drift, with sigmas.
+Takes      : a table of times and forces, and how to read it (`Gauge`).
+Gives      : `ForceLog`, `Touch`, `Zero`, `Reading`.
+Depends on : `probe`, `records`.
+Read first : `log.py`, `touches.py`, `plateaus.py`.
+"""
+
+from palpate.recording.force.log import (
+    SECONDS as SECONDS,
+    ForceLog as ForceLog,
+    Gauge as Gauge,
+    read_force_log as read_force_log,
+    true_runs as true_runs,
+)
+from palpate.recording.force.plateaus import (
+    Reading as Reading,
+    find_plateau as find_plateau,
+    read_force as read_force,
+    still_force as still_force,
+    why_unread as why_unread,
+)
+from palpate.recording.force.touches import (
+    EvenForce as EvenForce,
+    Touch as Touch,
+    Zero as Zero,
+    even_force as even_force,
+    find_touches as find_touches,
+    find_zero as find_zero,
+    mean_std as mean_std,
+)

@@ -1,0 +1,298 @@
+"""The log of a force gauge: readings in newtons in the object's frame, and what is wrong in it."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError, RecordError, quoted
+from palpate.probe import NEWTONS
+from palpate.records import Column, TextTable, read_text_table
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME_WORDS = ("time", "t", "timestamp", "seconds", "elapsed", "elapsed time")
+_FORCE_WORDS = ("force", "load", "f", "fx", "fy", "fz", "fn")
+_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$")
+_CURE = (
+    "a force log is a table with a line of headings, a column of times and one to three of forces"
+)
+# Forces beyond these are not those of a probing: a unit is mistaken.
+_LARGEST, _SMALLEST = 500.0, 1e-4
+# A recording is not longer [s].
+_LONGEST = 86400.0
+# A longer step than so many usual ones is a gap; shorter pauses than this [s] hide no press.
+_GAP_STEPS, _GAP = 5.0, 0.05
+# So many equal readings in a row at the end of the range, where of the others no more than this
+# share equals the one before: a coarse gauge repeats itself everywhere.
+_STUCK, _REPEATED = 10, 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gauge:
+    """How a force gauge's log is to be read.
+
+    Parameters
+    ----------
+    file : Path
+    time : str or None              heading of the times; None: the column that is called so
+    columns : tuple of str          headings of the forces; empty: the columns that are called so
+    unit : str or None              of `NEWTONS`; None: as the headings say, else N
+    time_unit : str or None         of `SECONDS`; None: as the heading says, else s
+    axes : (k, 3) float             direction of a positive reading of each column, object frame;
+                                    perpendicular, made unit vectors
+    on_tool : bool                  readings are of the force on the tool, not on the object
+    limit : float or None [N]       end of the gauge's range, both ways; readings there say nothing
+
+    Raises
+    ------
+    InputError                      an unknown unit, axes that are not perpendicular
+    """
+
+    file: Path
+    time: str | None
+    columns: tuple[str, ...]
+    unit: str | None
+    time_unit: str | None
+    axes: Float[np.ndarray, "k 3"]
+    on_tool: bool = False
+    limit: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value, known in (
+            ("unit", self.unit, NEWTONS), ("time_unit", self.time_unit, SECONDS)
+        ):  # fmt: skip
+            if value is not None and value not in known:
+                raise InputError(f"{name} is {quoted(value)}; must be one of {', '.join(known)}")
+        axes = fixed_array(self.axes, name="axes", shape=(None, 3))
+        length = np.linalg.norm(axes, axis=1)
+        if not 1 <= len(axes) <= 3 or not length.all():
+            raise InputError(
+                "axes must be one to three directions, one for each column of forces, e.g."
+                " [[0, 0, 1]]"
+            )
+        unit = axes / length[:, None]
+        if np.abs(unit @ unit.T - np.eye(len(unit))).max() > 1e-3:
+            raise InputError(f"axes are {axes.tolist()}; a gauge's directions are perpendicular")
+        if self.columns and len(self.columns) != len(axes):
+            raise InputError(
+                f"there are {len(self.columns)} columns of forces and {len(axes)} axes; give a"
+                " direction for each column"
+            )
+        if self.limit is not None and not self.limit > 0.0:
+            raise InputError(f"limit is {self.limit}; must be positive, in newtons")
+        object.__setattr__(self, "axes", unit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceLog:
+    """Readings of a force gauge.
+
+    Attributes
+    ----------
+    time : (n,) float [s]           never decreasing, the gauge's own clock
+    force : (n, 3) float [N]        on the object, its frame; with the tool's weight and the zero's
+                                    drift still in it; nothing along directions not measured
+    saturated : (n,) bool           at the end of the gauge's range: more may have acted
+    axes : (k, 3) float             the directions that were measured
+    gaps : tuple of two float [s]   begin and end of the times without readings
+    missing : int                   rows without a number, left out
+    source : str                    the file
+    notes : tuple of str            what was assumed or left out, in sentences
+    """
+
+    time: Float[np.ndarray, " n"]
+    force: Float[np.ndarray, "n 3"]
+    saturated: Bool[np.ndarray, " n"]
+    axes: Float[np.ndarray, "k 3"]
+    gaps: tuple[tuple[float, float], ...]
+    missing: int
+    source: str
+    notes: tuple[str, ...]
+
+    @property
+    def step(self) -> float:
+        """Usual time between two readings [s]."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+
+def read_force_log(gauge: Gauge) -> ForceLog:
+    """Read the log of a force gauge.
+
+    Parameters
+    ----------
+    gauge : Gauge
+
+    Returns
+    -------
+    ForceLog
+
+    Raises
+    ------
+    RecordError                     no such file, no such columns, two units that contradict each
+                                    other, times that run backwards, forces that no probing has
+    """
+    table = read_text_table(gauge.file, cure=_CURE)
+    time = _time_column(table, gauge.time)
+    columns = _force_columns(table, gauge.columns, len(gauge.axes))
+    notes: list[str] = []
+    seconds = SECONDS[_unit(table, [time], gauge.time_unit, tuple(SECONDS), "s", "time", notes)]
+    newtons = NEWTONS[_unit(table, columns, gauge.unit, tuple(NEWTONS), "N", "force", notes)]
+    values = table.values([time, *columns])
+    good = np.isfinite(values).all(axis=1)
+    if good.sum() < 2:
+        raise RecordError(f"{table.path}: has {int(good.sum())} rows of numbers; {_CURE}")
+    numbers = np.array(table.numbers)[good]
+    when, reading = seconds * values[good, 0], newtons * values[good, 1:]
+    _check_times(table.path, when, numbers)
+    _check_size(table.path, reading)
+    gaps = _gaps(when)
+    if missing := int((~good).sum()):
+        notes.append(f"{table.path.name}: {missing} rows without a number were left out.")
+    if gaps:
+        longest = max(end - begin for begin, end in gaps)
+        notes.append(
+            f"{table.path.name}: {len(gaps)} gaps, the longest of {longest:.2f} s; nothing is read"
+            " there."
+        )
+    sign = -1.0 if gauge.on_tool else 1.0
+    stuck = np.any([_stuck(column, gauge.limit) for column in reading.T], axis=0)
+    force = sign * reading @ gauge.axes
+    return ForceLog(when, force, stuck, gauge.axes, gaps, missing, str(table.path), tuple(notes))
+
+
+def _bare(heading: str) -> str:
+    """A heading without its unit, in small letters."""
+    match = _UNIT.match(heading)
+    return (match["name"] if match else heading).strip().lower()
+
+
+def _named(table: TextTable, wanted: str, what: str) -> Column:
+    """The column that is called so, its unit apart."""
+    found = [c for c in table.columns if wanted.lower() in (c.heading.lower(), _bare(c.heading))]
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(column.heading[:40] for column in table.columns[:12])
+    count = "no" if not found else len(found)
+    raise RecordError(
+        f"{table.path}: {count} columns are called {quoted(wanted)} ({what}); it has: {listed}"
+    )
+
+
+def _time_column(table: TextTable, wanted: str | None) -> Column:
+    if wanted is not None:
+        return _named(table, wanted, "time")
+    found = [column for column in table.columns if _bare(column.heading) in _TIME_WORDS]
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(column.heading[:40] for column in table.columns[:12])
+    raise RecordError(
+        f"{table.path}: no single column is called time or t; name it as `time` in [force]; it has:"
+        f" {listed}"
+    )
+
+
+def _force_columns(table: TextTable, wanted: tuple[str, ...], count: int) -> list[Column]:
+    """As many columns of forces as there are axes."""
+    if wanted:
+        return [_named(table, name, "force") for name in wanted]
+    found = [column for column in table.columns if _bare(column.heading) in _FORCE_WORDS]
+    if len(found) == count:
+        return found
+    listed = ", ".join(column.heading[:40] for column in table.columns[:12])
+    raise RecordError(
+        f"{table.path}: {len(found)} columns are called force, fx, fy or fz, and there are {count}"
+        f" axes; name one column for each axis as `columns` in [force]; it has: {listed}"
+    )
+
+
+def _unit(
+    table: TextTable,
+    columns: list[Column],
+    wanted: str | None,
+    known: tuple[str, ...],
+    usual: str,
+    what: str,
+    notes: list[str],
+) -> str:
+    """The unit that was asked for or stands in the headings; refused where the two differ."""
+    said = {match["unit"] for c in columns if (match := _UNIT.match(c.heading))}
+    heading = columns[0].heading
+    if len(said) > 1 or said - set(known):
+        raise RecordError(
+            f"{table.path}: the unit of the {what} is {quoted(', '.join(sorted(said)))}; must be"
+            f" one of {', '.join(known)}, the same for all its columns"
+        )
+    if said and wanted is not None and wanted not in said:
+        raise RecordError(
+            f"{table.path}: column {quoted(heading)} and the unit {quoted(wanted)} that was asked"
+            " for contradict each other; correct one of them"
+        )
+    if not said and wanted is None:
+        notes.append(f"{table.path.name}: no unit is given for the {what}; {usual} is taken.")
+    return wanted or next(iter(said), usual)
+
+
+def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray) -> None:
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    if len(back):
+        k = back[0]
+        raise RecordError(
+            f"{path}: line {numbers[k + 1]}: the time {time[k + 1]:g} s is before that of the line"
+            f" above, {time[k]:g} s ({len(back)} such lines); were two recordings joined, or did"
+            " the clock wrap round?"
+        )
+    if not 0.0 < time[-1] - time[0] <= _LONGEST:
+        raise RecordError(
+            f"{path}: its times run over {time[-1] - time[0]:g} s; a recording has some seconds to"
+            " a day: are they in another unit? Say it as `time_unit` in [force]"
+            f" ({', '.join(SECONDS)})"
+        )
+
+
+def _check_size(path: Path, reading: Float[np.ndarray, "n k"]) -> None:
+    """Refuse forces that nobody presses with; what is constant is weight."""
+    spread = float(np.abs(reading - np.median(reading, axis=0)).max())
+    if not _SMALLEST <= spread <= _LARGEST:
+        raise RecordError(
+            f"{path}: the force changes by {spread:.3g} N at most; the forces of probings are from"
+            f" {_SMALLEST:g} to {_LARGEST:g} N: is it in another unit? Say it as `unit` in [force]"
+            f" ({', '.join(NEWTONS)})"
+        )
+
+
+def _gaps(time: Float[np.ndarray, " n"]) -> tuple[tuple[float, float], ...]:
+    steps = np.diff(time)
+    longer = steps > max(_GAP_STEPS * float(np.median(steps)), _GAP)
+    return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(longer))
+
+
+def _stuck(reading: Float[np.ndarray, " n"], limit: float | None) -> Bool[np.ndarray, " n"]:
+    """Readings at the end of the range: told, or seen as the same highest value again and again."""
+    found = np.zeros(len(reading), dtype=bool)
+    if limit is not None:
+        found |= np.abs(reading) >= 0.999 * limit
+    for end in (reading.max(), reading.min()):
+        others = reading[1:] != end
+        again = (np.diff(reading) == 0.0)[others]
+        if len(again) and again.mean() < _REPEATED:
+            for first, last in true_runs(reading == end):
+                found[first:last] |= last - first >= _STUCK
+    return found
+
+
+def true_runs(flags: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
+    """Where flags are true without a break.
+
+    Parameters
+    ----------
+    flags : (n,) bool
+
+    Returns
+    -------
+    list of (int, int)              first of each run, and the one after its last
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

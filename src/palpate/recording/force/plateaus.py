@@ -1,0 +1,150 @@
+"""When a press is read: everything at rest, creep bounded; and what is read then."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from palpate.recording.force.log import ForceLog, true_runs
+from palpate.recording.force.touches import EvenForce, Touch, Zero, mean_std
+
+# A slope is read over twice this [s].
+_HALF = 0.12
+# At rest: the force changes by less than this share of itself a second, or by so many sigmas.
+_MAX_CREEP, _SIGMAS = 0.03, 5.0
+# Of the touch's peak: a plateau is not lower.
+_HIGH = 0.7
+# A shorter one [s] has no force worth the name; so much is left out at either end.
+_SHORTEST, _TRIM = 0.25, 0.04
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """Force and rest of one press.
+
+    Attributes
+    ----------
+    begin, end : float [s]          of the plateau, gauge's clock
+    time : float [s]                of the picture under load; the force is that of this moment
+    force : (3,) float [N]          on the object
+    std : (3,) float [N]            from the plateau's scatter, the zero's and its drift
+    creep : float [-]               change of the force along the plateau, as a share of it
+    """
+
+    begin: float
+    end: float
+    time: float
+    force: Float[np.ndarray, "3"]
+    std: Float[np.ndarray, "3"]
+    creep: float
+
+
+def still_force(even: EvenForce, zero: Zero) -> Bool[np.ndarray, " n"]:
+    """When the force does not change by more than noise and a bounded creep.
+
+    Parameters
+    ----------
+    even : EvenForce
+    zero : Zero
+
+    Returns
+    -------
+    (n,) bool                       at the times of `even`; False within and beside gaps
+    """
+    half = max(1, round(_HALF / even.step))
+    kernel = np.concatenate([np.ones(half), np.zeros(1), -np.ones(half)]) / half
+    span = (half + 1) * even.step
+    known = np.isfinite(even.force)
+    filled = np.where(known, even.force, 0.0)
+    slope = np.column_stack([np.convolve(part, kernel, "same") for part in filled.T]) / span
+    size = np.linalg.norm(filled - zero.at(even.time), axis=1)
+    noise = even.noise * np.sqrt(2.0 / half) / span
+    still = np.linalg.norm(slope, axis=1) <= np.maximum(_SIGMAS * noise, _MAX_CREEP * size)
+    whole = np.convolve(known.all(axis=1), np.ones(2 * half + 1), "same") > 2 * half
+    return still & whole
+
+
+def find_plateau(
+    even: EvenForce, zero: Zero, touch: Touch, still: Bool[np.ndarray, " n"]
+) -> tuple[float, float] | None:
+    """The longest time at rest near the largest force of a touch.
+
+    Parameters
+    ----------
+    even : EvenForce
+    zero : Zero
+    touch : Touch
+    still : (n,) bool               when nothing moves, at the times of `even`
+
+    Returns
+    -------
+    (begin, end) [s], or None where there is none
+    """
+    size = np.linalg.norm(even.force - zero.at(even.time), axis=1)
+    inside = (even.time >= touch.begin) & (even.time <= touch.end)
+    runs = true_runs(still & inside & (size > _HIGH * touch.peak))
+    if not runs:
+        return None
+    first, last = max(runs, key=lambda run: run[1] - run[0])
+    begin, end = even.time[first] + _TRIM, even.time[last - 1] - _TRIM
+    return (float(begin), float(end)) if end - begin >= _SHORTEST else None
+
+
+def read_force(log: ForceLog, zero: Zero, plateau: tuple[float, float], time: float) -> Reading:
+    """The force at one moment of a plateau, from all its readings.
+
+    A straight line through the readings less the zero: a slow creep shifts the mean, not the line.
+
+    Parameters
+    ----------
+    log : ForceLog
+    zero : Zero
+    plateau : (begin, end) [s]
+    time : float [s]                within it
+
+    Returns
+    -------
+    Reading
+    """
+    begin, end = plateau
+    rows = (log.time >= begin) & (log.time <= end)
+    when = log.time[rows] - time
+    force = log.force[rows] - zero.at(log.time[rows])
+    line = np.column_stack([np.ones_like(when), when])
+    solution = np.linalg.lstsq(line, force, rcond=None)[0]
+    off = force - line @ solution
+    # How much more the line is off at that moment than the mean of the readings is.
+    lever = 1.0 + (when.mean() ** 2) / max(float(when.var()), 1e-12)
+    own = np.hypot(mean_std(off) * np.sqrt(lever), zero.bend)
+    measured = (log.axes**2).sum(axis=0) > 0.0
+    share = np.sqrt((log.axes**2).sum(axis=0))
+    std = np.where(measured, np.hypot(own, share * zero.std), 0.0)
+    size = float(np.linalg.norm(solution[0]))
+    along = float(solution[1] @ solution[0]) / max(size, 1e-12)
+    return Reading(begin, end, time, solution[0], std, along * (end - begin) / max(size, 1e-12))
+
+
+def why_unread(log: ForceLog, plateau: tuple[float, float] | None) -> str:
+    """Why a press cannot be read; empty where it can.
+
+    Parameters
+    ----------
+    log : ForceLog
+    plateau : (begin, end) [s] or None
+
+    Returns
+    -------
+    str                             the end of a sentence
+    """
+    if plateau is None:
+        return (
+            "force and pictures are at no time at rest together under its full load for"
+            f" {_SHORTEST} s, gaps of the log apart; hold the tool still for a second or two"
+        )
+    rows = (log.time >= plateau[0]) & (log.time <= plateau[1])
+    if log.saturated[rows].any():
+        return (
+            "the gauge is at the end of its range; press less deep, or take a gauge of a larger"
+            " range"
+        )
+    return ""

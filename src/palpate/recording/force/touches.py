@@ -1,0 +1,286 @@
+"""When the tool touches the object, and what the gauge reads while it does not: weight and drift.
+
+Everything here is seen in the force alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from palpate.errors import RecordError
+from palpate.recording.force.log import ForceLog
+
+# Readings are averaged over this [s] before anything is decided.
+_BIN = 0.02
+# A touch begins where the force leaves its zero by so many standard deviations, and by this share
+# of the largest force of all; it ends where it is back, or within this share of the touch's peak.
+_SIGMAS, _LEAST_SHARE, _BACK_SHARE = 6.0, 0.01, 0.05
+# The zero is followed this slowly [s], so that a slow push is none of its drift.
+_FOLLOWED = 2.0
+# So long [s] the force must be gone, or there, to count; while it goes it changes by less than this
+# share of what makes a touch.
+_SETTLED, _AT_REST = 0.06, 0.5
+# A touch that is shorter [s], or weaker than so many thresholds, is a knock.
+_SHORTEST, _WEAKEST = 0.3, 3.0
+# The zero is read this far from a touch [s], over so much time on either side of a pause.
+_AWAY, _ZERO_TIME = 0.15, 1.0
+# How long [s] the tool must be off the object in the beginning, and how quiet the force is then.
+_START, _QUIET = 0.5, 0.1
+# Readings' sigma from second differences; and the root mean square of the length of a normal vector
+# of one, two and three components over its median.
+_SECOND_DIFFERENCE, _FROM_MEDIAN = np.sqrt(6.0), (1.4826, 1.2011, 1.1260)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvenForce:
+    """Force at even times.
+
+    Attributes
+    ----------
+    time : (n,) float [s]           gauge's clock
+    force : (n, 3) float [N]        mean of the readings around each time; NaN within gaps
+    noise : float [N]               standard deviation of the length of the noise of one of them
+    """
+
+    time: Float[np.ndarray, " n"]
+    force: Float[np.ndarray, "n 3"]
+    noise: float
+
+    @property
+    def step(self) -> float:
+        """Time between two of them [s]."""
+        return float(self.time[1] - self.time[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """One contact of the tool with the object.
+
+    Attributes
+    ----------
+    begin, end : float [s]          gauge's clock; end: of the log where it is not seen
+    peak : float [N]                largest force on the way
+    ended : bool                    the tool was seen to leave
+    """
+
+    begin: float
+    end: float
+    peak: float
+    ended: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Zero:
+    """What the gauge reads without contact: the tool's weight, and a drift.
+
+    Attributes
+    ----------
+    time : (j,) float [s]           where it was read
+    value : (j, 3) float [N]
+    std : float [N]                 of a component, of one of these values
+    bend : (3,) float [N]           standard deviation from the straight line midway between two of
+                                    them, of a drift that walks at random; a smooth one is nearer
+    """
+
+    time: Float[np.ndarray, " j"]
+    value: Float[np.ndarray, "j 3"]
+    std: float
+    bend: Float[np.ndarray, "3"]
+
+    def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """Zero at any time, on straight lines between the times where it was read.
+
+        Parameters
+        ----------
+        time : (n,) float [s]
+
+        Returns
+        -------
+        (n, 3) float [N]
+        """
+        return np.column_stack([np.interp(time, self.time, part) for part in self.value.T])
+
+    @property
+    def drift(self) -> float:
+        """Largest difference between two of its values [N]."""
+        return float(np.linalg.norm(self.value[:, None] - self.value[None], axis=2).max())
+
+
+def even_force(log: ForceLog) -> EvenForce:
+    """Force at even times.
+
+    Parameters
+    ----------
+    log : ForceLog
+
+    Returns
+    -------
+    EvenForce
+    """
+    step = max(_BIN, 1.01 * float(np.median(np.diff(log.time))))
+    count = int((log.time[-1] - log.time[0]) / step) + 1
+    time = log.time[0] + step * (np.arange(count) + 0.5)
+    number = np.minimum(((log.time - log.time[0]) / step).astype(int), count - 1)
+    readings = np.bincount(number, minlength=count)
+    filled = readings > 0
+
+    def mean(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
+        total: np.ndarray = np.bincount(number, values, count)[filled]
+        return total / readings[filled]
+
+    # The readings' mean time is not the middle: half a reading's step would be half an offset.
+    when = mean(log.time)
+    force = np.column_stack([np.interp(time, when, mean(part)) for part in log.force.T])
+    for begin, end in log.gaps:
+        force[(time > begin) & (time < end)] = np.nan
+    bent = np.diff(force, n=2, axis=0)
+    bent = np.linalg.norm(bent[np.isfinite(bent).all(axis=1)], axis=1) / _SECOND_DIFFERENCE
+    return EvenForce(time, force, float(np.median(bent)) * _FROM_MEDIAN[len(log.axes) - 1])
+
+
+def find_touches(even: EvenForce) -> tuple[tuple[Touch, ...], int]:
+    """Contacts of the tool with the object, and how many knocks were passed over.
+
+    The log begins with the tool off the object.
+
+    Parameters
+    ----------
+    even : EvenForce
+
+    Returns
+    -------
+    touches : tuple of Touch        in time
+    knocks : int                    too short or too weak to be presses
+
+    Raises
+    ------
+    RecordError                     the force is not quiet in the beginning
+    """
+    known = np.isfinite(even.force).all(axis=1)
+    time, force = even.time[known], even.force[known]
+    zero, limit = _start(time, force, even.noise)
+    back = max(1, round(_SETTLED / even.step))
+    share = min(even.step / _FOLLOWED, 1.0)
+    found: list[Touch] = []
+    knocks, since, peak, count = 0, -1, 0.0, 0
+    for k, value in enumerate(force):
+        size = float(np.linalg.norm(value - zero))
+        if since < 0:
+            count = count + 1 if size > limit else 0
+            if count >= back:
+                since, peak, count = k - back + 1, size, 0
+            elif count == 0:
+                zero = zero + share * (value - zero)
+            continue
+        peak = max(peak, size)
+        # The last of the unloading is no new zero: the force must have come to rest.
+        moved = float(np.linalg.norm(value - force[max(k - back, 0)]))
+        low = size < max(limit, _BACK_SHARE * peak) and moved < _AT_REST * limit
+        count = count + 1 if low else 0
+        if count >= back:
+            touch = Touch(float(time[since]), float(time[k - back + 1]), peak, True)
+            knocks += _added(found, touch, limit)
+            zero, since, count = force[k - back + 1 : k + 1].mean(axis=0), -1, 0
+    if since >= 0:
+        knocks += _added(found, Touch(float(time[since]), float(time[-1]), peak, False), limit)
+    return tuple(found), knocks
+
+
+def _start(
+    time: Float[np.ndarray, " n"], force: Float[np.ndarray, "n 3"], noise: float
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """Zero in the beginning, and by how much a force must differ from it."""
+    first = force[time < time[0] + _START]
+    zero = np.median(first, axis=0)
+    largest = float(np.linalg.norm(force - zero, axis=1).max())
+    scatter = float(np.sqrt(((first - zero) ** 2).sum(axis=1).mean()))
+    if scatter > max(_QUIET * largest, 3.0 * noise):
+        raise RecordError(
+            f"the force changes by {scatter:.3g} N within the first {_START} s, up to"
+            f" {largest:.3g} N later on: the recording must begin with the tool at rest and off the"
+            " object, or the tool's weight is not known; cut off what is before"
+        )
+    return zero, max(_SIGMAS * max(noise, scatter), _LEAST_SHARE * largest)
+
+
+def _added(found: list[Touch], touch: Touch, limit: float) -> bool:
+    """Add a touch that is a press; True where it is a knock."""
+    if touch.end - touch.begin < _SHORTEST or touch.peak < _WEAKEST * limit:
+        return True
+    found.append(touch)
+    return False
+
+
+def find_zero(log: ForceLog, touches: tuple[Touch, ...]) -> Zero:
+    """What the gauge reads before, between and after the touches.
+
+    Parameters
+    ----------
+    log : ForceLog
+    touches : tuple of Touch
+
+    Returns
+    -------
+    Zero
+
+    Raises
+    ------
+    RecordError                     no time without contact
+    """
+    begins = [log.time[0] - _AWAY, *(touch.end for touch in touches if touch.ended)]
+    ends = [*(touch.begin for touch in touches), log.time[-1] + _AWAY][: len(begins)]
+    parts: list[Bool[np.ndarray, " n"]] = []
+    for begin, end in zip(begins, ends, strict=True):
+        low, high = begin + _AWAY, end - _AWAY
+        windows = [(low, high)]
+        if high - low > 2.0 * _ZERO_TIME:
+            windows = [(low, low + _ZERO_TIME), (high - _ZERO_TIME, high)]
+        parts += [(log.time >= a) & (log.time <= b) for a, b in windows]
+    parts = [part for part in parts if part.sum() >= 2]
+    if not parts:
+        raise RecordError(
+            f"{log.source}: there is no time without contact; lift the tool off the object for a"
+            " second before and between the presses"
+        )
+    time = np.array([log.time[part].mean() for part in parts])
+    value = np.stack([log.force[part].mean(axis=0) for part in parts])
+    std = max(float(mean_std(log.force[part]).max()) for part in parts)
+    return Zero(time, value, std, _bend(time, value))
+
+
+def mean_std(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
+    """Standard deviation of the mean of readings that follow each other in time.
+
+    Neighbours may be alike, as behind a filter: as many are counted as a process of the first order
+    with the same correlation of neighbours has independent ones.
+
+    Parameters
+    ----------
+    values : (n, k) float           n >= 2; their mean is what is asked for
+
+    Returns
+    -------
+    (k,) float                      in the unit of the values
+    """
+    off = values - values.mean(axis=0)
+    variance = (off**2).sum(axis=0) / max(len(off) - 1, 1)
+    product = (off[1:] * off[:-1]).sum(axis=0) / max(len(off) - 1, 1)
+    alike = np.clip(product / np.where(variance > 0.0, variance, 1.0), 0.0, 0.99)
+    return np.sqrt(variance / len(off) * (1.0 + alike) / (1.0 - alike))
+
+
+def _bend(time: Float[np.ndarray, " j"], value: Float[np.ndarray, "j 3"]) -> np.ndarray:
+    """How far each component is off the straight line between two zeros, midway between them.
+
+    A random walk is off the line across twice that time by twice the variance, which is seen.
+    """
+    if len(time) < 2:
+        return np.zeros(3)
+    if len(time) < 3:
+        # A straight line fits two values whatever they are: allow for half their difference.
+        return np.abs(value[1] - value[0]) / 2.0
+    share = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
+    off = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+    bend: np.ndarray = np.sqrt((off**2).mean(axis=0) / 2.0)
+    return bend

@@ -1,0 +1,258 @@
+"""The first session.toml or recording.toml of a folder, with comments on what is to be said."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from palpate.errors import InputError, quoted
+from palpate.recording.folder_survey import FolderSurvey, Side
+from palpate.recording.recording_file import RECORDING_FORMAT
+from palpate.records import SESSION_FORMAT
+
+Template = Literal["lab", "dic", "robot", "gauge"]
+# What each template is for, and the file that it makes.
+TEMPLATES: dict[str, tuple[str, str]] = {
+    "lab": ("sorted pictures of calibrated cameras", "session.toml"),
+    "dic": ("displacements from image correlation or another program", "session.toml"),
+    "robot": ("videos, a force log and a log of the tool's pose", "recording.toml"),
+    "gauge": ("videos and the log of a force gauge; the contact is found", "recording.toml"),
+}
+# Still to be filled in: a session that says so is refused with a message that names the place.
+_FILL = "# <- fill in"
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """What a new session is about.
+
+    Parameters
+    ----------
+    template : str                  of `TEMPLATES`
+    name : str
+    mesh : str                      file
+    unit : str                      of its lengths
+    side : Side or None             that is held
+    radius : float                  of the touched patch, the same unit
+    radius_known : bool             it was said, and is no guess
+    """
+
+    template: Template
+    name: str
+    mesh: str
+    unit: str
+    side: Side | None
+    radius: float
+    radius_known: bool
+
+
+def likely_template(survey: FolderSurvey) -> Template:
+    """The template for what lies in a folder.
+
+    Parameters
+    ----------
+    survey : FolderSurvey
+
+    Returns
+    -------
+    str
+    """
+    if survey.videos or survey.forces:
+        return "robot" if survey.poses else "gauge"
+    return "dic" if survey.displacements and not survey.pictures else "lab"
+
+
+def outline_text(survey: FolderSurvey, outline: Outline) -> str:
+    """The file's text.
+
+    Parameters
+    ----------
+    survey : FolderSurvey
+    outline : Outline
+
+    Returns
+    -------
+    str                             TOML with comments
+
+    Raises
+    ------
+    InputError                      a mesh that is not in the folder
+    """
+    if outline.mesh not in survey.meshes:
+        raise InputError(
+            f"the folder has no mesh {quoted(outline.mesh)}; it has: {_listed(survey.meshes)}"
+        )
+    recorded = TEMPLATES[outline.template][1] == "recording.toml"
+    head = _head(outline, RECORDING_FORMAT if recorded else SESSION_FORMAT)
+    parts = [head, _object(outline), _support(outline)]
+    if recorded:
+        parts += [_rig(survey), _force(survey), _cameras(survey)]
+        parts.append(_contact(survey, outline))
+    elif outline.template == "lab":
+        parts += [_rig(survey), *_pictured_probes(survey, outline)]
+    else:
+        parts += _measured_probes(survey, outline)
+    return "\n".join(parts)
+
+
+def _line(text: str, comment: str, *, fill: bool = False) -> str:
+    """A line with a comment; marked where something is to be filled in."""
+    mark = f"{_FILL}: " if fill else "# "
+    return f"{text:<30}{mark}{comment}\n" if comment else f"{text:<30}{mark}".rstrip(": ") + "\n"
+
+
+def _head(outline: Outline, form: str) -> str:
+    what, file = TEMPLATES[outline.template]
+    following = "palpate record" if file == "recording.toml" else "palpate check"
+    return (
+        f"# {what[0].upper()}{what[1:]}.\n"
+        f"# Look through it, fill in what is marked, then {following}\n"
+        f'format = "{form}"\nname = {_quoted(outline.name)}\n'
+    )
+
+
+def _object(outline: Outline) -> str:
+    return (
+        "[object]\n"
+        + _line(f"mesh = {_quoted(outline.mesh)}", "closed surface, outward normals")
+        + _line(f'length_unit = "{outline.unit}"', "of the mesh and all lengths: m, cm, mm, in")
+        + _line("# density = 30.0", "kg/m^3; only with [gravity]")
+    )
+
+
+def _support(outline: Outline) -> str:
+    head = _line("[support]", "the part of the surface that does not move")
+    if outline.side is None:
+        plane = "plane = { point = [0, 0, 0], normal = [0, 0, 1], tolerance = 0 }"
+        what = "no side is flat along an axis: a plane, a box or triangles"
+        return head + _line(f"{plane}   ", what, fill=True)
+    side = outline.side
+    point, normal = (
+        "[" + ", ".join(f"{x:.6g}" for x in vector) + "]" for vector in (side.point, side.normal)
+    )
+    return (
+        f"{head}# the flat side at {side.name}, {100 * side.share:.0f} % of the surface: all"
+        " triangles this close to the plane\n"
+        f"plane = {{ point = {point}, normal = {normal}, tolerance = {side.tolerance:.3g} }}\n"
+    )
+
+
+def _rig(survey: FolderSurvey) -> str:
+    if survey.rigs:
+        others = f"also here: {_listed(survey.rigs[1:])}" if survey.rigs[1:] else ""
+        line = f"cameras = {_quoted(survey.rigs[0])}"
+        return "[rig]\n" + (_line(line, others) if others else f"{line}\n")
+    return "[rig]\n" + _line('cameras = "rig.toml"', "palpate calibrate makes it", fill=True)
+
+
+def _force(survey: FolderSurvey) -> str:
+    file = survey.forces[0] if survey.forces else "force.csv"
+    what = "a column of times, one to three of forces"
+    return (
+        "[force]\n"
+        + _line(f"file = {_quoted(file)}", what, fill=not survey.forces)
+        + _line('# columns = ["Fx"]', "headings, where they are not force, fx, fy, fz")
+        + _line('# unit = "N"', "mN, N, kN, gf, kgf, lbf; default: as the headings say")
+        + _line("# limit = 10.0", "end of the gauge's range, N")
+        + "# The direction of each column's positive reading, in the mesh's frame:\n"
+        + _line("axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]   ", "", fill=True)
+        + _line('sign = "on object"', 'or "on tool": whose force the gauge reads')
+    )
+
+
+def _cameras(survey: FolderSurvey) -> str:
+    names = [camera.name for camera in survey.rig.cameras] if survey.rig else ["c0", "c1"]
+    parts = []
+    for name in names:
+        mine = [video for video in survey.videos if name in Path(video).stem]
+        video = mine[0] if len(mine) == 1 else f"{name}.mp4"
+        mark = "" if len(mine) == 1 else f"   {_FILL}"
+        times = [table for table in survey.times if name in Path(table).stem]
+        line = f"times = {_quoted(times[0])}\n" if len(times) == 1 else ""
+        parts.append(f"[[camera]]\nname = {_quoted(name)}\nvideo = {_quoted(video)}{mark}\n{line}")
+    parts.append(
+        '# pictures = "c0/*.png" and times = "c0.csv" in place of a video; offset = 0.4 where the\n'
+        "# clocks are known: what to add to the camera's times for the force log's\n"
+    )
+    return "\n".join(parts)
+
+
+def _contact(survey: FolderSurvey, outline: Outline) -> str:
+    text = (
+        "[contact]\n"
+        + _line(
+            f"radius = {outline.radius:g}",
+            f"of the touched patch, {outline.unit}",
+            fill=not outline.radius_known,
+        )
+        + _line('profile = "hertz"', 'a sphere; "uniform": a flat tool; "smooth": a soft one')
+    )
+    if outline.template == "robot":
+        poses = survey.poses[0] if survey.poses else "poses.csv"
+        what = "time, x, y, z of the tip, in the mesh's frame"
+        return text + _line(f"poses = {_quoted(poses)}", what, fill=not survey.poses)
+    return text + _line("# points = [[0, 0, 40]]", "one a press; else they are found")
+
+
+def _pictured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
+    """A probing for every loaded picture that all cameras have."""
+    names = [camera.name for camera in survey.rig.cameras] if survey.rig else []
+    patterns = _patterns(survey.pictures, names)
+    rests = [pattern for pattern in patterns if "rest" in Path(pattern).name]
+    loaded = [pattern for pattern in patterns if pattern not in rests]
+    if not (rests and loaded):
+        rests, loaded = ["images/rest_{camera}.png"], ["images/n01_{camera}.png"]
+    probes = []
+    for pattern in loaded:
+        stem = re.sub(r"[_\-. ]*\{camera\}[_\-. ]*", "", Path(pattern).stem)
+        rest = next((one for one in rests if stem and stem in Path(one).name), rests[0])
+        images = f"images = {{ rest = {_quoted(rest)}, loaded = [{_quoted(pattern)}] }}\n"
+        probes.append(_probe(stem or "n01", outline) + images)
+    return probes
+
+
+def _patterns(pictures: Sequence[str], cameras: Sequence[str]) -> list[str]:
+    """Names with `{camera}` in place of a camera's, where there is a picture of every camera."""
+    found: dict[str, set[str]] = {}
+    for picture in pictures:
+        path = Path(picture)
+        for camera in cameras:
+            expression = rf"(?<![A-Za-z0-9]){re.escape(camera)}(?![A-Za-z0-9])"
+            if re.search(expression, path.name):
+                name = re.sub(expression, "{camera}", path.name)
+                found.setdefault(path.with_name(name).as_posix(), set()).add(camera)
+    return sorted(name for name, seen in found.items() if len(seen) == len(cameras))
+
+
+def _measured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
+    """A probing for every table of displacements."""
+    files = survey.displacements or ("n01.csv",)
+    missing = not survey.displacements
+    what = "x,y,z,ux,uy,uz; palpate import writes it" if missing else "x,y,z,ux,uy,uz"
+    return [
+        _probe(Path(file).stem, outline)
+        + _line(f"displacement = {_quoted(file)}", what, fill=missing)
+        for file in files
+    ]
+
+
+def _probe(name: str, outline: Outline) -> str:
+    contact = f'{{ point = [0, 0, 0], radius = {outline.radius:g}, profile = "hertz" }}'
+    return (
+        f"[[probe]]\nname = {_quoted(name)}\n"
+        + _line(f"contact = {contact}   ", "", fill=True)
+        + _line("force = [0, 0, 0]", "N, what the tool exerts on the object", fill=True)
+        + _line("# force_std = 0.01", "N, 1 sigma")
+    )
+
+
+def _quoted(text: str) -> str:
+    """A text of TOML."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return (", ".join(names[:8]) or "none") + more

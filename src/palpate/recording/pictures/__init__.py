@@ -1,0 +1,30 @@
+"""What the cameras recorded, a frame at a time: motion, presses, pictures of single moments.
+
+Purpose    : follow recordings of any length without keeping them.
+Takes      : `Footage`: a video, or pictures with their times.
+Gives      : `CameraMotion`, `Ramp`; PNG files of moments.
+Depends on : `vision`, `records`.
+Read first : `footage.py`, then `motion.py`, `ramps.py`, `moments.py`.
+"""
+
+from palpate.recording.pictures.footage import (
+    Footage as Footage,
+    read_frames as read_frames,
+    read_times as read_times,
+)
+from palpate.recording.pictures.moments import (
+    MOST_FRAMES as MOST_FRAMES,
+    Moment as Moment,
+    write_moments as write_moments,
+)
+from palpate.recording.pictures.motion import (
+    CameraMotion as CameraMotion,
+    camera_motion as camera_motion,
+    still_frames as still_frames,
+)
+from palpate.recording.pictures.ramps import (
+    MARGIN as MARGIN,
+    Ramp as Ramp,
+    RampTimes as RampTimes,
+    camera_ramps as camera_ramps,
+)

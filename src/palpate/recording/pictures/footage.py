@@ -1,0 +1,218 @@
+"""What a camera recorded: a video, or pictures with the times at which they were taken."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError, RecordError
+from palpate.files import checked_file
+from palpate.records import read_text_table
+from palpate.vision import read_grey
+
+# Times of a recording run over no more than this [s].
+_LONGEST = 86400.0
+# FFmpeg's own remarks on the terminal: none.
+_QUIET = {"OPENCV_FFMPEG_LOGLEVEL": "-8"}
+_CURE = "copy it again, or convert it, e.g. to MP4 with H.264 or to AVI with MJPEG"
+_TIMES_CURE = "times of pictures are a table with a heading and a column of seconds, a line each"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Footage:
+    """What one camera recorded.
+
+    Parameters
+    ----------
+    camera : str                    name, as in the rig
+    video : Path or None
+    pictures : tuple of Path        in time, where there is no video
+    times : (n,) float [s] or None  of the frames, the camera's own clock, increasing; None: as the
+                                    video says
+    offset : float [s] or None      what to add to these times for the gauge's clock; None: unknown
+
+    Raises
+    ------
+    InputError                      neither video nor pictures, or both; pictures without times, or
+                                    another number of them; times that do not increase
+    """
+
+    camera: str
+    video: Path | None
+    pictures: tuple[Path, ...] = ()
+    times: Float[np.ndarray, " n"] | None = None
+    offset: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.video is None) == (not self.pictures):
+            raise InputError(f"camera '{self.camera}' needs either a video or pictures")
+        if self.times is not None:
+            times = fixed_array(self.times, name="times", shape=(None,))
+            object.__setattr__(self, "times", times)
+            steps = np.diff(times)
+            if len(times) < 2 or np.any(steps <= 0.0) or steps.sum() > _LONGEST:
+                raise InputError(
+                    f"times of camera '{self.camera}' must be two or more seconds of one day that"
+                    " increase from frame to frame"
+                )
+        if self.pictures and (self.times is None or len(self.times) != len(self.pictures)):
+            count = "no" if self.times is None else len(self.times)
+            raise InputError(
+                f"camera '{self.camera}' has {len(self.pictures)} pictures and {count} times; give"
+                " a file with the time of each picture as `times`"
+            )
+
+    @property
+    def source(self) -> Path:
+        """The video, or the first picture."""
+        return self.video or self.pictures[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One frame.
+
+    Attributes
+    ----------
+    number : int                    from 0
+    time : float [s]                camera's clock
+    grey : (rows, columns)          grey levels, 255 is white; uint8 of a video, else float32
+    """
+
+    number: int
+    time: float
+    grey: Shaped[np.ndarray, "_ _"]
+
+
+def read_frames(footage: Footage) -> Iterator[Frame]:
+    """Frames one after the other; no more than one of them is in memory.
+
+    Parameters
+    ----------
+    footage : Footage
+
+    Yields
+    ------
+    Frame                           in time
+
+    Raises
+    ------
+    RecordError                     a file that cannot be decoded; another number of times than of
+                                    frames; a picture of another size
+    """
+    frames = _video_frames(footage) if footage.video else _pictures(footage)
+    size: tuple[int, ...] | None = None
+    for frame in frames:
+        if size not in (None, frame.grey.shape):
+            raise RecordError(
+                f"{footage.pictures[frame.number]}: has {frame.grey.shape[1]} x"
+                f" {frame.grey.shape[0]} pixels, pictures before it {size[1]} x {size[0]}"
+            )
+        size = frame.grey.shape
+        yield frame
+
+
+def _pictures(footage: Footage) -> Iterator[Frame]:
+    times = np.arange(len(footage.pictures)) if footage.times is None else footage.times
+    for k, path in enumerate(footage.pictures):
+        yield Frame(k, float(times[k]), read_grey(path))
+
+
+def _video_frames(footage: Footage) -> Iterator[Frame]:
+    capture, times, number = open_video(footage.source), footage.times, 0
+    try:
+        while True:
+            good, picture = capture.read()
+            if not good:
+                break
+            time = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            if times is not None:
+                if number == len(times):
+                    raise RecordError(
+                        f"{footage.source}: has more frames than there are times, {len(times)};"
+                        " was a frame dropped from the list, or is it that of another video?"
+                    )
+                time = float(times[number])
+            grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            yield Frame(number, time, grey)
+            number += 1
+    finally:
+        capture.release()
+    if number < 2:
+        raise RecordError(f"{footage.source}: not one frame can be decoded; {_CURE}")
+    if times is not None and number < len(times):
+        raise RecordError(
+            f"{footage.source}: has {number} frames that can be decoded and {len(times)} times; is"
+            " it cut off, or are the times those of another video?"
+        )
+
+
+def open_video(path: Path) -> "cv2.VideoCapture":
+    """A video that is ready to be read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    RecordError                     not there, or no video that can be decoded
+    """
+    checked_file(path)
+    for name, value in _QUIET.items():
+        os.environ.setdefault(name, value)
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise RecordError(
+            f"{path}: cannot be decoded as a video ({path.stat().st_size} bytes); {_CURE}"
+        )
+    return capture
+
+
+def promised_frames(footage: Footage) -> int:
+    """How many frames a file says it has; 0 where it does not say.
+
+    Parameters
+    ----------
+    footage : Footage
+
+    Raises
+    ------
+    RecordError                     as `open_video`
+    """
+    if footage.pictures:
+        return len(footage.pictures)
+    capture = open_video(footage.source)
+    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    capture.release()
+    return max(count, 0)
+
+
+def read_times(path: Path) -> Float[np.ndarray, " n"]:
+    """Times of frames from a table: its column called time or t, or its only one.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    (n,) float [s]
+
+    Raises
+    ------
+    RecordError                     no such table or column; a line without a number
+    """
+    table = read_text_table(path, cure=_TIMES_CURE)
+    named = [column for column in table.columns if column.name.lower() in ("time", "t")]
+    if not named and len(table.columns) > 1:
+        raise RecordError(f"{path}: no column is called time or t; {_TIMES_CURE}")
+    times = table.values(named[:1] or table.columns[:1])[:, 0]
+    if bad := np.flatnonzero(~np.isfinite(times)).tolist():
+        raise RecordError(f"{path}: line {table.numbers[bad[0]]}: is no number; {_TIMES_CURE}")
+    return times

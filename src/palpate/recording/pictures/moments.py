@@ -1,0 +1,89 @@
+"""Pictures of single moments out of the footage, each the mean of frames while nothing moved."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import RecordError
+from palpate.progress import Progress, silent
+from palpate.recording.pictures.footage import Footage, read_frames
+
+# Frames that make a picture: the noise of single ones falls to a third, and a moment stays one.
+MOST_FRAMES = 8
+_WHITE_16 = 257.0
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A picture to be taken from the footage.
+
+    Attributes
+    ----------
+    file : str                      name in the folder of pictures, `{camera}` for the camera's
+    begin, end : float [s]          nothing moves, the camera's clock
+    """
+
+    file: str
+    begin: float
+    end: float
+
+
+def write_moments(
+    folder: Path, footage: Footage, moments: Sequence[Moment], *, progress: Progress = silent
+) -> dict[str, int]:
+    """Write a picture for each moment; the video is decoded once, a frame at a time.
+
+    Parameters
+    ----------
+    folder : Path                   exists
+    footage : Footage
+    moments : sequence of Moment    in time, not overlapping
+    progress : callable
+
+    Returns
+    -------
+    dict of file to number of frames
+
+    Raises
+    ------
+    RecordError                     as `read_frames`; a moment without a frame
+    """
+    taken: dict[str, int] = {}
+    waiting = sorted(moments, key=lambda moment: moment.begin)
+    total, count, deep = np.zeros((0, 0)), 0, False
+
+    def finish(moment: Moment) -> None:
+        if not count:
+            raise RecordError(
+                f"{footage.source}: has no frame from {moment.begin:.2f} to {moment.end:.2f} s of"
+                " its own clock"
+            )
+        name = moment.file.replace("{camera}", footage.camera)
+        mean = total / count
+        picture = np.rint(_WHITE_16 * mean).astype(np.uint16) if deep else _eight_bits(mean)
+        if not cv2.imwrite(str(folder / name), picture):
+            raise RecordError(f"{folder / name}: cannot be written; check the folder's rights")
+        taken[moment.file] = count
+
+    for frame in read_frames(footage):
+        while waiting and (frame.time > waiting[0].end or count == MOST_FRAMES):
+            finish(waiting.pop(0))
+            count = 0
+            progress(f"pictures of camera {footage.camera}", len(taken) / len(moments))
+        if not waiting:
+            break
+        if frame.time >= waiting[0].begin:
+            total = frame.grey + (total if count else np.float64(0.0))
+            count, deep = count + 1, frame.grey.dtype != np.uint8
+    for moment in waiting:
+        finish(moment)
+        count = 0
+    return taken
+
+
+def _eight_bits(grey: Float[np.ndarray, "rows columns"]) -> np.ndarray:
+    return np.clip(np.rint(grey), 0.0, 255.0).astype(np.uint8)

@@ -1,0 +1,156 @@
+"""How much a camera's picture changes from frame to frame, and since the beginning.
+
+Measured on a reduced picture, frame by frame: what is kept of a frame are three numbers.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Shaped
+
+from palpate.errors import RecordError
+from palpate.progress import Progress, silent
+from palpate.recording.pictures.footage import Footage, promised_frames, read_frames
+
+# Pictures are reduced to about so many columns.
+_COLUMNS = 240
+# A longer step than so many usual ones is a dropped frame.
+_DROPPED = 1.5
+# Still: changes from frame to frame exceed what is usual on plateaus by less than so many of their
+# scatters, or this share.
+_SCATTERS, _SHARE = 5.0, 0.1
+_FROM_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraMotion:
+    """Changes of a camera's picture.
+
+    Attributes
+    ----------
+    camera : str
+    time : (n,) float [s]           of the frames, the camera's clock
+    speed : (n,) float              rms change from the frame before [grey levels]; NaN: first frame
+    change : (n,) float             the same from the first frame
+    dropped : int                   frames missing between the others, by their times
+    repeated : int                  frames that are the one before again, to the last pixel
+    lost : int                      frames that the file promises and that cannot be decoded
+    """
+
+    camera: str
+    time: Float[np.ndarray, " n"]
+    speed: Float[np.ndarray, " n"]
+    change: Float[np.ndarray, " n"]
+    dropped: int
+    repeated: int
+    lost: int
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is missing, as ends of sentences."""
+        counts = (
+            (self.dropped, "frames were dropped, by their times"),
+            (self.repeated, "frames are the one before again"),
+            (self.lost, "frames that the file promises cannot be decoded"),
+        )
+        return tuple(f"camera {self.camera}: {count} {what}" for count, what in counts if count)
+
+    @property
+    def interval(self) -> float:
+        """Usual time between two frames [s]."""
+        return float(np.median(np.diff(self.time)))
+
+
+def reduced(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"]:
+    """A picture in fewer pixels, each the mean of those it stands for.
+
+    Parameters
+    ----------
+    grey : (_, _)                   any real type
+
+    Returns
+    -------
+    (rows, columns) float32
+    """
+    factor = max(1, round(grey.shape[1] / _COLUMNS))
+    size = (grey.shape[1] // factor, grey.shape[0] // factor)
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)
+
+
+def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMotion:
+    """Follow a camera's picture through its recording.
+
+    Parameters
+    ----------
+    footage : Footage
+    progress : callable
+
+    Returns
+    -------
+    CameraMotion
+
+    Raises
+    ------
+    RecordError                     as `read_frames`
+    """
+    times: list[float] = []
+    speeds, changes = [np.nan], [0.0]
+    first = before = np.zeros((0, 0), dtype=np.float32)
+    promised = promised_frames(footage)
+    for frame in read_frames(footage):
+        picture = reduced(frame.grey)
+        if times:
+            speeds.append(_rms(picture - before))
+            changes.append(_rms(picture - first))
+        else:
+            first = picture
+        times.append(frame.time)
+        before = picture
+        if frame.number % 30 == 0 and promised:
+            progress(f"camera {footage.camera}", min(frame.number / promised, 1.0))
+    time, speed = np.array(times), np.array(speeds)
+    if len(time) < 3 or np.any(np.diff(time) <= 0.0):
+        raise RecordError(
+            f"{footage.source}: has {len(time)} frames whose times do not increase; give their"
+            f" times in a file as `times` of camera '{footage.camera}'"
+        )
+    steps = np.diff(time) / np.median(np.diff(time))
+    dropped = int(np.rint(steps[steps > _DROPPED] - 1.0).sum())
+    lost = max(promised - len(time), 0)
+    return CameraMotion(
+        footage.camera, time, speed, np.array(changes), dropped, int((speed == 0.0).sum()), lost
+    )
+
+
+def _rms(change: Float[np.ndarray, "rows columns"]) -> float:
+    return float(np.sqrt(np.mean(change * change, dtype=np.float64)))
+
+
+def still_frames(
+    motion: CameraMotion, plateaus: list[tuple[float, float]]
+) -> Bool[np.ndarray, " n"]:
+    """Frames that show the same as the one before, but for noise.
+
+    Parameters
+    ----------
+    motion : CameraMotion
+    plateaus : list of (begin, end) [s]     when the force is at rest, the camera's clock
+
+    Returns
+    -------
+    (n,) bool
+    """
+    held = np.zeros(len(motion.time), dtype=bool)
+    for begin, end in plateaus:
+        held |= (motion.time >= begin) & (motion.time <= end)
+    # A repeated frame says nothing about motion.
+    speed = np.where(motion.speed > 0.0, motion.speed, np.nan)
+    usual = speed[held & np.isfinite(speed)]
+    if not len(usual):
+        return held
+    level = float(np.median(usual))
+    scatter = _FROM_MEDIAN * float(np.median(np.abs(usual - level)))
+    limit = level + max(_SCATTERS * scatter, _SHARE * level)
+    return ~(speed > limit)

@@ -1,0 +1,109 @@
+"""The log of the tool's pose: where its tip was when it touched, and how far it went."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import RecordError
+from palpate.recording.force import SECONDS, Reading, Touch
+from palpate.records import read_text_table
+from palpate.shapes import Points, Vector3
+
+_WORDS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
+_CURE = "a log of poses is a table with the columns time, x, y, z"
+# How long before a touch is noticed it may have begun [s].
+_EARLIER = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseLog:
+    """Places of the tool's tip.
+
+    Attributes
+    ----------
+    time : (n,) float [s]           gauge's clock, increasing
+    place : (n, 3) float [m]        of the tip's end, object frame
+    source : str
+    """
+
+    time: Float[np.ndarray, " n"]
+    place: Points
+    source: str
+
+    def at(self, time: float) -> Vector3:
+        """Place at a time.
+
+        Parameters
+        ----------
+        time : float [s]
+
+        Returns
+        -------
+        (3,) float [m]
+
+        Raises
+        ------
+        RecordError                 before the first line or after the last
+        """
+        if not self.time[0] <= time <= self.time[-1]:
+            raise RecordError(
+                f"{self.source}: covers {self.time[0]:.2f} to {self.time[-1]:.2f} s, and a press is"
+                f" at {time:.2f} s of the gauge's clock; the two logs must have the same clock"
+            )
+        return np.array([np.interp(time, self.time, part) for part in self.place.T])
+
+
+def read_poses(path: Path, *, metres_per_unit: float) -> PoseLog:
+    """Read a log of the tool's tip.
+
+    Parameters
+    ----------
+    path : Path
+    metres_per_unit : float         of its lengths
+
+    Returns
+    -------
+    PoseLog
+
+    Raises
+    ------
+    RecordError                     no such table or columns; times that run backwards
+    """
+    table = read_text_table(path, cure=_CURE)
+    columns = table.require(_WORDS, spelled=str.lower, why=lambda _: _CURE)
+    values = table.values(columns)
+    values = values[np.isfinite(values).all(axis=1)]
+    seconds = SECONDS.get(columns[0].unit or "s", 1.0)
+    if len(values) < 2 or np.any(np.diff(values[:, 0]) < 0.0):
+        raise RecordError(f"{path}: has {len(values)} lines whose times do not increase; {_CURE}")
+    return PoseLog(seconds * values[:, 0], metres_per_unit * values[:, 1:], str(path))
+
+
+def tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3, Vector3, float]:
+    """Where the tip touched, how far it had gone at the reading, and how sure that is.
+
+    The force shows a touch a little late: how far the tip went in the tenth of a second before is
+    the width of what is not known.
+
+    Parameters
+    ----------
+    poses : PoseLog
+    touch : Touch
+    reading : Reading
+
+    Returns
+    -------
+    point : (3,) float [m]
+    displacement : (3,) float [m]
+    std : float [m]                 of a component
+
+    Raises
+    ------
+    RecordError                     the log does not cover the press
+    """
+    late, early = poses.at(touch.begin), poses.at(touch.begin - _EARLIER)
+    point = 0.5 * (late + early)
+    unsure = float(np.linalg.norm(late - early)) / np.sqrt(12.0)
+    return point, poses.at(reading.time) - point, max(unsure, 1e-6)

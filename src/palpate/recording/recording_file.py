@@ -1,0 +1,229 @@
+"""recording.toml: what was recorded, of which object, and how it is to be read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import MeshError, RecordError
+from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
+from palpate.recording.force import Gauge
+from palpate.recording.pictures import Footage, read_times
+from palpate.records import (
+    FILE_LENGTH_UNITS,
+    Rig,
+    TomlTable,
+    read_rig,
+    read_supports,
+    read_toml,
+)
+
+RECORDING_FORMAT = "palpate-recording/1"
+_ROOT = ("format", "name", "object", "support", "gravity", "rig", "force", "camera", "contact")
+_FORCE = ("file", "time", "time_unit", "columns", "unit", "axes", "sign", "limit")
+_CAMERA = ("name", "video", "pictures", "times", "offset")
+# Of which force the readings are: what the tool does to the object, or the object to the tool.
+_SIGNS = ("on object", "on tool")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Where the tool touches, as far as it is known.
+
+    Attributes
+    ----------
+    points : (k, 3) float [m] or None   one a press, told
+    poses : Path or None            log of the tool's tip: time, x, y, z
+    patch : dict                    other keys of a probing's contact, as they will be written
+    radii : tuple of float or None  one a press in place of a common one, the session's unit
+    """
+
+    points: Float[np.ndarray, "k 3"] | None
+    poses: Path | None
+    patch: dict[str, Any]
+    radii: tuple[float, ...] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What was recorded of one object.
+
+    Attributes
+    ----------
+    path : Path                     recording.toml
+    name : str
+    head : dict                     tables of the session that are taken over as they are
+    mesh : TriangleMesh
+    metres_per_unit : float [m]
+    rig : Rig
+    gauge : Gauge
+    footage : tuple of Footage      a camera each, in the rig's order
+    places : Places
+    files : tuple of Path           that the session needs beside it: mesh, rig, lists of triangles
+    """
+
+    path: Path
+    name: str
+    head: dict[str, Any]
+    mesh: TriangleMesh
+    metres_per_unit: float
+    rig: Rig
+    gauge: Gauge
+    footage: tuple[Footage, ...]
+    places: Places
+    files: tuple[Path, ...]
+
+
+def read_recording(path: Path) -> Recording:
+    """Read and check recording.toml, the object, its rig, and that all files are there.
+
+    Parameters
+    ----------
+    path : Path                     the file, or the folder that holds it
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    RecordError                     anything wrong in it; the text names file, table and key
+    MeshError, CalibrationError     a mesh or rig that cannot be used
+    """
+    root = read_toml(path / "recording.toml" if path.is_dir() else path)
+    root.check_keys(_ROOT)
+    if root.get("format") != RECORDING_FORMAT:
+        root.fail("format", f"is {root.get('format')!r}; this version reads '{RECORDING_FORMAT}'")
+    body = root.table("object")
+    metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
+    mesh_file = body.existing_file("mesh")
+    try:
+        mesh, _ = checked_mesh(read_mesh(mesh_file, metres_per_unit=metres))
+    except MeshError as error:
+        text = str(error)
+        raise MeshError(
+            text if text.startswith(str(mesh_file)) else f"{mesh_file}: {text}"
+        ) from error
+    read_supports(root, mesh, metres_per_unit=metres)
+    rig_file = root.table("rig").existing_file("cameras")
+    rig = read_rig(rig_file)
+    covariance = rig_file.with_name("rig_covariance.npz")
+    beside = (covariance,) if covariance.is_file() else ()
+    lists = [table.existing_file("triangles") for table in _support_lists(root)]
+    head = {key: root.values[key] for key in _ROOT[2:6] if key in root.values}
+    return Recording(
+        root.file, root.optional("name", root.text) or root.file.parent.resolve().name, head,
+        mesh, metres, rig, _gauge(root.table("force")), _cameras(root, rig),
+        _places(root.table("contact"), metres), (mesh_file, rig_file, *beside, *lists),
+    )  # fmt: skip
+
+
+def _support_lists(root: TomlTable) -> list[TomlTable]:
+    """Supports that name a file of triangles."""
+    return [table for table in root.tables("support") if "triangles" in table.values]
+
+
+def _gauge(table: TomlTable) -> Gauge:
+    """How the force log is to be read."""
+    table.check_keys(_FORCE)
+    sign = table.choice("sign", _SIGNS) if "sign" in table.values else _SIGNS[0]
+    axes = table.get("axes")
+    rows = axes if isinstance(axes, list) and axes and isinstance(axes[0], list) else [axes]
+    vectors = [TomlTable(table.file, table.name, {"axes": row}).vector("axes") for row in rows]
+    with table.blamed():
+        return Gauge(
+            table.existing_file("file"),
+            table.optional("time", table.text),
+            table.optional("columns", table.texts) or (),
+            table.optional("unit", table.text),
+            table.optional("time_unit", table.text),
+            np.array(vectors),
+            on_tool=sign == _SIGNS[1],
+            limit=table.optional("limit", table.number),
+        )
+
+
+def _cameras(root: TomlTable, rig: Rig) -> tuple[Footage, ...]:
+    """Footage of every camera of the rig."""
+    found: dict[str, Footage] = {}
+    names = [camera.name for camera in rig.cameras]
+    for table in root.tables("camera"):
+        table.check_keys(_CAMERA)
+        name = table.choice("name", names)
+        if name in found:
+            table.fail("name", f"camera '{name}' is there twice")
+        found[name] = _footage(table, name)
+    if missing := [name for name in names if name not in found]:
+        root.fail(
+            "[[camera]]",
+            f"the rig's cameras {', '.join(missing)} have no table; give each its video or pictures"
+            " (or a rig without them)",
+        )
+    return tuple(found[name] for name in names)
+
+
+def _footage(table: TomlTable, name: str) -> Footage:
+    video = table.existing_file("video") if "video" in table.values else None
+    pictures: Sequence[Path] = ()
+    if "pictures" in table.values:
+        pattern = table.text("pictures")
+        try:
+            pictures = sorted(table.file.parent.glob(pattern))
+        except (ValueError, NotImplementedError) as error:
+            table.fail("pictures", f"is '{pattern}'; must be a pattern of files here ({error})")
+        if not pictures:
+            table.fail("pictures", f"no file is called like '{pattern}' in {table.file.parent}")
+    times = read_times(table.existing_file("times")) if "times" in table.values else None
+    with table.blamed():
+        return Footage(name, video, tuple(pictures), times, table.optional("offset", table.number))
+
+
+def _places(table: TomlTable, metres: float) -> Places:
+    """Where the tool touches: points, a log of the tip, or still to be found."""
+    own = ("points", "poses", "radius")
+    patch = {key: value for key, value in table.values.items() if key not in own}
+    for key in ("point", "triangles", "support"):
+        if key in patch:
+            table.fail(key, "is no key here; give `points`, one for each press, or `poses`")
+    if "points" in table.values and "poses" in table.values:
+        table.fail("", "gives both points and poses; give one of the two")
+    radii: tuple[float, ...] | None = None
+    if isinstance(radius := table.values.get("radius"), list):
+        single = [TomlTable(table.file, table.name, {"radius": one}) for one in radius]
+        radii = tuple(one.number("radius") for one in single)
+    elif radius is not None:
+        patch["radius"] = table.number("radius")
+    points = None
+    if isinstance(rows := table.values.get("points"), list):
+        vectors = [
+            TomlTable(table.file, table.name, {"points": row}).vector("points") for row in rows
+        ]
+        points = metres * np.array(vectors).reshape(-1, 3)
+    elif rows is not None:
+        table.fail("points", "must be a list of points, one for each press")
+    poses = table.existing_file("poses") if "poses" in table.values else None
+    return Places(points, poses, patch, radii)
+
+
+def check_count(recording: Recording, presses: int) -> None:
+    """Refuse lists of contacts that have not one entry for each press.
+
+    Parameters
+    ----------
+    recording : Recording
+    presses : int                   that were found, left out ones included
+
+    Raises
+    ------
+    RecordError
+    """
+    places = recording.places
+    for key, values in (("points", places.points), ("radius", places.radii)):
+        if values is not None and len(values) != presses:
+            raise RecordError(
+                f"{recording.path}: [contact] {key}: has {len(values)} entries, and the force shows"
+                f" {presses} presses; give one for each, in time, of presses that are left out too"
+            )

@@ -1,0 +1,232 @@
+"""A recording as a session folder: pictures, copies of what it names, session.toml, a table."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+from palpate.errors import RecordError
+from palpate.geometry import closest_points, unit_normals
+from palpate.progress import Progress, part_of, silent
+from palpate.recording.contact_point import find_contact
+from palpate.recording.pictures import MOST_FRAMES, Moment, write_moments
+from palpate.recording.poses import read_poses, tip_motion
+from palpate.recording.record import Press, Recorded
+from palpate.recording.recording_file import Recording
+from palpate.records import SESSION_FORMAT, read_session, write_text
+from palpate.shapes import Vector3
+from palpate.vision import JointFlow, is_valid, read_pictures
+
+_PICTURES = "images"
+_REST, _LOADED = "{name}_rest_{{camera}}.png", "{name}_{{camera}}.png"
+# Without a radius the motion is looked at as if the contact had this share of the object's size.
+_USUAL_RADIUS = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedPress:
+    """Where a press was, as the session has it.
+
+    Attributes
+    ----------
+    press : Press
+    point : (3,) float [m]          object frame
+    point_std : float [m]           along the surface, of each direction; NaN: told
+    travel : (3,) float [m] or None     of the contact point, from a log of poses
+    travel_std : float [m]
+    frames : int                    that the picture under load is the mean of
+    """
+
+    press: Press
+    point: Vector3
+    point_std: float
+    travel: Vector3 | None
+    travel_std: float
+    frames: int
+
+
+def write_recorded(
+    folder: Path, recording: Recording, found: Recorded, *, progress: Progress = silent
+) -> tuple[PlacedPress, ...]:
+    """Write a session; what is written is read again before it counts.
+
+    Parameters
+    ----------
+    folder : Path                   exists, empty
+    recording : Recording
+    found : Recorded
+    progress : callable
+
+    Returns
+    -------
+    tuple of PlacedPress
+
+    Raises
+    ------
+    RecordError                     a press beside the object, or one that pulls; a file that cannot
+                                    be written
+    """
+    for file in recording.files:
+        shutil.copyfile(file, folder / file.name)
+    (folder / _PICTURES).mkdir()
+    frames = _write_pictures(folder / _PICTURES, recording, found, part_of(progress, 0.0, 0.6))
+    say = part_of(progress, 0.6, 1.0)
+    placed = []
+    for k, press in enumerate(found.presses):
+        say(f"contact of {press.name}", k / len(found.presses))
+        placed.append(_placed(folder, recording, press, frames[_LOADED.format(name=press.name)]))
+    _write_session(folder, recording, placed)
+    write_text(folder / "presses.csv", _table(found, placed))
+    try:
+        read_session(folder)
+    except RecordError as error:
+        text = str(error).replace(str(folder / "session.toml"), str(recording.path))
+        raise RecordError(text) from error
+    return tuple(placed)
+
+
+def _write_pictures(
+    folder: Path, recording: Recording, found: Recorded, progress: Progress
+) -> dict[str, int]:
+    """Pictures at rest and under load of every camera; the least number of frames of each."""
+    frames: dict[str, int] = {}
+    count = len(recording.footage)
+    for k, (footage, motion, clock) in enumerate(
+        zip(recording.footage, found.motions, found.clocks, strict=True)
+    ):
+        moments = []
+        half = 0.5 * MOST_FRAMES * motion.interval
+        for press in found.presses:
+            reading = press.reading
+            span = max(reading.begin, reading.time - half), min(reading.end, reading.time + half)
+            for name, (begin, end) in ((_REST, press.rest), (_LOADED, span)):
+                moments.append(
+                    Moment(name.format(name=press.name), begin - clock.offset, end - clock.offset)
+                )
+        say = part_of(progress, k / count, (k + 1) / count)
+        for name, number in write_moments(folder, footage, moments, progress=say).items():
+            frames[name] = min(number, frames.get(name, number))
+    return frames
+
+
+def _placed(folder: Path, recording: Recording, press: Press, frames: int) -> PlacedPress:
+    """Where a press was: told, from the log of poses, or from how the surface moved."""
+    places, travel, travel_std, std = recording.places, None, np.nan, np.nan
+    if places.points is not None:
+        point = places.points[press.number - 1]
+    elif places.poses is not None:
+        poses = read_poses(places.poses, metres_per_unit=recording.metres_per_unit)
+        point, travel, travel_std = tip_motion(poses, press.touch, press.reading)
+    else:
+        point, std = _found(folder, recording, press)
+    place = closest_points(recording.mesh, point[None])
+    normal = unit_normals(recording.mesh)[place.triangle[0]]
+    if press.reading.force @ normal > 0.0:
+        raise RecordError(
+            f"{recording.path}: the force of press {press.number},"
+            f" {np.round(press.reading.force, 3).tolist()} N, points out of the surface at the"
+            " contact: the sign is turned, or the axes; readings of the force on the tool need sign"
+            ' = "on tool" in [force]'
+        )
+    return PlacedPress(press, point, std, travel, travel_std, frames)
+
+
+def _found(folder: Path, recording: Recording, press: Press) -> tuple[Vector3, float]:
+    """The contact from the motion of the surface in the pictures."""
+    pictures = [
+        read_pictures(
+            recording.rig, name.format(name=press.name), folder=folder / _PICTURES,
+            what=f"press {press.number}",
+        ).grey
+        for name in (_REST, _LOADED)
+    ]  # fmt: skip
+    method = JointFlow()
+    state = method.start(recording.rig, pictures[0], recording.mesh)
+    _, flow = method.follow(state, pictures[1])
+    good = is_valid(flow)
+    size = float(np.ptp(recording.mesh.vertices, axis=0).max())
+    radius = recording.places.patch.get("radius")
+    if recording.places.radii is not None:
+        radius = recording.places.radii[press.number - 1]
+    found = find_contact(
+        recording.mesh, flow.point[good], flow.displacement[good], press.reading.force,
+        radius=_USUAL_RADIUS * size if radius is None else recording.metres_per_unit * radius,
+    )  # fmt: skip
+    return found.point, found.std
+
+
+def _write_session(folder: Path, recording: Recording, placed: list[PlacedPress]) -> None:
+    """session.toml, in the recording's own unit of length."""
+    head = _local(recording.head, {path.name for path in recording.files})
+    content: dict[str, Any] = {"format": SESSION_FORMAT, "name": recording.name, **head}
+    content["probe"] = [_probe(recording, one) for one in placed]
+    write_text(folder / "session.toml", tomlkit.dumps(content))
+
+
+def _local(value: Any, names: set[str]) -> Any:
+    """Texts that name a copied file, with its name in this folder."""
+    if isinstance(value, dict):
+        return {key: _local(item, names) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_local(item, names) for item in value]
+    return Path(value).name if isinstance(value, str) and Path(value).name in names else value
+
+
+def _probe(recording: Recording, placed: PlacedPress) -> dict[str, Any]:
+    """The table of one probing."""
+    unit, press, places = recording.metres_per_unit, placed.press, recording.places
+    contact: dict[str, Any] = {"point": (placed.point / unit).tolist(), **places.patch}
+    if places.radii is not None:
+        contact["radius"] = places.radii[press.number - 1]
+    table: dict[str, Any] = {
+        "name": press.name,
+        "contact": contact,
+        "force": press.reading.force.tolist(),
+        "force_std": press.reading.std.tolist(),
+    }
+    if placed.travel is not None:
+        table["tip_displacement"] = (placed.travel / unit).tolist()
+        table["tip_displacement_std"] = placed.travel_std / unit
+    rest, loaded = (f"{_PICTURES}/{name.format(name=press.name)}" for name in (_REST, _LOADED))
+    table["images"] = {"rest": rest, "loaded": [loaded]}
+    return table
+
+
+_HEADINGS = (
+    "press,name,touch_begin_s,touch_end_s,plateau_begin_s,plateau_end_s,time_s,rest_begin_s,"
+    "rest_end_s,fx_N,fy_N,fz_N,sx_N,sy_N,sz_N,creep,hysteresis,frames,x_m,y_m,z_m,point_std_m"
+)
+
+
+def _table(found: Recorded, placed: list[PlacedPress]) -> str:
+    """A line for each press, times of the gauge's clock."""
+    lines = [_HEADINGS]
+    for one in placed:
+        press, reading = one.press, one.press.reading
+        numbers = (
+            press.touch.begin, press.touch.end, reading.begin, reading.end, reading.time,
+            *press.rest, *reading.force, *reading.std, reading.creep, hysteresis(found, press),
+            one.frames, *one.point, one.point_std,
+        )  # fmt: skip
+        lines.append(",".join([str(press.number), press.name, *(f"{x:.6g}" for x in numbers)]))
+    return "\n".join(lines) + "\n"
+
+
+def hysteresis(found: Recorded, press: Press) -> float:
+    """Mean over the cameras of how much larger the force is going in than coming out.
+
+    Parameters
+    ----------
+    found : Recorded
+    press : Press
+
+    Returns
+    -------
+    float [-]                       share of the full force; NaN where no camera tells
+    """
+    values = np.array([clock.hysteresis[press.number - 1] for clock in found.clocks])
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else np.nan

@@ -1,0 +1,107 @@
+"""What lies in a folder becomes the outline of a session that says what is still missing."""
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording.bench_footage import write_recording
+from surfaces import box
+
+from palpate.app.cli import main
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, write_mesh
+from palpate.recording import chosen_side, flat_sides, likely_unit, read_recording
+from palpate.records import read_session
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording."""
+    return write_recording(tmp_path_factory.mktemp("outline"))
+
+
+def _said(path: Path) -> dict:
+    return tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def test_a_recording_needs_its_axes_only(bench: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(bench, folder)
+    (folder / "recording.toml").unlink()
+    assert main(["init", str(folder), "--radius", "0.004"]) == 0
+    given = read_recording(folder)
+    assert [footage.source.name for footage in given.footage] == ["c0.avi", "c1.avi"]
+    assert given.gauge.file.name == "force.csv"
+    # The block stands on z = -0.03; its sides are smaller.
+    assert _said(folder / "recording.toml")["support"]["plane"]["point"] == [0, 0, -0.03]
+    assert given.places.poses is None
+    (folder / "poses.csv").write_text("time,x,y,z\n0,0,0,0\n1,0,0,0\n")
+    (folder / "recording.toml").unlink()
+    assert main(["init", str(folder)]) == 0
+    assert _said(folder / "recording.toml")["contact"]["poses"] == "poses.csv"
+
+
+def test_displacements_become_probings(tmp_path: Path) -> None:
+    mesh = box(size=(40.0, 40.0, 40.0), cells=3)
+    write_mesh(tmp_path / "cube.stl", mesh)
+    top = mesh.vertices[mesh.vertices[:, 2] > 0.0]
+    rows = np.hstack([top, np.array([0.3, 0.0, -0.4]) * top[:, 2:] / 40.0])
+    for name in ("a", "b"):
+        np.savetxt(
+            tmp_path / f"{name}.csv", rows, delimiter=",", header="x,y,z,ux,uy,uz", comments=""
+        )
+        rows[:, 3:] *= 0.5
+    assert main(["init", str(tmp_path), "--held", "z-"]) == 0
+    path = tmp_path / "session.toml"
+    said = _said(path)
+    assert said["object"] == {"mesh": "cube.stl", "length_unit": "mm"}
+    assert [probe["displacement"] for probe in said["probe"]] == ["a.csv", "b.csv"]
+    # What is not filled in is refused with its place; what is filled in is a session.
+    with pytest.raises(InputError, match="force"):
+        read_session(tmp_path)
+    text = path.read_text().replace("force = [0, 0, 0]", "force = [0.5, 0, -1.2]")
+    path.write_text(text.replace("point = [0, 0, 0], radius", "point = [20, 20, 40], radius"))
+    assert len(read_session(tmp_path).probings) == 2
+
+
+def test_pictures_become_probings(bench: Path, tmp_path: Path) -> None:
+    for name in ("mesh.ply", "rig.toml"):
+        shutil.copy(bench / name, tmp_path)
+    (tmp_path / "images").mkdir()
+    for instant in ("rest", "n01", "n02"):
+        for camera in ("c0", "c1"):
+            (tmp_path / "images" / f"{instant}_{camera}.png").write_bytes(b"")
+    # A picture that one camera alone has is none of a probing.
+    (tmp_path / "images" / "n03_c0.png").write_bytes(b"")
+    assert main(["init", str(tmp_path)]) == 0
+    probes = _said(tmp_path / "session.toml")["probe"]
+    assert [probe["name"] for probe in probes] == ["n01", "n02"]
+    assert probes[1]["images"] == {
+        "rest": "images/rest_{camera}.png",
+        "loaded": ["images/n02_{camera}.png"],
+    }
+
+
+@pytest.mark.parametrize("template", ["lab", "dic", "robot", "gauge"])
+def test_every_template_is_toml_for_a_mesh_alone(template: str, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=2))
+    name = 'it is "so"'
+    assert main(["init", str(tmp_path), "--template", template, "--name", name]) == 0
+    (file,) = tmp_path.glob("*.toml")
+    assert _said(file)["name"] == name
+    assert "<- fill in" in file.read_text()
+
+
+def test_sides_and_units() -> None:
+    mesh = box(size=(40.0, 30.0, 20.0), cells=2)
+    sides = flat_sides(mesh)
+    assert [side.name for side in sides[:2]] == ["z-", "z+"]
+    # 40 x 30 of 2 (40 x 30 + 40 x 20 + 30 x 20).
+    assert sides[0].share == pytest.approx(1200.0 / 5200.0)
+    assert chosen_side(sides, "y+").point[1] == pytest.approx(mesh.vertices[:, 1].max())
+    for factor, unit in ((1.0, "mm"), (0.1, "cm"), (1e-3, "m")):
+        assert likely_unit(TriangleMesh(factor * mesh.vertices, mesh.triangles)) == unit
+    with pytest.raises(InputError, match="no flat side"):
+        chosen_side(sides[:2], "x-")

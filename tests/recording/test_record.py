@@ -1,0 +1,91 @@
+"""From two small videos and a force log in closed form to a session."""
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from recording.bench_footage import OFFSETS, PEAKS, RATE, SIZE, write_recording
+from recording.bench_signals import DIRECTION, HOLD, RAMP, begins
+
+from palpate.app.cli import main
+from palpate.recording import find_presses, read_recording
+from palpate.records import read_session
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three presses, two cameras, three axes of force."""
+    return write_recording(tmp_path_factory.mktemp("recording") / "bench")
+
+
+def test_presses_clocks_and_forces(recording: Path) -> None:
+    found = find_presses(read_recording(recording))
+    assert [press.name for press in found.presses] == ["n01", "n02", "n03"]
+    for clock, offset in zip(found.clocks, OFFSETS, strict=True):
+        # Asked for are 5 ms of frames that are 33 ms apart; the presses' scatter says 0.2 ms.
+        assert abs(clock.offset - offset) < 1e-3
+    for press, peak, begin in zip(found.presses, PEAKS, begins(3), strict=True):
+        assert np.linalg.norm(press.reading.force - peak * DIRECTION) < 0.005 * peak
+        assert begin + 0.9 * RAMP < press.reading.begin < press.reading.end < begin + RAMP + HOLD
+        # The tool is in the picture from half a second before it touches.
+        assert press.rest[1] < begin - 0.45
+    assert [motion.dropped for motion in found.motions] == [0, 0]
+
+
+def test_the_command_writes_a_session(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["record", str(recording), "--out", "session"]) == 0
+    said = capsys.readouterr()
+    assert "3 of 3 presses" in said.out
+    folder = tmp_path / "session"
+    session = read_session(folder)
+    assert session.name == "block"
+    assert [probing.name for probing in session.probings] == ["n01", "n02", "n03"]
+    for probing, peak in zip(session.probings, PEAKS, strict=True):
+        error = probing.force - peak * DIRECTION
+        assert probing.force_std is not None
+        assert np.abs(error / probing.force_std).max() < 4.0
+        assert probing.contact.radius == 0.004
+    rest, loaded = (
+        cv2.imread(str(folder / "images" / f"n02{name}_c0.png"), cv2.IMREAD_GRAYSCALE).astype(float)
+        for name in ("_rest", "")
+    )
+    # Eight frames of a noise of 1.5 and rounding, against the one picture that they show.
+    assert rest.shape == SIZE[::-1]
+    flat = np.abs(loaded[:, -20:] - rest[:, -20:])
+    assert flat.mean() < 1.5
+    table = np.genfromtxt(folder / "presses.csv", delimiter=",", names=True, dtype=None)
+    np.testing.assert_array_equal(table["press"], [1, 2, 3])
+    assert (folder / "recording.png").stat().st_size > 10_000
+    assert main(["verify", "session"]) == 0
+    assert main(["check", "session"]) == 0
+
+
+def test_frames_that_were_dropped_are_counted_and_bridged(recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(recording, folder)
+    # Seven frames are missing from the pictures, not from the times.
+    capture = cv2.VideoCapture(str(recording / "c0.avi"))
+    (folder / "c0").mkdir()
+    times, k = [], 0
+    while (read := capture.read())[0]:
+        if k not in (100, 101, 102, 250, 300, 301, 400):
+            cv2.imwrite(str(folder / "c0" / f"{k:05d}.png"), read[1])
+            times.append(k / RATE)
+        k += 1
+    (folder / "c0.csv").write_text("time\n" + "".join(f"{time:.6f}\n" for time in times))
+    text = (folder / "recording.toml").read_text()
+    given = 'pictures = "c0/*.png"\ntimes = "c0.csv"'
+    (folder / "recording.toml").write_text(text.replace('video = "c0.avi"', given))
+    found = find_presses(read_recording(folder))
+    assert found.motions[0].dropped == 7
+    assert abs(found.clocks[0].offset - OFFSETS[0]) < 1e-3
+    assert len(found.presses) == 3
+    assert any("7 frames were dropped" in note for note in found.notes)
