@@ -9,7 +9,7 @@ from surfaces import box
 
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session, make_object_model, session_observations
-from palpate.pipeline.moving_supports import moving_supports, rigid_modes
+from palpate.pipeline.model.moving_supports import moving_supports, rigid_modes
 from palpate.records import (
     EXACT as NO_ERRORS,
     FREE,

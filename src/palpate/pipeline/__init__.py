@@ -33,18 +33,16 @@ from palpate.pipeline.measurement_plan import (
     MeasurementPlan as MeasurementPlan,
     plan_measurement as plan_measurement,
 )
-from palpate.pipeline.motion_figures import (
-    MotionFigures as MotionFigures,
-    write_flow_document as write_flow_document,
-)
-from palpate.pipeline.moving_supports import (
+from palpate.pipeline.model import (
+    make_object_model as make_object_model,
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
     sliding_motion as sliding_motion,
-)
-from palpate.pipeline.object_model import (
-    make_object_model as make_object_model,
     surface_load as surface_load,
+)
+from palpate.pipeline.motion_figures import (
+    MotionFigures as MotionFigures,
+    write_flow_document as write_flow_document,
 )
 from palpate.pipeline.poke import (
     PokedState as PokedState,

@@ -26,9 +26,15 @@ from palpate.estimation import (
     reduced_response,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh
-from palpate.pipeline.moving_supports import free_std, given_motion
-from palpate.pipeline.object_model import ObjectModel, make_object_model, probe_rows
-from palpate.pipeline.shared_errors import pose_changes, shared_errors
+from palpate.pipeline.model import (
+    ObjectModel,
+    free_std,
+    given_motion,
+    make_object_model,
+    pose_changes,
+    probe_rows,
+    shared_errors,
+)
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     GIVEN,

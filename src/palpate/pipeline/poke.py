@@ -18,8 +18,12 @@ from palpate.bem import (
 )
 from palpate.errors import InputError
 from palpate.geometry import interpolation_matrix
-from palpate.pipeline.moving_supports import check_balance, held_directions, sliding_motion
-from palpate.pipeline.object_model import surface_load
+from palpate.pipeline.model import (
+    check_balance,
+    held_directions,
+    sliding_motion,
+    surface_load,
+)
 from palpate.probe import find_contact_patch
 from palpate.progress import Progress, silent
 from palpate.records import Contact, Session, require_probings

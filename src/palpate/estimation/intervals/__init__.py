@@ -3,8 +3,8 @@
 Purpose    : intervals, what is identifiable, the likelihood's map, how probings are predicted.
 Takes      : a `Misfit` and its `Minimum`.
 Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, the Cramer-Rao bound.
-Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.search`, `records`, `geometry`; files of
-             its room.
+Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.search`, `records`, `geometry`;
+             files of its room.
 Read first : `sandwich.py`, then `uncertainty.py`.
 """
 

@@ -21,16 +21,15 @@ from palpate.records.text.json_file import (
     read_json as read_json,
 )
 from palpate.records.text.mat_file import MAT_MARK as MAT_MARK, read_mat as read_mat
+from palpate.records.text.nearest import (
+    nearest_file as nearest_file,
+    nearest_word as nearest_word,
+)
 from palpate.records.text.text_file import (
     read_text as read_text,
     write_text as write_text,
 )
-from palpate.records.text.toml_table import (
-    TomlTable as TomlTable,
-    nearest_file as nearest_file,
-    nearest_word as nearest_word,
-    read_toml as read_toml,
-)
+from palpate.records.text.toml_table import TomlTable as TomlTable, read_toml as read_toml
 from palpate.records.text.tree_file import (
     TREE_SUFFIXES as TREE_SUFFIXES,
     read_tree as read_tree,

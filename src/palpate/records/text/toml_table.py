@@ -5,7 +5,6 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -14,6 +13,7 @@ import numpy as np
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import InputError, RecordError, quoted
 from palpate.files import damage, is_file
+from palpate.records.text.nearest import nearest_file, nearest_word
 from palpate.records.text.text_file import read_text
 from palpate.shapes import Vector3
 
@@ -22,42 +22,6 @@ T = TypeVar("T")
 # Beside `LARGEST_NUMBER`: what is smaller and not zero is a slip.
 _SMALLEST_NUMBER = 1 / LARGEST_NUMBER
 _RANGE = f" (0, or {_SMALLEST_NUMBER:g} to {LARGEST_NUMBER:g} in size)"
-# Words are compared letter by letter: no name that is meant is longer.
-_LONGEST_WORD, _MOST_NAMES = 100, 1000
-
-
-def nearest_word(word: str, allowed: Sequence[str]) -> str:
-    """Sentence part that offers the nearest allowed word, or nothing.
-
-    Parameters
-    ----------
-    word : str                      as it was written
-    allowed : sequence of str
-
-    Returns
-    -------
-    str                             e.g. "; did you mean 'force'?", or empty
-    """
-    near = get_close_matches(word.lower()[:_LONGEST_WORD], allowed, n=1, cutoff=0.6)
-    return f"; did you mean '{near[0]}'?" if near else ""
-
-
-def nearest_file(path: Path) -> str:
-    """Sentence part that offers the file of the nearest name in the same folder, or nothing.
-
-    Parameters
-    ----------
-    path : Path                     that is not there
-
-    Returns
-    -------
-    str                             as `nearest_word`; empty too where there is no such folder
-    """
-    try:
-        beside = [name for name in os.listdir(path.parent) if name != path.name]
-        return nearest_word(path.name, sorted(beside)[:_MOST_NAMES])
-    except (OSError, ValueError):
-        return ""
 
 
 @dataclass(frozen=True, slots=True)

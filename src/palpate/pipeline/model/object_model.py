@@ -34,8 +34,8 @@ from palpate.bem import (
 )
 from palpate.estimation import PointRows, ProbeMotions, ProbeRows
 from palpate.geometry import SurfacePoints, interpolation_matrix
-from palpate.pipeline.contact_changes import ContactChange, contact_changes
-from palpate.pipeline.moving_supports import (
+from palpate.pipeline.model.contact_changes import ContactChange, contact_changes
+from palpate.pipeline.model.moving_supports import (
     MovingSupport,
     held_directions,
     moving_supports,

@@ -16,8 +16,8 @@ from palpate.estimation import (
     ProbeResponse,
 )
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
-from palpate.pipeline.moving_supports import rigid_modes
-from palpate.pipeline.object_model import ObjectModel
+from palpate.pipeline.model.moving_supports import rigid_modes
+from palpate.pipeline.model.object_model import ObjectModel
 from palpate.shapes import Points
 
 Response = Callable[[float], Float[np.ndarray, "v c"]]

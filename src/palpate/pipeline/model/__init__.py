@@ -1,0 +1,29 @@
+"""The boundary element model of a session: its object, its supports, what they may be off by.
+
+Purpose    : one model for all probings, and what each of them sees of it.
+Takes      : a `Session`.
+Gives      : `ObjectModel`, the rows of a probing, motions of supports, nuisances of the estimation.
+Depends on : `bem`, `estimation`, `probe`, `records`, `geometry`.
+Read first : `object_model.py`, then `shared_errors.py`.
+"""
+
+from palpate.pipeline.model.moving_supports import (
+    check_balance as check_balance,
+    free_std as free_std,
+    given_motion as given_motion,
+    held_directions as held_directions,
+    moving_supports as moving_supports,
+    require_given_motions as require_given_motions,
+    rigid_modes as rigid_modes,
+    sliding_motion as sliding_motion,
+)
+from palpate.pipeline.model.object_model import (
+    ObjectModel as ObjectModel,
+    make_object_model as make_object_model,
+    probe_rows as probe_rows,
+    surface_load as surface_load,
+)
+from palpate.pipeline.model.shared_errors import (
+    pose_changes as pose_changes,
+    shared_errors as shared_errors,
+)
