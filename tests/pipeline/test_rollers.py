@@ -12,6 +12,7 @@ from palpate.geometry import closest_points
 from palpate.pipeline import fit_session, make_object_model, poke_session, session_observations
 from palpate.pipeline.model.moving_supports import held_directions, rigid_modes, sliding_motion
 from palpate.records import (
+    EXACT,
     FREE,
     GIVEN,
     Contact,
@@ -53,8 +54,9 @@ def session(*supports, points=None, moved=None, contact=None, force=(0.0, 0.0, -
     probing = Probing("n", contact, np.array(force), None, None, None, field, None, **more)
     held = np.sort(np.concatenate([one.triangles for one in supports]))
     return Session(
-        "block", Path("block"), MESH, held, (probing,), None, None, None, (), supports=supports
-    )
+        "block", Path("block"), MESH, held, (probing,), None, None, None, (), supports=supports,
+        errors=EXACT,
+    )  # fmt: skip
 
 
 def test_a_block_on_a_platen_without_friction():

@@ -11,7 +11,6 @@ Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
     ElasticState as ElasticState,
-    change_column as change_column,
     load_right_hand as load_right_hand,
     load_shape as load_shape,
     make_elastic_map as make_elastic_map,
@@ -27,6 +26,7 @@ from palpate.bem.interior import InteriorState as InteriorState, interior_state 
 from palpate.bem.loads import (
     BodyForce as BodyForce,
     ContactShape as ContactShape,
+    LoadCells as LoadCells,
     PressureDisc as PressureDisc,
     RightHand as RightHand,
     SurfaceLoad as SurfaceLoad,

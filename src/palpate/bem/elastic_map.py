@@ -24,9 +24,6 @@ from palpate.bem.loads import (
 )
 from palpate.bem.system import BoundarySystem, FactorisedSystem, factorise, solve
 
-# Cells of a load whose derivative is wanted: its rim is divided once more, not three times.
-_CHANGE_CELLS = LoadCells(degree=5, coarsest=2, finest_rim=3, finest=3)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElasticState:
@@ -126,6 +123,8 @@ def load_right_hand(
     system: BoundarySystem,
     loads: Sequence[SurfaceLoad],
     shapes: Sequence[ContactShape | None] | None = None,
+    *,
+    cells: LoadCells | None = None,
 ) -> RightHand:
     """Right-hand sides of loads of one newton along each axis.
 
@@ -134,6 +133,7 @@ def load_right_hand(
     system : BoundarySystem
     loads : sequence of k SurfaceLoad
     shapes : sequence of k ContactShape or None   how the elements around each dip (`load_shape`)
+    cells : LoadCells or None                     how finely loads are divided, see `load_points`
 
     Returns
     -------
@@ -143,7 +143,10 @@ def load_right_hand(
     kernel = system.traction_kernel
     right = joined(
         [
-            load_columns(integrate_load(system.surface, load, system.collocation, kernel), balance)
+            load_columns(
+                integrate_load(system.surface, load, system.collocation, kernel, cells=cells),
+                balance,
+            )
             for load in loads
         ]
     )
@@ -153,40 +156,6 @@ def load_right_hand(
         columns = (3 * np.array([k for k, _ in dips])[:, None] + np.arange(3)).ravel()
         right = right.plus(shape_columns(system, [shape for _, shape in dips]), columns)
     return right
-
-
-def change_column(
-    system: BoundarySystem,
-    higher: SurfaceLoad,
-    lower: SurfaceLoad,
-    force: Float[np.ndarray, "3"],
-) -> RightHand:
-    """One column for the difference of two loads that hardly differ, of the same force.
-
-    A derivative needs fewer digits than a load: its rim is divided less.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    higher, lower : SurfaceLoad
-    force : (3,) float [N]
-
-    Returns
-    -------
-    RightHand                         one column, for a shear modulus of one pascal
-    """
-    balance = -np.eye(3) / system.traction_length
-    columns = []
-    for load in (higher, lower):
-        fields = integrate_load(
-            system.surface, load, system.collocation, system.traction_kernel, cells=_CHANGE_CELLS
-        )
-        right = load_columns(fields, balance)
-        shape = load_shape(system.surface, load)
-        if shape is not None and shape.midpoints.size:
-            right = right + shape_columns(system, [shape])
-        columns.append(right.terms @ force)
-    return RightHand((columns[0] - columns[1])[:, :, None])
 
 
 def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | None:

@@ -16,6 +16,7 @@ from palpate.estimation.intervals import (
 )
 from palpate.estimation.nuisance import (
     ContactError as ContactError,
+    Discretisation as Discretisation,
     ForceDirection as ForceDirection,
     ForceGain as ForceGain,
     LengthScale as LengthScale,

@@ -34,6 +34,7 @@ from palpate.pipeline.measurement_plan import (
     plan_measurement as plan_measurement,
 )
 from palpate.pipeline.model import (
+    graded_session as graded_session,
     make_object_model as make_object_model,
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
 from palpate.estimation import (
+    Discretisation,
     FitMethod,
     FitResult,
     FitSettings,
@@ -27,9 +28,11 @@ from palpate.estimation import (
 )
 from palpate.geometry import SurfacePoints, TriangleMesh
 from palpate.pipeline.model import (
+    LEFT_OF_STEP,
     ObjectModel,
     free_std,
     given_motion,
+    graded_session,
     make_object_model,
     pose_changes,
     probe_rows,
@@ -37,6 +40,7 @@ from palpate.pipeline.model import (
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
+    EXACT,
     GIVEN,
     DisplacementField,
     ProbeEstimate,
@@ -83,16 +87,25 @@ def fit_session(
     start = time.perf_counter()
     require_probings(session)
     progress("integrals over the surface", 0.0)
-    model = make_object_model(session, surface=surface, cache=cache)
+    graded = graded_session(session, surface=surface)
+    model = make_object_model(graded, surface=surface, cache=cache)
     assembled = time.perf_counter()
-    progress("factorisation", 0.5)
-    observations = session_observations(session, model, settings=settings)
+    progress("factorisation", 0.3)
+    observations = session_observations(graded, model, settings=settings)
     factorised = time.perf_counter()
+    progress("the same on the given mesh", 0.5)
+    plain = replace(session, errors=EXACT)
+    coarser = session_observations(
+        plain, make_object_model(plain, surface=surface, cache=cache), settings=settings
+    )
+    observations = _with_mesh_errors(observations, coarser)
+    compared = time.perf_counter()
     result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
     progress("done", 1.0)
     seconds = {
         "assembly": assembled - start,
         "factorisation": factorised - assembled,
+        "given_mesh": compared - factorised,
         **result.estimate.seconds,
         "total": time.perf_counter() - start,
     }
@@ -109,10 +122,21 @@ def fit_session(
             **result.estimate.settings,
             "surface": asdict(surface),
             "errors": asdict(session.errors),
+            "vertices": [len(one.mesh.vertices) for one in (session, graded)],
             "assumed_forces": [one.name for one in session.probings if one.force_std is None],
         },
     )
     return replace(result, estimate=estimate)
+
+
+def _with_mesh_errors(
+    observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
+) -> list[ProbeObservations]:
+    """What was seen, with the error of the mesh that a coarser one shows."""
+    return [
+        replace(one, nuisances=(*one.nuisances, Discretisation(LEFT_OF_STEP, other.response.value)))
+        for one, other in zip(observations, coarser, strict=True)
+    ]
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
@@ -173,8 +197,10 @@ def session_observations(
         probe_rows(model, k, _measured(probing).surface)
         for k, probing in enumerate(session.probings)
     ]
-    every = _vertices(session.mesh)
-    rows += [probe_rows(model, k, every) for k in range(len(session.probings))]
+    with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
+    if with_pose:
+        every = _vertices(session.mesh)
+        rows += [probe_rows(model, k, every) for k in range(len(session.probings))]
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
     else:
@@ -182,7 +208,8 @@ def session_observations(
             model.system, model.right, poisson_range=settings.poisson_range
         )
         responses = [reduced_response(reduced, row) for row in rows]
-    own, vertices = responses[: len(session.probings)], responses[len(session.probings) :]
+    own = responses[: len(session.probings)]
+    vertices = responses[len(session.probings) :] if with_pose else own
     support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
     changes: dict[bytes, list[csr_array]] = {}
     observations = []

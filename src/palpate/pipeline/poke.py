@@ -20,6 +20,7 @@ from palpate.errors import InputError
 from palpate.geometry import interpolation_matrix
 from palpate.pipeline.model import (
     check_balance,
+    graded_session,
     held_directions,
     sliding_motion,
     surface_load,
@@ -91,6 +92,7 @@ def poke_session(
     SingularSystemError                 the support does not hold the object
     """
     say = progress or silent
+    session = graded_session(session, surface=surface)
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface

@@ -3,12 +3,13 @@
 Purpose    : what a wrong gain, direction, contact, pose or scale does to the displacements.
 Takes      : the response of a probing and what it is multiplied with.
 Gives      : `Nuisance` (a protocol); `ForceGain`, `ForceDirection`, `LengthScale`, `ContactError`,
-             `Pose`.
+             `Pose`, `Discretisation`.
 Depends on : nothing but the ground floor.
 Read first : `nuisance.py`, then `force_gain.py`.
 """
 
 from palpate.estimation.nuisance.contact import ContactError as ContactError
+from palpate.estimation.nuisance.discretisation import Discretisation as Discretisation
 from palpate.estimation.nuisance.force_direction import ForceDirection as ForceDirection
 from palpate.estimation.nuisance.force_gain import ForceGain as ForceGain
 from palpate.estimation.nuisance.length_scale import LengthScale as LengthScale

@@ -36,6 +36,7 @@ class ScaledRows:
                                     asked for
     effects : (r, m + e) float      change for one prior standard deviation of each error, at the
                                     reference: of the m that probings share, then of its own
+    shear_modulus : float [Pa]      at which the effects were taken; they are inverse to it
     """
 
     probe: ObservedRows
@@ -43,6 +44,7 @@ class ScaledRows:
     base: Float[np.ndarray, "r c"]
     slope: Float[np.ndarray, "r c"]
     effects: Float[np.ndarray, "r e"]
+    shear_modulus: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,8 +227,9 @@ class Misfit:
                 place = names.index(one.name) if one.name in names else free
                 free += place == free
                 effects[:, place] = column
+            measured = probe.measured / sigma[:, 0]
             scaled.append(
-                ScaledRows(probe, probe.measured / sigma[:, 0], response / sigma, slope, effects)
+                ScaledRows(probe, measured, response / sigma, slope, effects, shear_modulus)
             )
         return scaled
 
@@ -314,15 +317,15 @@ def _linearised(
     pushed = response[:, :4] @ load[:4]
     shared, first = len(errors), 2 + len(errors)
     motions = 3 + len(probe.motion)
+    effects = rows.effects * (rows.shear_modulus / shear_modulus)
+    pushed += effects @ np.append(errors, shift[motions:])
     table = np.empty((len(pushed), first + len(shift) + 1))
     table[:, 0] = rows.slope @ load
     np.negative(pushed, out=table[:, 1])
-    table[:, 2:first] = rows.effects[:, :shared]
+    table[:, 2:first] = effects[:, :shared]
     table[:, first : first + motions] = probe.per_shift(response, shear_modulus)
-    table[:, first + motions : -1] = rows.effects[:, shared:]
-    moved = pushed + response[:, 4:] @ load[4:]
-    moved += rows.effects @ np.append(errors, shift[motions:])
-    np.subtract(rows.measured, moved, out=table[:, -1])
+    table[:, first + motions : -1] = effects[:, shared:]
+    np.subtract(rows.measured, pushed + response[:, 4:] @ load[4:], out=table[:, -1])
     squared = probe.squared_length(table[:, -1])
     length = np.array([shift[:3] @ shift[:3]])
     count = np.array([float(probe.force_components)])

@@ -7,6 +7,10 @@ Depends on : `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 
+from palpate.pipeline.model.grading import (
+    LEFT_OF_STEP as LEFT_OF_STEP,
+    graded_session as graded_session,
+)
 from palpate.pipeline.model.moving_supports import (
     check_balance as check_balance,
     free_std as free_std,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from palpate.errors import InputError
 from palpate.estimation import NuisanceParameter
@@ -24,27 +24,26 @@ class ContactChange:
     Attributes
     ----------
     probing : int                   its number
+    nominal : int                   which of the model's patches it has
     parameter : NuisanceParameter
-    higher, lower : ContactPatch    the contact changed by one standard deviation either way, or by
-                                    none where it cannot lie there
-    share : float                   of the difference of the two, for one standard deviation
+    patch : ContactPatch            the contact changed by one standard deviation
     force : (3,) float [N]          of the probing
     """
 
     probing: int
+    nominal: int
     parameter: NuisanceParameter
-    higher: ContactPatch
-    lower: ContactPatch
-    share: float
+    patch: ContactPatch
     force: Vector3
 
 
-def contact_changes(session: Session) -> tuple[ContactChange, ...]:
+def contact_changes(session: Session, nominal: Int[np.ndarray, " k"]) -> tuple[ContactChange, ...]:
     """How the contacts of a session's probings may differ.
 
     Parameters
     ----------
     session : Session
+    nominal : (k,) int              which of the model's patches each probing has
 
     Returns
     -------
@@ -53,43 +52,50 @@ def contact_changes(session: Session) -> tuple[ContactChange, ...]:
     """
     found = []
     for k, probing in enumerate(session.probings):
-        if probing.contact.profile == RIGID or probing.contact.radius is None:
-            continue
-        middle = find_contact_patch(
-            session.mesh, probing.contact, session.held_triangles, name=probing.name
-        )
-        for parameter, *contacts in _changed(session, probing, middle):
-            patches = [_patch(session, probing, contact) for contact in contacts]
-            known = sum(patch is not None for patch in patches)
-            if known:
-                higher, lower = (patch or middle for patch in patches)
-                change = ContactChange(k, parameter, higher, lower, 1.0 / known, probing.force)
-                found.append(change)
+        if probing.contact.profile != RIGID and probing.contact.radius is not None:
+            patch = _wide_patch(session, probing)
+            for parameter, contact in _changed(session, probing, patch):
+                changed = replace(patch, contact=contact)
+                found.append(ContactChange(k, int(nominal[k]), parameter, changed, probing.force))
     return tuple(found)
+
+
+def _wide_patch(session: Session, probing: Probing) -> ContactPatch:
+    """Triangles that the contact reaches, changed or not; where that takes in the support, those
+    that it reaches itself."""
+    contact, priors = probing.contact, session.errors
+    wider = contact.radius * (1.0 + priors.contact_radius) + priors.contact_point
+    surface = session.mesh, session.held_triangles
+    try:
+        return find_contact_patch(
+            surface[0], replace(contact, radius=wider), surface[1], name=probing.name
+        )
+    except InputError:
+        return find_contact_patch(surface[0], contact, surface[1], name=probing.name)
 
 
 def _changed(
     session: Session, probing: Probing, patch: ContactPatch
-) -> Iterator[tuple[NuisanceParameter, Contact, Contact]]:
-    """Parameters of a contact with the contacts one standard deviation either way."""
+) -> Iterator[tuple[NuisanceParameter, Contact]]:
+    """Parameters of a contact with the contact one standard deviation on."""
     contact, priors = probing.contact, session.errors
     if priors.contact_point > 0.0:
-        for tangent, name in _tangents(session, patch):
+        tangents, names = _tangents(session, patch)
+        moved = contact.point + priors.contact_point * tangents
+        # Along the surface, as far from it as the stated point is.
+        places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
+        for name, place in zip(names, places[1:], strict=True):
             parameter = NuisanceParameter(
                 f"contact point of {probing.name} toward {name}", priors.contact_point, "m"
             )
-            shift = priors.contact_point * tangent
-            yield parameter, _moved(session, contact, shift), _moved(session, contact, -shift)
+            yield parameter, replace(contact, point=contact.point + place - places[0])
     if priors.contact_radius > 0.0 and contact.radius is not None:
         parameter = NuisanceParameter(f"contact radius of {probing.name}", priors.contact_radius)
-        wider, narrower = (
-            replace(contact, radius=contact.radius * (1.0 + sign * priors.contact_radius))
-            for sign in (1.0, -1.0)
-        )
-        yield parameter, wider, narrower
+        wider = contact.radius * (1.0 + priors.contact_radius)
+        yield parameter, replace(contact, radius=wider)
 
 
-def _tangents(session: Session, patch: ContactPatch) -> list[tuple[Float[np.ndarray, "3"], str]]:
+def _tangents(session: Session, patch: ContactPatch) -> tuple[Float[np.ndarray, "2 3"], list[str]]:
     """Two tangents of the surface under a patch, as near to the axes as may be, and their names."""
     corner = session.mesh.vertices[session.mesh.triangles[patch.triangles]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
@@ -99,7 +105,7 @@ def _tangents(session: Session, patch: ContactPatch) -> list[tuple[Float[np.ndar
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
     second *= np.sign(second[int(np.abs(second).argmax())])
-    return [(tangent, _direction_name(tangent)) for tangent in (first, second)]
+    return np.stack([first, second]), [_direction_name(one) for one in (first, second)]
 
 
 def _direction_name(direction: Float[np.ndarray, "3"]) -> str:
@@ -107,19 +113,3 @@ def _direction_name(direction: Float[np.ndarray, "3"]) -> str:
     if abs(direction[axis]) > _ALONG_AXIS:
         return "+-"[int(direction[axis] < 0)] + "xyz"[axis]
     return "(" + ", ".join(f"{x:.2f}" for x in direction) + ")"
-
-
-def _moved(session: Session, contact: Contact, shift: Float[np.ndarray, "3"]) -> Contact:
-    """The contact moved along the surface."""
-    here, there = closest_points(
-        session.mesh, np.stack([contact.point, contact.point + shift])
-    ).position
-    return replace(contact, point=contact.point + there - here)
-
-
-def _patch(session: Session, probing: Probing, contact: Contact) -> ContactPatch | None:
-    """Triangles under a contact; None where a tool cannot press there."""
-    try:
-        return find_contact_patch(session.mesh, contact, session.held_triangles, name=probing.name)
-    except InputError:
-        return None

@@ -94,7 +94,7 @@ def moving_supports(session: Session) -> tuple[MovingSupport, ...]:
     found = []
     for number, support in enumerate(session.supports, start=1):
         vertices = np.unique(session.mesh.triangles[support.triangles])
-        centre = session.mesh.vertices[vertices].mean(axis=0)
+        centre = _middle(session.mesh.vertices[vertices])
         if support.motion != FIXED:
             found.append(
                 MovingSupport(
@@ -102,6 +102,11 @@ def moving_supports(session: Session) -> tuple[MovingSupport, ...]:
                 )
             )
     return tuple(found)
+
+
+def _middle(points: Points) -> Vector3:
+    """Middle of the box about some points: the same for every mesh of them."""
+    return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
 
 
 def rigid_modes(points: Points, centre: Vector3) -> Float[np.ndarray, "n 3 6"]:
@@ -293,7 +298,7 @@ def sliding_motion(session: Session) -> MovingSupport | None:
     if not loose.shape[2]:
         return None
     vertices = mesh.vertices
-    centre = vertices[np.unique(mesh.triangles[held])].mean(axis=0)
+    centre = _middle(vertices[np.unique(mesh.triangles[held])])
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
     unit = np.array([1.0, 1.0, 1.0, length, length, length])
     # In units in which a turn moves the object as far as a shift: of those that are left, the

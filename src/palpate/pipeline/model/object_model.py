@@ -12,6 +12,7 @@ from palpate.bem import (
     BodyForce,
     BoundarySystem,
     ContactShape,
+    LoadCells,
     PointEquations,
     PressureDisc,
     RightHand,
@@ -20,7 +21,6 @@ from palpate.bem import (
     assemble_system,
     body_force_columns,
     cached_system,
-    change_column,
     check_memory,
     face_columns,
     integral_weights,
@@ -47,6 +47,8 @@ from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import GIVEN, RIGID, Contact, Session
 
 _Key = tuple[object, ...]
+# Cells of a load whose derivative is wanted: its rim is divided once more, not three times.
+_CHANGE_CELLS = LoadCells(degree=3, coarsest=2, finest_rim=3, finest=3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,9 +105,7 @@ class ObjectModel:
     @property
     def patch_of(self) -> Int[np.ndarray, " k"]:
         """Which of the patches each probing has under its tool; -1: it pulls a support."""
-        order = list(self.patches)
-        keys = [_key(probing.contact) for probing in self.session.probings]
-        return np.array([order.index(key) if key in self.patches else -1 for key in keys])
+        return _patch_numbers(self.session, self.patches)
 
     def lifts(self, probing: int) -> tuple[int, ...]:
         """Which motions are the shifts of the support that a probing pulls; none: it pulls none."""
@@ -157,7 +157,7 @@ def make_object_model(
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
     dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
-    changes = contact_changes(session)
+    changes = contact_changes(session, _patch_numbers(session, patches))
     loads = tuple(patches.values()), dips, tuple(pressed.values()), weight, shapes, changes
     right, body = _right_hand(system, *loads)
     tips = None
@@ -213,14 +213,27 @@ def _right_hand(
     if body is not None:
         parts.append(body.right)
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
-    parts += [_change_column(system, change) for change in changes]
+    nominal = [parts[change.nominal] for change in changes]
+    parts += _change_columns(system, changes, nominal)
     return joined(parts), body
 
 
-def _change_column(system: BoundarySystem, change: ContactChange) -> RightHand:
-    """The column of one change, under the force of its probing."""
-    higher, lower = surface_load(change.higher), surface_load(change.lower)
-    return RightHand(change.share * change_column(system, higher, lower, change.force).terms)
+def _change_columns(
+    system: BoundarySystem,
+    changes: Sequence[ContactChange],
+    nominal: Sequence[RightHand],
+) -> list[RightHand]:
+    """A column for each changed contact less the nominal one, under the force of its probing."""
+    loads = [surface_load(change.patch) for change in changes]
+    if not loads:
+        return []
+    shapes = [load_shape(system.surface, load) for load in loads]
+    changed = load_right_hand(system, loads, shapes, cells=_CHANGE_CELLS).terms
+    columns = []
+    for k, (change, before) in enumerate(zip(changes, nominal, strict=True)):
+        after = changed[:, :, 3 * k : 3 * k + 3]
+        columns.append(RightHand(((after - before.terms) @ change.force)[:, :, None]))
+    return columns
 
 
 def _distinct_patches(
@@ -238,6 +251,13 @@ def _distinct_patches(
                     session.mesh, contact, session.held_triangles, name=probing.name
                 )
     return patches, pressed
+
+
+def _patch_numbers(session: Session, patches: dict[_Key, ContactPatch]) -> Int[np.ndarray, " k"]:
+    """Which of the patches each probing has under its tool; -1: it pulls a support."""
+    order = list(patches)
+    keys = [_key(probing.contact) for probing in session.probings]
+    return np.array([order.index(key) if key in patches else -1 for key in keys])
 
 
 def _key(contact: Contact) -> _Key:

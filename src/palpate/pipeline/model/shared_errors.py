@@ -15,10 +15,9 @@ from palpate.estimation import (
     Pose,
     ProbeResponse,
 )
-from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
+from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.moving_supports import rigid_modes
 from palpate.pipeline.model.object_model import ObjectModel
-from palpate.shapes import Points
 
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 
@@ -80,28 +79,29 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
                                     of those that are exact
     """
     mesh, priors = model.session.mesh, model.session.errors
-    centre = mesh.vertices.mean(axis=0)
-    modes = rigid_modes(place.position, centre)
+    nodes = model.system.surface.displacement
+    modes = rigid_modes(place.position, mesh.vertices.mean(axis=0))
+    corner = mesh.vertices[mesh.triangles[place.triangle]]
+    # From a shift to the change of barycentric coordinates; what leads out of the plane is lost.
+    inverse = np.linalg.pinv(
+        np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], 2)
+    )
     found = []
     for k, std in enumerate([priors.pose_translation] * 3 + [priors.pose_rotation] * 3):
         if std == 0.0:
             continue
-        shift = std * modes[:, :, k]
-        higher, lower = (_at(model, place.position + sign * shift) for sign in (-0.5, 0.5))
+        two = -0.5 * std * np.einsum("nij,nj->ni", inverse, modes[:, :, k])
+        half = np.column_stack([-two.sum(axis=1), two])
+        # The element's own quadratic, on both sides of the point.
+        ends = (
+            interpolation_matrix(nodes, place.triangle, place.barycentric + sign * half)
+            for sign in (1.0, -1.0)
+        )
+        higher, lower = ends
         change = kron(higher - lower, np.eye(3))
         if k >= 3:
             turn = std * np.cross(np.eye(3)[k - 3], np.eye(3)).T
-            here = interpolation_matrix(
-                model.system.surface.displacement, place.triangle, place.barycentric
-            )
+            here = interpolation_matrix(nodes, place.triangle, place.barycentric)
             change = change + kron(here, turn)
         found.append(csr_array(change))
     return found
-
-
-def _at(model: ObjectModel, points: Points) -> csr_array:
-    """Displacement at points near the surface from that of the vertices."""
-    place = closest_points(model.session.mesh, points)
-    return interpolation_matrix(
-        model.system.surface.displacement, place.triangle, place.barycentric
-    )

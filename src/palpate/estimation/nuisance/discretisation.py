@@ -1,0 +1,41 @@
+"""What a finer mesh at the rims of the supports has changed, and what a still finer one would."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.estimation.nuisance.nuisance import NuisanceParameter
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discretisation:
+    """Error of the model's mesh, measured on a coarser mesh of the same object (`Nuisance`).
+
+    Parameters
+    ----------
+    std : float [-]                 standard deviation of what is left, over the step from the
+                                    coarser mesh to the finer one, > 0
+    coarser : function              Poisson's ratio -> (n_rows, c) float: response on the coarser
+                                    mesh (`ResponseModel`)
+    """
+
+    std: float
+    coarser: Callable[[float], Float[np.ndarray, "n_rows c"]]
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """One for all probings."""
+        return (NuisanceParameter("mesh, in steps from the given to the graded one,", self.std),)
+
+    def columns(
+        self,
+        rows: Int[np.ndarray, " r"],
+        response: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p"]:
+        """Some of the same step again (`Nuisance.columns`)."""
+        step = (response - self.coarser(poisson_ratio)[rows]) @ load
+        return self.std * step[:, None]
