@@ -1,0 +1,121 @@
+"""Graded meshes: closed, on the surface, finer at rims alone; and nearer to a much finer mesh."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from surfaces import box, sphere
+
+from palpate.bem import make_surface
+from palpate.geometry import TriangleMesh, checked_mesh, closest_points
+from palpate.pipeline import graded_session, make_object_model, session_observations
+from palpate.pipeline.model.grading import ROW, graded_mesh
+from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
+
+RADIUS = 0.03
+
+
+def _ball() -> tuple[TriangleMesh, np.ndarray]:
+    mesh = TriangleMesh(RADIUS * sphere(2).vertices, sphere(2).triangles)
+    return mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3 * RADIUS
+
+
+def _graded(mesh: TriangleMesh, held: np.ndarray) -> tuple[TriangleMesh, np.ndarray]:
+    surface = make_surface(mesh, np.flatnonzero(held))
+    return graded_mesh(mesh, held, surface.element_nodes[:, 3:])
+
+
+def test_it_is_closed_and_keeps_its_vertices() -> None:
+    mesh, held = _ball()
+    fine, parent = _graded(mesh, held)
+    _, notes = checked_mesh(fine)
+    assert notes == ()
+    np.testing.assert_array_equal(fine.vertices[: len(mesh.vertices)], mesh.vertices)
+    # Straight edges of 9 mm miss the ball by 1.1 % of its radius in their middle; curved ones are
+    # fitted from one side of the rim only.
+    distance = np.linalg.norm(fine.vertices, axis=1) / RADIUS
+    assert np.abs(distance - 1.0).max() < 6e-3
+    # Far from the rim every triangle is whole.
+    rim = np.intersect1d(mesh.triangles[held], mesh.triangles[~held])
+    touched = np.isin(mesh.triangles, rim).any(axis=1)
+    counts = np.bincount(parent, minlength=len(held))
+    assert (counts[~touched] == 1).all()
+    assert (counts[touched] == 3).all()
+
+
+def test_the_row_at_the_rim_has_its_width() -> None:
+    """On flat faces, where lengths are exact."""
+    mesh = box(cells=4)
+    held = np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1)
+    fine, parent = _graded(mesh, held)
+    rim = np.intersect1d(mesh.triangles[held], mesh.triangles[~held])
+    new = fine.vertices[len(mesh.vertices) :]
+    # On the sides the first row of squares is 1/4 high; its diagonals are cut as its edges are.
+    heights = np.unique(new[:, 2].round(12))
+    assert heights.tolist() == [0.0, round(ROW / 4, 12)]
+    assert not np.isin(np.arange(len(mesh.vertices), len(fine.vertices)), rim).any()
+    area = np.linalg.norm(
+        np.cross(
+            fine.vertices[fine.triangles[:, 1]] - fine.vertices[fine.triangles[:, 0]],
+            fine.vertices[fine.triangles[:, 2]] - fine.vertices[fine.triangles[:, 0]],
+        ),
+        axis=1,
+    )
+    # Parts of a flat triangle have its area together.
+    np.testing.assert_allclose(np.bincount(parent, 0.5 * area), 0.5 / 16, rtol=1e-9)
+
+
+def test_a_strip_that_is_all_rim_is_cut_in_its_middle() -> None:
+    mesh = box((0.6, 0.1, 0.4), (6, 1, 4))
+    held = np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1)
+    fine, _ = _graded(mesh, held)
+    _, notes = checked_mesh(fine)
+    assert notes == ()
+    new = fine.vertices[len(mesh.vertices) :]
+    foot = new[np.isclose(new[:, 2], 0.0)]
+    assert len(foot)
+    # Diagonals and crossing edges of a strip 0.1 wide.
+    assert np.isclose(foot[:, 1], 0.05).all()
+
+
+def _session(cells: int) -> Session:
+    """A glued cube of 4 cm, its whole top pushed."""
+    mesh = box((0.04, 0.04, 0.04), cells)
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    points = np.array([[0.02, 0.02, 0.04], [0.03, 0.01, 0.04], [0.04, 0.02, 0.03]])
+    field = DisplacementField(
+        points, np.zeros((3, 3)), None, None, closest_points(mesh, points), ""
+    )
+    top = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].min(axis=1) > 0.039)
+    contact = Contact(np.array([0.02, 0.02, 0.04]), None, "uniform", top)
+    probing = Probing("n", contact, np.array([0.3, 0.0, -1.0]), None, None, None, field, None)
+    return Session("cube", Path("cube"), mesh, held, (probing,), None, None, None, (), errors=EXACT)
+
+
+def _moved(session: Session, nu: float) -> np.ndarray:
+    (seen,) = session_observations(session, make_object_model(session))
+    return seen.response.value(nu)[:, :3] @ seen.force
+
+
+@pytest.mark.parametrize("nu", [0.1, 0.45])
+def test_the_error_at_the_rim_falls(nu: float) -> None:
+    """Against half as many cells again along an edge, graded twice."""
+    given = _session(4)
+    truth = _moved(graded_session(graded_session(_session(6))), nu)
+    error = [np.linalg.norm(_moved(one, nu) - truth) for one in (given, graded_session(given))]
+    # Corners and edges of the cube, not graded, are a part of what is left.
+    assert error[1] < 0.6 * error[0]
+
+
+def test_a_session_goes_along() -> None:
+    given = _session(4)
+    fine = graded_session(given)
+    before, after = (one.probings[0].displacement.surface.position for one in (given, fine))
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    corners = fine.mesh.vertices[fine.mesh.triangles[fine.held_triangles]]
+    assert np.isclose(corners[:, :, 2], 0.0).all()
+    (support,) = fine.supports
+    np.testing.assert_array_equal(support.triangles, fine.held_triangles)
+    moved, top = fine.probings[0].contact.triangles, given.probings[0].contact.triangles
+    # Far from the rim: whole.
+    assert len(moved) == len(top)

@@ -1,0 +1,66 @@
+"""The table [errors]: defaults, units, what is refused."""
+
+import numpy as np
+import pytest
+
+from palpate.errors import InputError, RecordError
+from palpate.records import EXACT, ErrorPriors
+from palpate.records.error_priors import read_error_priors
+from palpate.records.text.toml_table import read_toml
+
+
+def _read(tmp_path, text, metres=1e-3):
+    file = tmp_path / "session.toml"
+    file.write_text(text)
+    return read_error_priors(read_toml(file), metres_per_unit=metres)
+
+
+def test_what_is_not_said_has_its_default(tmp_path):
+    assert _read(tmp_path, "") == ErrorPriors()
+    found = _read(tmp_path, '[errors]\nforce_gain = "0.3 %"\ncontact_point = 0\n')
+    assert found == ErrorPriors(force_gain=0.003, contact_point=0.0)
+
+
+def test_units(tmp_path):
+    found = _read(
+        tmp_path,
+        "[errors]\nforce_gain = 0.02\ncontact_point = 1.5\ncontact_radius = 0.2\n"
+        'length_scale = "0.1 %"\nforce_direction = "1 deg"\nforce = 0.005\n'
+        'pose = { translation = "0.02 cm", rotation = "0.01 rad" }\n',
+    )
+    # Plain lengths are in the session's unit, here mm.
+    expected = ErrorPriors(
+        force_gain=0.02, force_direction=np.pi / 180, force=0.005, contact_point=1.5e-3,
+        contact_radius=0.2, pose_translation=2e-4, pose_rotation=0.01, length_scale=1e-3,
+    )  # fmt: skip
+    for name in ErrorPriors.__slots__:
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("force_gian = 0.01", "did you mean 'force_gain'"),
+        ("force_gain = -0.01", "the standard deviation of force gain is -0.01; must be at least 0"),
+        ("force_gain = 0.9", "at most 0.5"),
+        ('force_gain = "1 N"', 'must be a number with its unit: "1 %"'),
+        ('contact_point = "x mm"', 'must be a number with its unit: "1 um", "1 mm"'),
+        ("force_direction = 1", 'must be a number with its unit: "1 deg", "1 rad"'),
+        ("force_gain = true", "must be a number"),
+        ("force_gain = nan", "must be a number"),
+        ('contact_point = "1e400 mm"', "must be a number"),
+        ("pose = 3", "[errors] pose"),
+        ('pose = { translatoin = "1 mm" }', "did you mean 'translation'"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, line, message):
+    with pytest.raises(RecordError) as caught:
+        _read(tmp_path, f"[errors]\n{line}\n")
+    assert message in str(caught.value)
+    assert "session.toml" in str(caught.value)
+
+
+def test_exact_is_nothing_at_all():
+    assert all(getattr(EXACT, name) == 0.0 for name in ErrorPriors.__slots__)
+    with pytest.raises(InputError, match="contact point is 2; must be at least 0"):
+        ErrorPriors(contact_point=2.0)
