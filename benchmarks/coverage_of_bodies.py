@@ -1,0 +1,154 @@
+"""Do the intervals hold on bodies of unlike shape, with errors drawn from their priors?
+
+The truth comes from quadratic tetrahedra of a much finer surface; what a session tells is wrong by
+as much as its laboratory says it may be: force gain and direction, force offsets, contact points,
+radii, pose, scale of displacements, noise. Run it with
+
+    python -m benchmarks.coverage_of_bodies FOLDER [SESSIONS [BODY ...]]
+
+FOLDER keeps the true displacements, which take minutes a body. With clean, exact data it prints the
+error of the model; then how often intervals hold.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from benchmarks.bodies import BODIES, Shape
+from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, contacts, make_truth
+from palpate.geometry import TriangleMesh, closest_points
+from palpate.pipeline import fit_session
+from palpate.records import (
+    EXACT,
+    Contact,
+    DisplacementField,
+    ErrorPriors,
+    Estimate,
+    Probing,
+    Session,
+)
+
+POISSON_RATIO = 0.3
+NOISE = 0.01
+NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
+TRUTH = dict(
+    zip(NAMES, (POISSON_RATIO, SHEAR_MODULUS, 2 * SHEAR_MODULUS * (1 + POISSON_RATIO)), strict=True)
+)
+# Edges of the tetrahedra over those of the surface's triangles.
+FINE = 0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """A body with the true displacement of its vertices under each of its contacts.
+
+    Attributes
+    ----------
+    name : str
+    mesh : TriangleMesh
+    shape : Shape
+    moved : (c, v, 3) float [m]     under one newton inward
+    """
+
+    name: str
+    mesh: TriangleMesh
+    shape: Shape
+    moved: Float[np.ndarray, "c v 3"]
+
+
+def measured_body(name: str, folder: Path) -> Measured:
+    """Truth of a body, computed once."""
+    shape = BODIES[name]
+    mesh = shape.make(shape.edge)
+    file = folder / f"{name}_{POISSON_RATIO}_{FINE}.npz"
+    if not file.exists():
+        truth = make_truth(name, POISSON_RATIO, edge=FINE * shape.edge)
+        moved = [
+            truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
+            for one in contacts(mesh, shape)
+        ]
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(file, u=np.stack(moved))
+    return Measured(name, mesh, shape, np.load(file)["u"])
+
+
+def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Session:
+    """What a laboratory tells, wrong by draws from its priors."""
+    rng, mesh = np.random.default_rng(seed), body.mesh
+    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < body.shape.held).all(axis=1))
+    seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
+    gain = 1.0 + errors.force_gain * rng.normal()
+    axes = Rotation.from_rotvec(errors.force_direction * rng.normal(size=3))
+    turn = Rotation.from_rotvec(errors.pose_rotation * rng.normal(size=3))
+    shift = errors.pose_translation * rng.normal(size=3)
+    scale = 1.0 + errors.length_scale * rng.normal(size=3)
+    centre = mesh.vertices.mean(axis=0)
+    points = turn.apply(mesh.vertices[seen] - centre) + centre + shift
+    told = closest_points(mesh, points)
+    probings = []
+    for k, (place, moved) in enumerate(zip(contacts(mesh, body.shape), body.moved, strict=True)):
+        force = gain * axes.apply(place.inward) + errors.force * rng.normal(size=3)
+        beside = errors.contact_point * rng.normal(size=3)
+        beside -= beside @ place.inward * place.inward
+        point = closest_points(mesh, (place.point + beside)[None]).position[0]
+        radius = RADIUS * (1.0 + errors.contact_radius * float(np.clip(rng.normal(), -2.5, 2.5)))
+        sigma = noise * float(np.sqrt((moved**2).mean()))
+        field = scale * turn.apply(moved[seen]) + sigma * rng.normal(size=(len(seen), 3))
+        std = np.full_like(field, sigma) if noise else None
+        displacement = DisplacementField(told.position, field, std, None, told, "truth")
+        probings.append(
+            Probing(
+                f"n{k}", Contact(point, radius, "smooth"), force, None, None, None, displacement,
+                None,
+            )
+        )  # fmt: skip
+    return Session(
+        body.name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=errors
+    )
+
+
+def errors_of(estimate: Estimate) -> str:
+    """Errors of E and nu with their standard deviations."""
+    young, ratio = estimate.young_modulus, estimate.poisson_ratio
+    truth = TRUTH["young_modulus"]
+    return (
+        f"E {100 * (young.value / truth - 1):+6.2f} % (+- {100 * young.std / truth:4.2f})   "
+        f"nu {ratio.value - POISSON_RATIO:+.4f} (+- {ratio.std:.4f})   {estimate.status}"
+    )
+
+
+def held_shares(estimates: Sequence[Estimate]) -> str:
+    """How many intervals hold each constant."""
+    parts = []
+    for name in NAMES:
+        ends = [getattr(one, name).ci95 for one in estimates]
+        held = sum(low <= TRUTH[name] <= high for low, high in ends)
+        parts.append(f"{name} {held}")
+    return ", ".join(parts)
+
+
+def main() -> None:
+    """Print errors of clean data, and how often intervals hold."""
+    folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 20
+    every: list[Estimate] = []
+    for name in sys.argv[3:] or BODIES:
+        body = measured_body(name, folder)
+        clean = fit_session(session(body, EXACT, 0.0, 0), cache=folder / "integrals").estimate
+        print(f"{name:10s} {len(body.mesh.vertices):4d} vertices, clean   {errors_of(clean)}")
+        found = []
+        for seed in range(count):
+            noisy = session(body, ErrorPriors(), NOISE, seed)
+            found.append(fit_session(noisy, cache=folder / "integrals").estimate)
+            print(f"{'':10s} session {seed:2d}            {errors_of(found[-1])}", flush=True)
+        every += found
+        print(f"{'':10s} of {count}: {held_shares(found)}", flush=True)
+    print(f"of {len(every)} sessions intervals hold: {held_shares(every)}")
+
+
+if __name__ == "__main__":
+    main()
