@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from faults.kind import Kind, replaced, written
+from scipy.spatial.transform import Rotation
 
 _FORCE = "force = [0, 0, -1.2]"
 _PLANE = "plane = { point = [0, 0, 0], normal = [0, 0, 1], tolerance = 1e-6 }"
@@ -43,6 +44,22 @@ def _displacements(change):
 
 def _scaled(factor: float):
     return _displacements(lambda rows: rows * np.r_[1, 1, 1, factor, factor, factor, 1])
+
+
+def _turned(degrees: float):
+    """Damage: the object was turned about a slanting axis between rest and load."""
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0.0, 0.8])).as_matrix()
+
+    def change(rows):
+        loaded = rows[:, :3] + np.nan_to_num(rows[:, 3:6])
+        return np.hstack([rows[:, :3], loaded @ turn.T - rows[:, :3], rows[:, 6:]])
+
+    return _displacements(change)
+
+
+def _twice(folder: Path) -> None:
+    file = folder / "n01.csv"
+    file.write_text(file.read_text() + file.read_text())
 
 
 def _second_probing(file: str):
@@ -100,6 +117,19 @@ _CHECKED = [
         "a number with an underscore",
         written("n01.csv", "x,y,z,ux,uy,uz\n0.02,0.02,0.04,0,0,-1_0e-5\n"),
         ("n01.csv: line 2", "uz", "-1_0e-5"),
+    ),
+    (
+        "two measurements one after the other",
+        _twice,
+        ("n01.csv: line", "header again", "a file of its own"),
+    ),
+    *(
+        (
+            f"an object turned by {degrees} degrees",
+            _turned(degrees),
+            ("'n01'", "n01.csv", f"turned by {degrees} degrees", "small"),
+        )
+        for degrees in (30, 45, 120)
     ),
     ("one file for two probings", _second_probing("n01.csv"), ("'n01'", "'n02'", "same disp")),
     ("a copied file", _second_probing("n02.csv"), ("'n01'", "'n02'", "digit by digit")),

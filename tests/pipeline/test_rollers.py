@@ -17,6 +17,7 @@ from palpate.records import (
     GIVEN,
     Contact,
     DisplacementField,
+    Load,
     Probing,
     RigidMotion,
     Session,
@@ -145,6 +146,22 @@ def test_a_poke_on_a_platen():
     assert found.interior.displacement[:, 2].max() < 0.0
     with pytest.raises(InputError, match="the tool: 1 N of its force shifts the object along y"):
         poked([0.0, 1.0, 0.0])
+
+
+def test_weight_and_pressure_along_the_platen_are_refused():
+    given = replace(session(Support(BOTTOM, directions=UP)), density=1000.0)
+    down, aside = np.array([0.0, 0.0, -9.81]), np.array([2.0, 0.0, -9.6])
+    assert make_object_model(replace(given, gravity=down)).slides
+    with pytest.raises(InputError, match=r"\[gravity\]: 0.024 N of its force shifts .* along x"):
+        make_object_model(replace(given, gravity=aside))
+    left = np.flatnonzero(np.abs(MIDDLE[:, 0]) < 1e-9)
+    right = np.flatnonzero(np.abs(MIDDLE[:, 0] - SIZE[0]) < 1e-9)
+    squeezed = [Load(Contact(MIDDLE[t].mean(axis=0), None, "uniform", t), pressure=1e3)
+                for t in (left, right)]  # fmt: skip
+    (probing,) = given.probings
+    assert make_object_model(replace(given, probings=(replace(probing, loads=tuple(squeezed)),)))
+    with pytest.raises(InputError, match="shifts the object along x"):
+        make_object_model(replace(given, probings=(replace(probing, loads=(squeezed[0],)),)))
 
 
 def test_a_turn_that_nothing_holds_is_refused():

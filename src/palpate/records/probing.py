@@ -8,6 +8,7 @@ from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
 from palpate.records.contact import RIGID, Contact, RigidMotion
+from palpate.records.large_turn import check_turn
 from palpate.shapes import Flags, PointIndices, Points, Vector3
 
 
@@ -168,7 +169,7 @@ class Probing:
     ------
     InputError                      zero force and no other load, both ways to give a motion, a
                                     negative standard deviation, or one of nothing,
-                                    wrong shape
+                                    wrong shape; measured points that turned far as a whole
     """
 
     name: str
@@ -197,6 +198,10 @@ class Probing:
             raise InputError(
                 "support_displacement and support_motion are both given; give one of the two"
             )
+        for field in (self.displacement, self.support_displacement):
+            if field is not None:
+                seen = observed_rows(field)
+                check_turn(field.points[seen], field.displacement[seen], field.source)
         if self.force_std is not None and np.any(self.force_std < 0.0):
             raise InputError(f"force_std is {self.force_std.tolist()}; must not be negative")
         std = self.tip_displacement_std

@@ -13,6 +13,7 @@ from palpate.geometry import (
     unit_normals,
 )
 from palpate.records.contact import RIGID, Contact
+from palpate.records.large_turn import LARGE_TURN, whole_turn
 from palpate.records.probing import DisplacementField, Probing, observed_rows
 from palpate.records.quantities import modulus_unit
 from palpate.records.session import Session
@@ -298,6 +299,17 @@ def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[st
             f"the largest displacement is {100.0 * largest / size:.0f} % of the object's size,"
             " outside small deformation; the estimate will be biased: press less."
         )
+    if probing.displacement is not None:
+        seen = observed_rows(probing.displacement)
+        turn = whole_turn(
+            probing.displacement.points[seen], probing.displacement.displacement[seen]
+        )
+        if turn > LARGE_TURN:
+            notes.append(
+                f"the measured points turned by {np.degrees(turn):.0f} degrees as a whole, outside"
+                " small deformation: if the whole object turned, with its support, turn the"
+                " measured displacements back first."
+            )
     return notes + _force_notes(mesh, probing, largest)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from surfaces import box, joined, sphere
 
 from palpate.errors import InputError, MeshError, RecordError
@@ -406,6 +407,17 @@ def test_shared_sessions_are_read(shared_data):
     beam = read_session(shared_data / "real" / "dragonskin_beam")
     assert beam.probings[0].name == "load52_a"
     assert any("outside small deformation" in note for note in beam.notes)
+
+
+def test_a_turn_that_may_be_bending_is_a_note(session_folder):
+    file = session_folder / "n01.csv"
+    rows = np.genfromtxt(file, delimiter=",", skip_header=1)
+    turn = Rotation.from_rotvec(np.radians([0.0, 20.0, 0.0])).as_matrix()
+    rows[:, 3:6] = rows[:, :3] @ turn.T - rows[:, :3]
+    head = file.read_text().splitlines()[0]
+    np.savetxt(file, rows, delimiter=",", header=head, comments="")
+    notes = " ".join(read_session(session_folder).notes)
+    assert "Probing n01: the measured points turned by 20 degrees as a whole" in notes
 
 
 def test_what_is_too_large_is_refused_before_the_surface_is_checked(session_folder):

@@ -22,7 +22,7 @@ def _read(tmp_path, content):
         "a;b [mm]\n1;2,5;\n3;-4e-3\n",
         "a\tb[mm]\n1\t2.5\n\n3\t-4e-3\n\n",
         "sep=,\n# made today\n\na, b [mm] \n 1, 2.5\n 3, -4e-3\n",
-        "a,b [mm]\n1,2.5\na,b [mm]\n3,-4e-3\n",
+        "a,b [mm]\na,b [mm]\n1,2.5\n3,-4e-3\n",
         b"\xef\xbb\xbfa,b [mm]\n1,2.5\n3,-4e-3",
         "\ufeffa,b [mm]\n1,2.5\n3,-4e-3".encode("utf-16-le"),
     ],
@@ -83,6 +83,7 @@ def test_a_row_of_another_length(tmp_path, row):
         ("*** only\n\n# this\n", "is empty"),
         ("a,b\n\n", "has a header and no rows"),
         (b"II*\0\1\2", "is not a text file; CURE"),
+        ("a,b\n1,2\n\n3,4\na,b\n5,6\n", "line 5: the header again.*each a file of its own"),
     ],
 )
 def test_nothing_to_read(tmp_path, content, message):

@@ -14,8 +14,8 @@ except ModuleNotFoundError:  # Windows has no such limits
 # The program and its libraries [bytes].
 _PROGRAM = 0.3e9
 # Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
-# slope, and two that come and go with these.
-_DOUBLES_A_PAIR = 24
+# slope; for rollers the matrix twice, before there is a slope.
+_DOUBLES_A_PAIR, _WITH_ROLLERS = 22, 27
 # Vectors of unknowns that are kept for each of a probing's three directions of force: at most 80
 # directions of the solutions, and once more while they are put together.
 _VECTORS_A_COLUMN = 160
@@ -28,13 +28,20 @@ _CONTAINER_LIMITS = (
 )
 
 
-def check_memory(n_vertices: int, n_probings: int = 1, *, available: float | None = None) -> None:
+def check_memory(
+    n_vertices: int,
+    n_probings: int = 1,
+    *,
+    rollers: bool = False,
+    available: float | None = None,
+) -> None:
     """Refuse a mesh whose dense matrices do not fit.
 
     Parameters
     ----------
     n_vertices : int
     n_probings : int                  that are fitted together, or pushes that are predicted
+    rollers : bool                    whether a support holds some directions only
     available : float [byte]          memory of the machine; None: asked of the system, unlimited
                                       where it does not tell
 
@@ -42,43 +49,46 @@ def check_memory(n_vertices: int, n_probings: int = 1, *, available: float | Non
     ------
     InputError                        more memory is needed than there is
     """
-    needed = memory_needed(n_vertices, n_probings)
+    needed = memory_needed(n_vertices, n_probings, rollers=rollers)
     usable = _USABLE_SHARE * (_machine_memory() if available is None else available)
     if needed > usable:
         raise InputError(
             f"the mesh has {n_vertices} vertices, whose model needs {needed / 1e9:.1f} GB of"
             f" memory {_for(n_probings)}; {usable / 1e9:.1f} GB can be used here: simplify"
-            f" the surface to at most {_most_vertices(n_probings, usable)} vertices in a mesh"
-            " program (decimate, remesh; 1000 to 3000 serve most objects)"
+            f" the surface to at most {_most_vertices(n_probings, rollers, usable)} vertices in a"
+            " mesh program (decimate, remesh; 1000 to 3000 serve most objects)"
         )
 
 
-def memory_needed(n_vertices: int, n_probings: int) -> float:
+def memory_needed(n_vertices: int, n_probings: int, *, rollers: bool) -> float:
     """Most memory that a fit of some probings takes at a time.
 
     Parameters
     ----------
     n_vertices : int
     n_probings : int
+    rollers : bool
 
     Returns
     -------
     float [byte]
     """
     vectors = 3.0 * n_vertices * _COLUMNS_A_PROBING * n_probings * _VECTORS_A_COLUMN
-    return _PROGRAM + 8.0 * (_DOUBLES_A_PAIR * float(n_vertices) ** 2 + vectors)
+    doubles = _WITH_ROLLERS if rollers else _DOUBLES_A_PAIR
+    return _PROGRAM + 8.0 * (doubles * float(n_vertices) ** 2 + vectors)
 
 
 def _for(n_probings: int) -> str:
     return "for one probing" if n_probings == 1 else f"for {n_probings} probings"
 
 
-def _most_vertices(n_probings: int, usable: float) -> int:
+def _most_vertices(n_probings: int, rollers: bool, usable: float) -> int:
     """The largest round number of vertices that fits; zero: none."""
     low, high = 0, 1_000_000
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if memory_needed(middle, n_probings) <= usable else (low, middle)
+        fits = memory_needed(middle, n_probings, rollers=rollers) <= usable
+        low, high = (middle, high) if fits else (low, middle)
     return low // 100 * 100
 
 

@@ -25,6 +25,7 @@ from palpate.bem.system.boundary import Unknowns, find_unknowns
 _NOT_HELD = 1e-6
 # The equations are multiplied by 8 pi (1 - nu): what is added to them is made as large.
 _SCALE = 8 * np.pi
+_CHUNK = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +61,10 @@ class Elimination:
         """
         m, n = self.rows.shape[0], self.columns.shape[1]
         square = np.zeros((n + self.slack.shape[1], m + len(self.pins))).T
-        square[:m, :n] = (self.columns.T @ (self.rows @ whole).T).T
+        # Part by part: the whole product would take as much memory again.
+        for first in range(0, n, _CHUNK):
+            part = slice(first, min(first + _CHUNK, n))
+            square[:m, part] = self.rows @ (self.columns[:, part].T @ whole.T).T
         square[:m, n:] = self.slack
         square[m:, :n] = (self.columns.T @ self.pins.T).T
         return square

@@ -21,6 +21,7 @@ from palpate.bem.integrals import (
     with_rigid_body_sum,
 )
 from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
+from palpate.bem.system.large_lu import LARGEST_WHOLE, lu_by_panels
 from palpate.bem.system.rollers import Elimination, make_elimination
 from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes, triangle_areas
@@ -243,7 +244,10 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
         matrix = elimination.matrix(matrix)
     gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
     norm = lange("1", matrix)
-    lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
+    if len(matrix) > LARGEST_WHOLE:
+        lu, pivots = lu_by_panels(matrix)
+    else:
+        lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
     rcond = float(gecon(lu, norm)[0])
     if not rcond > SMALLEST_RCOND:
         raise SingularSystemError(

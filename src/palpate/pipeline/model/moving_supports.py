@@ -10,8 +10,17 @@ from jaxtyping import Float, Int
 from palpate.arrays import known_median
 from palpate.bem import loose_motions, make_surface
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, bounding_diagonal
-from palpate.records import FIXED, FREE, GIVEN, DisplacementField, Probing, Session, observed_rows
+from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal
+from palpate.records import (
+    FIXED,
+    FREE,
+    GIVEN,
+    DisplacementField,
+    Load,
+    Probing,
+    Session,
+    observed_rows,
+)
 from palpate.shapes import Points, Vector3
 
 # Robust fit of a motion: rounds, and Student's degrees of freedom.
@@ -329,8 +338,23 @@ def require_balance(session: Session, sliding: MovingSupport | None) -> None:
     """
     for probing in session.probings:
         forces = [(probing.contact.point, probing.force)]
-        forces += [(x.contact.point, x.force) for x in probing.loads if x.force is not None]
+        forces += [(x.contact.point, _total_force(session.mesh, x)) for x in probing.loads]
         check_balance(sliding, forces, f"probing '{probing.name}'")
+    if session.gravity is not None and session.density is not None:
+        corner = session.mesh.vertices[session.mesh.triangles]
+        share = np.einsum("ea,ea->e", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
+        middle = share @ corner.sum(axis=1) / 4.0 / share.sum()
+        weight = session.density * share.sum() * session.gravity
+        check_balance(sliding, [(middle, weight)], "[gravity]")
+
+
+def _total_force(mesh: TriangleMesh, load: Load) -> Vector3:
+    """Force of a load on the object."""
+    if load.force is not None:
+        return load.force
+    # A pressure acts over triangles, which are named.
+    pressed = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
+    return -float(load.pressure or 0.0) * pressed
 
 
 def check_balance(

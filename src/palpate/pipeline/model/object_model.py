@@ -143,7 +143,8 @@ def make_object_model(
     ------
     InputError                        the model does not fit into memory, a bad contact
     """
-    check_memory(len(session.mesh.vertices), len(session.probings))
+    rollers = any(support.directions is not None for support in session.supports)
+    check_memory(len(session.mesh.vertices), len(session.probings), rollers=rollers)
     sliding = sliding_motion(session)
     require_balance(session, sliding)
     supports = (*moving_supports(session), *filter(None, [sliding]))

@@ -249,8 +249,7 @@ def missing_depth(missing: Collection[str]) -> str | None:
 def read_text_table(path: Path, *, cure: str) -> TextTable:
     """Header and rows of a file, with the separator it uses; decimal commas become points.
 
-    Lines on top that start with '*' or '#' and a line 'sep=;' are passed over, blank lines and
-    repetitions of the header too.
+    Lines on top that start with '*' or '#' and a line 'sep=;' are passed over, blank lines too.
 
     Parameters
     ----------
@@ -259,7 +258,7 @@ def read_text_table(path: Path, *, cure: str) -> TextTable:
 
     Raises
     ------
-    RecordError                     not there, not text, no header, no rows
+    RecordError                     not there, not text, no header, no rows, a header in the middle
     """
     lines = text_lines(path, cure=cure)
     top = next((i for i, line in enumerate(lines) if _is_header(line)), None)
@@ -281,7 +280,8 @@ def make_table(
     delimiter: str,
     cure: str,
 ) -> TextTable:
-    """The table that begins at a line of a text; blank lines and further headers are left out.
+    """The table that begins at a line of a text; blank lines, and a header that stands there twice
+    at once, are left out.
 
     Parameters
     ----------
@@ -294,14 +294,18 @@ def make_table(
 
     Raises
     ------
-    RecordError                     no rows
+    RecordError                     no rows; the header again among the rows
     """
     head = lines[first - 1].strip() if first else ""
-    kept = [
-        (number, line)
-        for number, line in enumerate(lines[first:], start=first + 1)
-        if line.strip() and line.strip() != head
-    ]
+    kept = []
+    for number, line in enumerate(lines[first:], start=first + 1):
+        if line.strip() and line.strip() != head:
+            kept.append((number, line))
+        elif kept and line.strip():
+            raise RecordError(
+                f"{path}: line {number}: the header again, so these are several measurements one"
+                " after the other; give each a file of its own"
+            )
     if not kept:
         raise RecordError(f"{path}: has a header and no rows; {cure}")
     numbers, rows = zip(*kept, strict=True)
