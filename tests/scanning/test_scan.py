@@ -71,6 +71,7 @@ def test_a_side_that_nobody_saw_is_no_surface(truth):
 
 
 def test_a_ball_seen_from_all_sides_closes_without_a_table():
+    # Points on the seams are in several views: they coincide.
     points = ball(0.03, fine=5)[0]
     views = [
         make_view(f"v{k}", points[points @ way > 0.01], eye=way, sigma=1e-6, pose=np.eye(4))

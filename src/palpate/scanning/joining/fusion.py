@@ -99,7 +99,7 @@ def _winding(
     igl = late_import("igl", extra="surface", purpose="joining scans")
     half = [(c + 1) // 2 for c in count]
     place = low + 2.0 * cell * _grid(half)
-    arrays = (np.ascontiguousarray(a) for a in (points, normals, area, place))
+    arrays = (np.ascontiguousarray(a) for a in (*_thinned(points, normals, area, cell), place))
     coarse = np.asarray(igl.fast_winding_number(*arrays)).reshape(half[::-1])
     for axis in range(3):
         size = coarse.shape[axis]
@@ -107,6 +107,24 @@ def _winding(
         # Old and new ones in turn.
         coarse = np.insert(coarse, range(1, size), middle, axis)
     return coarse.ravel()
+
+
+def _thinned(
+    points: Points, normals: Points, area: PointScalars, cell: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One point for all in half a cell: points that coincide have no end in a tree of boxes."""
+    box = np.floor(points / (0.5 * cell)).astype(np.int64)
+    _, group, count = np.unique(box, axis=0, return_inverse=True, return_counts=True)
+    group = group.ravel()
+
+    def total(value: np.ndarray) -> np.ndarray:
+        return np.bincount(group, value, len(count))
+
+    place = np.stack([total(points[:, k]) for k in range(3)], axis=1) / count[:, None]
+    whole = np.stack([total(area * normals[:, k]) for k in range(3)], axis=1)
+    size = np.linalg.norm(whole, axis=1)
+    kept = size > 0.0
+    return place[kept], whole[kept] / size[kept, None], size[kept]
 
 
 def _field(
