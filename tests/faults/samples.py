@@ -1,6 +1,7 @@
 """A good example of every kind of file that is read, and what reads it: what the fuzz spoils."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -48,6 +49,7 @@ from palpate.records import (
     write_estimate,
     write_rig,
 )
+from palpate.scanning import depth_points, read_points, read_scan
 from palpate.vision import read_pictures
 
 GREY = np.random.default_rng(1).integers(0, 255, (48, 64), dtype=np.uint8)
@@ -68,6 +70,19 @@ images = "png_{camera}.png"
 [[step]]
 name = "s1"
 images = "tif_{camera}.tif"
+"""
+SCAN = """\
+format = "palpate-scan/1"
+length_unit = "mm"
+support = "z=0"
+sigma = 0.05
+[turntable]
+point = [0, 0, 0]
+axis = [0, 0, 1]
+[[view]]
+file = "scan.xyz"
+angle = 30
+eye = [0, 0, 500]
 """
 Reader = Callable[[Path], object]
 
@@ -220,6 +235,24 @@ def write_texts(folder: Path) -> list[Path]:
     return [folder / name for name in _TEXTS]
 
 
+def write_scans(folder: Path) -> list[tuple[Path, Reader]]:
+    """Points in every format, a depth map, and the table of views; each with its reader."""
+    points = np.random.default_rng(5).normal(size=(60, 3))
+    np.save(folder / "scan.npy", points)
+    np.savetxt(folder / "scan.xyz", points, fmt="%.5f")
+    (folder / "scan_points.ply").write_bytes(trimesh.PointCloud(points).export(file_type="ply"))
+    write_pcd = import_module("scanning.test_point_files").pcd
+    for kind in ("ascii", "binary"):
+        write_pcd(folder / f"{kind}.pcd", kind)
+    names = ("scan.npy", "scan.xyz", "scan_points.ply", "ascii.pcd", "binary.pcd")
+    found: list[tuple[Path, Reader]] = [(folder / name, read_points) for name in names]
+    cv2.imwrite(str(folder / "depth.png"), np.full((12, 16), 800, dtype=np.uint16))
+    camera = two_cameras().cameras[0]
+    depth = partial(depth_points, camera=replace(camera, size=None), metres_per_level=1e-3)
+    (folder / "scan.toml").write_text(SCAN)
+    return [*found, (folder / "depth.png", depth), (folder / "scan.toml", read_scan)]
+
+
 def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     """Every kind of file in one folder, each with its reader.
 
@@ -236,6 +269,7 @@ def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     for kind, file in write_results(folder):
         found.append((file, partial(_measured, kind)))
     found += list(zip(write_texts(folder), _TEXTS.values(), strict=True))
+    found += write_scans(folder)
     write_estimate_sample(folder / "estimate.json")
     found.append((folder / "estimate.json", read_estimate))
     found += write_recorded(folder / "recorded")

@@ -1,6 +1,7 @@
 """Even triangles over a closed surface, finer near given points, as many as asked for."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ _GROWTH = 0.25
 # Triangles before the last pass, over those after it: sizes are told at their vertices.
 _OVERSAMPLING = 4.0
 _TRIES, _CLOSE = 6, 0.03
+_OTHERWISE = (0.97, 1.03, 0.92)
 _FEWEST, _MOST = 50, 50_000
 # A wall thinner than this, in edges of its own triangles, cannot be told from a sheet.
 _THINNEST = 0.5
@@ -75,16 +77,25 @@ def remeshed(
     edge = np.sqrt(2.0 * float(triangle_areas(mesh).sum()) / (np.sqrt(3.0) * vertices))
     keep: dict[str, Any] = {"creases": creases, "support": support}
     base = _base(mesh, edge, near, keep)
-    best, scale = None, 1.0
+    tries, scale = [], 1.0
     for _ in range(_TRIES):
         found = adapted(base, scale * _sizes(base.vertices, edge, near), onto=mesh, **keep)
         off = len(found.vertices) / vertices
-        if best is None or abs(off - 1.0) < abs(len(best.vertices) / vertices - 1.0):
-            best = found
+        tries.append((abs(off - 1.0), found))
         if abs(off - 1.0) < _CLOSE:
             break
         scale *= np.sqrt(off)
-    return _accepted(best or base)
+    tries.sort(key=lambda one: one[0])
+    try:
+        return _accepted(tries[0][1])
+    except MeshError as error:
+        reason = error
+    # A little finer or coarser, a fold may be gone.
+    for factor in _OTHERWISE:
+        found = adapted(base, factor * scale * _sizes(base.vertices, edge, near), onto=mesh, **keep)
+        with suppress(MeshError):
+            return _accepted(found)
+    raise reason
 
 
 def _check_near(near: Points, mesh: TriangleMesh) -> None:

@@ -94,11 +94,12 @@ def scan_surface(
     points = np.concatenate([view.points for view in views])
     normals = np.concatenate([view.normals for view in views])
     sigma = np.concatenate([view.sigma for view in views])
+    number = np.repeat(np.arange(len(views)), [len(view.points) for view in views])
     if support is not None:
         if np.median(support.heights(points)) < 0.0:
             support = Plane(support.point, -support.normal)
         kept = support.heights(points) > -_NEAR_SIZE * float(np.ptp(points, axis=0).max())
-        points, normals, sigma = points[kept], normals[kept], sigma[kept]
+        points, normals, sigma, number = points[kept], normals[kept], sigma[kept], number[kept]
     progress("joining", 0.3)
     skin = fused(points, normals, support=support)
     skin = skin if support is None else above(skin, support)
@@ -109,7 +110,7 @@ def scan_surface(
     if support is not None:
         fixed = abs(support.heights(even.vertices)) < 1e-4 * bounding_diagonal(even)
     progress("fitting", 0.9)
-    result = fitted(even, points, normals, sigma, fixed=fixed)
+    result = fitted(even, points, normals, sigma, view=number, fixed=fixed)
     mesh = checked_mesh(result.mesh)[0]
     gap = distances(points, mesh)
     return ScannedSurface(

@@ -1,12 +1,16 @@
-"""`palpate mesh`: from a broken file to a surface that a session can name."""
+"""`palpate mesh` and `palpate scan`: broken files and views become a mesh for a session."""
 
 import json
 
+import cv2
+import numpy as np
 import pytest
 import trimesh
 from broken_surfaces import ball, box, made, together, without_cap
+from scan_views import SIZE, camera_at, toy
 
 from palpate.geometry import checked_mesh, read_mesh
+from palpate.vision import surface_map
 
 
 @pytest.fixture
@@ -57,3 +61,61 @@ def test_what_cannot_be_done_leaves_nothing(palpate, tmp_path, part, options, me
     assert code == 2
     assert message in " ".join(err.split())
     assert not (tmp_path / "m-mesh").exists()
+
+
+CAMERA = "camera = [700, 700, 80, 60]\n"
+VIEWS = 8
+
+
+@pytest.fixture
+def depth_maps(tmp_path):
+    """Eight depth maps of a toy in tenths of a millimetre, and the table that names them."""
+    mesh, text = toy(), ""
+    for k in range(VIEWS):
+        camera = camera_at(2.0 * np.pi * k / VIEWS)
+        found = surface_map(camera, SIZE[::-1], mesh.vertices, mesh.triangles)
+        z = found.point @ camera.T_camera_object[2, :3] + camera.T_camera_object[2, 3]
+        levels = np.where(found.triangle >= 0, np.rint(1e4 * z), 0).astype(np.uint16)
+        cv2.imwrite(str(tmp_path / f"d{k}.png"), levels)
+        pose = np.linalg.inv(camera.T_camera_object).tolist()
+        (tmp_path / f"p{k}.toml").write_text(f'length_unit = "m"\nT = {pose}\n')
+        text += f'[[view]]\nfile = "d{k}.png"\npose = "p{k}.toml"\n'
+    head = 'format = "palpate-scan/1"\nlength_unit = "mm"\nsupport = "z=0"\n'
+    (tmp_path / "scan.toml").write_text(f"{head}[depth]\nscale = 0.1\n{CAMERA}{text}")
+    return tmp_path
+
+
+def test_depth_maps_become_a_mesh(palpate, depth_maps):
+    code, out, _ = palpate("scan", "scan.toml", "--vertices", "600", "--out", "m")
+    assert code == 0
+    assert "area that no view shows" in out
+    mesh, notes = checked_mesh(read_mesh(depth_maps / "m" / "mesh.ply"))
+    assert notes == ()
+    table = np.genfromtxt(depth_maps / "m" / "vertex_sigma.csv", delimiter=",", names=True)
+    assert len(table) == len(mesh.vertices)
+    # Steps of 0.1 mm have a standard deviation of 0.03 mm; a vertex rests on many.
+    assert np.nanmedian(table["sigma_m"]) < 1e-4
+    assert (depth_maps / "m" / "scan.png").stat().st_size > 20_000
+    assert palpate("verify", "m")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("scale = 0.1", "scale = 100", "its middle depth is 765 m"),
+        ("scale = 0.1", "scale = -1", "scale: is -1; must be positive"),
+        (CAMERA, "camera = [700, 80]\n", "must be four numbers in pixels"),
+        ('pose = "p3.toml"\n', "", "view 'd3.png' has no pose and others have"),
+        ('file = "d3.png"', 'file = "d9.png"', "d9.png"),
+        ('file = "d3.png"', 'images = "{camera}.png"', "need a [rig] with its cameras"),
+        ('pose = "p3.toml"', "angle = 30", "needs a [turntable]"),
+        ("[[view]]", "[[veiw]]", "unknown key 'veiw'"),
+    ],
+)
+def test_what_is_wrong_with_a_scan_is_said(palpate, depth_maps, old, new, message):
+    file = depth_maps / "scan.toml"
+    file.write_text(file.read_text().replace(old, new))
+    code, _, err = palpate("scan", "scan.toml", "--out", "m")
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert not (depth_maps / "m").exists()

@@ -1,8 +1,9 @@
 """One closed surface through the points of all views."""
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from jaxtyping import Float
+from scipy.ndimage import median_filter
+from scipy.spatial import cKDTree
 
 from palpate.errors import MeshError
 from palpate.geometry import TriangleMesh
@@ -20,11 +21,13 @@ _BAND = 2.0
 _MARGIN = 6
 # Edges of the triangles, in cells.
 _EDGE = 1.5
-# Points lower than these shares of the height may show the outline of the base; they do where no
-# gap between their directions is larger than this.
-# Of the layer below the support, of the height: its rim is cut off with it.
-_DEPTH = 0.1
-_LOW, _GAP = (0.015, 0.03, 0.06, 0.12), np.radians(60.0)
+# Depth of the tray below the support, of the height: it leads the surface down, and is cut off.
+_DEPTH = 0.12
+# The outline of the base, a corner in each of so many sectors: the farthest of the points that are
+# lower than these shares of the height, the lowest share that has any.
+_SECTORS, _LOW = 96, (0.015, 0.03, 0.06, 0.12, 0.25)
+# Points from the middle of the floor to each side.
+_FLOOR = 30
 
 
 def fused(points: Points, normals: Points, *, support: Plane | None = None) -> TriangleMesh:
@@ -96,7 +99,7 @@ def _winding(
     igl = late_import("igl", extra="surface", purpose="joining scans")
     half = [(c + 1) // 2 for c in count]
     place = low + 2.0 * cell * _grid(half)
-    arrays = (np.ascontiguousarray(a) for a in (points, normals, area, place))
+    arrays = (np.ascontiguousarray(a) for a in (*_thinned(points, normals, area, cell), place))
     coarse = np.asarray(igl.fast_winding_number(*arrays)).reshape(half[::-1])
     for axis in range(3):
         size = coarse.shape[axis]
@@ -104,6 +107,24 @@ def _winding(
         # Old and new ones in turn.
         coarse = np.insert(coarse, range(1, size), middle, axis)
     return coarse.ravel()
+
+
+def _thinned(
+    points: Points, normals: Points, area: PointScalars, cell: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One point for all in half a cell: points that coincide have no end in a tree of boxes."""
+    box = np.floor(points / (0.5 * cell)).astype(np.int64)
+    _, group, count = np.unique(box, axis=0, return_inverse=True, return_counts=True)
+    group = group.ravel()
+
+    def total(value: np.ndarray) -> np.ndarray:
+        return np.bincount(group, value, len(count))
+
+    place = np.stack([total(points[:, k]) for k in range(3)], axis=1) / count[:, None]
+    whole = np.stack([total(area * normals[:, k]) for k in range(3)], axis=1)
+    size = np.linalg.norm(whole, axis=1)
+    kept = size > 0.0
+    return place[kept], whole[kept] / size[kept, None], size[kept]
 
 
 def _field(
@@ -134,38 +155,80 @@ def _field(
 def _with_base(
     points: Points, normals: Points, area: PointScalars, support: Plane
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points and an even layer of others below the object, a little under its support."""
+    """The points and those of a tray below the support, as wide as the base."""
     height = support.heights(points)
     frame = np.linalg.svd(support.normal[None])[2][1:]
     flat = (points - support.point) @ frame.T
-    try:
-        hull = ConvexHull(flat[_outline(height, flat)])
-    except QhullError as error:
-        raise MeshError("the points stand on end above the support; is its plane right?") from error
-    step = float(np.sqrt(hull.volume / 3000.0))
-    span = [np.arange(a, b + step, step) for a, b in zip(flat.min(0), flat.max(0), strict=True)]
-    grid = np.stack([g.ravel() for g in np.meshgrid(*span)], axis=1)
-    outline = hull.equations
-    grid = grid[(grid @ outline[:, :2].T + outline[:, 2] <= 0.0).all(axis=1)]
-    depth = _DEPTH * float(height.max())
-    base = support.point + grid @ frame - depth * support.normal
-    down = np.broadcast_to(-support.normal, base.shape)
-    layer = np.full(len(base), step**2)
+    outline = _outline(height, flat)
+    base, facing, size = _tray(outline, _DEPTH * float(height.max()))
+    frame = np.vstack([frame, support.normal])
     return (
-        np.concatenate([points, base]),
-        np.concatenate([normals, down]),
-        np.concatenate([area, layer]),
+        np.concatenate([points, support.point + base @ frame]),
+        np.concatenate([normals, facing @ frame]),
+        np.concatenate([area, size]),
     )
 
 
-def _outline(height: PointScalars, flat: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-    """The lowest points that go all around; all points where none do, as of a single view."""
-    for share in _LOW:
-        low = height < share * float(height.max())
-        if low.sum() < 20:
-            continue
-        offset = flat[low] - 0.5 * (flat[low].min(axis=0) + flat[low].max(axis=0))
-        angle = np.sort(np.arctan2(offset[:, 1], offset[:, 0]))
-        if np.diff(angle, append=angle[0] + 2.0 * np.pi).max() < _GAP:
-            return low
-    return np.ones(len(height), dtype=bool)
+def _outline(height: PointScalars, flat: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "b 2"]:
+    """Corners of the base, one a direction: where the lowest points seen in it lie."""
+    centre = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
+    offset = flat - centre
+    radius = np.linalg.norm(offset, axis=1)
+    angle = np.arctan2(offset[:, 1], offset[:, 0])
+    sector = np.floor((angle / (2.0 * np.pi) % 1.0) * _SECTORS).astype(np.int64) % _SECTORS
+    reach = np.full(_SECTORS, np.nan)
+    # From the highest share to the lowest: what is seen lower tells more.
+    for share in reversed(_LOW):
+        low = height <= share * float(height.max())
+        found = np.full(_SECTORS, -np.inf)
+        np.maximum.at(found, sector[low], radius[low])
+        reach = np.where(np.isfinite(found), found, reach)
+    known = np.flatnonzero(np.isfinite(reach))
+    if len(known) == 0:
+        raise MeshError(
+            "no view shows the object down to its support, nor its lower quarter: what closes it"
+            " cannot be guessed; take views from lower down"
+        )
+    # Where nothing low is seen, the base goes on as on both sides of it; no corner sticks out.
+    reach = np.interp(np.arange(_SECTORS), known, reach[known], period=_SECTORS)
+    reach = median_filter(reach, size=5, mode="wrap")
+    direction = 2.0 * np.pi * (np.arange(_SECTORS) + 0.5) / _SECTORS
+    reach = np.interp(np.arange(_SECTORS), known, reach[known], period=_SECTORS)
+    return centre + reach[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=1)
+
+
+def _tray(
+    outline: Float[np.ndarray, "b 2"], depth: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, outward normals and areas of a floor and of walls up to height 0, over an outline."""
+    ends = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
+    step = 0.5 * float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+    centre = outline.mean(axis=0)
+    # The floor in triangles about the middle, each a few points.
+    weights = (np.arange(_FLOOR) + 0.5) / _FLOOR
+    share = (2.0 * np.arange(_FLOOR) + 1.0) / _FLOOR**2
+    middle = ends.mean(axis=1)
+    floor = (centre + weights[:, None, None] * (middle - centre)).reshape(-1, 2)
+    first, second = (ends - centre).swapaxes(0, 1)
+    triangle = 0.5 * abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / length[:, None]
+    levels = -np.arange(0.5 * step, depth, step)
+    wall = np.repeat(middle, len(levels), axis=0)
+    places = np.concatenate(
+        [
+            np.column_stack([floor, np.full(len(floor), -depth)]),
+            np.column_stack([wall, np.tile(levels, len(middle))]),
+        ]
+    )
+    facing = np.concatenate(
+        [
+            np.tile([0.0, 0.0, -1.0], (len(floor), 1)),
+            np.column_stack([np.repeat(outward, len(levels), axis=0), np.zeros(len(wall))]),
+        ]
+    )
+    areas = np.concatenate(
+        [(share[:, None] * triangle).ravel(), np.repeat(length * step, len(levels))]
+    )
+    return places, facing, areas

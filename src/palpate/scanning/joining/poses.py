@@ -1,8 +1,11 @@
 """Poses of views: as given, or estimated from the surface that views share.
 
-The pose of each view next to its predecessor comes from many starts at once on few points, then from
-the distances of all points from the tangent planes of the other's; views that turn out to overlap
+The pose of each view next to its predecessor comes from many starts on few points, then from the
+distances of all points from the tangent planes of the other's; views that turn out to overlap
 besides join in, and one adjustment of all poses closes the loop.
+
+Source: Chen and Medioni, Object modelling by registration of multiple range images (1992); Pulli,
+Multiview registration for large data sets (1999).
 """
 
 from collections.abc import Sequence
@@ -27,7 +30,7 @@ _COARSE_STEPS, _FINE_STEPS, _ROUNDS = 25, 40, 30
 # Distances from tangent planes that count, at the end, in standard deviations of a point.
 _WIDTH = 4.0
 # Views overlap if this share of one's points lie on the other.
-_SHARED = 0.25
+_SHARED = 0.4
 # A motion by this much of the size, rms, after which as many points as this still lie on the other
 # view is not fixed by the shape.
 _TRIAL, _STILL = 0.03, 0.8
@@ -110,8 +113,8 @@ def _pair_pose(first: View, second: View, a: _Cloud, b: _Cloud, *, guess: Pose) 
     shared = _shared(a, b, pose)
     if shared < _SHARED:
         raise InputError(
-            f"views '{first.name}' and '{second.name}' do not overlap: {100.0 * shared:.0f} % of the"
-            f" points of one lie on the other, {100.0 * _SHARED:.0f} % are needed; take views"
+            f"views '{first.name}' and '{second.name}' do not overlap: {100.0 * shared:.0f} % of"
+            f" the points of one lie on the other, {100.0 * _SHARED:.0f} % are needed; take views"
             " between, not more than 40 degrees apart, or give their poses"
         )
     return pose
@@ -170,7 +173,7 @@ def _motion(turn: np.ndarray, shift: np.ndarray, centre: np.ndarray) -> Pose:
 
 def _cost(a: _Cloud, b: _Cloud, pose: Pose, width: float) -> float:
     """Share of the points of b that do not lie on a, softly: 0 to 1."""
-    place, _, height, weight = _matched(a, b, pose, width)
+    *_, weight = _matched(a, b, pose, width)
     return 1.0 - float(weight.mean())
 
 
@@ -261,7 +264,7 @@ def _check_fixed(views: Sequence[View], clouds: Sequence[_Cloud], poses: list[Po
         if min(still) > _STILL * _shared(a, b, pose):
             raise InputError(
                 f"the shape does not fix how view '{views[k].name}' lies against"
-                f" '{views[k - 1].name}': moved by {1e3 * _TRIAL * _size(b):.2g} mm its points lie on"
-                " the surface as well, as on a ball or a cylinder; give the poses, or the turntable"
-                " with the angle of every view"
+                f" '{views[k - 1].name}': moved by {1e3 * _TRIAL * _size(b):.2g} mm its points lie"
+                " on the surface as well, as on a ball or a cylinder; give the poses, or the"
+                " turntable with the angle of every view"
             )

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.geometry import TriangleMesh, half_edges, vertex_normals
-from palpate.shapes import Points, PointScalars
+from palpate.shapes import PointIndices, Points, PointScalars
 
 # Points that a quadratic surface is fitted to, and the fewest.
 _NEIGHBOURS, _FEWEST = 60, 15
@@ -37,7 +37,8 @@ def fitted(
     normals: Points,
     sigma: PointScalars,
     *,
-    fixed: Float[np.ndarray, " v"] | None = None,
+    view: PointIndices,
+    fixed: Bool[np.ndarray, " v"] | None = None,
 ) -> FittedSurface:
     """Move vertices along their normals onto the smooth surface through the points around.
 
@@ -49,6 +50,8 @@ def fitted(
     mesh : TriangleMesh             of v vertices, near the points
     points, normals : (n, 3) float [m]
     sigma : (n,) float [m]          of the points along their normals
+    view : (n,) int                 that each point is of: neighbours of one view err together, by
+                                    as much as the residuals show
     fixed : (v,) bool or None       vertices that stay
 
     Returns
@@ -70,7 +73,8 @@ def fitted(
     radius = np.maximum(np.where(near, gap, 0.0).max(axis=1), 1e-12)[:, None]
     weight = np.where(near, (1.0 - (np.where(near, gap, 0.0) / (1.0001 * radius)) ** 2) ** 2, 0.0)
     weight /= sigma[index] ** 2
-    move, std = _solved(base, height, weight, sigma[index])
+    move, std, pull = _solved(base, height, weight, sigma[index])
+    std = std * _correlation(pull, view[index])
     known = (near.sum(axis=1) >= _FEWEST) & (abs(move) < 0.5 * edge)
     # Points on one side only would be led on into nothing.
     middle = np.linalg.norm((weight[..., None] * offset).sum(axis=1), axis=1)
@@ -101,8 +105,8 @@ def _solved(
     height: Float[np.ndarray, "v k"],
     weight: Float[np.ndarray, "v k"],
     sigma: Float[np.ndarray, "v k"],
-) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, " v"]]:
-    """Height of the surface at each vertex and its standard deviation [m]."""
+) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, " v"], Float[np.ndarray, "v k"]]:
+    """Height of the surface at each vertex, its deviation, and each residual's part in it [m]."""
     robust = weight.copy()
     damping = 1e-9 * np.eye(6)
     for _ in range(_ROUNDS):
@@ -121,4 +125,17 @@ def _solved(
     # What each height adds to the result; their noise is the larger of claimed and seen.
     gain = np.einsum("vi,vki,vk->vk", inverse[:, 0], base, robust) / total[:, :, 0]
     noise = sigma * np.maximum(level, 1.0)
-    return coefficients[:, 0], np.sqrt((gain**2 * noise**2).sum(axis=1))
+    std = np.sqrt((gain**2 * noise**2).sum(axis=1))
+    return coefficients[:, 0], std, gain * residual
+
+
+def _correlation(pull: Float[np.ndarray, "v k"], view: Int[np.ndarray, "v k"]) -> float:
+    """By how much the residuals' parts of one view add up to more than independent ones, >= 1.
+
+    The windows of neighbouring pixels overlap, and the points of a view share its pose.
+    """
+    alone = float((pull**2).sum())
+    together = 0.0
+    for one in range(int(view.max()) + 1):
+        together += float((np.where(view == one, pull, 0.0).sum(axis=1) ** 2).sum())
+    return max(float(np.sqrt(together / alone)), 1.0) if alone > 0.0 else 1.0
