@@ -236,11 +236,16 @@ def chip(picture: np.ndarray, config: LabConfig) -> np.ndarray:
 
 
 def frames(
-    camera_number: int, rig: Rig, config: LabConfig, rest: np.ndarray, balls: list[PressedBall]
+    camera_number: int,
+    rig: Rig,
+    config: LabConfig,
+    rest: np.ndarray,
+    balls: list[PressedBall],
+    seed: int,
 ) -> Iterator[np.ndarray]:
     """Frames of one camera, with noise."""
     camera = rig.cameras[camera_number]
-    rng = np.random.default_rng([3, camera_number])
+    rng = np.random.default_rng([3, camera_number, seed])
     times = np.arange(0.0, duration() - CLOCK_OFFSET, 1.0 / FRAME_RATE) + CLOCK_OFFSET
     kept: tuple[tuple[int, float], np.ndarray] | None = None
     fields = [ball.field(camera) for ball in balls]
@@ -260,10 +265,10 @@ def frames(
         yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def gauge_readings(balls: list[PressedBall]) -> tuple[np.ndarray, np.ndarray]:
+def gauge_readings(balls: list[PressedBall], seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Times and readings of the gauge: weight, drift and noise in them."""
     time = np.arange(0.0, duration(), 1.0 / GAUGE_RATE)
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng([4, seed])
     force = sum(
         ball.force(depth_share(time, begin)) for ball, begin in zip(balls, begins(), strict=True)
     )
@@ -272,7 +277,9 @@ def gauge_readings(balls: list[PressedBall]) -> tuple[np.ndarray, np.ndarray]:
     return time, force + WEIGHT + drift + GAUGE_NOISE * rng.standard_normal((len(time), 3))
 
 
-def make_recording(folder: Path, *, columns: int = 480, rows: int = 360) -> list[Truth]:
+def make_recording(
+    folder: Path, *, columns: int = 480, rows: int = 360, seed: int = 0
+) -> list[Truth]:
     """Write videos, force log, mesh, rig and recording.toml; give what was true."""
     folder.mkdir(parents=True, exist_ok=True)
     config = read_lab_config(built_in()["half-ball"])
@@ -296,11 +303,11 @@ def make_recording(folder: Path, *, columns: int = 480, rows: int = 360) -> list
     rests = rest_pictures(config, rig, folder / "rest.npz")
     for number, path in enumerate(videos):
         if not path.exists():
-            write_video(path, frames(number, rig, config, rests[number], balls))
+            write_video(path, frames(number, rig, config, rests[number], balls, seed))
             print(f"{path} is written", flush=True)
     write_mesh(folder / "mesh.ply", config.specimen.mesh)
     write_rig(folder / "rig.toml", rig)
-    time, force = gauge_readings(balls)
+    time, force = gauge_readings(balls, seed)
     np.savetxt(
         folder / "force.csv", np.column_stack([time, force]), delimiter=",", comments="",
         header="time [s],Fx [N],Fy [N],Fz [N]", fmt="%.5f",
@@ -343,8 +350,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--columns", type=int, default=480)
     parser.add_argument("--rows", type=int, default=360)
+    parser.add_argument("--seed", type=int, default=0, help="of the noise of pictures and gauge")
     options = parser.parse_args()
-    make_recording(options.folder, columns=options.columns, rows=options.rows)
+    make_recording(options.folder, columns=options.columns, rows=options.rows, seed=options.seed)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,27 @@
 """From two small videos and a force log in closed form to a session."""
 
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from recording.bench_footage import OFFSETS, PEAKS, RATE, SIZE, write_recording
-from recording.bench_signals import DIRECTION, HOLD, RAMP, begins
+from recording.bench_footage import (
+    OFFSETS,
+    PEAKS,
+    RATE,
+    SIZE,
+    picture,
+    texture,
+    write_recording,
+)
+from recording.bench_signals import DIRECTION, HOLD, RAMP, begins, push
 
 from palpate.app.cli import main
-from palpate.recording import find_presses, read_recording
+from palpate.errors import RecordError
+from palpate.recording import find_presses, read_recording, write_recorded
+from palpate.recording.pictures import Footage, camera_motion
 from palpate.records import read_session
 
 
@@ -57,10 +68,11 @@ def test_the_command_writes_a_session(
         cv2.imread(str(folder / "images" / f"n02{name}_c0.png"), cv2.IMREAD_GRAYSCALE).astype(float)
         for name in ("_rest", "")
     )
-    # Eight frames of a noise of 1.5 and rounding, against the one picture that they show.
-    assert rest.shape == SIZE[::-1]
-    flat = np.abs(loaded[:, -20:] - rest[:, -20:])
-    assert flat.mean() < 1.5
+    rng = np.random.default_rng(7)
+    for seen, share, tool in ((rest, 0.0, -1.0), (loaded, PEAKS[1] / PEAKS.max(), 60.0)):
+        # Noise of 1.5 in the picture that is drawn here, of a third of that in a mean of eight.
+        off = seen - picture(texture(0), share, tool, rng)
+        assert np.sqrt((off**2).mean()) < 1.8
     table = np.genfromtxt(folder / "presses.csv", delimiter=",", names=True, dtype=None)
     np.testing.assert_array_equal(table["press"], [1, 2, 3])
     assert (folder / "recording.png").stat().st_size > 10_000
@@ -89,3 +101,49 @@ def test_frames_that_were_dropped_are_counted_and_bridged(recording: Path, tmp_p
     assert abs(found.clocks[0].offset - OFFSETS[0]) < 1e-3
     assert len(found.presses) == 3
     assert any("7 frames were dropped" in note for note in found.notes)
+
+
+def test_a_log_of_poses_gives_contact_and_travel(recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(recording, folder)
+    time = np.arange(0.0, 20.0, 0.01)
+    # The tip stands on the surface and goes in by 1 mm a newton; its way to there is not seen.
+    depth = 1e-3 * push(time, PEAKS)
+    rows = np.column_stack([time, np.full_like(time, 0.002), np.zeros_like(time), -depth])
+    np.savetxt(folder / "p.csv", rows, delimiter=",", header="time,x,y,z", comments="")
+    text = (folder / "recording.toml").read_text()
+    start = text.index("points")
+    (folder / "recording.toml").write_text(f'{text[:start]}poses = "p.csv"\n')
+    assert main(["record", str(folder), "--out", str(tmp_path / "s")]) == 0
+    for probing, peak in zip(read_session(tmp_path / "s").probings, PEAKS, strict=True):
+        assert probing.tip_displacement is not None
+        assert probing.tip_displacement_std is not None
+        off = probing.tip_displacement - [0.0, 0.0, -1e-3 * peak]
+        # What the tip went before the force was noticed, and half of it is taken off.
+        assert np.abs(off).max() < 4.0 * probing.tip_displacement_std[2] < 1e-4
+        np.testing.assert_allclose(probing.contact.point[:2], [0.002, 0.0], atol=1e-9)
+    text = (folder / "p.csv").read_text().splitlines()
+    (folder / "p.csv").write_text("\n".join(text[:700]))
+    found = find_presses(given := read_recording(folder))
+    (tmp_path / "t").mkdir()
+    with pytest.raises(RecordError, match="same clock"):
+        write_recorded(tmp_path / "t", given, found)
+
+
+def test_memory_does_not_grow_with_the_video(recording: Path, tmp_path: Path) -> None:
+    whole = read_recording(recording).footage[0]
+    capture = cv2.VideoCapture(str(whole.video))
+    short = tmp_path / "short.avi"
+    writer = cv2.VideoWriter(str(short), cv2.VideoWriter_fourcc(*"FFV1"), RATE, SIZE)
+    for _ in range(60):
+        writer.write(capture.read()[1])
+    writer.release()
+    peaks = []
+    for footage in (Footage("c0", short), whole):
+        tracemalloc.start()
+        motion = camera_motion(footage)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert len(motion.time) > 8 * 60
+    # A frame is 58 kB of colours; what is kept of one are three numbers, 100 bytes as a list.
+    assert peaks[1] - peaks[0] < 3 * 100 * len(motion.time)

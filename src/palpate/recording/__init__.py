@@ -4,7 +4,7 @@ Purpose    : find the presses in a recording, the clocks' offsets and the moment
              write them down as a session.
 Takes      : recording.toml: a video or pictures a camera, a force log, a mesh, a rig.
 Gives      : `Recorded`, a session folder; `survey_folder` and the outline of a session.
-Depends on : `vision`, `probe`, `records`, `geometry`.
+Depends on : `vision`, `bem`, `probe`, `records`, `geometry`.
 Read first : `record.py`, then `force/touches.py`, `clock.py` and `session_folder.py`.
 """
 

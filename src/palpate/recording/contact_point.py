@@ -1,26 +1,44 @@
-"""Where the tool touched, from how the surface around it moved.
+"""Where the tool touched, from the motion of the whole surface: the elastic model decides.
 
-Near the contact a surface moves as a half space does under a point force: as 1/r from it, along the
-force and away from the line of sight to it. The point of the surface from which the measured field
-spreads like that is sought; the constants of the law are free, so that none of the object's are
-assumed.
+For places around a first guess the boundary element model says how the surface would have moved,
+for a few Poisson's ratios and any stiffness; the place whose motion fits best is the contact.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
+from scipy.sparse import csr_array
 
+from palpate.bem import (
+    BoundarySystem,
+    FactorisedSystem,
+    PressureDisc,
+    SurfaceLoad,
+    assemble_system,
+    factorise,
+    load_right_hand,
+    load_shape,
+    make_surface,
+    solve,
+)
 from palpate.errors import RecordError
-from palpate.geometry import TriangleMesh, closest_points, unit_normals
-from palpate.shapes import Points, Vector3
+from palpate.geometry import TriangleMesh, closest_points, interpolation_matrix, unit_normals
+from palpate.probe import find_contact_patch
+from palpate.records import Contact
+from palpate.shapes import Indices, Points, Vector3
 
-# Points nearer to the contact than so many of its radii are under the tool or bent by its rim;
-# farther ones feel the object's shape more than where they are pushed.
-_NEAREST, _FARTHEST = 1.0, 6.0
-# Fewer points, or a pattern that explains less of the motion, are no contact.
+# The best of these is taken; where the tool pressed hardly depends on it.
+_POISSON_RATIOS = (0.2, 0.35, 0.48)
+# Steps of the search in radii of the contact, and how often a step may be repeated.
+_STEPS, _MOST_MOVES = (1.0, 0.4), 8
+# Points nearer than so many radii are bent by how the tool presses, not where.
+_NEAREST = 1.2
+# The search begins in the middle of the points that move farther than so many of all [%].
+_MOST_MOVED = 97.0
+# Fewer points, or less of the motion explained, is no contact.
 _LEAST_POINTS, _LEAST_EXPLAINED = 30, 0.5
+_HEXAGON = np.array([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3.0)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,29 +48,80 @@ class FoundContact:
     Attributes
     ----------
     point : (3,) float [m]          on the surface
-    normal : (3,) float [-]         outward
-    std : float [m]                 along the surface, of each direction
-    explained : float [-]           share of the motion near it that the law explains, 0 to 1
+    std : float [m]                 along the surface, of each of two directions
+    explained : float [-]           share of the motion that a push there explains, 0 to 1
     """
 
     point: Vector3
-    normal: Vector3
     std: float
     explained: float
 
 
-def find_contact(
-    mesh: TriangleMesh, points: Points, displacement: Points, force: Vector3, *, radius: float
-) -> FoundContact:
-    """The point of the surface from which a measured displacement spreads.
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactModel:
+    """An object's boundary element model for a few Poisson's ratios.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+    held : (k,) int
+    system : BoundarySystem
+    factors : tuple of FactorisedSystem     for each of the ratios
+    """
+
+    mesh: TriangleMesh
+    held: Indices
+    system: BoundarySystem
+    factors: tuple[FactorisedSystem, ...]
+
+
+def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
+    """Prepare the search on an object.
 
     Parameters
     ----------
     mesh : TriangleMesh
+    held : (k,) int                 triangles of the support
+
+    Returns
+    -------
+    ContactModel
+    """
+    system = assemble_system(make_surface(mesh, held))
+    return ContactModel(mesh, held, system, tuple(factorise(system, nu) for nu in _POISSON_RATIOS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What was measured of one press."""
+
+    force: Vector3
+    radius: float
+    profile: str
+    point: Points
+    displacement: Points
+    at_points: csr_array
+
+
+def find_contact(
+    model: ContactModel,
+    points: Points,
+    displacement: Points,
+    force: Vector3,
+    *,
+    radius: float,
+    profile: str,
+) -> FoundContact:
+    """The point of the surface at which the force moves it as was measured.
+
+    Parameters
+    ----------
+    model : ContactModel
     points : (n, 3) float [m]       on the surface
     displacement : (n, 3) float [m]
     force : (3,) float [N]          on the object
     radius : float [m]              of the contact
+    profile : str                   of `PRESSURES`
 
     Returns
     -------
@@ -60,85 +129,114 @@ def find_contact(
 
     Raises
     ------
-    RecordError                     too few points, or a motion that spreads from no point
+    RecordError                     no place explains the motion; a contact on the support
     """
-    direction = force / np.linalg.norm(force)
-    guess = _start(mesh, points, displacement, direction, radius)
-    for _ in range(3):
-        away = np.linalg.norm(points - guess, axis=1)
-        near = (away > _NEAREST * radius) & (away < _FARTHEST * radius)
-        if near.sum() < _LEAST_POINTS:
-            raise RecordError(
-                f"only {int(near.sum())} points are measured within {_FARTHEST:g} contact radii of"
-                " where the motion is largest: the contact cannot be found; give `points` or"
-                " `poses` in [contact]"
-            )
-        place = closest_points(mesh, guess[None])
-        normal = unit_normals(mesh)[place.triangle[0]]
-        across = np.linalg.svd(normal[None])[2][1:]
-        found = least_squares(
-            lambda shift, p=points[near], u=displacement[near], g=guess, a=across, n=normal: (
-                _unexplained(p, u, g + shift @ a, direction, n, radius)
-            ),
-            np.zeros(2), x_scale=radius, diff_step=1e-4,
-        )  # fmt: skip
-        guess = closest_points(mesh, (guess + found.x @ across)[None]).position[0]
-    rest = float(found.fun @ found.fun) / float(np.square(displacement[near]).sum())
-    if 1.0 - rest < _LEAST_EXPLAINED:
+    if len(points) < _LEAST_POINTS:
         raise RecordError(
-            f"the motion does not spread from one point ({100 * (1.0 - rest):.0f} % of it is"
-            " explained): the contact cannot be found; give `points` or `poses` in [contact]"
+            f"only {len(points)} points of the surface could be followed: the contact cannot be"
+            " found; give `points` or `poses` in [contact]"
         )
-    # Neighbouring points err alike: as many count as patches of a contact radius have room.
-    count = max(np.ptp(points[near] @ across.T, axis=0).prod() / (np.pi * radius**2), 8.0)
-    variance = float(found.fun @ found.fun) / near.sum() / 3.0
-    information = found.jac.T @ found.jac * (count / near.sum())
-    std = float(np.sqrt(variance * np.linalg.inv(information).trace() / 2.0))
-    return FoundContact(guess, normal, std, 1.0 - rest)
+    guess = _start(model.mesh, points, displacement, force)
+    place = closest_points(model.mesh, points)
+    nodes = model.system.surface.displacement
+    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    seen = _Seen(force, radius, profile, points, displacement, at_points)
+    for step in _STEPS:
+        for _ in range(_MOST_MOVES):
+            ring, across = _ring(model.mesh, guess, step * radius)
+            rest = _unexplained(model, seen, ring)
+            best = int(rest.argmin())
+            if best == 0:
+                break
+            guess = ring[best]
+    shift, curve = _lowest(step * radius * _HEXAGON, rest)
+    position = closest_points(model.mesh, (guess + shift @ across)[None])
+    explained = 1.0 - float(rest.min()) / float(_square(seen, guess))
+    if explained < _LEAST_EXPLAINED:
+        raise RecordError(
+            f"no place of the surface explains how it moved (the best one {100 * explained:.0f} %):"
+            " the contact cannot be found; give `points` or `poses` in [contact]"
+        )
+    # Neighbouring points err alike: as many count as patches of the contact's size they fill.
+    span = np.ptp((points - guess) @ across.T, axis=0)
+    count = float(np.clip(span.prod() / (np.pi * radius**2), 8.0, len(points)))
+    variance = float(rest.min()) / count * np.linalg.inv(curve)
+    return FoundContact(position.position[0], float(np.sqrt(variance.trace() / 2.0)), explained)
 
 
-def _start(
-    mesh: TriangleMesh, points: Points, displacement: Points, direction: Vector3, radius: float
-) -> Vector3:
-    """Middle of what moves most along the force, brought to the surface along the force's line."""
-    along = np.maximum(displacement @ direction, 0.0)
-    most = along >= np.percentile(along, 97.0)
+def _start(mesh: TriangleMesh, points: Points, displacement: Points, force: Vector3) -> Vector3:
+    """The middle of what moves most along the force, brought to the surface.
+
+    The tool hides the contact itself, so that this may be a tool's radius away from it.
+    """
+    along = np.maximum(displacement @ force, 0.0)
+    most = along >= np.percentile(along, _MOST_MOVED)
     middle = np.average(points[most], axis=0, weights=along[most])
     position: Vector3 = closest_points(mesh, middle[None]).position[0]
     return position
 
 
-def _unexplained(
-    points: Points,
-    displacement: Points,
-    contact: Vector3,
-    direction: Vector3,
-    normal: Vector3,
-    radius: float,
-) -> Float[np.ndarray, " k"]:
-    """What is left of a displacement when the best sum of five patterns is taken away.
+def _ring(
+    mesh: TriangleMesh, centre: Vector3, size: float
+) -> tuple[Points, Float[np.ndarray, "2 3"]]:
+    """A point of the surface and six around it, and the directions along the surface there."""
+    place = closest_points(mesh, centre[None])
+    across = np.linalg.svd(unit_normals(mesh)[place.triangle[0]][None])[2][1:]
+    return closest_points(mesh, centre + size * _HEXAGON @ across).position, across
 
-    Boussinesq's and Cerruti's fields on the surface are sums of f/r, r (r f)/r^3, r (n f)/r^2 and
-    n (r f)/r^2; a constant stands for the rest of the body.
 
-    Source: Johnson, Contact mechanics (1985), 3.2 and 3.6.
+def _square(seen: _Seen, centre: Vector3) -> float:
+    """Sum of the squares of what was measured away from a contact."""
+    away = np.linalg.norm(seen.point - centre, axis=1) > _NEAREST * seen.radius
+    return float(np.square(seen.displacement[away]).sum())
+
+
+def _unexplained(model: ContactModel, seen: _Seen, places: Points) -> Float[np.ndarray, " k"]:
+    """Sum of the squares of what is left at each place, at the best ratio and stiffness.
+
+    The points that count are the same for all places.
     """
-    offset = points - contact
-    # Under the tool the fields are blunt.
-    r = np.sqrt((offset**2).sum(axis=1) + (0.3 * radius) ** 2)[:, None]
-    unit = offset / r
-    lead = unit @ direction
-    patterns = [
-        direction / r,
-        unit * lead[:, None] / r,
-        unit * (normal @ direction) / r,
-        normal * lead[:, None] / r,
-        *(np.tile(axis, (len(points), 1)) / radius for axis in np.eye(3)),
-    ]
-    matrix = np.stack([pattern.ravel() for pattern in patterns], axis=1)
-    # Far points are many and say little of the place: all rings of equal width weigh alike.
-    weight = np.repeat(radius / r[:, 0], 3)
-    target = displacement.ravel() * weight
-    matrix = matrix * weight[:, None]
-    result: np.ndarray = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
-    return result / weight.mean()
+    loads = [_load(model, seen, place) for place in places]
+    shapes = [load_shape(model.system.surface, load) for load in loads]
+    right = load_right_hand(model.system, loads, shapes)
+    away = np.linalg.norm(seen.point - places[0], axis=1) > _NEAREST * seen.radius
+    measured = seen.displacement[away].ravel()
+    best = np.full(len(places), np.inf)
+    free = model.system.unknowns.free_vertices
+    for factor, ratio in zip(model.factors, _POISSON_RATIOS, strict=True):
+        unit = solve(factor, right.at(ratio)).reshape(-1, len(places), 3) @ seen.force
+        rest = []
+        for k in range(len(places)):
+            moved = np.zeros_like(model.mesh.vertices)
+            moved[free] = unit[: 3 * free.size, k].reshape(-1, 3)
+            expected = (seen.at_points @ moved)[away].ravel()
+            scale = expected @ measured / (expected @ expected)
+            rest.append(float(np.square(measured - scale * expected).sum()))
+        if min(rest) < best.min():
+            best = np.array(rest)
+    return best
+
+
+def _load(model: ContactModel, seen: _Seen, place: Vector3) -> SurfaceLoad:
+    contact = Contact(place, seen.radius, seen.profile)
+    patch = find_contact_patch(model.mesh, contact, model.held, name="searched")
+    disc = PressureDisc(contact.point, seen.radius, patch.pressure)
+    return SurfaceLoad(patch.triangles, patch.density, disc)
+
+
+def _lowest(
+    place: Float[np.ndarray, "k 2"], value: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
+    """Where a paraboloid through values is lowest, within reach of them, and half its curvature."""
+    x, y = place.T
+    matrix = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    _, bx, by, cxx, cxy, cyy = np.linalg.lstsq(matrix, value, rcond=None)[0]
+    curve = np.array([[cxx, 0.5 * cxy], [0.5 * cxy, cyy]])
+    if np.linalg.eigvalsh(curve)[0] <= 0.0:
+        raise RecordError(
+            "the motion fits as well wherever the tool may have touched: the contact cannot be"
+            " found; give `points` or `poses` in [contact]"
+        )
+    shift = -0.5 * np.linalg.solve(curve, np.array([bx, by]))
+    reach = np.linalg.norm(place, axis=1).max()
+    return shift * min(1.0, reach / max(float(np.linalg.norm(shift)), 1e-300)), curve

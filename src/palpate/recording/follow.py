@@ -24,6 +24,8 @@ from palpate.recording.recording_file import Recording
 
 # Between a touch and the picture at rest before it, and how long nothing moves around that [s].
 _AWAY, _REST = 0.15, 0.2
+# Changes of a picture, of its largest, that are no different.
+_AS_GOOD = 0.01
 # Offsets of single presses may scatter by so many frames; more than that is a clock of its own.
 _MOST_SCATTER = 1.0
 # An offset that was told may differ from what is found by so many of its sigmas, frames, and shares
@@ -183,9 +185,12 @@ def rest_before(
             continue
         change = _change(motions, clocks, time[first:last])
         mean = np.convolve(change, np.ones(length) / length, "valid")
-        k = int(mean.argmin())
-        if best is None or mean[k] < best[0]:
-            best = mean[k], (float(time[first + k]), float(time[first + k + length - 1]))
+        least = float(mean.min())
+        if best is None or least < best[0]:
+            # As good as the best are many; their middle is farthest from whatever moves.
+            good = np.flatnonzero(mean < least + _AS_GOOD * len(motions))
+            k = first + int(good[len(good) // 2])
+            best = least, (float(time[k]), float(time[k + length - 1]))
     return None if best is None else best[1]
 
 

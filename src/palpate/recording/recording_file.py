@@ -20,6 +20,7 @@ from palpate.records import (
     read_supports,
     read_toml,
 )
+from palpate.shapes import Indices
 
 RECORDING_FORMAT = "palpate-recording/1"
 _ROOT = ("format", "name", "object", "support", "gravity", "rig", "force", "camera", "contact")
@@ -57,6 +58,7 @@ class Recording:
     name : str
     head : dict                     tables of the session that are taken over as they are
     mesh : TriangleMesh
+    held : (k,) int                 triangles of the supports
     metres_per_unit : float [m]
     rig : Rig
     gauge : Gauge
@@ -69,6 +71,7 @@ class Recording:
     name: str
     head: dict[str, Any]
     mesh: TriangleMesh
+    held: Indices
     metres_per_unit: float
     rig: Rig
     gauge: Gauge
@@ -107,7 +110,8 @@ def read_recording(path: Path) -> Recording:
         raise MeshError(
             text if text.startswith(str(mesh_file)) else f"{mesh_file}: {text}"
         ) from error
-    read_supports(root, mesh, metres_per_unit=metres)
+    supports = read_supports(root, mesh, metres_per_unit=metres)
+    held = np.unique(np.concatenate([support.triangles for support in supports]))
     rig_file = root.table("rig").existing_file("cameras")
     rig = read_rig(rig_file)
     covariance = rig_file.with_name("rig_covariance.npz")
@@ -116,7 +120,7 @@ def read_recording(path: Path) -> Recording:
     head = {key: root.values[key] for key in _ROOT[2:6] if key in root.values}
     return Recording(
         root.file, root.optional("name", root.text) or root.file.parent.resolve().name, head,
-        mesh, metres, rig, _gauge(root.table("force")), _cameras(root, rig),
+        mesh, held, metres, rig, _gauge(root.table("force")), _cameras(root, rig),
         _places(root.table("contact"), metres), (mesh_file, rig_file, *beside, *lists),
     )  # fmt: skip
 

@@ -11,7 +11,7 @@ import tomlkit
 from palpate.errors import RecordError
 from palpate.geometry import closest_points, unit_normals
 from palpate.progress import Progress, part_of, silent
-from palpate.recording.contact_point import find_contact
+from palpate.recording.contact_point import ContactModel, find_contact, make_contact_model
 from palpate.recording.pictures import MOST_FRAMES, Moment, write_moments
 from palpate.recording.poses import read_poses, tip_motion
 from palpate.recording.record import Press, Recorded
@@ -74,10 +74,15 @@ def write_recorded(
     (folder / _PICTURES).mkdir()
     frames = _write_pictures(folder / _PICTURES, recording, found, part_of(progress, 0.0, 0.6))
     say = part_of(progress, 0.6, 1.0)
+    model: ContactModel | None = None
+    if recording.places.points is None and recording.places.poses is None:
+        say("model of the object", 0.0)
+        model = make_contact_model(recording.mesh, recording.held)
     placed = []
     for k, press in enumerate(found.presses):
         say(f"contact of {press.name}", k / len(found.presses))
-        placed.append(_placed(folder, recording, press, frames[_LOADED.format(name=press.name)]))
+        taken = frames[_LOADED.format(name=press.name)]
+        placed.append(_placed(folder, recording, press, model, taken))
     _write_session(folder, recording, placed)
     write_text(folder / "presses.csv", _table(found, placed))
     try:
@@ -112,7 +117,9 @@ def _write_pictures(
     return frames
 
 
-def _placed(folder: Path, recording: Recording, press: Press, frames: int) -> PlacedPress:
+def _placed(
+    folder: Path, recording: Recording, press: Press, model: ContactModel | None, frames: int
+) -> PlacedPress:
     """Where a press was: told, from the log of poses, or from how the surface moved."""
     places, travel, travel_std, std = recording.places, None, np.nan, np.nan
     if places.points is not None:
@@ -120,8 +127,8 @@ def _placed(folder: Path, recording: Recording, press: Press, frames: int) -> Pl
     elif places.poses is not None:
         poses = read_poses(places.poses, metres_per_unit=recording.metres_per_unit)
         point, travel, travel_std = tip_motion(poses, press.touch, press.reading)
-    else:
-        point, std = _found(folder, recording, press)
+    elif model is not None:
+        point, std = _found(folder, recording, press, model)
     place = closest_points(recording.mesh, point[None])
     normal = unit_normals(recording.mesh)[place.triangle[0]]
     if press.reading.force @ normal > 0.0:
@@ -134,7 +141,9 @@ def _placed(folder: Path, recording: Recording, press: Press, frames: int) -> Pl
     return PlacedPress(press, point, std, travel, travel_std, frames)
 
 
-def _found(folder: Path, recording: Recording, press: Press) -> tuple[Vector3, float]:
+def _found(
+    folder: Path, recording: Recording, press: Press, model: ContactModel
+) -> tuple[Vector3, float]:
     """The contact from the motion of the surface in the pictures."""
     pictures = [
         read_pictures(
@@ -152,8 +161,9 @@ def _found(folder: Path, recording: Recording, press: Press) -> tuple[Vector3, f
     if recording.places.radii is not None:
         radius = recording.places.radii[press.number - 1]
     found = find_contact(
-        recording.mesh, flow.point[good], flow.displacement[good], press.reading.force,
+        model, flow.point[good], flow.displacement[good], press.reading.force,
         radius=_USUAL_RADIUS * size if radius is None else recording.metres_per_unit * radius,
+        profile=recording.places.patch.get("profile", "smooth"),
     )  # fmt: skip
     return found.point, found.std
 

@@ -111,12 +111,20 @@ def _choice(what: str, usual: str, allowed: list[str], *, asked: bool) -> str:
 
 def _found(survey: FolderSurvey) -> str:
     """How many files of each kind are there."""
-    counts = {
-        "meshes": survey.meshes, "rigs": survey.rigs, "videos": survey.videos,
-        "pictures": survey.pictures, "displacements": survey.displacements,
-        "force logs": survey.forces, "logs of poses": survey.poses,
-    }  # fmt: skip
-    return "Found: " + ", ".join(f"{len(names)} {what}" for what, names in counts.items() if names)
+    counts = (
+        (survey.meshes, "mesh", "meshes"),
+        (survey.rigs, "rig", "rigs"),
+        (survey.videos, "video", "videos"),
+        (survey.pictures, "picture", "pictures"),
+        (survey.displacements, "table of displacements", "tables of displacements"),
+        (survey.forces, "force log", "force logs"),
+        (survey.poses, "log of poses", "logs of poses"),
+    )
+    return "Found: " + ", ".join(
+        f"{len(names)} {one if len(names) == 1 else several}"
+        for names, one, several in counts
+        if names
+    )
 
 
 def _next(kind: str, target: Path) -> str:

@@ -97,13 +97,14 @@ def _presses(found: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
         )  # fmt: skip
     columns = (
         "press", "time s", "plateau s", "force N", "creep %", "hysteresis %", "frames",
-        f"contact {unit}", "± along the surface",
+        f"contact {unit}", f"± {unit}",
     )  # fmt: skip
     caption = (
         "time: of the picture under load, gauge's clock; creep: of the force along the plateau;"
         " hysteresis: force going in less coming out at the same picture, of the full force, where"
         " the clocks' offset is told;"
-        " frames: whose mean the picture is; ±: one standard deviation, - where the place was told"
+        " frames: whose mean the picture is; ±: one standard deviation along the surface, - where"
+        " the place was told"
     )
     return terminal_table(
         f"{len(placed)} of {len(found.touches)} presses", columns, rows, caption=caption
@@ -121,7 +122,7 @@ def _clocks(found: Recorded) -> Table:
         for motion, clock in zip(found.motions, found.clocks, strict=True)
     ]  # fmt: skip
     columns = (
-        "camera", "frames", "a second", "dropped", "repeated", "lost", "clock s", "± ms",
+        "camera", "frames", "rate Hz", "dropped", "repeated", "lost", "clock s", "± ms",
         "scatter ms",
     )  # fmt: skip
     caption = (
