@@ -53,18 +53,18 @@ def contact_changes(session: Session, nominal: Int[np.ndarray, " k"]) -> tuple[C
     found = []
     for k, probing in enumerate(session.probings):
         if probing.contact.profile != RIGID and probing.contact.radius is not None:
-            patch = _wide_patch(session, probing)
+            patch = _wide_patch(session, probing, probing.contact.radius)
             for parameter, contact in _changed(session, probing, patch):
                 changed = replace(patch, contact=contact)
                 found.append(ContactChange(k, int(nominal[k]), parameter, changed, probing.force))
     return tuple(found)
 
 
-def _wide_patch(session: Session, probing: Probing) -> ContactPatch:
+def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPatch:
     """Triangles that the contact reaches, changed or not; where that takes in the support, those
     that it reaches itself."""
     contact, priors = probing.contact, session.errors
-    wider = contact.radius * (1.0 + priors.contact_radius) + priors.contact_point
+    wider = radius * (1.0 + priors.contact_radius) + priors.contact_point
     surface = session.mesh, session.held_triangles
     try:
         return find_contact_patch(
