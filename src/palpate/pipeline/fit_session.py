@@ -200,7 +200,7 @@ def session_observations(
     with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
     if with_pose:
         every = _vertices(session.mesh)
-        rows += [probe_rows(model, k, every) for k in range(len(session.probings))]
+        rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
     else:

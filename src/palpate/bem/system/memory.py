@@ -16,10 +16,11 @@ _PROGRAM = 0.3e9
 # Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
 # slope; for rollers the matrix twice, before there is a slope.
 _DOUBLES_A_PAIR, _WITH_ROLLERS = 22, 27
-# Vectors of unknowns that are kept for each of a probing's three directions of force: at most 80
-# directions of the solutions, and once more while they are put together.
+# Vectors of unknowns that are kept for each of a probing's three directions of force and three
+# changes of its contact: at most 80 directions of the solutions, and once more while they are put
+# together.
 _VECTORS_A_COLUMN = 160
-_COLUMNS_A_PROBING = 3
+_COLUMNS_A_PROBING = 6
 _USABLE_SHARE = 0.9
 # Where Linux says how much a container may have.
 _CONTAINER_LIMITS = (

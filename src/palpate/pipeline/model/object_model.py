@@ -266,7 +266,9 @@ def _key(contact: Contact) -> _Key:
     return (*contact.point.tolist(), contact.radius, contact.profile, triangles)
 
 
-def probe_rows(model: ObjectModel, index: int, place: SurfacePoints) -> ProbeRows:
+def probe_rows(
+    model: ObjectModel, index: int, place: SurfacePoints, *, nominal: bool = False
+) -> ProbeRows:
     """Which displacements a probing sees, and which columns move them.
 
     Parameters
@@ -274,12 +276,14 @@ def probe_rows(model: ObjectModel, index: int, place: SurfacePoints) -> ProbeRow
     model : ObjectModel
     index : int                       of the probing in its session
     place : SurfacePoints             of its observed points
+    nominal : bool                    True: without the columns of changed contacts
 
     Returns
     -------
     ProbeRows
     """
-    columns, known = _columns(model, index)
+    changes = _own_changes(model, index)[: 0 if nominal else None]
+    columns, known = _columns(model, index, changes)
     nodes = model.system.surface.displacement
     at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
     particular = np.zeros(3 * place.triangle.size)
@@ -296,7 +300,7 @@ def probe_rows(model: ObjectModel, index: int, place: SurfacePoints) -> ProbeRow
         motions = _motions(model, index, at_points, with_tip=tip is not None)
     return ProbeRows(
         columns, surface, particular, tip, known, model.body is not None, motions,
-        changes=len(_own_changes(model, index)),
+        changes=len(changes),
     )  # fmt: skip
 
 
@@ -313,7 +317,7 @@ def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v
 
 
 def _columns(
-    model: ObjectModel, index: int
+    model: ObjectModel, index: int, changes: Int[np.ndarray, " p"]
 ) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
     """Right-hand sides of a probing in the order of `ProbeRows`, and how much of its known loads
     there is."""
@@ -334,7 +338,7 @@ def _columns(
         columns.append(last + np.arange(2))
         last += 2
     columns.append(last + _own_motions(model, index))
-    columns.append(last + model.shapes.shape[2] + _own_changes(model, index))
+    columns.append(last + model.shapes.shape[2] + changes)
     return np.concatenate(columns), np.concatenate([np.zeros(0), *known])
 
 
