@@ -67,8 +67,8 @@ def test_a_pressed_block_shows_where(
         # Noise is 3 % of the square; few Poisson's ratios and two coarse meshes leave twice that.
         assert found.explained > 0.87
     size = float(np.sqrt(np.mean(np.square(errors))))
-    # A tenth of the hidden region; two methods and two meshes between truth and model.
-    assert size < 6e-4
+    # A tenth of the touched radius: two methods and two coarse meshes are between truth and model.
+    assert size < 3.5e-4
     assert size < 3.0 * float(np.mean(claims))
 
 
