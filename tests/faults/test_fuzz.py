@@ -62,6 +62,7 @@ def _read(file: Path, read: Reader, content: bytes) -> None:
 
 
 _COUNT = 50
+_COUNT = 52
 
 
 @pytest.mark.parametrize("number", range(_COUNT))

@@ -6,7 +6,8 @@ from broken_surfaces import ball, box, made
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry import checked_mesh, enclosed_volume, half_edges, mesh_quality
-from palpate.scanning import deviation, remeshed
+from palpate.lab import SHAPES
+from palpate.scanning import deviation, distances, remeshed
 
 
 @pytest.mark.parametrize("vertices", [300, 2000])
@@ -45,6 +46,14 @@ def test_edges_are_a_third_near_the_given_points():
     # Edges of a third, and a quarter of the distance more: at 1 mm of 3 mm 0.42, at 2.7 mm 0.56.
     assert length[gap < 0.0015].mean() / far == pytest.approx(0.42, abs=0.1)
     assert length[gap < 0.004].mean() / far == pytest.approx(0.56, abs=0.1)
+
+
+def test_vertices_lie_on_the_surface_where_sizes_change():
+    body = SHAPES["toy"].make(radius=0.035, edge=2e-3)
+    ear = body.vertices[[int(body.vertices[:, 2].argmax())]]
+    gap = distances(remeshed(body, vertices=1000, near=ear).vertices, body)
+    # But for a few that would flatten a triangle.
+    assert np.quantile(gap, 0.95) < 1e-9
 
 
 def test_a_thin_plate_needs_more_vertices_and_says_how_many():

@@ -109,7 +109,7 @@ def test_depth_maps_become_a_mesh(palpate, depth_maps):
         ('file = "d3.png"', 'file = "d9.png"', "d9.png"),
         ('file = "d3.png"', 'images = "{camera}.png"', "need a [rig] with its cameras"),
         ('pose = "p3.toml"', "angle = 30", "needs a [turntable]"),
-        ("[[view]]", "[[veiw]]", "unknown key 'veiw'"),
+        ("[[view]]", "[[vista]]", "unknown key 'vista'"),
     ],
 )
 def test_what_is_wrong_with_a_scan_is_said(palpate, depth_maps, old, new, message):

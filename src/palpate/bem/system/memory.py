@@ -12,7 +12,7 @@ except ModuleNotFoundError:  # Windows has no such limits
     resource = None  # type: ignore[assignment]
 
 # The program and its libraries [bytes].
-_PROGRAM = 0.3e9
+_PROGRAM = 0.4e9
 # Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
 # slope; for rollers the matrix twice, before there is a slope.
 _DOUBLES_A_PAIR, _WITH_ROLLERS = 22, 27
