@@ -61,8 +61,7 @@ def _read(file: Path, read: Reader, content: bytes) -> None:
     assert time.perf_counter() - start < _MOST_SECONDS
 
 
-_COUNT = 50
-_COUNT = 52
+_COUNT = 57
 
 
 @pytest.mark.parametrize("number", range(_COUNT))
