@@ -50,7 +50,7 @@ def test_units(tmp_path):
         ("force_gain = nan", "must be a number"),
         ('contact_point = "1e400 mm"', "must be a number"),
         ("pose = 3", "[errors] pose"),
-        ('pose = { translatoin = "1 mm" }', "did you mean 'translation'"),
+        ('pose = { translations = "1 mm" }', "did you mean 'translation'"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, line, message):
