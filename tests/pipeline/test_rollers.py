@@ -72,14 +72,18 @@ def test_a_block_on_a_platen_without_friction():
     assert estimate.shear_modulus.value == pytest.approx(SHEAR, rel=1e-4)
     assert estimate.poisson_ratio.value == pytest.approx(NU, abs=1e-4)
     (slid,) = estimate.probes[0].supports
-    np.testing.assert_allclose((*slid.translation, *slid.rotation), SLID, atol=1e-6)
+    # Told against the mean motion of the graded mesh's vertices, which are not quite even: a part of
+    # what the block widens by.
+    np.testing.assert_allclose((*slid.translation, *slid.rotation), SLID, atol=1e-5)
     assert np.abs(result.probes[0].residual).max() < 1e-8
 
 
 def test_glued_to_the_platen_the_same_block_would_be_another():
     """The test above can fail: the same measurement means other constants where friction holds."""
-    estimate = fit_session(session(Support(BOTTOM))).estimate
-    assert abs(estimate.shear_modulus.value / SHEAR - 1.0) > 0.02
+    result = fit_session(session(Support(BOTTOM)))
+    assert abs(result.estimate.shear_modulus.value / SHEAR - 1.0) > 0.005
+    # Residuals of 1e-8 m and less where the platen slides.
+    assert np.abs(result.probes[0].residual).max() > 1e-6
 
 
 def test_a_corner_of_three_rollers_needs_no_motion():
