@@ -72,8 +72,8 @@ def test_a_block_on_a_platen_without_friction():
     assert estimate.shear_modulus.value == pytest.approx(SHEAR, rel=1e-4)
     assert estimate.poisson_ratio.value == pytest.approx(NU, abs=1e-4)
     (slid,) = estimate.probes[0].supports
-    # Told against the mean motion of the graded mesh's vertices, which are not quite even: a part of
-    # what the block widens by.
+    # Told against the mean motion of the graded mesh's vertices, which are not quite even: a part
+    # of what the block widens by.
     np.testing.assert_allclose((*slid.translation, *slid.rotation), SLID, atol=1e-5)
     assert np.abs(result.probes[0].residual).max() < 1e-8
 

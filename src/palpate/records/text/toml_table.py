@@ -200,7 +200,11 @@ class TomlTable:
             factor = 1.0
         if factor is None or not _is_number(value):
             example = ", ".join(f'"1 {unit}"' for unit in units)
-            self.fail(key, f"is {quoted(self.get(key))}; must be a number with its unit: {example}")
+            self.fail(
+                key,
+                f"is {quoted(self.get(key))}; must be a number with its unit: {example}"
+                + ("" if plain is None else ", or a plain number"),
+            )
         return factor * float(value)
 
     def count(self, key: str) -> int:
