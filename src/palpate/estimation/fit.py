@@ -104,14 +104,14 @@ def fit(
     progress("validation", 0.95)
     fits = probe_fits(probes, misfit, joint)
     contradictions = [c for c in map(contradiction, probes, fits) if c is not None]
-    status = Status.from_identifiable(identifiable)
-    if contradictions:
-        status = Status.MODEL_CONTRADICTED
-    if not minimum.converged:
-        status = Status.NOT_CONVERGED
     std = np.sqrt(np.diag(joint.scores.covariance())[2:])
     errors = error_estimates(misfit.shared, minimum.errors, std)
     every = [*errors, *(error for one in fits for error in one.errors)]
+    status = Status.from_identifiable(identifiable)
+    if contradictions or any(error.is_impossible for error in every):
+        status = Status.MODEL_CONTRADICTED
+    if not minimum.converged:
+        status = Status.NOT_CONVERGED
     estimate = Estimate(
         status=status,
         shear_modulus=reported.shear_modulus,

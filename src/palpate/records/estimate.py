@@ -13,6 +13,8 @@ from palpate.errors import InputError
 _EXACT = 1e-12
 # Prior standard deviations: an error that lies farther off is named as a likely fault.
 SURPRISING = 3.0
+# The same: chance leads so far in one of two million, so that the model contradicts the session.
+IMPOSSIBLE = 5.0
 CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"
@@ -188,6 +190,11 @@ class ErrorEstimate:
     def is_surprising(self) -> bool:
         """Whether it lies more than three prior standard deviations off."""
         return abs(self.value) > SURPRISING * self.prior_std
+
+    @property
+    def is_impossible(self) -> bool:
+        """Whether it lies more than five off, which chance does not do."""
+        return abs(self.value) > IMPOSSIBLE * self.prior_std
 
 
 @dataclass(frozen=True, slots=True)

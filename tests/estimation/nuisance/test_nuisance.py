@@ -163,6 +163,18 @@ def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
     assert any("Likely fault: the contact point of n01 toward +x" in n for n in right.notes)
 
 
+@pytest.mark.parametrize(("beside", "status"), [(1.8e-3, "ok"), (4e-3, "model_contradicted")])
+def test_an_error_beyond_chance_contradicts_the_model(beside: float, status: str) -> None:
+    probes = []
+    for probe in _probes(count=3, grid=10):
+        moved = replace(probe, response=HalfSpace(probe.response.offset - [beside, 0.0, 0.0]))
+        probes.append(replace(moved, nuisances=(_contact_error(moved, 4e-4),)))
+    found = fit(probes).estimate
+    off = max(abs(one.value / one.prior_std) for probe in found.probes for one in probe.errors)
+    assert (off > 5.0) is (status == "model_contradicted")
+    assert found.status == status
+
+
 def test_errors_that_are_not_there_stay_small() -> None:
     nuisances = (ForceGain(0.01), ForceDirection(0.01), LengthScale(0.003))
     probes = [replace(p, nuisances=(*nuisances, _contact_error(p))) for p in _probes()]
