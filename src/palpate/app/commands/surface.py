@@ -9,7 +9,13 @@ from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
 from palpate.figures import save_figure, scan_figure, surface_figure
-from palpate.geometry import TriangleMesh, bounding_diagonal, read_mesh, triangle_areas
+from palpate.geometry import (
+    MeshQuality,
+    TriangleMesh,
+    bounding_diagonal,
+    read_mesh,
+    triangle_areas,
+)
 from palpate.progress import part_of
 from palpate.records import LENGTH_UNITS, default_folder, record_inputs, result_folder
 from palpate.scanning import (
@@ -164,23 +170,16 @@ def _views_table(made: ScannedSurface) -> Table:
 
 
 def _scan_table(made: ScannedSurface) -> Table:
-    quality, areas = made.quality, triangle_areas(made.mesh)
-    share = float(areas[made.guessed].sum() / areas.sum())
-    edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
     sigma = 1e3 * made.sigma[np.isfinite(made.sigma)]
     spread = f"{np.median(sigma):.2g}, {np.quantile(sigma, 0.95):.2g} mm" if len(sigma) else "-"
     rows = (
-        ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
-        ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
-        ("volume", f"{1e6 * quality.volume:.4g} ± {1e6 * made.volume_std:.2g} cm^3"),
-        ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
-        ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
+        *_quality_rows(made.quality, f" ± {1e6 * made.volume_std:.2g}"),
         (
             "points from the mesh median, 95 %",
             ", ".join(f"{1e3 * g:.2g}" for g in made.distance) + " mm",
         ),
         ("1 sigma of vertices median, 95 %", spread),
-        ("area that no view shows", f"{100.0 * share:.1f} %"),
+        ("area that no view shows", f"{100.0 * _guessed_share(made):.1f} %"),
     )
     return terminal_table(
         "Surface: closed, manifold, outward, without self-intersection", ("figure", "value"), rows,
@@ -202,15 +201,10 @@ def _actions_table(made: PreparedSurface) -> Table:
 
 
 def _figures_table(made: PreparedSurface) -> Table:
-    quality, off = made.quality, made.deviation
-    edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
+    off = made.deviation
     gaps = (off.median, off.percentile_95, off.largest)
     rows = (
-        ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
-        ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
-        ("volume", f"{1e6 * quality.volume:.4g} cm^3"),
-        ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
-        ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
+        *_quality_rows(made.quality),
         (
             "distance median, 95 %, largest",
             ", ".join(f"{_rounded(1e3 * g):.2g}" for g in gaps) + " mm",
@@ -231,6 +225,17 @@ def _rounded(millimetres: float) -> float:
     return round(millimetres, 6)
 
 
-def _guessed_share(made: PreparedSurface) -> float:
+def _quality_rows(quality: MeshQuality, volume_error: str = "") -> list[tuple[str, str]]:
+    edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
+    return [
+        ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
+        ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
+        ("volume", f"{1e6 * quality.volume:.4g}{volume_error} cm^3"),
+        ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
+        ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
+    ]
+
+
+def _guessed_share(made: PreparedSurface | ScannedSurface) -> float:
     areas = triangle_areas(made.mesh)
     return float(areas[made.guessed].sum() / areas.sum())

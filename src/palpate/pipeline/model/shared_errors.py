@@ -86,6 +86,7 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
     inverse = np.linalg.pinv(
         np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], 2)
     )
+    here = interpolation_matrix(nodes, place.triangle, place.barycentric)
     found = []
     for k, std in enumerate([priors.pose_translation] * 3 + [priors.pose_rotation] * 3):
         if std == 0.0:
@@ -93,15 +94,13 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
         two = -0.5 * std * np.einsum("nij,nj->ni", inverse, modes[:, :, k])
         half = np.column_stack([-two.sum(axis=1), two])
         # The element's own quadratic, on both sides of the point.
-        ends = (
+        higher, lower = (
             interpolation_matrix(nodes, place.triangle, place.barycentric + sign * half)
             for sign in (1.0, -1.0)
         )
-        higher, lower = ends
         change = kron(higher - lower, np.eye(3))
         if k >= 3:
             turn = std * np.cross(np.eye(3)[k - 3], np.eye(3)).T
-            here = interpolation_matrix(nodes, place.triangle, place.barycentric)
             change = change + kron(here, turn)
         found.append(csr_array(change))
     return found
