@@ -22,6 +22,10 @@ SHEAR_MODULUS = 2e4
 RADIUS = 5e-3
 # A tool keeps its radius and a little more away from edges and from the support.
 _CLEARANCE = 1.35
+# Edges of the surface that is filled over those of the surface that estimates.
+_SURFACE = 0.25
+# Edge of the tetrahedra under a tool over its radius.
+_FINE = 0.25
 # Between contacts.
 _APART = 15e-3
 _STEPS = 14
@@ -109,24 +113,22 @@ class Truth:
         return surface_values(self.body.solid, points) @ nodal
 
 
-def make_truth(name: str, poisson_ratio: float, *, edge: float) -> Truth:
+def make_truth(name: str, *, edge: float) -> Truth:
     """A body of `BODIES`, filled from a surface much finer than the one that estimates.
 
     Parameters
     ----------
     name : str
-    poisson_ratio : float [-]
-    edge : float [m]            of the tetrahedra; half of it under the tools
+    edge : float [m]            of the tetrahedra, away from the tools
     """
     shape = BODIES[name]
     places = contacts(shape.make(shape.edge), shape)
-    surface = shape.make(0.45 * shape.edge)
-    fine = [(place.point, 1.2 * RADIUS, 0.5 * edge) for place in places]
+    surface = shape.make(_SURFACE * shape.edge)
+    fine = [(place.point, 1.2 * RADIUS, _FINE * RADIUS) for place in places]
     solid = make_solid(surface, edge=edge, fine=fine)
+    held = _held(solid, shape)
     return Truth(
-        make_body(
-            solid, _held(solid, shape), shear_modulus=SHEAR_MODULUS, poisson_ratio=poisson_ratio
-        )
+        make_body(solid, held, shear_modulus=SHEAR_MODULUS, poisson_ratio=shape.poisson_ratio)
     )
 
 

@@ -38,6 +38,7 @@ from palpate.pipeline.model import (
     make_object_model as make_object_model,
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
+    resolved_session as resolved_session,
     sliding_motion as sliding_motion,
     surface_load as surface_load,
 )

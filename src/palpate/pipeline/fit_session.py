@@ -36,6 +36,7 @@ from palpate.pipeline.model import (
     make_object_model,
     pose_changes,
     probe_rows,
+    resolved_session,
     shared_errors,
 )
 from palpate.progress import Progress, part_of, silent
@@ -87,14 +88,15 @@ def fit_session(
     start = time.perf_counter()
     require_probings(session)
     progress("the given mesh", 0.0)
+    resolved = resolved_session(session, surface=surface)
     # First, and gone before the graded one takes its memory.
-    plain = replace(session, errors=EXACT)
+    plain = replace(resolved, errors=EXACT)
     coarser = session_observations(
         plain, make_object_model(plain, surface=surface, cache=cache), settings=settings
     )
     compared = time.perf_counter()
     progress("integrals over the surface", 0.25)
-    graded = graded_session(session, surface=surface)
+    graded = graded_session(resolved, surface=surface)
     model = make_object_model(graded, surface=surface, cache=cache)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
@@ -123,7 +125,7 @@ def fit_session(
             **result.estimate.settings,
             "surface": asdict(surface),
             "errors": asdict(session.errors),
-            "vertices": [len(one.mesh.vertices) for one in (session, graded)],
+            "vertices": [len(one.mesh.vertices) for one in (session, resolved, graded)],
             "assumed_forces": [one.name for one in session.probings if one.force_std is None],
         },
     )

@@ -22,6 +22,7 @@ from palpate.pipeline.model import (
     check_balance,
     graded_session,
     held_directions,
+    resolved_session,
     sliding_motion,
     surface_load,
 )
@@ -92,7 +93,7 @@ def poke_session(
     SingularSystemError                 the support does not hold the object
     """
     say = progress or silent
-    session = graded_session(session, surface=surface)
+    session = graded_session(resolved_session(session, surface=surface), surface=surface)
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface

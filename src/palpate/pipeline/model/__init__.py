@@ -10,6 +10,7 @@ Read first : `object_model.py`, then `shared_errors.py`.
 from palpate.pipeline.model.grading import (
     LEFT_OF_STEP as LEFT_OF_STEP,
     graded_session as graded_session,
+    resolved_session as resolved_session,
 )
 from palpate.pipeline.model.moving_supports import (
     check_balance as check_balance,
