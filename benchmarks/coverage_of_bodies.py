@@ -35,11 +35,11 @@ from palpate.records import (
 
 NOISE = 0.01
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
-# Edges of the tetrahedra over those of the surface's triangles, of two solutions.
-EDGES = (0.7, 0.5)
-# Displacement under a load that is given converges with the energy: with this power of the edge
-# where a held face ends at a right angle (the singularity's exponent is 0.7 to 0.75).
-ORDER = 1.45
+# Edges of the tetrahedra over those of the surface's triangles, of three solutions, each a constant
+# part of the one before.
+EDGES = (1.0, 0.7, 0.49)
+# What a step leaves of the one before: between first order of convergence and third.
+LEFT = (EDGES[1] ** 3, EDGES[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +54,7 @@ class Measured:
     moved : (c, v, 3) float [m]     under one newton inward
     own : float [-]                 what the extrapolation to elements of no size has changed, over
                                     the displacement
+    left : float [-]                what the last step of the mesh has left of the one before
     """
 
     name: str
@@ -61,6 +62,7 @@ class Measured:
     shape: Shape
     moved: Float[np.ndarray, "c v 3"]
     own: float
+    left: float
 
     @property
     def truth(self) -> dict[str, float]:
@@ -74,10 +76,13 @@ def measured_body(name: str, folder: Path) -> Measured:
     """Truth of a body, computed once."""
     shape = BODIES[name]
     mesh = shape.make(shape.edge)
-    coarse, fine = (_solved(name, mesh, folder, edge) for edge in EDGES)
-    step = (fine - coarse) / ((EDGES[0] / EDGES[1]) ** ORDER - 1.0)
-    own = np.linalg.norm(step) / np.linalg.norm(fine)
-    return Measured(name, mesh, shape, fine + step, float(own))
+    coarse, middle, fine = (_solved(name, mesh, folder, edge) for edge in EDGES)
+    # Aitken's extrapolation: the steps shrink as a geometric series does.
+    first, second = middle - coarse, fine - middle
+    left = np.clip((first * second).sum() / (first**2).sum(), *LEFT)
+    rest = second * left / (1.0 - left)
+    own = np.linalg.norm(rest) / np.linalg.norm(fine)
+    return Measured(name, mesh, shape, fine + rest, float(own), float(left))
 
 
 def _solved(name: str, mesh: TriangleMesh, folder: Path, edge: float) -> Float[np.ndarray, "c v 3"]:
@@ -160,7 +165,7 @@ def main() -> None:
         clean = fit_session(session(body, EXACT, 0.0, 0), cache=folder / "integrals").estimate
         print(
             f"{name:10s} nu {body.shape.poisson_ratio:.2f}, {len(body.mesh.vertices)} vertices, "
-            f"truth moved by its last step: {100 * body.own:.2f} %"
+            f"truth extrapolated by {100 * body.own:.2f} %, its steps by {body.left:.2f} each"
         )
         print(f"{'':10s} clean                 {errors_of(clean, body.truth)}", flush=True)
         found = []

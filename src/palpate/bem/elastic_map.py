@@ -124,37 +124,39 @@ def load_right_hand(
     loads: Sequence[SurfaceLoad],
     shapes: Sequence[ContactShape | None] | None = None,
     *,
+    forces: Float[np.ndarray, "k 3"] | None = None,
     cells: LoadCells | None = None,
 ) -> RightHand:
-    """Right-hand sides of loads of one newton along each axis.
+    """Right-hand sides of loads of one newton along each axis, or of one force each.
 
     Parameters
     ----------
     system : BoundarySystem
     loads : sequence of k SurfaceLoad
     shapes : sequence of k ContactShape or None   how the elements around each dip (`load_shape`)
+    forces : (k, 3) float [N] or None             None: one newton along each axis
     cells : LoadCells or None                     how finely loads are divided, see `load_points`
 
     Returns
     -------
-    RightHand                         three columns a load
+    RightHand                         three columns a load, or one
     """
     balance = -np.eye(3) / system.traction_length
-    kernel = system.traction_kernel
-    right = joined(
-        [
-            load_columns(
-                integrate_load(system.surface, load, system.collocation, kernel, cells=cells),
-                balance,
-            )
-            for load in loads
-        ]
-    )
-    given = enumerate(shapes or ())
-    dips = [(k, shape) for k, shape in given if shape is not None and shape.midpoints.size]
+    kernel, parts = system.traction_kernel, []
+    for k, load in enumerate(loads):
+        fields = integrate_load(system.surface, load, system.collocation, kernel, cells=cells)
+        columns = load_columns(fields, balance)
+        parts.append(columns if forces is None else columns.under(forces[k]))
+    right = joined(parts)
+    dips, numbers = [], []
+    for k, shape in enumerate(shapes or ()):
+        if shape is not None and shape.midpoints.size:
+            dips.append(shape if forces is None else shape.under(forces[k]))
+            numbers.append(k)
     if dips:
-        columns = (3 * np.array([k for k, _ in dips])[:, None] + np.arange(3)).ravel()
-        right = right.plus(shape_columns(system, [shape for _, shape in dips]), columns)
+        each = 3 if forces is None else 1
+        columns_of = (each * np.array(numbers)[:, None] + np.arange(each)).ravel()
+        right = right.plus(shape_columns(system, dips), columns_of)
     return right
 
 

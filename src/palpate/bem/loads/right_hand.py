@@ -44,6 +44,10 @@ class RightHand:
         constant, slope, curvature = self.terms
         return constant + poisson_ratio * (slope + poisson_ratio * curvature)
 
+    def under(self, force: Float[np.ndarray, " c"]) -> "RightHand":
+        """One column for so much of each."""
+        return RightHand((self.terms @ force)[:, :, None])
+
     def __add__(self, other: "RightHand") -> "RightHand":
         """Sum of two sets of as many columns."""
         return self.plus(other, np.arange(self.terms.shape[2]))

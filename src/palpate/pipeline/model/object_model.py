@@ -159,7 +159,9 @@ def make_object_model(
         weight = session.density * session.gravity
     dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
     changes = contact_changes(session, _patch_numbers(session, patches))
-    loads = tuple(patches.values()), dips, tuple(pressed.values()), weight, shapes, changes
+    changed_dips = [load_shape(boundary, surface_load(one.patch)) for one in changes]
+    pressures = tuple(pressed.values())
+    loads = tuple(patches.values()), dips, pressures, weight, shapes, changes, changed_dips
     right, body = _right_hand(system, *loads)
     tips = None
     if any(probing.tip_displacement is not None for probing in session.probings):
@@ -200,6 +202,7 @@ def _right_hand(
     weight: Float[np.ndarray, "3"] | None,
     shapes: Float[np.ndarray, "v 3 q"],
     changes: Sequence[ContactChange],
+    dips_of_changes: Sequence[ContactShape | None],
 ) -> tuple[RightHand, BodyForce | None]:
     """Columns of all loads, of the weight [N/m^3], if any, of what is held and moves, and of
     contacts that differ a little."""
@@ -215,26 +218,23 @@ def _right_hand(
         parts.append(body.right)
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
     nominal = [parts[change.nominal] for change in changes]
-    parts += _change_columns(system, changes, nominal)
+    parts += _change_columns(system, changes, dips_of_changes, nominal)
     return joined(parts), body
 
 
 def _change_columns(
     system: BoundarySystem,
     changes: Sequence[ContactChange],
+    shapes: Sequence[ContactShape | None],
     nominal: Sequence[RightHand],
 ) -> list[RightHand]:
     """A column for each changed contact less the nominal one, under the force of its probing."""
-    loads = [surface_load(change.patch) for change in changes]
-    if not loads:
+    if not changes:
         return []
-    shapes = [load_shape(system.surface, load) for load in loads]
-    changed = load_right_hand(system, loads, shapes, cells=_CHANGE_CELLS).terms
-    columns = []
-    for k, (change, before) in enumerate(zip(changes, nominal, strict=True)):
-        after = changed[:, :, 3 * k : 3 * k + 3]
-        columns.append(RightHand(((after - before.terms) @ change.force)[:, :, None]))
-    return columns
+    loads, forces = [surface_load(change.patch) for change in changes], [x.force for x in changes]
+    after = load_right_hand(system, loads, shapes, forces=np.array(forces), cells=_CHANGE_CELLS)
+    before = joined([one.under(force) for one, force in zip(nominal, forces, strict=True)])
+    return [RightHand(after.terms - before.terms)]
 
 
 def _distinct_patches(
