@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 
 from palpate.bem import SurfaceSettings
-from palpate.errors import InputError
+from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
     Discretisation,
     FitMethod,
@@ -33,11 +33,14 @@ from palpate.pipeline.model import (
     free_std,
     given_motion,
     graded_session,
+    has_tools,
+    largest_change,
     make_object_model,
     pose_changes,
     probe_rows,
     resolved_session,
     shared_errors,
+    touched_session,
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -54,6 +57,10 @@ from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
+# Radii settle when constants do; they change with the cube root of the modulus alone.
+_MOST_TOUCHES, _TOUCH_SETTLED = 6, 0.01
+# At one half the formulae of the contact have a removable singularity.
+_LARGEST_RATIO = 0.4999
 # A turn [rad] that leaves a false strain of 1e-5 is mentioned.
 _LARGE_TURN = 5e-3
 
@@ -89,6 +96,8 @@ def fit_session(
     require_probings(session)
     progress("the given mesh", 0.0)
     resolved = resolved_session(session, surface=surface)
+    if has_tools(resolved):
+        resolved = _with_touched_circles(resolved, settings, surface, cache)
     # First, and gone before the graded one takes its memory.
     plain = replace(resolved, errors=EXACT)
     coarser = session_observations(
@@ -119,7 +128,7 @@ def fit_session(
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(*result.estimate.notes, *_turn_notes(probes)),
+        notes=(*result.estimate.notes, *_turn_notes(probes), *_touch_notes(resolved)),
         seconds=seconds,
         settings={
             **result.estimate.settings,
@@ -130,6 +139,30 @@ def fit_session(
         },
     )
     return replace(result, estimate=estimate)
+
+
+def _with_touched_circles(
+    session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
+) -> Session:
+    """A session whose contacts are as wide as its tools touch, for the constants that it yields."""
+    for _ in range(_MOST_TOUCHES):
+        plain = replace(session, errors=EXACT)
+        model = make_object_model(plain, surface=surface, cache=cache)
+        found = fit(session_observations(plain, model, settings=settings), settings=settings)
+        before, session = (
+            session,
+            touched_session(
+                session,
+                shear_modulus=found.estimate.shear_modulus.value,
+                poisson_ratio=min(found.estimate.poisson_ratio.value, _LARGEST_RATIO),
+            ),
+        )
+        if largest_change(before, session) < _TOUCH_SETTLED:
+            return session
+    raise NotConvergedError(
+        f"the circles that the tools touch still change after {_MOST_TOUCHES} fits: the force and"
+        " the displacements do not belong together; check tool_radius and the unit of the force"
+    )
 
 
 def _with_mesh_errors(
@@ -156,6 +189,16 @@ def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
                     " displacements back first."
                 )
     return notes
+
+
+def _touch_notes(session: Session) -> list[str]:
+    """What the tools touch."""
+    touched = [
+        f"{1e3 * radius:.3g} mm in {one.name}"
+        for one in session.probings
+        if one.contact.tool is not None and (radius := one.contact.radius) is not None
+    ]
+    return [f"Radius that the tool touches: {', '.join(touched)}."] if touched else []
 
 
 def _support_estimates(

@@ -11,7 +11,7 @@ from palpate.records.text import TomlTable
 
 _ANGLES = {"deg": float(np.radians(1.0)), "rad": 1.0}
 _SHARES = {"%": 0.01}
-_SHARE_KEYS = ("force_gain", "force", "contact_radius", "length_scale")
+_SHARE_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
 
 _LARGEST_SHARE, _LARGEST_ANGLE, _LARGEST_LENGTH = 0.5, 0.5, 1.0
 
@@ -30,6 +30,8 @@ class ErrorPriors:
                                     the length of the force
     contact_point : float [m]       place of a contact, along each tangent, for each probing
     contact_radius : float [-]      radius of the touched patch, for each probing
+    touched_radius : float [-]      of a contact's radius, where it follows from the tool: friction
+                                    that is neither free nor full, a tool that is not quite round
     pose_translation : float [m]    shift of the mesh against the measured points, along each axis
     pose_rotation : float [rad]     turn of the same, about each axis
     length_scale : float [-]        of measured displacements, along each axis
@@ -44,6 +46,7 @@ class ErrorPriors:
     force: float = 0.01
     contact_point: float = 0.5e-3
     contact_radius: float = 0.1
+    touched_radius: float = 0.05
     pose_translation: float = 0.2e-3
     pose_rotation: float = float(np.radians(0.2))
     length_scale: float = 0.002

@@ -32,3 +32,8 @@ from palpate.pipeline.model.shared_errors import (
     pose_changes as pose_changes,
     shared_errors as shared_errors,
 )
+from palpate.pipeline.model.touched import (
+    has_tools as has_tools,
+    largest_change as largest_change,
+    touched_session as touched_session,
+)
