@@ -2,20 +2,22 @@
 with the boundary elements that estimate."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from benchmarks.bodies import BODIES, Shape
-from palpate.geometry import (
-    TriangleMesh,
-    quadratic_shapes,
-    unit_normals,
+from palpate.geometry import TriangleMesh, unit_normals
+from palpate.lab.bodies.finite_elements import (
+    Body,
+    make_body,
+    pressure_load,
+    solve_load,
+    surface_values,
 )
-from palpate.lab.bodies.finite_elements import Body, make_body, solve_load, surface_values
 from palpate.lab.bodies.tetrahedra import Solid, make_solid
+from palpate.records.contact import smooth_pressure
 from palpate.shapes import Points
 
 SHEAR_MODULUS = 2e4
@@ -28,7 +30,6 @@ _SURFACE = 0.25
 _FINE = 0.25
 # Between contacts.
 _APART = 15e-3
-_STEPS = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,29 +85,12 @@ class Truth:
 
     body: Body
 
-    @cached_property
-    def _load_places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Shape functions (s, 6), places (f, s, 3), areas and outward sides of the outer faces."""
-        steps = (np.arange(_STEPS) + 0.5) / _STEPS
-        a, b = (g.ravel() for g in np.meshgrid(steps, steps))
-        a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-        shape = quadratic_shapes(np.stack([1 - a - b, a, b], axis=1)).T
-        solid = self.body.solid
-        nodes = solid.nodes[solid.facets]
-        side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
-        return shape, np.einsum("sn,fna->fsa", shape, nodes), np.linalg.norm(side, axis=1), side
-
     def displacement(
         self, point: Float[np.ndarray, "3"], force: Float[np.ndarray, "3"], radius: float
     ) -> Float[np.ndarray, "n 3"]:
         """Nodal displacement [m] under a pressure (1 - r^2 / a^2)^2 around a point."""
-        shape, place, area, side = self._load_places
-        facing = (side @ force < 0)[:, None]
-        square = ((place - point) ** 2).sum(axis=2) / radius**2
-        density = np.where(facing, np.clip(1 - square, 0, None) ** 2 * area[:, None], 0.0)
-        share = np.zeros(len(self.body.solid.nodes))
-        np.add.at(share, self.body.solid.facets, density @ shape)
-        return solve_load(self.body, share[:, None] / share.sum() * force)
+        share = pressure_load(self.body.solid, point, radius, smooth_pressure)
+        return solve_load(self.body, share[:, None] * force)
 
     def at(self, nodal: Float[np.ndarray, "n 3"], points: Points) -> Points:
         """Displacement of points of the surface, or of the nearest places."""

@@ -37,9 +37,9 @@ NOISE = 0.01
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
 # Edges of the tetrahedra over those of the surface's triangles, of three solutions, each a constant
 # part of the one before.
-EDGES = (1.0, 0.7, 0.49)
+EDGES = (1.4, 1.0, 0.7)
 # What a step leaves of the one before: between first order of convergence and third.
-LEFT = (EDGES[1] ** 3, EDGES[1])
+LEFT = (0.7**3, 0.7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

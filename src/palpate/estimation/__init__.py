@@ -20,6 +20,7 @@ from palpate.estimation.nuisance import (
     ForceDirection as ForceDirection,
     ForceGain as ForceGain,
     LengthScale as LengthScale,
+    MaterialLaw as MaterialLaw,
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     Pose as Pose,

@@ -27,6 +27,7 @@ from palpate.estimation import (
     reduced_response,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh
+from palpate.pipeline.large_strain import fit_at_finite_strain
 from palpate.pipeline.model import (
     LEFT_OF_STEP,
     ObjectModel,
@@ -71,6 +72,7 @@ def fit_session(
     settings: FitSettings = FitSettings(),
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
+    finite_strain: bool = False,
     progress: Progress = silent,
 ) -> FitResult:
     """Estimate the elastic constants of a session's object.
@@ -81,6 +83,7 @@ def fit_session(
     settings : FitSettings            how the constants are searched and their intervals found
     surface : SurfaceSettings         how the surface between the vertices is understood
     cache : Path or None              folder that keeps the integrals for the next time
+    finite_strain : bool              correct for what a linear model leaves out
     progress : callable               told what is done (text) and how far it is (0 to 1)
 
     Returns
@@ -112,7 +115,12 @@ def fit_session(
     observations = session_observations(graded, model, settings=settings)
     observations = _with_mesh_errors(observations, coarser)
     factorised = time.perf_counter()
-    result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
+    last = part_of(progress, _FIT_STARTS, 1.0)
+    result = fit(observations, settings=settings, progress=last)
+    if finite_strain:
+        result = fit_at_finite_strain(
+            resolved, observations, result, settings=settings, progress=last
+        )
     progress("done", 1.0)
     seconds = {
         "given_mesh": compared - start,
@@ -133,6 +141,7 @@ def fit_session(
         settings={
             **result.estimate.settings,
             "surface": asdict(surface),
+            "finite_strain": finite_strain,
             "errors": asdict(session.errors),
             "vertices": [len(one.mesh.vertices) for one in (session, resolved, graded)],
             "assumed_forces": [one.name for one in session.probings if one.force_std is None],

@@ -46,6 +46,7 @@ def fit(
     method: Literal["reduced", "nelder-mead"] = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
+    strain: Literal["small", "finite"] = "small",
     cache: Path | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -69,6 +70,9 @@ def fit(
     surface
         What the mesh means: points of a smooth object (with edges where triangles turn by more than
         40 degrees), or flat facets.
+    strain
+        Small: displacements are linear in the force. Finite: what that leaves out of an object that
+        was pressed far is computed with finite elements, and corrected.
     cache
         Folder that keeps the surface integrals of this object for the next fit.
     force
@@ -97,6 +101,7 @@ def fit(
                 settings=settings,
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
+                finite_strain=strain == "finite",
                 progress=progress,
             )
             progress("tables and plots", 1.0)

@@ -7,6 +7,10 @@ Depends on : `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 
+from palpate.pipeline.model.finite_strain import (
+    make_finite_body as make_finite_body,
+    strain_corrections as strain_corrections,
+)
 from palpate.pipeline.model.grading import (
     LEFT_OF_STEP as LEFT_OF_STEP,
     graded_session as graded_session,
