@@ -2,8 +2,9 @@
 estimation meet."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 
 from palpate.bem import SurfaceSettings
-from palpate.errors import InputError
+from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
     Discretisation,
     FitMethod,
@@ -21,12 +22,14 @@ from palpate.estimation import (
     ProbeFit,
     ProbeObservations,
     ProbeResponse,
+    SpringResponse,
+    best_constants_of,
     fit,
     full_responses,
     make_reduced_model,
     reduced_response,
 )
-from palpate.geometry import SurfacePoints, TriangleMesh
+from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal
 from palpate.pipeline.model import (
     LEFT_OF_STEP,
     ObjectModel,
@@ -36,7 +39,9 @@ from palpate.pipeline.model import (
     make_object_model,
     pose_changes,
     probe_rows,
+    settlement,
     shared_errors,
+    spring_responses,
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -53,6 +58,9 @@ from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
+# Where supports give: how often the modulus about which the model is taken is found anew, the
+# change of its logarithm that ends this (what it leaves is of its square), and the longest step.
+_SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
 # A turn [rad] that leaves a false strain of 1e-5 is mentioned.
 _LARGE_TURN = 5e-3
 
@@ -89,7 +97,7 @@ def fit_session(
     progress("the given mesh", 0.0)
     # First, and gone before the graded one takes its memory.
     plain = replace(session, errors=EXACT)
-    coarser = session_observations(
+    coarser = settled_observations(
         plain, make_object_model(plain, surface=surface, cache=cache), settings=settings
     )
     compared = time.perf_counter()
@@ -98,8 +106,7 @@ def fit_session(
     model = make_object_model(graded, surface=surface, cache=cache)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
-    observations = session_observations(graded, model, settings=settings)
-    observations = _with_mesh_errors(observations, coarser)
+    observations = settled_observations(graded, model, settings=settings, coarser=coarser)
     factorised = time.perf_counter()
     result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
     progress("done", 1.0)
@@ -130,14 +137,70 @@ def fit_session(
     return replace(result, estimate=estimate)
 
 
-def _with_mesh_errors(
-    observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
+def settled_observations(
+    session: Session,
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    coarser: Sequence[ProbeObservations] = (),
 ) -> list[ProbeObservations]:
-    """What was seen, with the error of the mesh that a coarser one shows."""
-    return [
-        replace(one, nuisances=(*one.nuisances, Discretisation(LEFT_OF_STEP, other.response.value)))
-        for one, other in zip(observations, coarser, strict=True)
-    ]
+    """What each probing saw, with what the model says at the modulus that fits it best, where
+    supports give and the model depends on it.
+
+    Parameters
+    ----------
+    session : Session                     k probings, each with displacements
+    model : ObjectModel                   of this session
+    settings : FitSettings
+    coarser : sequence of k ProbeObservations, or none    the same on a coarser mesh: the error of
+                                          the mesh is added
+
+    Returns
+    -------
+    list of k ProbeObservations
+
+    Raises
+    ------
+    InputError, SingularSystemError, NotConvergedError    as `session_observations`; the springs
+                                          explain the motion alone, so no modulus fits best
+    """
+    make = session_observations_at(session, model, settings=settings)
+    stiffnesses = [one.stiffness for one in session.supports if one.stiffness is not None]
+    if not stiffnesses:
+        return _with_mesh_errors(make(1.0), coarser, 1.0)
+    length = bounding_diagonal(session.mesh)
+    modulus = min(stiffnesses) * length
+    if coarser and coarser[0].settlement is not None:
+        modulus = coarser[0].settlement.shear_modulus
+    for _ in range(_SETTLING_ROUNDS):
+        observations = _with_mesh_errors(make(modulus), coarser, modulus)
+        _, found = best_constants_of(observations, settings=settings)
+        step = float(np.log(found / modulus))
+        if abs(step) < _SETTLED:
+            return observations
+        modulus *= float(np.exp(np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)))
+    raise NotConvergedError(
+        f"the shear modulus did not settle (last {found:.3g} Pa): under supports of stiffness"
+        f" {min(stiffnesses):.3g} N/m^3 the object would hardly deform, or not at all; check the"
+        " stiffness and the forces, and measure points that move against each other"
+    )
+
+
+def _with_mesh_errors(
+    observations: Sequence[ProbeObservations],
+    coarser: Sequence[ProbeObservations],
+    shear_modulus: float,
+) -> list[ProbeObservations]:
+    """What was seen, with the error of the mesh that a coarser one shows, if there is one."""
+    if not coarser:
+        return list(observations)
+    found = []
+    for one, other in zip(observations, coarser, strict=True):
+        error = Discretisation(
+            LEFT_OF_STEP, partial(other.response_at, shear_modulus=shear_modulus)
+        )
+        found.append(replace(one, nuisances=(*one.nuisances, error)))
+    return found
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
@@ -174,7 +237,11 @@ def _support_estimates(
 
 
 def session_observations(
-    session: Session, model: ObjectModel, *, settings: FitSettings = FitSettings()
+    session: Session,
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    shear_modulus: float = 1.0,
 ) -> list[ProbeObservations]:
     """What each probing saw, with what the model says it should have seen.
 
@@ -183,6 +250,8 @@ def session_observations(
     session : Session                     k probings, each with displacements
     model : ObjectModel                   of this session
     settings : FitSettings                method and range of Poisson's ratio
+    shear_modulus : float [Pa]            about which the model is taken; it counts only where a
+                                          support has a stiffness
 
     Returns
     -------
@@ -194,6 +263,24 @@ def session_observations(
     SingularSystemError                   the support does not hold the object
     NotConvergedError                     the reduced model does not serve the range
     """
+    return session_observations_at(session, model, settings=settings)(shear_modulus)
+
+
+def session_observations_at(
+    session: Session, model: ObjectModel, *, settings: FitSettings = FitSettings()
+) -> Callable[[float], list[ProbeObservations]]:
+    """The same for any modulus, from one factorisation.
+
+    Parameters
+    ----------
+    session : Session
+    model : ObjectModel
+    settings : FitSettings
+
+    Returns
+    -------
+    function                              shear modulus [Pa] -> list of ProbeObservations
+    """
     rows = [
         probe_rows(model, k, _measured(probing).surface)
         for k, probing in enumerate(session.probings)
@@ -202,6 +289,9 @@ def session_observations(
     if with_pose:
         every = _vertices(session.mesh)
         rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
+    if model.springs is not None:
+        on_springs = spring_responses(model, model.springs, rows, settings)
+        return lambda modulus: _all_observations(session, model, on_springs(modulus), modulus)
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
     else:
@@ -209,8 +299,18 @@ def session_observations(
             model.system, model.right, poisson_range=settings.poisson_range
         )
         responses = [reduced_response(reduced, row) for row in rows]
+    return lambda modulus: _all_observations(session, model, responses, modulus)
+
+
+def _all_observations(
+    session: Session,
+    model: ObjectModel,
+    responses: Sequence[ProbeResponse | SpringResponse],
+    shear_modulus: float,
+) -> list[ProbeObservations]:
+    """What each probing saw; behind the responses of its points may be those of all vertices."""
     own = responses[: len(session.probings)]
-    vertices = responses[len(session.probings) :] if with_pose else own
+    vertices = responses[len(session.probings) :] or own
     support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
     changes: dict[bytes, list[csr_array]] = {}
     observations = []
@@ -220,7 +320,10 @@ def session_observations(
         key = field.surface.position.tobytes()
         changes[key] = changes.get(key) or pose_changes(model, field.surface)
         nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
-        observations.append(_observations(session, model, k, response, support, nuisances))
+        seen = _observations(session, model, k, response, support, nuisances)
+        if isinstance(response, SpringResponse):
+            seen = replace(seen, settlement=settlement(model, response, shear_modulus))
+        observations.append(seen)
     return observations
 
 
@@ -236,7 +339,7 @@ def _observations(
     session: Session,
     model: ObjectModel,
     index: int,
-    response: ProbeResponse,
+    response: ProbeResponse | SpringResponse,
     support: Vertices,
     nuisances: tuple[Nuisance, ...],
 ) -> ProbeObservations:

@@ -116,8 +116,8 @@ def plan_measurement(
     progress("integrals over the surface", 0.2)
     model = make_object_model(session)
     progress("what the probings tell", 0.7)
-    observed = session_observations(session, model)
     shear = 0.5 * young_modulus / (1.0 + poisson_ratio)
+    observed = session_observations(session, model, shear_modulus=shear)
     free = np.setdiff1d(
         np.arange(len(session.mesh.vertices)),
         session.mesh.triangles[session.held_triangles].ravel(),

@@ -7,6 +7,10 @@ Depends on : `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 
+from palpate.pipeline.model.giving_supports import (
+    compliances as compliances,
+    session_springs as session_springs,
+)
 from palpate.pipeline.model.grading import (
     LEFT_OF_STEP as LEFT_OF_STEP,
     graded_session as graded_session,
@@ -30,4 +34,8 @@ from palpate.pipeline.model.object_model import (
 from palpate.pipeline.model.shared_errors import (
     pose_changes as pose_changes,
     shared_errors as shared_errors,
+)
+from palpate.pipeline.model.spring_responses import (
+    settlement as settlement,
+    spring_responses as spring_responses,
 )
