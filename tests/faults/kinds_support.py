@@ -111,7 +111,7 @@ KINDS = [
             '"z"': ("list of vectors",),
         }.items()
     ),
-    _kind("a force on a roller", _edited('"free"', '"free"\ndirections = [[1, 0, 0]]'), "roller", "uniform"),
+    _kind("a force across a roller", _edited('"free"', '"free"\ndirections = [[0, 1, 0]]'), "roller", "across its directions"),
     _kind("a triangle in two supports",
           _edited("[0.04, 0, 0], normal = [1, 0, 0]", "[0, 0, 0], normal = [1, 0, 0]"), "supports 1 and 2 share 8 triangles"),
     _kind("gravity with a pulled support",

@@ -15,6 +15,7 @@ from palpate.pipeline.camera_survey import (
 from palpate.pipeline.fit_session import (
     fit_session as fit_session,
     session_observations as session_observations,
+    settled_observations as settled_observations,
 )
 from palpate.pipeline.imported_points import (
     triangulated as triangulated,

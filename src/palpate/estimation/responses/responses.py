@@ -52,11 +52,14 @@ class ProbeMotions:
                                       unknowns of the system, for a shear modulus of one pascal
     lifts : (3,) int                  which of the motions are the shifts of that support along x, y
                                       and z: its force takes their place
+    holding : (3, 3) float            projector onto the directions in which it is pulled: those
+                                      that it holds
     """
 
     own: Float[np.ndarray, "n_rows q"]
     grip: csr_array | None = None
     lifts: tuple[int, ...] = ()
+    holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
 
     def split(
         self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
@@ -75,7 +78,10 @@ class ProbeMotions:
         """
         lifts = list(self.lifts)
         others = np.setdiff1d(np.arange(moved.shape[1]), lifts)
-        compliance = np.linalg.inv(force[:, lifts])
+        # A roller takes and gives a force along its own directions only.
+        value, vector = np.linalg.eigh(self.holding)
+        along = vector[:, value > 0.5]
+        compliance = along @ np.linalg.solve(along.T @ force[:, lifts] @ along, along.T)
         pushed = moved[:, lifts] @ compliance
         return pushed, moved[:, others] - pushed @ force[:, others]
 

@@ -370,7 +370,7 @@ def _motions(
     if pulled is None:
         return ProbeMotions(own)
     grip = support_force(model.system, model.supports[pulled].triangles, model.springs)
-    return ProbeMotions(own, grip, model.lifts(index))
+    return ProbeMotions(own, grip, model.lifts(index), model.supports[pulled].holding)
 
 
 def _tip_rows(
