@@ -7,54 +7,36 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
-from scipy.sparse import csr_array
 
 from palpate.bem import SurfaceSettings
-from palpate.errors import InputError, NotConvergedError
+from palpate.errors import NotConvergedError
 from palpate.estimation import (
-    Discretisation,
-    FitMethod,
     FitResult,
     FitSettings,
-    Nuisance,
     ProbeFit,
-    ProbeObservations,
-    ProbeResponse,
     fit,
-    full_responses,
-    make_reduced_model,
-    reduced_response,
 )
-from palpate.geometry import SurfacePoints, TriangleMesh
-from palpate.pipeline.large_strain import fit_at_finite_strain
 from palpate.pipeline.model import (
-    LEFT_OF_STEP,
     ObjectModel,
-    free_std,
-    given_motion,
+    fit_at_finite_strain,
     graded_session,
     has_tools,
     largest_change,
     make_object_model,
-    pose_changes,
-    probe_rows,
     resolved_session,
-    shared_errors,
     touched_session,
+)
+from palpate.pipeline.observations import (
+    settled_observations,
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     EXACT,
-    GIVEN,
-    DisplacementField,
     ProbeEstimate,
-    Probing,
     Session,
     SupportEstimate,
     require_probings,
 )
-from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
@@ -103,7 +85,7 @@ def fit_session(
         resolved = _with_touched_circles(resolved, settings, surface, cache)
     # First, and gone before the graded one takes its memory.
     plain = replace(resolved, errors=EXACT)
-    coarser = session_observations(
+    coarser = settled_observations(
         plain, make_object_model(plain, surface=surface, cache=cache), settings=settings
     )
     compared = time.perf_counter()
@@ -112,8 +94,7 @@ def fit_session(
     model = make_object_model(graded, surface=surface, cache=cache)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
-    observations = session_observations(graded, model, settings=settings)
-    observations = _with_mesh_errors(observations, coarser)
+    observations = settled_observations(graded, model, settings=settings, coarser=coarser)
     factorised = time.perf_counter()
     last = part_of(progress, _FIT_STARTS, 1.0)
     result = fit(observations, settings=settings, progress=last)
@@ -157,7 +138,7 @@ def _with_touched_circles(
     for _ in range(_MOST_TOUCHES):
         plain = replace(session, errors=EXACT)
         model = make_object_model(plain, surface=surface, cache=cache)
-        found = fit(session_observations(plain, model, settings=settings), settings=settings)
+        found = fit(settled_observations(plain, model, settings=settings), settings=settings)
         before, session = (
             session,
             touched_session(
@@ -172,16 +153,6 @@ def _with_touched_circles(
         f"the circles that the tools touch still change after {_MOST_TOUCHES} fits: the force and"
         " the displacements do not belong together; check tool_radius and the unit of the force"
     )
-
-
-def _with_mesh_errors(
-    observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
-) -> list[ProbeObservations]:
-    """What was seen, with the error of the mesh that a coarser one shows."""
-    return [
-        replace(one, nuisances=(*one.nuisances, Discretisation(LEFT_OF_STEP, other.response.value)))
-        for one, other in zip(observations, coarser, strict=True)
-    ]
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
@@ -225,125 +196,3 @@ def _support_estimates(
         parts = (tuple(part.tolist()) for part in (moved[0], error[0], moved[1], error[1]))
         estimates.append(SupportEstimate(support.number, *parts))
     return tuple(estimates)
-
-
-def session_observations(
-    session: Session, model: ObjectModel, *, settings: FitSettings = FitSettings()
-) -> list[ProbeObservations]:
-    """What each probing saw, with what the model says it should have seen.
-
-    Parameters
-    ----------
-    session : Session                     k probings, each with displacements
-    model : ObjectModel                   of this session
-    settings : FitSettings                method and range of Poisson's ratio
-
-    Returns
-    -------
-    list of k ProbeObservations
-
-    Raises
-    ------
-    InputError                            a probing without displacements
-    SingularSystemError                   the support does not hold the object
-    NotConvergedError                     the reduced model does not serve the range
-    """
-    rows = [
-        probe_rows(model, k, _measured(probing).surface)
-        for k, probing in enumerate(session.probings)
-    ]
-    with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
-    if with_pose:
-        every = _vertices(session.mesh)
-        rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
-    if settings.method == FitMethod.NELDER_MEAD:
-        responses = full_responses(model.system, model.right, rows)
-    else:
-        reduced = make_reduced_model(
-            model.system, model.right, poisson_range=settings.poisson_range
-        )
-        responses = [reduced_response(reduced, row) for row in rows]
-    own = responses[: len(session.probings)]
-    vertices = responses[len(session.probings) :] if with_pose else own
-    support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
-    changes: dict[bytes, list[csr_array]] = {}
-    observations = []
-    for k, (response, nodal) in enumerate(zip(own, vertices, strict=True)):
-        field = _measured(session.probings[k])
-        # Probings often have the same points.
-        key = field.surface.position.tobytes()
-        changes[key] = changes.get(key) or pose_changes(model, field.surface)
-        nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
-        observations.append(_observations(session, model, k, response, support, nuisances))
-    return observations
-
-
-def _vertices(mesh: TriangleMesh) -> SurfacePoints:
-    """All vertices as points of the surface."""
-    corner = np.zeros(len(mesh.vertices), dtype=np.int64)
-    corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
-    triangle, place = np.divmod(corner, 3)
-    return SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
-
-
-def _observations(
-    session: Session,
-    model: ObjectModel,
-    index: int,
-    response: ProbeResponse,
-    support: Vertices,
-    nuisances: tuple[Nuisance, ...],
-) -> ProbeObservations:
-    probing = session.probings[index]
-    field = _measured(probing)
-    motion, motion_std = _motions(session, model, index)
-    force_std = probing.force_std
-    if force_std is None:
-        length = float(np.linalg.norm(probing.force))
-        force_std = np.full(3, session.errors.force * length)
-    return ProbeObservations(
-        name=probing.name,
-        position=field.points,
-        displacement=field.displacement,
-        std=field.std,
-        force=probing.force,
-        force_std=force_std,
-        tip_displacement=probing.tip_displacement,
-        tip_displacement_std=probing.tip_displacement_std,
-        response=response,
-        landmarks={"the contact": probing.contact.point[None], "the support": support},
-        motion=motion,
-        motion_std=motion_std,
-        nuisances=nuisances,
-    )
-
-
-def _motions(
-    session: Session, model: ObjectModel, index: int
-) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
-    """What is known before about the motions of the supports, and how well."""
-    value, std = [], []
-    for support in model.supports:
-        if support.motion == GIVEN:
-            given = given_motion(session, session.probings[index], support)
-            value.append(given.value)
-            std.append(given.std)
-        else:
-            value.append(np.zeros(6))
-            std.append(free_std(session.mesh))
-    strains = np.ones(int(model.gives_motions))
-    left = [j for j in range(6 * len(value) + strains.size) if j not in model.lifts(index)]
-    return (
-        np.concatenate([*value, strains])[left],
-        np.concatenate([*std, 0.0 * strains])[left],
-    )
-
-
-def _measured(probing: Probing) -> DisplacementField:
-    """The displacements of a probing, which must be there."""
-    if probing.displacement is None:
-        raise InputError(
-            f"probing '{probing.name}' has no measured displacement and no images; give one of"
-            " them, or leave it out with --probe"
-        )
-    return probing.displacement

@@ -98,6 +98,8 @@ _TOUCHED = 0.5
 FIXED, GIVEN, FREE = MOTIONS = ("fixed", "given", "free")
 # Of the largest singular value: directions that add less to others are the same again.
 _SAME_DIRECTION = 1e-3
+# Beds of springs [N/m^3]: a metre of the softest gel, and a tenth of a millimetre of diamond.
+_SOFTEST, _STIFFEST = 1.0, 1e16
 # Turns beyond which the displacement of a rigid motion is no longer linear in it: cos differs from
 # 1 by 1e-3.
 _LARGEST_TURN = 0.05
@@ -214,15 +216,19 @@ class Support:
     directions : (d, 3) float or None    of a roller: only these are held, along the others the
                                     surface slides without friction; orthonormal afterwards; None:
                                     all are held
+    stiffness : float [N/m^3] or None    of springs between the surface and what holds it: traction
+                                    over displacement, > 0; None: rigid
 
     Raises
     ------
-    InputError                      another motion; a direction that is zero, or depends on others
+    InputError                      another motion; a direction that is zero, or depends on others;
+                                    a stiffness that is not positive
     """
 
     triangles: Indices
     motion: str = FIXED
     directions: Float[np.ndarray, "d 3"] | None = None
+    stiffness: float | None = None
 
     def __post_init__(self) -> None:
         triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
@@ -231,6 +237,17 @@ class Support:
             raise InputError(f"motion is '{self.motion}'; must be one of {', '.join(MOTIONS)}")
         if self.directions is not None:
             object.__setattr__(self, "directions", _orthonormal(self.directions))
+        if self.stiffness is not None and not (_SOFTEST <= self.stiffness <= _STIFFEST):
+            raise InputError(
+                f"stiffness is {self.stiffness:g} N/m^3; must be a traction over a displacement"
+                f" from {_SOFTEST:g} to {_STIFFEST:g} N/m^3 (a foam 1 cm thick has about 5e6): for"
+                " a rigid support leave it out"
+            )
+
+    @property
+    def compliance(self) -> float:
+        """Displacement over traction [m/Pa]; 0: rigid."""
+        return 0.0 if self.stiffness is None else 1.0 / self.stiffness
 
     @property
     def holding(self) -> Float[np.ndarray, "3 3"]:

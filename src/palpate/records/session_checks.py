@@ -38,6 +38,8 @@ _STRONGEST = 3e9
 _EARTH = 9.81
 # Foams have 10 to 100 kg/m^3.
 _LIGHTEST = 5.0
+# Over the largest measured displacement: an object that sinks farther was to be seen to sink.
+_SINKS = 2.0
 # Of the surface: a smaller support is more likely one that was missed.
 _SMALLEST_SUPPORT = 2e-3
 
@@ -271,6 +273,7 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
         notes.append(
             f"The density is {session.density:.3g} kg/m^3, lighter than foam: is it in g/cm^3?"
         )
+    notes += _settlement_notes(session)
     for probing in session.probings:
         notes += [f"Probing {probing.name}: {text}" for text in _probing_notes(mesh, probing, size)]
     return tuple(notes)
@@ -295,6 +298,25 @@ def _thin_notes(mesh: TriangleMesh) -> list[str]:
         " mesh)."
     )
     return [text]
+
+
+def _settlement_notes(session: Session) -> list[str]:
+    """Supports into whose springs the object would sink farther than anything moved."""
+    notes = []
+    areas = triangle_areas(session.mesh)
+    for number, support in enumerate(session.supports, start=1):
+        for probing in session.probings:
+            force = float(np.linalg.norm(probing.force))
+            sunk = force * support.compliance / float(areas[support.triangles].sum())
+            largest = _largest_displacement(probing)
+            if len(session.supports) == 1 and sunk > _SINKS * largest > 0.0:
+                notes.append(
+                    f"Probing {probing.name}: under its {force:.3g} N the object would sink"
+                    f" {sunk:.3g} m into support {number}, whose stiffness is"
+                    f" {support.stiffness:.3g} N/m^3; nothing moved farther than {largest:.3g} m:"
+                    " is it in N/m^3?"
+                )
+    return notes
 
 
 def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str]:

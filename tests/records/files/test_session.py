@@ -232,6 +232,18 @@ def test_tolerance_of_a_plane_is_in_the_unit_of_lengths(edited):
     assert len(read_session(edited("tolerance = 0.002", "tolerance = 0.004")).held_triangles) == 32
 
 
+def test_stiffness_of_a_bed_under_the_support(edited):
+    folder = edited("[support]", '[support]\nstiffness = "2 kPa/mm"')
+    session = read_session(folder)
+    assert session.supports[0].stiffness == pytest.approx(2e6, rel=1e-12)
+    assert session.supports[0].compliance == pytest.approx(5e-7, rel=1e-12)
+    assert not any("would sink" in note for note in session.notes)
+    # 1.2 N over 16 cm^2 on a thousandth of that: 0.38 m, where nothing moved more than 2 mm.
+    session = read_session(edited('"2 kPa/mm"', "2e3"))
+    assert any("would sink 0.375 m into support 1" in note for note in session.notes)
+    assert read_session(edited("stiffness = 2e3", "")).supports[0].stiffness is None
+
+
 def test_support_that_is_the_whole_surface_is_refused(edited):
     folder = _support(edited, "box = { min = [-1, -1, -1], max = [1, 1, 1] }")
     with pytest.raises(RecordError, match=r"the whole surface \(all 192 triangles\)"):

@@ -14,10 +14,12 @@ from palpate.estimation import (
     Nuisance,
     Pose,
     ProbeResponse,
+    SpringResponse,
 )
 from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.moving_supports import rigid_modes
 from palpate.pipeline.model.object_model import ObjectModel
+from palpate.pipeline.model.spring_responses import compliance_error
 
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 
@@ -25,7 +27,7 @@ Response = Callable[[float], Float[np.ndarray, "v c"]]
 def shared_errors(
     model: ObjectModel,
     index: int,
-    response: ProbeResponse,
+    response: ProbeResponse | SpringResponse,
     change: Sequence[csr_array],
     vertices: Response,
     scale_error: float,
@@ -36,7 +38,7 @@ def shared_errors(
     ----------
     model : ObjectModel
     index : int                     of the probing
-    response : ProbeResponse        of the probing
+    response : ProbeResponse or SpringResponse      of the probing
     change : sequence of csr_array  `pose_changes` of its points
     vertices : function             response of all vertices to its loads
     scale_error : float [-]         of its displacements' lengths, beside the session's own prior
@@ -59,6 +61,8 @@ def shared_errors(
     mine = tuple(one.parameter for one in model.changes if one.probing == index)
     if mine:
         found.append(ContactError(mine, response.change))
+    if isinstance(response, SpringResponse):
+        found += filter(None, [compliance_error(model, response)])
     return tuple(found)
 
 

@@ -15,7 +15,7 @@ from palpate.estimation import (
     ProbeObservations,
     fit,
 )
-from palpate.pipeline.model import make_finite_body, strain_corrections
+from palpate.pipeline.model.finite_strain import make_finite_body, strain_corrections
 from palpate.progress import Progress, part_of
 from palpate.records import Session
 from palpate.shapes import Points
