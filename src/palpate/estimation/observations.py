@@ -59,6 +59,8 @@ class ProbeObservations:
                                             one
     landmarks : name -> (k, 3) float [m]    places for messages, such as "the contact"
     nuisances : tuple of Nuisance           errors that its points share, or all probings
+    vertices : ResponseModel or None        of all vertices of the mesh, where their displacement is
+                                            wanted along with the estimate
 
     Raises
     ------
@@ -78,6 +80,7 @@ class ProbeObservations:
     motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     landmarks: Mapping[str, Float[np.ndarray, "_ 3"]] = field(default_factory=dict)
     nuisances: tuple[Nuisance, ...] = ()
+    vertices: ResponseModel | None = None
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "

@@ -1,15 +1,18 @@
 """Pictures of an estimate: likelihood, each probing alone, measured against predicted."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap
+from palpate.figures.checks import errors_figure, predictions_figure
 from palpate.figures.displacement import displacement_figure
 from palpate.figures.style import (
     BLUE,
@@ -18,6 +21,7 @@ from palpate.figures.style import (
     ORANGE,
     PALE_BLUE,
     open_frame,
+    save_drawing,
     save_figure,
     styled,
 )
@@ -34,11 +38,12 @@ _SYMBOLS = {
 
 
 def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]:
-    """Write all pictures of an estimate as PNG files.
+    """Write all pictures of an estimate as PNG files, those of lines and letters as SVG too.
 
     `likelihood.png` shows which pairs of Poisson's ratio and shear modulus the data allow,
-    `probings.png` what each probing alone says, `displacement/NAME.png` measured against predicted
-    displacement of each probing on the object's surface.
+    `probings.png` what each probing alone says, `predictions.png` how well the others foretell it,
+    `errors.png` what was found of the errors that points share, `displacement/NAME.png` measured
+    against predicted displacement of each probing on the object's surface.
 
     Parameters
     ----------
@@ -54,12 +59,20 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     ------
     OSError                 a file cannot be written
     """
-    written = [save_figure(likelihood_figure(result), folder / "likelihood.png")]
+    written = save_drawing(likelihood_figure(result), folder / "likelihood.png")
     if result.estimate.probes:
-        written.append(save_figure(probings_figure(result.estimate), folder / "probings.png"))
+        written += save_drawing(probings_figure(result.estimate), folder / "probings.png")
+    for name, drawn in (
+        ("predictions", predictions_figure(session, result)),
+        ("errors", errors_figure(result.estimate)),
+    ):
+        if drawn is not None:
+            written += save_drawing(drawn, folder / f"{name}.png")
     by_name = {probing.name: probing for probing in session.probings}
     for number, fit in enumerate(result.probes, start=1):
-        figure = displacement_figure(session.mesh, by_name[fit.name], fit)
+        figure = displacement_figure(
+            session.mesh, by_name[fit.name], fit, held=session.held_triangles
+        )
         if figure is not None:
             stem = file_stem(fit.name, otherwise=f"probing-{number}")
             file = folder / "displacement" / f"{stem}.png"
@@ -78,38 +91,67 @@ def likelihood_figure(result: FitResult) -> Figure:
 
     Returns
     -------
-    Figure                          4.6 by 3.6 inches
+    Figure                          4.6 by 3.9 inches
     """
     estimate = result.estimate
     factor, unit = modulus_unit(estimate.shear_modulus.value)
     nu, shear, deviance = _refined(result.likelihood)
     shear = shear / factor
-    figure = Figure(figsize=(4.6, 3.6))
-    axes = figure.add_axes((0.14, 0.13, 0.82, 0.76))
+    figure = Figure(figsize=(4.6, 3.9))
+    axes = figure.add_axes((0.14, 0.12, 0.82, 0.70))
     # A spline may dip below zero.
     levels = [min(0.0, float(deviance.min())) - 1e-9, *REGIONS.values()]
     axes.contourf(nu, shear, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE])
     axes.contour(nu, shear, deviance, levels=levels[1:], colors=BLUE, linewidths=0.8)
-    young = estimate.young_modulus.value
-    (same_young,) = axes.plot(
-        nu, young / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8
-    )
-    (best,) = axes.plot(
-        estimate.poisson_ratio.value, estimate.shear_modulus.value / factor, "o", color=ORANGE,
-        markersize=5, markeredgecolor="white", zorder=5, clip_on=False,
-    )  # fmt: skip
     axes.set(xlim=(nu[0], nu[-1]), ylim=(shear[0], shear[-1]))
     axes.set(xlabel=r"Poisson's ratio $\nu$", ylabel=f"shear modulus $G$ ({unit})")
-    young_factor, young_unit = modulus_unit(young)
-    patches = [
-        Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
-        for colour in (MIDDLE_BLUE, PALE_BLUE)
-    ]
-    labels = ["best", "50 %", "95 %", f"$E$ = {young / young_factor:.4g} {young_unit}"]
-    handles = [best, *patches, same_young]
-    figure.legend(handles, labels, loc="upper center", ncols=4, columnspacing=1.4)
+    patches = {
+        f"both together, {share} %": Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
+        for share, colour in zip(REGIONS, (MIDDLE_BLUE, PALE_BLUE), strict=True)
+    }
+    handles = patches | _told_lines(axes, estimate, nu, factor)
+    figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=2, columnspacing=1.4)
     open_frame(axes)
     return figure
+
+
+def _told_lines(
+    axes: Axes, estimate: Estimate, nu: Float[np.ndarray, " a"], factor: float
+) -> dict[str, Artist]:
+    """What the table says of each constant alone, beside the region of both; by their labels."""
+    found: dict[str, Artist] = {}
+    ratio, shear, young = (
+        getattr(estimate, name) for name in ("poisson_ratio", "shear_modulus", "young_modulus")
+    )
+    known = [estimate.identifiable[name] for name in ("poisson_ratio", "shear_modulus")]
+    place = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
+    low, high = np.clip(ratio.ci95, *axes.get_xlim())
+    soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
+    # What is not determined is drawn as what it is: all that is possible.
+    lines = [
+        axes.plot([low, high], [place[1]] * 2, **_told(known[0]))[0],
+        axes.plot([place[0]] * 2, [soft, stiff], **_told(known[1]))[0],
+    ]
+    for line, one in zip(lines, known, strict=True):
+        label = "each alone, 95 %: as printed" if one else "not determined: all that is possible"
+        found[label] = line
+    if all(known):
+        (found["estimate"],) = axes.plot(
+            ratio.value, shear.value / factor, "o", color=ORANGE, markersize=5,
+            markeredgecolor="white", zorder=5, clip_on=False,
+        )  # fmt: skip
+    if estimate.identifiable["young_modulus"]:
+        size, unit = modulus_unit(young.value)
+        (found[f"$E$ = {young.value / size:.4g} {unit}"],) = axes.plot(
+            nu, young.value / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8
+        )
+    return found
+
+
+def _told(known: bool) -> dict[str, Any]:
+    """How the interval of one constant is drawn."""
+    ends = {"marker": "|", "markersize": 6.0, "zorder": 4, "clip_on": False}
+    return ends | {"color": ORANGE if known else GREY, "linewidth": 2.0 if known else 1.2}
 
 
 def _refined(

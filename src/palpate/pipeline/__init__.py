@@ -20,6 +20,16 @@ from palpate.pipeline.imported_points import (
     triangulated as triangulated,
     without_contradicted as without_contradicted,
 )
+from palpate.pipeline.kept import (
+    MOTION_FILE as MOTION_FILE,
+    SURFACE_FILE as SURFACE_FILE,
+    FittedProbing as FittedProbing,
+    FittedSurface as FittedSurface,
+    keep_motion as keep_motion,
+    read_fitted_surface as read_fitted_surface,
+    with_kept_motion as with_kept_motion,
+    write_fitted_surface as write_fitted_surface,
+)
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,

@@ -38,6 +38,7 @@ from palpate.pipeline.model import (
     probe_rows,
     shared_errors,
 )
+from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     EXACT,
@@ -98,7 +99,7 @@ def fit_session(
     model = make_object_model(graded, surface=surface, cache=cache)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
-    observations = session_observations(graded, model, settings=settings)
+    observations = session_observations(graded, model, settings=settings, with_surface=True)
     observations = _with_mesh_errors(observations, coarser)
     factorised = time.perf_counter()
     result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
@@ -117,7 +118,7 @@ def fit_session(
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(*result.estimate.notes, *_turn_notes(probes)),
+        notes=(*result.estimate.notes, *_turn_notes(probes), *_rejection_notes(session)),
         seconds=seconds,
         settings={
             **result.estimate.settings,
@@ -127,7 +128,13 @@ def fit_session(
             "assumed_forces": [one.name for one in session.probings if one.force_std is None],
         },
     )
-    return replace(result, estimate=estimate)
+    fits = tuple(_on_given_mesh(one, len(session.mesh.vertices)) for one in result.probes)
+    return replace(result, estimate=estimate, probes=fits)
+
+
+def _on_given_mesh(found: ProbeFit, vertices: int) -> ProbeFit:
+    """Without what the graded mesh has besides: the given mesh's vertices come first in it."""
+    return found if found.surface is None else replace(found, surface=found.surface[:vertices])
 
 
 def _with_mesh_errors(
@@ -156,6 +163,12 @@ def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
     return notes
 
 
+def _rejection_notes(session: Session) -> list[str]:
+    """A sentence about points that pictures could not follow."""
+    found = rejections(session)
+    return [rejection_note(found)] if any(one.lost for one in found) else []
+
+
 def _support_estimates(
     model: ObjectModel, index: int, found: ProbeFit
 ) -> tuple[SupportEstimate, ...]:
@@ -174,7 +187,11 @@ def _support_estimates(
 
 
 def session_observations(
-    session: Session, model: ObjectModel, *, settings: FitSettings = FitSettings()
+    session: Session,
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    with_surface: bool = False,
 ) -> list[ProbeObservations]:
     """What each probing saw, with what the model says it should have seen.
 
@@ -183,6 +200,8 @@ def session_observations(
     session : Session                     k probings, each with displacements
     model : ObjectModel                   of this session
     settings : FitSettings                method and range of Poisson's ratio
+    with_surface : bool                   have the displacement of all vertices told along with the
+                                          estimate
 
     Returns
     -------
@@ -199,7 +218,7 @@ def session_observations(
         for k, probing in enumerate(session.probings)
     ]
     with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
-    if with_pose:
+    if with_pose or with_surface:
         every = _vertices(session.mesh)
         rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
     if settings.method == FitMethod.NELDER_MEAD:
@@ -210,7 +229,7 @@ def session_observations(
         )
         responses = [reduced_response(reduced, row) for row in rows]
     own = responses[: len(session.probings)]
-    vertices = responses[len(session.probings) :] if with_pose else own
+    vertices = responses[len(session.probings) :] or own
     support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
     changes: dict[bytes, list[csr_array]] = {}
     observations = []
@@ -220,7 +239,8 @@ def session_observations(
         key = field.surface.position.tobytes()
         changes[key] = changes.get(key) or pose_changes(model, field.surface)
         nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
-        observations.append(_observations(session, model, k, response, support, nuisances))
+        seen = _observations(session, model, k, response, support, nuisances)
+        observations.append(replace(seen, vertices=nodal if with_surface else None))
     return observations
 
 

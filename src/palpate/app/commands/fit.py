@@ -1,28 +1,37 @@
 """`palpate fit`: a session in, a table and a result folder out."""
 
+import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
 
 from palpate.app.terminal import (
+    StageLog,
     constants_table,
     print_notes,
+    print_tables,
     print_text,
     probes_table,
     progress_bar,
 )
 from palpate.bem import SurfaceSettings, check_memory
-from palpate.estimation import FitSettings
+from palpate.estimation import FitResult, FitSettings
 from palpate.figures import write_plots
 from palpate.pipeline import (
     fit_session,
+    keep_motion,
+    with_kept_motion,
     with_pictures_measured,
+    write_fitted_surface,
     write_residuals,
 )
+from palpate.progress import Progress
 from palpate.records import (
+    Estimate,
+    Session,
     Status,
     default_folder,
     parts_folder,
@@ -32,9 +41,13 @@ from palpate.records import (
     result_folder,
     session_files,
     write_estimate,
+    write_text,
 )
+from palpate.report import REPORT_FILE, write_report
+from palpate.versions import versions
 
 _NOT_OK = 3
+_REUSED = "the motion in the pictures is the one that {} holds: nothing has changed since"
 
 
 def fit(
@@ -51,7 +64,8 @@ def fit(
 ) -> int:
     """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
 
-    Prints the constants with their intervals and leaves a folder with estimate.json and plots.
+    Prints the constants with their intervals and leaves a folder with a report, estimate.json and
+    plots. Motion that was measured in pictures is kept there and used again by the next fit.
 
     Parameters
     ----------
@@ -80,7 +94,7 @@ def fit(
     int
         0, or 3 where the data do not determine a constant.
     """
-    console = Console()
+    log = StageLog()
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
@@ -89,9 +103,11 @@ def fit(
         record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)
-        with progress_bar() as progress:
-            measured = with_pictures_measured(given, progress=progress, parts=parts_folder(folder))
+        with progress_bar() as bar:
+            progress = log.listening(bar)
+            measured, reused = _measured(given, target, folder, progress)
             print_notes(measured.notes[len(given.notes) :])
+            motion = log.seconds
             result = fit_session(
                 measured,
                 settings=settings,
@@ -100,18 +116,63 @@ def fit(
                 progress=progress,
             )
             progress("tables and plots", 1.0)
-            write_estimate(folder / "estimate.json", result.estimate)
-            write_residuals(folder, measured, result)
-            write_plots(folder, measured, result)
-    estimate = result.estimate
-    if len(estimate.probes) > 0:
-        console.print(probes_table(estimate))
-    console.print(constants_table(estimate))
-    for note in estimate.notes:
-        if note not in measured.notes:
-            print_text(f"Note: {note}")
-    print_text(f"Result in {target} ({estimate.seconds.get('total', float('nan')):.1f} s)")
-    if estimate.status is not Status.OK:
-        print(f"palpate: {estimate.status.value}: {estimate.status.advice}", file=sys.stderr)
+            result = _told(result, motion, log, _command(session, probe, settings, surface))
+            _write(folder, given, measured, result, log)
+    _print(result.estimate, measured)
+    if reused:
+        print_text(f"Note: {_REUSED.format(target)}.")
+    print_text(f"Result in {target}, report in {target / REPORT_FILE} ({log.seconds:.1f} s)")
+    if result.estimate.status is not Status.OK:
+        print(f"palpate: {result.estimate.status.advice}", file=sys.stderr)
         return _NOT_OK
     return 0
+
+
+def _measured(
+    given: Session, target: Path, folder: Path, progress: Progress
+) -> tuple[Session, bool]:
+    """The session with the motion of its pictures, and whether an earlier result held it."""
+    blind = any(one.displacement is None and one.images for one in given.probings)
+    if blind and (kept := with_kept_motion(given, target)) is not None:
+        return kept, True
+    return with_pictures_measured(given, progress=progress, parts=parts_folder(folder)), False
+
+
+def _told(result: FitResult, motion: float, log: StageLog, command: str) -> FitResult:
+    """The result with the seconds of the whole work, and what repeats it."""
+    estimate = result.estimate
+    seconds = {"reading_and_motion": motion, **estimate.seconds, "total": log.seconds}
+    settings = {"command": command, "versions": versions(), **estimate.settings}
+    return replace(result, estimate=replace(estimate, seconds=seconds, settings=settings))
+
+
+def _command(session: Path, probe: list[str] | None, settings: FitSettings, surface: str) -> str:
+    """The line that repeats a fit, without what has no part in its numbers."""
+    words = ["palpate", "fit", str(session)]
+    words += ["--probe", *probe] if probe else []
+    words += ["--method", settings.method, "--surface", surface]
+    return shlex.join([*words, "--poisson-range", *(f"{end:g}" for end in settings.poisson_range)])
+
+
+def _write(
+    folder: Path, given: Session, measured: Session, result: FitResult, log: StageLog
+) -> None:
+    """All files of the result, the report last, which is made of the others."""
+    write_estimate(folder / "estimate.json", result.estimate)
+    write_residuals(folder, measured, result)
+    write_fitted_surface(folder, measured, result)
+    if measured is not given:
+        keep_motion(folder, given, measured)
+    write_plots(folder, measured, result)
+    write_text(folder / "log.txt", "\n".join([*log.lines, *measured.notes, ""]))
+    write_report(folder, folder / REPORT_FILE)
+
+
+def _print(estimate: Estimate, session: Session) -> None:
+    """The tables, and what a reader must know besides."""
+    if len(estimate.probes) > 0:
+        print_tables(probes_table(estimate))
+    print_tables(constants_table(estimate))
+    for note in estimate.notes:
+        if note not in session.notes:
+            print_text(f"Note: {note}")

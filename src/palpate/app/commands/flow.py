@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
 from rich.markup import escape
 
-from palpate.app.terminal import flow_table, print_notes, print_text, progress_bar
+from palpate.app.terminal import flow_table, print_notes, print_tables, print_text, progress_bar
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
     FLOW_METHODS,
@@ -116,7 +115,7 @@ def flow(
                 pictures=pictures,
             )  # fmt: skip
     print_notes(note for note in found.notes if note not in given.notes)
-    Console().print(flow_table(figures, found.rig))
+    print_tables(flow_table(figures, found.rig))
     print_text(f"{_closing(figures, seconds)}\nResult in {target}")
     return _NOT_OK if _complaints(figures) else 0
 

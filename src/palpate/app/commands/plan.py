@@ -6,10 +6,9 @@ from typing import Annotated
 import cv2
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.bem import check_memory
 from palpate.errors import InputError
 from palpate.lab import choose_variant, planned_pictures
@@ -80,7 +79,7 @@ def plan(
             for name, picture in planned_pictures(given, variant=variant):
                 _save(folder / f"{name}.png", picture)
         print_notes([variant.why])
-    Console().print(_cameras(found), _probings(found, young_modulus, poisson_ratio))
+    print_tables(_cameras(found), _probings(found, young_modulus, poisson_ratio))
     print_text(f"Pictures in {target}")
     return 0
 

@@ -10,13 +10,15 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
+from palpate.app.terminal.output import ShownTable, table_content
 from palpate.pipeline import MotionFigures
 from palpate.records import (
     Estimate,
+    ProbeEstimate,
     Rig,
+    constant_row,
     constant_text,
     error_texts,
-    interval_text,
     length_unit,
     modulus_unit,
     value_text,
@@ -59,10 +61,11 @@ def terminal_table(
     Table                           of rich
     """
     rows = [list(row) for row in rows]
-    table = Table(
+    table = ShownTable(
         title=escape(title), title_justify="left", caption=escape(caption) or None,
         caption_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
     )  # fmt: skip
+    table.content = table_content(title, columns, rows, caption)
     for k, heading in enumerate(columns):
         cells = [row[k] for row in rows]
         width = max(_HEADING_WIDTH, *map(len, cells)) if cells else _HEADING_WIDTH
@@ -98,7 +101,7 @@ def number_text(value: float | None, form: str) -> str:
 
 
 def constants_table(estimate: Estimate) -> Table:
-    """The three constants with their intervals, and whether the data determine them.
+    """The three constants with their intervals; no values of those that are not determined.
 
     Parameters
     ----------
@@ -110,11 +113,9 @@ def constants_table(estimate: Estimate) -> Table:
     """
     rows = []
     for name, label in _LABELS.items():
-        constant = getattr(estimate, name)
-        factor, unit = (1.0, "-") if name == "poisson_ratio" else modulus_unit(constant.value)
-        values = constant_text(constant, factor=factor), interval_text(constant, factor=factor)
-        rows.append((label, *values, unit, "yes" if estimate.identifiable[name] else "no"))
-    columns = ("constant", "value ± 1 sigma", "95 % interval", "unit", "identifiable")
+        *texts, unit = constant_row(estimate, name)
+        rows.append((label, *texts, unit or "-"))
+    columns = ("constant", "value ± 1 sigma", "95 % interval", "unit")
     caption = " ".join(_captions(estimate))
     return terminal_table("Elastic constants", columns, rows, caption=caption)
 
@@ -153,9 +154,9 @@ def probes_table(estimate: Estimate) -> Table:
     factor, unit = modulus_unit(estimate.young_modulus.value)
     rows = [
         (
-            probe.name, constant_text(probe.poisson_ratio),
-            value_text(probe.shear_modulus, factor=factor),
-            constant_text(probe.young_modulus, factor=factor), str(probe.observed),
+            probe.name, _single(probe, "poisson_ratio", 1.0),
+            _single(probe, "shear_modulus", factor),
+            _single(probe, "young_modulus", factor), str(probe.observed),
             str(probe.missing), str(probe.rejected), _millimetres(probe.rms_residual),
             _millimetres(probe.prediction_error),
         )
@@ -166,8 +167,17 @@ def probes_table(estimate: Estimate) -> Table:
         ("probing", "nu", "G", "E", "seen", "nan", "off", "rms", "left out"),
         rows,
         caption="seen: points; nan: of them not measured; off: outliers left aside; rms: residual"
-        " of the joint estimate; left out: residual of the prediction from the other probings",
+        " of the joint estimate; left out: residual of the prediction from the other probings; a"
+        " dash: not determined by this probing alone",
     )
+
+
+def _single(probe: ProbeEstimate, name: str, factor: float) -> str:
+    """A constant as one probing alone determines it; the shear modulus without its deviation."""
+    if not probe.identifiable.get(name, True):
+        return "-"
+    form = value_text if name == "shear_modulus" else constant_text
+    return form(getattr(probe, name), factor=factor)
 
 
 def flow_table(figures: Sequence[MotionFigures], rig: Rig) -> Table:
