@@ -1,12 +1,12 @@
 """The command line's words: which commands there are, and what is run."""
 
 import sys
-from importlib import import_module
 from typing import Literal
 
 from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
 
+from palpate.app.output import Output, output_as
 from palpate.errors import InputError
 from palpate.versions import versions
 
@@ -69,7 +69,7 @@ _COMMANDS = {
 # `palpate lab CONFIG.toml OUT`.
 _GROUPS = {
     "lab": (
-        "Virtual measurements: made with their truth, or planned; what there is: palpate lab --list",
+        "Virtual measurements, with their truth, or planned; what there is: palpate lab --list",
         {
             "make": (
                 "lab:lab",
@@ -194,14 +194,12 @@ def run(words: list[str]) -> int:
     BrokenPipeError                 nobody reads what is printed
     """
     _check_numbers(words)
-    # Only now: what a terminal needs takes a while to load.
-    terminal = import_module("palpate.app.terminal")
     own = [word for word in words if word not in (*_JSON_WORDS, *_VERBOSE_WORDS)]
-    wanted = terminal.Output(
+    wanted = Output(
         json=any(word in words for word in _JSON_WORDS),
         verbose=any(word in words for word in _VERBOSE_WORDS),
     )
-    with terminal.output_as(wanted, words):
+    with output_as(wanted, words):
         return _called(completed(own))
 
 

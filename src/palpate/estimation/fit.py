@@ -66,6 +66,9 @@ class FitResult:
     probes: tuple[ProbeFit, ...]
     intervals: IntervalSet | None = None
 
+    def __repr__(self) -> str:
+        return f"FitResult of {len(self.probes)} probings: {self.estimate!r}"
+
 
 def fit(
     probes: Sequence[ProbeObservations],

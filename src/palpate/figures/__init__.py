@@ -19,6 +19,8 @@ from palpate.figures.checks import (
     predictions_figure as predictions_figure,
 )
 from palpate.figures.displacement import (
+    MOST_SIGMAS as MOST_SIGMAS,
+    OUTLIER_WEIGHT as OUTLIER_WEIGHT,
     best_direction as best_direction,
     displacement_figure as displacement_figure,
 )

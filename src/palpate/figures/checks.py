@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from palpate.estimation import FitResult, ProbeFit
+from palpate.figures.displacement import OUTLIER_WEIGHT
 from palpate.figures.style import BLUE, GREY, INK, ORANGE, open_frame, styled
 from palpate.records import IMPOSSIBLE, SURPRISING, Estimate, Probing, Session
 
@@ -16,6 +17,9 @@ _MOST_ERRORS = 16
 @styled
 def predictions_figure(session: Session, result: FitResult) -> Figure | None:
     """Displacement of every point: measured, against what the other probings foretell.
+
+    Of what was measured the component along the predicted direction is drawn: noise makes every
+    length longer, and leaves that where it is. Outliers are left out.
 
     Parameters
     ----------
@@ -31,31 +35,37 @@ def predictions_figure(session: Session, result: FitResult) -> Figure | None:
     known = [pair for pair in pairs if pair is not None]
     if not known:
         return None
-    predicted, measured = 1e3 * np.concatenate(known, axis=1)
+    predicted, measured, used = np.concatenate(known, axis=1)
+    predicted, measured = 1e3 * predicted[used > 0.0], 1e3 * measured[used > 0.0]
     step = max(1, len(measured) // _MOST_DOTS)
+    low = min(float(measured.min(initial=0.0)), 0.0)
     figure = Figure(figsize=(4.6, 3.9))
     axes = figure.add_axes((0.14, 0.12, 0.82, 0.78))
-    top = float(np.nanmax([predicted, measured])) or 1.0
+    top = float(max(predicted.max(initial=0.0), measured.max(initial=0.0))) or 1.0
     axes.plot([0.0, top], [0.0, top], color=INK, linewidth=0.8, label="equal")
     axes.plot(
         predicted[::step], measured[::step], "o", color=BLUE, markersize=2.2, alpha=0.55,
         markeredgewidth=0, label="a point", zorder=3,
     )  # fmt: skip
-    axes.set(xlabel="predicted by the other probings (mm)", ylabel="measured $|u|$ (mm)")
-    axes.set(xlim=(0.0, 1.04 * top), ylim=(0.0, 1.04 * top), aspect="equal")
+    axes.set(
+        xlabel="predicted by the other probings (mm)", ylabel="measured along that direction (mm)"
+    )
+    axes.set(xlim=(0.0, 1.04 * top), ylim=(low - 0.02 * top, 1.04 * top))
     figure.legend(loc="upper center", ncols=2)
     open_frame(axes)
     return figure
 
 
 def _pairs(probing: Probing, fit: ProbeFit) -> np.ndarray | None:
-    """Lengths of the displacements of one probing, predicted and measured [m]."""
+    """Predicted lengths [m], what was measured along their directions, and whether it was used."""
     field = probing.displacement
     if field is None or fit.left_out_predicted is None:
         return None
     seen = np.isfinite(field.displacement).all(axis=1)
-    both = fit.left_out_predicted[seen], field.displacement[seen]
-    return np.stack([np.linalg.norm(one, axis=1) for one in both])
+    predicted, measured = fit.left_out_predicted[seen], field.displacement[seen]
+    length = np.linalg.norm(predicted, axis=1)
+    along = np.einsum("nk,nk->n", predicted, measured) / np.maximum(length, 1e-300)
+    return np.stack([length, along, fit.weight[seen].max(axis=1) >= OUTLIER_WEIGHT])
 
 
 @styled
@@ -79,7 +89,7 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     std = np.array([one.std / one.prior_std for one in farthest])
     height = 0.85 + 0.2 * len(farthest)
     figure = Figure(figsize=(7.0, height))
-    axes = figure.add_axes((0.36, 0.45 / height, 0.61, 1 - 0.8 / height))
+    axes = figure.add_axes((0.41, 0.45 / height, 0.56, 1 - 0.8 / height))
     rows = np.arange(len(farthest))
     axes.axvspan(
         -1.0, 1.0, color="#e6e8eb", linewidth=0, zorder=0, label="taken for possible, 1 sigma"
@@ -101,4 +111,4 @@ def errors_figure(estimate: Estimate) -> Figure | None:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= 44 else f"{name[:43]}\N{HORIZONTAL ELLIPSIS}"
+    return name if len(name) <= 54 else f"{name[:53]}\N{HORIZONTAL ELLIPSIS}"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
@@ -70,7 +70,7 @@ class _Scene:
     contact: Vector3
     push: Vector3
     newtons: float
-    held: Flags
+    held: Bool[np.ndarray, " m"]
     outlier: Flags
     size: float
     spot: float

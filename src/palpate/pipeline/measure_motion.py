@@ -286,7 +286,7 @@ def _follow(
 
 
 def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
-    """Digest of what all instants depend on: the session's files, how they are used, the version."""
+    """Digest of what all instants depend on: the session's files, and how they are used."""
     try:
         sums = file_sums(session_files(session.path), start=session.path.parent)
     except OSError as error:

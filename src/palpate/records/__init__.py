@@ -21,6 +21,7 @@ from palpate.records.contact import (
 from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
     CONSTANT_NAMES as CONSTANT_NAMES,
+    IMPOSSIBLE as IMPOSSIBLE,
     SURPRISING as SURPRISING,
     Constant as Constant,
     ErrorEstimate as ErrorEstimate,
@@ -113,11 +114,17 @@ from palpate.records.session import (
     require_probings as require_probings,
 )
 from palpate.records.text import (
+    FORCES as FORCES,
+    LENGTHS as LENGTHS,
+    MODULI as MODULI,
     Column as Column,
+    Quantity as Quantity,
     TextTable as TextTable,
     TomlTable as TomlTable,
     json_text as json_text,
     make_table as make_table,
+    quantities as quantities,
+    quantity as quantity,
     read_text as read_text,
     read_text_table as read_text_table,
     read_toml as read_toml,

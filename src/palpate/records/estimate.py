@@ -301,6 +301,15 @@ class Estimate:
         if all(self.identifiable.values()):
             _check_product(*values)
 
+    def __repr__(self) -> str:
+        parts = []
+        for name in CONSTANT_NAMES:
+            one: Constant = getattr(self, name)
+            low, high = one.ci95
+            told = f"{one.value:.4g} " if self.identifiable[name] else "not determined "
+            parts.append(f"{name} {told}({low:.4g} to {high:.4g})")
+        return f"Estimate: {self.status.sentence}; {', '.join(parts)}"
+
 
 def _check_ranges(shear: float, ratio: float, young: float) -> None:
     """Refuse constants that no material has; NaN is unknown."""

@@ -20,6 +20,7 @@ from palpate.records import (
     read_text,
     verdict_text,
 )
+from palpate.shapes import Points
 
 _LABELS = {
     "young_modulus": ("Young's modulus", "E"),
@@ -98,11 +99,10 @@ def probing_rows(estimate: Estimate) -> list[list[str]]:
     ----------
     estimate : Estimate
     """
-    factor, _ = modulus_unit(estimate.young_modulus.value)
     return [
         [
             probe.name,
-            *(_alone(probe, name, 1.0 if name == "poisson_ratio" else factor) for name in _LABELS),
+            *(_alone(estimate, probe, name) for name in _LABELS),
             str(probe.observed),
             _millimetres(probe.rms_residual),
         ]
@@ -110,8 +110,12 @@ def probing_rows(estimate: Estimate) -> list[list[str]]:
     ]
 
 
-def _alone(probe: ProbeEstimate, name: str, factor: float) -> str:
-    if not probe.identifiable.get(name, True):
+def _alone(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
+    factor = 1.0
+    if name != "poisson_ratio":
+        factor, _ = modulus_unit(estimate.young_modulus.value)
+    # What all together do not determine, none does.
+    if not probe.identifiable.get(name, estimate.identifiable[name]):
         return "\N{EN DASH}"
     return constant_text(getattr(probe, name), factor=factor)
 
@@ -129,16 +133,23 @@ def prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str
     for probe in estimate.probes:
         if probe.prediction_error is None or probe.name not in measured:
             continue
-        length = np.linalg.norm(measured[probe.name].displacement, axis=1)
-        typical = float(np.sqrt(np.nanmean(length**2)))
-        share = probe.prediction_error / typical if typical else math.nan
+        typical = _rms(measured[probe.name].displacement)
+        seen = measured[probe.name]
+        noise = _rms(np.where(np.isfinite(seen.displacement), seen.sigma, np.nan))
+        over = probe.prediction_error / noise if noise > 0.0 else math.nan
         rows.append(
             [
                 probe.name, _millimetres(typical), _millimetres(probe.prediction_error),
-                f"{100 * share:.2g} %", _millimetres(probe.rms_residual),
+                _millimetres(noise), f"{over:.2f}" if math.isfinite(over) else "\N{EN DASH}",
             ]
         )  # fmt: skip
     return rows
+
+
+def _rms(vectors: Points) -> float:
+    """Root mean square length of those vectors that are known; NaN where there is none."""
+    known = np.isfinite(vectors).all(axis=1)
+    return float(np.sqrt((vectors[known] ** 2).sum(axis=1).mean())) if known.any() else math.nan
 
 
 def error_rows(estimate: Estimate) -> list[list[str]]:

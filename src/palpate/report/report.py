@@ -12,9 +12,23 @@ from PIL import Image
 
 from palpate.disk import write_bytes
 from palpate.errors import RecordError
+from palpate.estimation import FitResult
+from palpate.figures import write_plots
 from palpate.files import read_bytes
-from palpate.pipeline import FittedSurface, read_fitted_surface
-from palpate.records import Estimate, folder_changes, read_estimate, read_text
+from palpate.pipeline import (
+    FittedSurface,
+    read_fitted_surface,
+    write_fitted_surface,
+    write_residuals,
+)
+from palpate.records import (
+    Estimate,
+    Session,
+    folder_changes,
+    read_estimate,
+    read_text,
+    write_estimate,
+)
 from palpate.report.content import (
     constant_rows,
     error_rows,
@@ -125,6 +139,25 @@ def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
             return found, len(files) - number
         found[file.stem] = "data:image/webp;base64," + text
     return found, 0
+
+
+def write_result_files(folder: Path, session: Session, result: FitResult) -> None:
+    """Write all that a report is made of: estimate.json, residuals, surface.npz, pictures.
+
+    Parameters
+    ----------
+    folder : Path                   of the result
+    session : Session               that was fitted
+    result : FitResult
+
+    Raises
+    ------
+    OSError, RecordError            a file cannot be written
+    """
+    write_estimate(folder / "estimate.json", result.estimate)
+    write_residuals(folder, session, result)
+    write_fitted_surface(folder, session, result)
+    write_plots(folder, session, result)
 
 
 def checked_result(folder: Path) -> None:

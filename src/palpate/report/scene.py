@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import to_hex
 
-from palpate.figures import best_direction
+from palpate.figures import MOST_SIGMAS, OUTLIER_WEIGHT, best_direction
 from palpate.geometry import TriangleMesh, closest_points, unit_normals
 from palpate.pipeline import FittedProbing, FittedSurface
 from palpate.shapes import Points, PointScalars, Vector3
@@ -16,8 +16,6 @@ from palpate.shapes import Points, PointScalars, Vector3
 _MOST_BYTES = 2_200_000
 # Lengths are whole numbers of a unit: this many, and one that stands for "not known".
 _STEPS, _UNKNOWN = 32767, -32768
-# Residuals from here on look alike [sigmas].
-MOST_SIGMAS = 4.0
 _BANDS = 10
 
 
@@ -49,10 +47,10 @@ def scene(surface: FittedSurface) -> dict[str, Any]:
         "held": _text(held),
         "probings": [],
     }
-    size = sum(map(_size, found.values()))
+    size = sum(_size(value) for value in found.values())
     for probing in surface.probings:
         shown = _probing(probing, centre)
-        size += sum(map(_size, shown.values()))
+        size += sum(_size(value) for value in shown.values())
         if size > _MOST_BYTES and found["probings"]:
             break
         found["probings"].append(shown)
@@ -78,17 +76,20 @@ def _direction(surface: FittedSurface) -> Vector3:
     mesh = TriangleMesh(surface.vertices, surface.triangles)
     normals, first = unit_normals(mesh), surface.probings[0]
     seen = np.isfinite(first.displacement).all(axis=1)
-    places = [
-        closest_points(mesh, one).triangle for one in (first.points[seen], first.contact[None])
-    ]
-    return best_direction(normals[places[0]], normals[places[1][0]])
+    places = closest_points(mesh, np.vstack([first.contact, first.points[seen]])).triangle
+    return best_direction(normals[places[1:]], normals[places[0]])
 
 
 def _probing(probing: FittedProbing, centre: np.ndarray) -> dict[str, Any]:
+    """One probing without what was not measured and without outliers."""
     seen = np.isfinite(probing.displacement).all(axis=1)
-    surface = probing.surface
+    used = seen & (probing.weight.max(axis=1) >= OUTLIER_WEIGHT)
+    seen, surface = used if used.any() else seen, probing.surface
+    length = 1e3 * np.linalg.norm(probing.displacement[seen], axis=1)
     return {
         "name": probing.name,
+        # The end of the scale of colours [mm].
+        "top": max(float(np.quantile(length, 0.99)), 1e-6) if seen.any() else 1.0,
         "force": probing.force.tolist(),
         "contact": (1e3 * (probing.contact - centre)).tolist(),
         "rows": (np.flatnonzero(seen) + 1).tolist(),

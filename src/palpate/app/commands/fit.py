@@ -19,14 +19,11 @@ from palpate.app.terminal import (
 )
 from palpate.bem import SurfaceSettings, check_memory
 from palpate.estimation import FitResult, FitSettings
-from palpate.figures import write_plots
 from palpate.pipeline import (
     fit_session,
     keep_motion,
     with_kept_motion,
     with_pictures_measured,
-    write_fitted_surface,
-    write_residuals,
 )
 from palpate.progress import Progress
 from palpate.records import (
@@ -40,10 +37,9 @@ from palpate.records import (
     require_probings,
     result_folder,
     session_files,
-    write_estimate,
     write_text,
 )
-from palpate.report import REPORT_FILE, write_report
+from palpate.report import REPORT_FILE, write_report, write_result_files
 from palpate.versions import versions
 
 _NOT_OK = 3
@@ -158,12 +154,9 @@ def _write(
     folder: Path, given: Session, measured: Session, result: FitResult, log: StageLog
 ) -> None:
     """All files of the result, the report last, which is made of the others."""
-    write_estimate(folder / "estimate.json", result.estimate)
-    write_residuals(folder, measured, result)
-    write_fitted_surface(folder, measured, result)
     if measured is not given:
         keep_motion(folder, given, measured)
-    write_plots(folder, measured, result)
+    write_result_files(folder, measured, result)
     write_text(folder / "log.txt", "\n".join([*log.lines, *measured.notes, ""]))
     write_report(folder, folder / REPORT_FILE)
 

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.units import Modulus
 from palpate.bem import check_memory
 from palpate.errors import InputError
 from palpate.lab import choose_variant, planned_pictures
@@ -27,7 +28,7 @@ def plan(
     session: Path,
     /,
     *,
-    young_modulus: float,
+    young_modulus: Modulus,
     poisson_ratio: float = 0.3,
     matching_noise: float = MATCHING_NOISE,
     out: Path | None = None,
@@ -44,7 +45,7 @@ def plan(
         Folder of a session with a mesh, a rig, and probings with their forces; pictures need not
         be there yet.
     young_modulus
-        A guess of Young's modulus, Pa.
+        A guess of Young's modulus, Pa or with its unit: 50kPa.
     poisson_ratio
         A guess of Poisson's ratio.
     matching_noise

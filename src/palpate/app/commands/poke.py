@@ -11,6 +11,7 @@ from jaxtyping import Float
 from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.units import Force, Length, Modulus, Place
 from palpate.bem import InteriorState, SurfaceSettings, check_memory
 from palpate.errors import InputError
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
@@ -28,20 +29,21 @@ def poke(
     session: Path,
     /,
     *,
-    force: _Triple,
-    at: _Triple,
+    force: Force,
+    at: Place,
     interior: Annotated[list[_Triple] | None, Parameter(consume_multiple=True)] = None,
-    radius: float | None = None,
+    radius: Length | None = None,
     result: Path | None = None,
-    young_modulus: float | None = None,
-    shear_modulus: float | None = None,
+    young_modulus: Modulus | None = None,
+    shear_modulus: Modulus | None = None,
     poisson_ratio: float | None = None,
     surface: Literal["smooth", "flat"] = "smooth",
     cache: Path | None = None,
 ) -> int:
     """Press a tool on a session's object: how far it gives way, and where it strains.
 
-    Lengths are in metres and forces in newtons, in the frame of the session's mesh. The material
+    Lengths are in metres and forces in newtons, or with their unit ("12 mm", "1.2 N", "50 kPa"), in
+    the frame of the session's mesh. The material
     is that of a result folder of `palpate fit` (--result), or a modulus and Poisson's ratio.
 
     Parameters

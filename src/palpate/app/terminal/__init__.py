@@ -12,8 +12,6 @@ from palpate.app.terminal.notes import (
     print_notes as print_notes,
 )
 from palpate.app.terminal.output import (
-    Output as Output,
-    output_as as output_as,
     print_tables as print_tables,
     print_text as print_text,
 )

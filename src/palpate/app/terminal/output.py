@@ -1,19 +1,15 @@
-"""How a command's output is wanted: on a terminal or as one JSON document, and how much of it."""
+"""Tables and sentences of a command: printed, or kept for a JSON document."""
 
 import re
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from palpate.records import NOT_DETERMINED, json_text
+from palpate.app.output import wanted_output
+from palpate.records import NOT_DETERMINED
 
-OUTPUT_FORMAT = "palpate-output/1"
 # What a cell may say besides a text: nothing, a number, a number and its deviation, an interval.
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _WITH_DEVIATION = re.compile(rf"({_NUMBER}) ± ({_NUMBER})")
@@ -26,58 +22,6 @@ class ShownTable(Table):
     content: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class Output:
-    """How the output of a command is wanted.
-
-    Attributes
-    ----------
-    json : bool                     all tables and sentences as one JSON document
-    verbose : bool                  every stage of long work as a line of its own, with its time
-    tables, sentences : list        what was printed so far, where it becomes a document
-    """
-
-    json: bool = False
-    verbose: bool = False
-    tables: list[dict[str, Any]] = field(default_factory=list)
-    sentences: list[str] = field(default_factory=list)
-
-
-# Of the command that runs; none where tables are printed by other programs.
-_output: ContextVar[Output | None] = ContextVar("output", default=None)
-
-
-@contextmanager
-def output_as(wanted: Output, words: Sequence[str]) -> Iterator[None]:
-    """Have what is printed within the block come out as wanted.
-
-    Parameters
-    ----------
-    wanted : Output
-    words : sequence of str         of the command line, for the document's heading
-    """
-    token = _output.set(wanted)
-    try:
-        yield
-    finally:
-        _output.reset(token)
-    if wanted.json:
-        document = {
-            "format": OUTPUT_FORMAT, "command": list(words), "tables": wanted.tables,
-            "sentences": wanted.sentences,
-        }  # fmt: skip
-        sys.stdout.write(json_text(document))
-
-
-def is_verbose() -> bool:
-    """Whether every stage of long work is to be told."""
-    return _wanted().verbose
-
-
-def _wanted() -> Output:
-    return _output.get() or Output()
-
-
 def print_tables(*tables: Table) -> None:
     """Print tables, or keep them for the document.
 
@@ -85,7 +29,7 @@ def print_tables(*tables: Table) -> None:
     ----------
     tables : Table                  of `terminal_table`
     """
-    wanted = _wanted()
+    wanted = wanted_output()
     if wanted.json:
         wanted.tables.extend(one.content for one in tables if isinstance(one, ShownTable))
     else:
@@ -100,7 +44,7 @@ def print_text(text: str, *, wrapped: bool = True) -> None:
     text : str
     wrapped : bool                  between words at the terminal's width; not where it is copied
     """
-    wanted = _wanted()
+    wanted = wanted_output()
     if wanted.json:
         wanted.sentences.extend(text.splitlines())
     else:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from rich import progress as rich_progress
 from rich.console import Console
 
-from palpate.app.terminal.output import is_verbose
+from palpate.app.output import wanted_output
 from palpate.progress import Progress
 
 
@@ -20,7 +20,7 @@ def progress_bar() -> Iterator[Progress]:
     Where stderr is not a terminal nothing is shown; where every stage is to be told, each has a
     line with the seconds so far, on a terminal or not.
     """
-    if is_verbose():
+    if wanted_output().verbose:
         yield _told_lines()
         return
     console = Console(file=sys.stderr)

@@ -151,12 +151,12 @@ def probes_table(estimate: Estimate) -> Table:
     -------
     Table                           moduli in a unit of fitting size, residuals in mm
     """
-    factor, unit = modulus_unit(estimate.young_modulus.value)
+    _, unit = modulus_unit(estimate.young_modulus.value)
     rows = [
         (
-            probe.name, _single(probe, "poisson_ratio", 1.0),
-            _single(probe, "shear_modulus", factor),
-            _single(probe, "young_modulus", factor), str(probe.observed),
+            probe.name, _single(estimate, probe, "poisson_ratio"),
+            _single(estimate, probe, "shear_modulus"),
+            _single(estimate, probe, "young_modulus"), str(probe.observed),
             str(probe.missing), str(probe.rejected), _millimetres(probe.rms_residual),
             _millimetres(probe.prediction_error),
         )
@@ -172,10 +172,14 @@ def probes_table(estimate: Estimate) -> Table:
     )
 
 
-def _single(probe: ProbeEstimate, name: str, factor: float) -> str:
+def _single(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
     """A constant as one probing alone determines it; the shear modulus without its deviation."""
-    if not probe.identifiable.get(name, True):
+    # What all together do not determine, none does.
+    if not probe.identifiable.get(name, estimate.identifiable[name]):
         return "-"
+    factor = 1.0
+    if name != "poisson_ratio":
+        factor, _ = modulus_unit(estimate.young_modulus.value)
     form = value_text if name == "shear_modulus" else constant_text
     return form(getattr(probe, name), factor=factor)
 

@@ -1,4 +1,4 @@
-"""The surface of a fitted object, measured and predicted, as a file that needs no Palpate to read."""
+"""The surface of a fitted object, measured and predicted, as a file that any program reads."""
 
 import io
 import zipfile

@@ -24,10 +24,10 @@
   const length = (a, k) => Math.hypot(a[3 * k], a[3 * k + 1], a[3 * k + 2]);
 
   const SURFACE = [
-    `attribute vec3 place, moved; attribute float value, fixed;
+    `attribute vec3 place, moved; attribute float value, kept;
      uniform mat4 camera; uniform float factor; varying float v, f; varying vec3 eye;
      void main() { vec4 p = camera * vec4(place + factor * moved, 1.0);
-       eye = p.xyz; v = value; f = fixed; gl_Position = p; }`,
+       eye = p.xyz; v = value; f = kept; gl_Position = p; }`,
     `#extension GL_OES_standard_derivatives : enable
      precision highp float; uniform sampler2D map; uniform float painted;
      varying float v, f; varying vec3 eye;
@@ -66,14 +66,12 @@
   class Picture {
     constructor(box, kind) {
       this.kind = kind;
-      [this.canvas, this.cover] = ["surface", "cover"].map((name) => {
-        const canvas = document.createElement("canvas");
-        canvas.className = name;
-        box.append(canvas);
-        return canvas;
-      });
+      // What WebGL draws is copied to a plain picture: browsers print that one.
+      this.canvas = document.createElement("canvas");
+      this.cover = document.createElement("canvas");
+      box.append(this.cover);
       this.pen = this.cover.getContext("2d");
-      const gl = this.canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
+      const gl = this.canvas.getContext("webgl", { antialias: true });
       if (!gl) throw new Error("no WebGL");
       gl.getExtension("OES_standard_derivatives");
       this.gl = gl;
@@ -87,7 +85,7 @@
         gl.texParameteri(gl.TEXTURE_2D, gl["TEXTURE_" + name], gl[value]);
       this.buffers = {};
       this.put("place", this.corners(vertices, 3), 3);
-      this.put("fixed", Float32Array.from(triangles, (_, k) => held[Math.floor(k / 3)]), 1);
+      this.put("kept", Float32Array.from(triangles, (_, k) => held[Math.floor(k / 3)]), 1);
     }
     program([vertex, fragment]) {
       const gl = this.gl, program = gl.createProgram();
@@ -155,7 +153,8 @@
     }
     draw() {
       const gl = this.gl, ratio = Math.min(window.devicePixelRatio || 1, 2);
-      const { clientWidth: w, clientHeight: h } = this.canvas;
+      const { clientWidth: w, clientHeight: h } = this.cover;
+      if (!w || !h) return;
       for (const canvas of [this.canvas, this.cover])
         if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio))
           [canvas.width, canvas.height] = [Math.round(w * ratio), Math.round(h * ratio)];
@@ -166,7 +165,7 @@
       const camera = this.camera(w, h), residuals = state.mode === "residuals";
       const simulated = this.kind === "simulated";
       this.use(this.programs[0],
-        { place: "place", moved: "moved", value: "value", fixed: "fixed" },
+        { place: "place", moved: "moved", value: "value", kept: "kept" },
         { camera, factor: simulated ? state.factor : 0, painted: simulated ? 1 : 0 });
       gl.drawArrays(gl.TRIANGLES, 0, this.buffers.place.count);
       if (!simulated) {
@@ -189,7 +188,7 @@
       const [ca, sa] = [Math.cos(view.azimuth), Math.sin(view.azimuth)];
       const [ce, se] = [Math.cos(view.elevation), Math.sin(view.elevation)];
       const right = [-sa, ca, 0], up = [-se * ca, -se * sa, ce], back = [-ce * ca, -ce * sa, -se];
-      const s = (0.82 * view.zoom * Math.min(w, h)) / data.radius;
+      const s = (view.zoom * Math.min(w, h)) / data.radius;
       const rows = [right.map((x) => (x * s) / w), up.map((x) => (x * s) / h), back.map((x) => (0.45 * x) / data.radius)];
       const m = new Float32Array(16);
       rows.forEach((row, r) => row.forEach((x, c) => { m[4 * c + r] = x; }));
@@ -202,8 +201,9 @@
     }
     annotate(camera, w, h, ratio) {
       const pen = this.pen, one = probings[state.probing];
+      pen.setTransform(1, 0, 0, 1, 0, 0);
+      pen.drawImage(this.canvas, 0, 0);
       pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-      pen.clearRect(0, 0, w, h);
       const size = Math.hypot(...one.force);
       if (size > 0) {
         const reach = (0.42 * data.radius) / size;
@@ -234,7 +234,7 @@
       this.scaleBar(w, h);
     }
     scaleBar(w, h) {
-      const pen = this.pen, pixels = (0.41 * view.zoom * Math.min(w, h)) / data.radius;
+      const pen = this.pen, pixels = (0.5 * view.zoom * Math.min(w, h)) / data.radius;
       const most = (0.22 * w) / pixels, power = 10 ** Math.floor(Math.log10(most));
       const bar = Math.max(...[1, 2, 5].map((k) => k * power).filter((x) => x <= most));
       pen.fillStyle = "#1c1f24";
@@ -244,7 +244,7 @@
       pen.fillText(`${Number(bar.toPrecision(1))} mm`, 12 + bar * pixels + 6, h - 9);
     }
     nearest(x, y) {
-      const { clientWidth: w, clientHeight: h } = this.canvas, camera = this.camera(w, h);
+      const { clientWidth: w, clientHeight: h } = this.cover, camera = this.camera(w, h);
       const one = probings[state.probing];
       let best = null;
       for (const k of this.known) {
@@ -263,21 +263,15 @@
   try {
     pictures = ["measured", "simulated"].map((kind) => new Picture(by(`.${kind} .stage`), kind));
   } catch (error) {
+    console.error(error);
     root.classList.add("without");
     return;
   }
   root.classList.add("with");
   const format = (x) => Number(x.toPrecision(3)).toString();
-  const top = (one) => {
-    const all = [];
-    for (let k = 0; k < one.sigmas.length; k++)
-      if (Number.isFinite(one.measured[3 * k])) all.push(length(one.measured, k));
-    all.sort((a, b) => a - b);
-    return Math.max(all[Math.floor(0.99 * (all.length - 1))] ?? 0, 1e-6);
-  };
   const draw = () => requestAnimationFrame(() => pictures.forEach((one) => one.draw()));
   const choose = () => {
-    const one = probings[state.probing], most = top(one), residuals = state.mode === "residuals";
+    const one = probings[state.probing], most = one.top, residuals = state.mode === "residuals";
     const usual = (0.15 * data.radius) / most, places = Math.floor(Math.log10(usual));
     const slider = by("input[type=range]");
     state.factor = Math.round(slider.value / 5 * usual / 10 ** (places - 1)) * 10 ** (places - 1);
@@ -331,7 +325,7 @@
     });
   });
   const tell = (picture, event) => {
-    const box = picture.canvas.getBoundingClientRect(), one = probings[state.probing];
+    const box = picture.cover.getBoundingClientRect(), one = probings[state.probing];
     const k = picture.nearest(event.clientX - box.left, event.clientY - box.top);
     if (k === null) return;
     by(".told").textContent = `Point ${one.rows[k]}: measured ${format(length(one.measured, k))} mm, simulated `
@@ -339,6 +333,5 @@
   };
   Object.assign(view, { azimuth: data.azimuth, elevation: data.elevation });
   new ResizeObserver(draw).observe(root);
-  window.addEventListener("beforeprint", () => pictures.forEach((one) => one.draw()));
   choose();
 })();

@@ -1,8 +1,8 @@
-"""Commands about what other commands left: reports of results, words for a shell.
+"""Commands about what other commands left: reports of results.
 
 Purpose    : read what a command needs, have it made, say where it is.
 Takes      : arguments of the command line, already of the right types.
-Gives      : an exit code; report.html; a script for a shell.
-Depends on : `app.terminal`, `report`.
+Gives      : an exit code; report.html.
+Depends on : `app.terminal`, `report`, `records`.
 Read first : `report.py`.
 """
