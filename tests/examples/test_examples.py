@@ -107,3 +107,9 @@ def test_examples_stay_small():
     files = [path for path in EXAMPLES.rglob("*") if path.is_file()]
     # Two megabytes is what the project allows itself for examples.
     assert sum(path.stat().st_size for path in files if path.suffix != ".pyc") < 2e6
+
+
+def test_whole_result():
+    # E = 60 kPa, nu = 0.3, whose poke with 1 N is 2.64 mm by `palpate poke`; linear in the force of
+    # 0.980665 N. One probing leaves 2.3 % in E, twice that is granted.
+    assert run_example("14_whole_result.py") == pytest.approx(0.980665 * 2.64e-3, rel=0.046)

@@ -7,7 +7,7 @@ import numpy as np
 from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
 from palpate.estimation.observations import CLAIMED_GROUPS, GROUP_COUNT
 from palpate.estimation.search import Misfit
-from palpate.records import SURPRISING, ErrorEstimate, error_texts
+from palpate.records import SURPRISING, ErrorEstimate, error_texts, length_unit
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
 # Where the model fails, and what is most often wrong there.
@@ -100,7 +100,7 @@ def _noise_notes(misfit: Misfit) -> list[str]:
     notes = []
     estimated = [int(g) for g in present if g < CLAIMED_GROUPS.start]
     if estimated:
-        parts = [f"{misfit.level[g]:.2e} m in {_GROUP_NAMES[g]}" for g in estimated]
+        parts = [f"{_length_text(misfit.level[g])} in {_GROUP_NAMES[g]}" for g in estimated]
         notes.append(f"Noise levels were estimated from the residuals: {', '.join(parts)}.")
     raised = [int(g) for g in present if g >= CLAIMED_GROUPS.start and misfit.level[g] > 1]
     if raised:
@@ -111,6 +111,11 @@ def _noise_notes(misfit: Misfit) -> list[str]:
             f" {', '.join(parts)}."
         )
     return notes
+
+
+def _length_text(metres: float) -> str:
+    factor, unit = length_unit(float(metres))
+    return f"{metres / factor:.2g} {unit}"
 
 
 def _interval_notes(uncertainty: Uncertainty) -> list[str]:

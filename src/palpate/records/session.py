@@ -129,7 +129,7 @@ class Session:
                 )
 
     def __repr__(self) -> str:
-        names = [one.name for one in (*self.probings, *self.steps)]
+        names = [one.name for one in self.probings] or [one.name for one in self.steps]
         kind = "steps" if self.steps else "probings"
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
         return (

@@ -8,18 +8,13 @@ from rich.console import Console
 from rich.table import Table
 
 from palpate.app.output import wanted_output
+from palpate.app.terminal.shown_table import ShownTable
 from palpate.records import NOT_DETERMINED
 
 # What a cell may say besides a text: nothing, a number, a number and its deviation, an interval.
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _WITH_DEVIATION = re.compile(rf"({_NUMBER}) ± ({_NUMBER})")
 _INTERVAL = re.compile(rf"\(?({_NUMBER}) to ({_NUMBER})\)?")
-
-
-class ShownTable(Table):
-    """A table for the terminal that remembers its cells as they came, in `content`."""
-
-    content: dict[str, Any]
 
 
 def print_tables(*tables: Table) -> None:
@@ -31,7 +26,11 @@ def print_tables(*tables: Table) -> None:
     """
     wanted = wanted_output()
     if wanted.json:
-        wanted.tables.extend(one.content for one in tables if isinstance(one, ShownTable))
+        wanted.tables.extend(
+            table_content(one.heading, one.names, one.cells, one.below)
+            for one in tables
+            if isinstance(one, ShownTable)
+        )
     else:
         Console().print(*tables)
 

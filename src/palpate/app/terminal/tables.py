@@ -1,16 +1,12 @@
 """Tables for the terminal: one way to build them, and those of an estimate and of a flow."""
 
 import math
-import re
 import statistics
-import textwrap
 from collections.abc import Iterable, Sequence
 
-from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
-from palpate.app.terminal.output import ShownTable, table_content
+from palpate.app.terminal.shown_table import ShownTable
 from palpate.pipeline import MotionFigures
 from palpate.records import (
     Estimate,
@@ -30,10 +26,6 @@ _LABELS = {
     "young_modulus": "Young's modulus E",
 }
 _SHORT = {"reprojection": "reproj.", "neighbours": "neighb."}
-# Headings are broken between words, so that columns are as narrow as what is in them, or this.
-_HEADING_WIDTH = 7
-# A cell that begins like this makes its column one of words, which are set to the left.
-_WORD = re.compile(r"(?!unknown|nan|inf)[A-Za-z\[]")
 
 
 def terminal_table(
@@ -46,7 +38,8 @@ def terminal_table(
 ) -> Table:
     """A table for the terminal: words to the left, numbers to the right.
 
-    On a narrow terminal a cell goes on in the next line; nothing is left out.
+    On a narrow terminal a cell of words goes on in the next line, and columns that have no room go
+    on below, behind the names; no number is broken, nothing is left out.
 
     Parameters
     ----------
@@ -60,29 +53,7 @@ def terminal_table(
     -------
     Table                           of rich
     """
-    rows = [list(row) for row in rows]
-    table = ShownTable(
-        title=escape(title), title_justify="left", caption=escape(caption) or None,
-        caption_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
-    )  # fmt: skip
-    table.content = table_content(title, columns, rows, caption)
-    for k, heading in enumerate(columns):
-        cells = [row[k] for row in rows]
-        width = max(_HEADING_WIDTH, *map(len, cells)) if cells else _HEADING_WIDTH
-        words = k == 0 or any(_WORD.match(cell) for cell in cells)
-        # A name may go on in the next line, a number may not.
-        unbroken = 0 if k == 0 else max((len(w) for cell in cells for w in cell.split()), default=0)
-        table.add_column(
-            escape(textwrap.fill(heading, width, break_long_words=False)),
-            justify="left" if words else "right",
-            overflow="fold",
-            min_width=unbroken,
-        )
-    for k, row in enumerate(rows):
-        if total and k == len(rows) - 1:
-            table.add_section()
-        table.add_row(*map(escape, row))
-    return table
+    return ShownTable(title, columns, [list(row) for row in rows], caption, total=total)
 
 
 def number_text(value: float | None, form: str) -> str:

@@ -12,7 +12,7 @@ from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import LocalProbe, Minimum, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
-from palpate.shapes import Points
+from palpate.shapes import Points, Vertices
 
 # One scoring step is the refit itself to second order; beyond this the table is searched.
 _SMALL_MOVE = 0.01
@@ -49,7 +49,7 @@ class ProbeFit:
     motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     errors: tuple[ErrorEstimate, ...] = ()
     sigma: Points | None = None
-    surface: Points | None = None
+    surface: Vertices | None = None
 
 
 def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
@@ -146,7 +146,7 @@ def _sigma(local: LocalProbe, misfit: Misfit, count: int) -> Points:
 
 def _surface(
     probe: ProbeObservations, poisson_ratio: float, load: Float[np.ndarray, " c"]
-) -> Points | None:
+) -> Vertices | None:
     """Displacement of all vertices of the mesh, where their response is known."""
     if probe.vertices is None:
         return None

@@ -158,18 +158,28 @@ def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:
     vertices, triangles, held = kept["vertices"], kept["triangles"], kept["held"]
     if triangles.max() >= len(vertices) or (held.size and held.max() >= len(triangles)):
         raise ValueError("triangles name vertices that are not there")
-    probings = []
-    for number, name in enumerate(kept["probings"], start=1):
-        mine = {key.partition("/")[2]: kept[key] for key in kept if key.startswith(f"{number}/")}
-        if not mine:
-            continue
-        mine = {"left_out": None, "surface": None} | mine
-        sizes = {len(mine[key]) for key in _POINTS if mine[key] is not None}
-        whole = mine["surface"] is None or mine["surface"].shape == vertices.shape
-        if len(sizes) != 1 or not whole:
-            raise ValueError(f"arrays of probing '{name}' differ in length")
-        probings.append(FittedProbing(name=str(name), **mine))
+    probings = [
+        _probing(
+            str(name),
+            {key[len(f"{number}/") :]: kept[key] for key in kept if key.startswith(f"{number}/")},
+        )
+        for number, name in enumerate(kept["probings"], start=1)
+        if f"{number}/points" in kept
+    ]
+    if any(one.surface is not None and one.surface.shape != vertices.shape for one in probings):
+        raise ValueError("surfaces of probings are those of another mesh")
     likelihood = LikelihoodMap(
         *(kept[f"likelihood/{key}"] for key in ("poisson_ratio", "shear_modulus", "deviance"))
     )
     return FittedSurface(str(kept["name"]), vertices, triangles, held, tuple(probings), likelihood)
+
+
+def _probing(name: str, arrays: dict[str, np.ndarray]) -> FittedProbing:
+    if len({len(arrays[key]) for key in _POINTS if key in arrays}) != 1:
+        raise ValueError(f"arrays of probing '{name}' differ in length")
+    return FittedProbing(
+        name=name,
+        left_out=arrays.get("left_out"),
+        surface=arrays.get("surface"),
+        **{key: arrays[key] for key in arrays if key not in ("left_out", "surface")},
+    )
