@@ -12,18 +12,22 @@ HERE = Path(__file__).parent
 
 
 def main() -> float:
-    """Displacement of the half ball's top under 100 grams-force, in metres."""
-    result = palpate.fit(HERE / "half_ball", probe=["p4"])
+    """How far the tip of a beam sinks under a weight that was never hung there, in metres."""
+    with tempfile.TemporaryDirectory() as folder:
+        return _shown(Path(folder))
+
+
+def _shown(folder: Path) -> float:
+    result = palpate.fit(HERE / "beam", probe=["load52_a"], cache=folder)
     # Objects print themselves; in a notebook `result` alone in a cell shows a table.
     print(result.session)
     print(result)
     # Numbers with their units, as people write them.
-    poked = result.poke(at=("0 mm", "0 mm", "30 mm"), force=(0, 0, "-100 gf"), radius="5.5 mm")
+    poked = result.poke(at=("-1 mm", "15 mm", "3 cm"), force=(0, 0, "-20 gf"))
     print(poked)
-    with tempfile.TemporaryDirectory() as folder:
-        result.plot("p4").savefig(Path(folder) / "p4.png")
-        report = result.report(Path(folder) / "half_ball.html")
-        print(f"a report of {report.stat().st_size / 1e6:.1f} MB")
+    result.plot("load52_a").savefig(folder / "beam.png")
+    report = result.report(folder / "beam.html")
+    print(f"a report of {report.stat().st_size / 1e6:.1f} MB")
     return float(-poked.displacement[2])
 
 

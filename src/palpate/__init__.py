@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         read_mesh as read_mesh,
         write_mesh as write_mesh,
     )
-    from palpate.pipeline import measure_motion as measure_motion
     from palpate.records import (
         Constant as Constant,
         Contact as Contact,
@@ -52,7 +51,6 @@ _ROOMS = {
     ),
     "palpate.api": ("fit", "Result"),
     "palpate.geometry": ("TriangleMesh", "read_mesh", "write_mesh"),
-    "palpate.pipeline": ("measure_motion",),
     "palpate.errors": ("PalpateError", "InputError"),
 }  # fmt: skip
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}

@@ -61,10 +61,12 @@ class Result:
     ----------
     session : Session               that was fitted, with the displacements that were used
     fitted : FitResult              all numbers: estimate, likelihood, predictions
+    cache : Path or None            folder that keeps the surface integrals
     """
 
     session: Session
     fitted: FitResult
+    cache: Path | None = None
 
     @property
     def estimate(self) -> Estimate:
@@ -156,6 +158,7 @@ class Result:
             tool_contact(self.session, quantities(at, LENGTHS, "at"), size),
             shear_modulus=self.shear_modulus.value,
             poisson_ratio=self.poisson_ratio.value,
+            cache=self.cache,
         )
 
     def save(self, folder: Path | str, *, force: bool = False) -> Path:
@@ -248,12 +251,13 @@ def fit(
     """
     if isinstance(session, (str, os.PathLike)):
         session = read_session(session, probes=None if probe is None else list(probe))
+    folder = None if cache is None else Path(cache)
     measured = with_pictures_measured(session, progress=progress)
     fitted = fit_session(
         measured,
         settings=FitSettings(method=method, poisson_range=poisson_range),
         surface=SurfaceSettings(),
-        cache=None if cache is None else Path(cache),
+        cache=folder,
         progress=progress,
     )
-    return Result(measured, fitted)
+    return Result(measured, fitted, folder)

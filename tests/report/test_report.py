@@ -80,7 +80,7 @@ def test_the_verdict_comes_first_and_all_parts_are_there(saved):
     assert "1 (5 %)" in page.text
 
 
-def test_what_repeats_it_is_there(saved, cube_session):
+def test_what_repeats_it_is_there(saved):
     text = page_of(saved).text
     for line in (saved / "inputs.txt").read_text(encoding="utf-8").splitlines():
         assert line.split()[0] in text
@@ -187,9 +187,7 @@ def test_a_damaged_surface_is_one_message(saved, tmp_path):
         write_report(saved, tmp_path / "report.html")
 
 
-def test_the_report_is_made_again_from_the_folder_alone(saved, tmp_path, cube_session):
-    for file in cube_session.iterdir():
-        file.unlink()
+def test_the_report_is_made_again_from_the_folder_alone(saved, tmp_path):
     write_report(saved, tmp_path / "again.html")
     assert (tmp_path / "again.html").read_bytes() == (saved / "report.html").read_bytes()
 

@@ -1,6 +1,7 @@
 """What a report says, as rows of texts."""
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,9 @@ def verdict(estimate: Estimate) -> Verdict:
     status = estimate.status
     cure = status.cure[:1].upper() + status.cure[1:] + "." if status.cure else ""
     word = _WORDS.get(status, "Partly determined")
-    return Verdict(word, verdict_text(estimate), cure, status is Status.OK)
+    # A unit stays with its number.
+    sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
+    return Verdict(word, sentence, cure, status is Status.OK)
 
 
 def constant_rows(estimate: Estimate) -> list[dict[str, str]]:

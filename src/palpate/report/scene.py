@@ -35,7 +35,8 @@ def scene(surface: FittedSurface) -> dict[str, Any]:
     vertices = 1e3 * (surface.vertices - centre)
     held = np.zeros(len(surface.triangles), dtype=np.uint8)
     held[surface.held] = 1
-    direction = _direction(surface)
+    mesh = TriangleMesh(surface.vertices, surface.triangles)
+    direction = _direction(surface, mesh)
     found: dict[str, Any] = {
         "radius": float(np.linalg.norm(vertices, axis=1).max()),
         "azimuth": float(np.arctan2(direction[1], direction[0])),
@@ -49,7 +50,7 @@ def scene(surface: FittedSurface) -> dict[str, Any]:
     }
     size = sum(_size(value) for value in found.values())
     for probing in surface.probings:
-        shown = _probing(probing, centre)
+        shown = _probing(probing, centre, mesh)
         size += sum(_size(value) for value in shown.values())
         if size > _MOST_BYTES and found["probings"]:
             break
@@ -71,20 +72,20 @@ def in_sigmas(probing: FittedProbing) -> PointScalars:
     return np.sqrt(np.mean(scaled**2, axis=1))
 
 
-def _direction(surface: FittedSurface) -> Vector3:
+def _direction(surface: FittedSurface, mesh: TriangleMesh) -> Vector3:
     """Toward the viewer, so that most points of the first probing are seen."""
-    mesh = TriangleMesh(surface.vertices, surface.triangles)
     normals, first = unit_normals(mesh), surface.probings[0]
     seen = np.isfinite(first.displacement).all(axis=1)
     places = closest_points(mesh, np.vstack([first.contact, first.points[seen]])).triangle
     return best_direction(normals[places[1:]], normals[places[0]])
 
 
-def _probing(probing: FittedProbing, centre: np.ndarray) -> dict[str, Any]:
+def _probing(probing: FittedProbing, centre: Vector3, mesh: TriangleMesh) -> dict[str, Any]:
     """One probing without what was not measured and without outliers."""
     seen = np.isfinite(probing.displacement).all(axis=1)
     used = seen & (probing.weight.max(axis=1) >= OUTLIER_WEIGHT)
     seen, surface = used if used.any() else seen, probing.surface
+    places = closest_points(mesh, probing.points[seen]).triangle
     length = 1e3 * np.linalg.norm(probing.displacement[seen], axis=1)
     return {
         "name": probing.name,
@@ -94,6 +95,7 @@ def _probing(probing: FittedProbing, centre: np.ndarray) -> dict[str, Any]:
         "contact": (1e3 * (probing.contact - centre)).tolist(),
         "rows": (np.flatnonzero(seen) + 1).tolist(),
         "points": _packed(1e3 * (probing.points[seen] - centre)),
+        "normals": _packed(unit_normals(mesh)[places]),
         "measured": _packed(1e3 * probing.displacement[seen]),
         "predicted": _packed(1e3 * probing.predicted[seen]),
         "sigmas": _packed(in_sigmas(probing)[seen]),

@@ -14,7 +14,7 @@
   const held = new Uint8Array(bytes(data.held));
   const probings = data.probings.map((one) => ({
     ...one,
-    points: numbers(one.points), measured: numbers(one.measured),
+    points: numbers(one.points), normals: numbers(one.normals), measured: numbers(one.measured),
     predicted: numbers(one.predicted), sigmas: numbers(one.sigmas),
     surface: one.surface && numbers(one.surface),
   }));
@@ -49,11 +49,13 @@
        gl_FragColor = vec4(body * light, 1.0); }`,
   ];
   const POINTS = [
-    `attribute vec3 place, moved; attribute float value;
+    // A point is seen where the surface under it is: moved ones would dive into the body.
+    `attribute vec3 place, moved, normal; attribute float value;
      uniform mat4 camera; uniform float factor, size, grow; varying float v;
      void main() { vec4 rest = camera * vec4(place, 1.0);
        vec4 p = camera * vec4(place + factor * moved, 1.0);
-       gl_Position = vec4(p.xy, rest.z - 0.02, 1.0); v = value;
+       bool away = (camera * vec4(normal, 0.0)).z > -0.0005;
+       gl_Position = away ? vec4(2.0, 2.0, 2.0, 1.0) : vec4(p.xy, rest.z - 0.15, 1.0); v = value;
        gl_PointSize = size * (1.0 + grow * clamp(value, 0.0, 1.0)); }`,
     `precision highp float; uniform sampler2D map; uniform float line; varying float v;
      void main() {
@@ -126,6 +128,9 @@
       const spread = (array) => Float32Array.from(known.flatMap((k) => [0, 1, 2].map((c) => array[3 * k + c])));
       this.put("p_place", spread(probing.points), 3);
       this.put("p_moved", spread(probing.measured), 3);
+      this.put("p_normal", spread(probing.normals), 3);
+      this.put("l_normal", Float32Array.from(known.flatMap((k) => [0, 1].flatMap(() =>
+        [0, 1, 2].map((c) => probing.normals[3 * k + c])))), 3);
       this.put("p_value", Float32Array.from(known, (k) =>
         sigmas ? Math.min(probing.sigmas[k] / data.most_sigmas, 1) : length(probing.measured, k) / top), 1);
       const ends = known.flatMap((k) => [0, 1, 2].map((c) => probing.points[3 * k + c]));
@@ -173,11 +178,11 @@
         const common = { camera, factor, grow: residuals ? 1 : 0 };
         const size = ratio * Math.max(5, Math.min(13, 170 / Math.sqrt(this.known.length + 1)));
         if (!residuals) {
-          this.use(this.programs[1], { place: "l_place", moved: "l_moved", value: "l_value" },
+          this.use(this.programs[1], { place: "l_place", moved: "l_moved", normal: "l_normal", value: "l_value" },
             { ...common, size: 1, line: 1 });
           gl.drawArrays(gl.LINES, 0, this.buffers.l_place.count);
         }
-        this.use(this.programs[1], { place: "p_place", moved: "p_moved", value: "p_value" },
+        this.use(this.programs[1], { place: "p_place", moved: "p_moved", normal: "p_normal", value: "p_value" },
           { ...common, size, line: 0 });
         gl.drawArrays(gl.POINTS, 0, this.buffers.p_place.count);
       }
