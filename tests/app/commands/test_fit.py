@@ -8,6 +8,7 @@ import json
 
 import numpy as np
 import pytest
+from pipeline.kept.picture_session import measured, with_pictures
 
 from palpate.app.commands import fit as fit_command
 from palpate.errors import NotConvergedError, SingularSystemError
@@ -191,3 +192,45 @@ def test_default_folder_is_named_after_the_session(palpate, calls, cube_session,
     (cube_session / "session.toml").rename(cube_session / "noisy.toml")
     assert palpate("fit", cube_session / "noisy.toml")[0] == 0
     assert (tmp_path / "cube-noisy-result").is_dir()
+
+
+def test_motion_is_measured_once(palpate, calls, cube_session, tmp_path, monkeypatch):
+    asked = []
+
+    def with_pictures_measured(session, **_):
+        asked.append(session)
+        return measured(session)
+
+    monkeypatch.setattr(fit_command, "with_pictures_measured", with_pictures_measured)
+    with_pictures(cube_session)
+    _, first, _ = palpate("fit", cube_session)
+    _, second, err = palpate("fit", cube_session)
+    assert len(asked) == 1
+    assert "nothing has changed since" not in first
+    assert "Note: the motion in the pictures is the one that cube-result holds" in second
+    # Its notes are said again.
+    assert "note: the pictures are dark" in err
+    (cube_session / "loaded_c0.png").write_bytes(b"another picture")
+    assert palpate("fit", cube_session)[0] == 0
+    assert len(asked) == 2
+
+
+def test_the_log_and_the_report_lie_in_the_result(palpate, calls, cube_session, tmp_path):
+    _, out, err = palpate("fit", cube_session, "-v")
+    folder = tmp_path / "cube-result"
+    assert "s  tables and plots" in (folder / "log.txt").read_text(encoding="utf-8")
+    assert "tables and plots" in err
+    assert "report in cube-result/report.html" in out
+    code, out, _ = palpate("report", "cube-result")
+    assert (code, out[:35]) == (0, "Report in cube-result-report.html (")
+    assert (tmp_path / "cube-result-report.html").read_bytes() == (
+        folder / "report.html"
+    ).read_bytes()
+    # Nothing is replaced unasked.
+    code, _, err = palpate("report", "cube-result")
+    assert code == 2
+    assert "is there already" in err
+    assert palpate("report", "cube-result", "--force")[0] == 0
+    code, _, err = palpate("report", cube_session)
+    assert code == 2
+    assert "no result of this version of Palpate" in err
