@@ -1,5 +1,6 @@
 """Pictures of an estimate: likelihood, each probing alone, measured against predicted."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.interpolate import RectBivariateSpline
 
@@ -17,6 +19,7 @@ from palpate.figures.displacement import displacement_figure
 from palpate.figures.style import (
     BLUE,
     GREY,
+    INK,
     MIDDLE_BLUE,
     ORANGE,
     PALE_BLUE,
@@ -141,6 +144,10 @@ def _told_lines(
             markeredgecolor="white", zorder=5, clip_on=False,
         )  # fmt: skip
     if estimate.identifiable["young_modulus"]:
+        edges = [end / factor / (2.0 * (1.0 + nu)) for end in young.ci95]
+        found["E, 95 %: as printed"] = axes.fill_between(
+            nu, *edges, color=ORANGE, alpha=0.12, linewidth=0, zorder=-1
+        )
         size, unit = modulus_unit(young.value)
         (found[f"$E$ = {young.value / size:.4g} {unit}"],) = axes.plot(
             nu, young.value / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8
@@ -174,12 +181,15 @@ def _refined(
 
 
 @styled
-def probings_figure(estimate: Estimate) -> Figure:
+def probings_figure(estimate: Estimate, *, truth: Mapping[str, float] | None = None) -> Figure:
     """Constants of each probing alone with 95 per cent intervals; the joint ones as a band.
+
+    A constant that is not determined has no value: its intervals are drawn without dots.
 
     Parameters
     ----------
     estimate : Estimate             with probings
+    truth : mapping or None         constant's name -> its true value [Pa; -], a line of its own
 
     Returns
     -------
@@ -197,38 +207,54 @@ def probings_figure(estimate: Estimate) -> Figure:
     for axes, (name, symbol) in zip(panels, _SYMBOLS.items(), strict=True):
         joint = getattr(estimate, name)
         factor, unit = (1.0, "") if name == "poisson_ratio" else modulus_unit(joint.value)
-        singles = [getattr(probe, name) for probe in estimate.probes]
-        _dots(axes, singles, joint, factor)
+        told = [
+            (getattr(probe, name), probe.identifiable.get(name, estimate.identifiable[name]))
+            for probe in estimate.probes
+        ]
+        _dots(axes, told, joint, factor, known=estimate.identifiable[name])
         axes.set_xlabel(f"{symbol} ({unit})" if unit else symbol)
         if not estimate.identifiable[name]:
-            axes.set_title("not identifiable from these data", color=ORANGE)
+            axes.set_title("not determined by these data", color=INK)
+        if truth is not None:
+            true = axes.axvline(truth[name] / factor, color=INK, linestyle="--", linewidth=0.9)
     panels[0].set_yticks(range(count), [probe.name for probe in estimate.probes], parse_math=False)
     panels[0].set_ylim(count - 0.4, -0.6)
-    handles = [panels[0].containers[0], panels[0].lines[0], panels[0].patches[0]]
-    labels = ["one probing, 95 %", "all probings", "its 95 % interval"]
-    figure.legend(handles, labels, loc="upper center", ncols=3)
+    handles: dict[str, Artist] = {
+        "one probing, 95 %": Line2D([], [], color=BLUE, marker="o", markersize=3.5, linewidth=0.9),
+        "all probings": Line2D([], [], color=ORANGE, linewidth=1.0),
+        "its 95 % interval": Patch(color=ORANGE, alpha=0.18, linewidth=0),
+    }
+    if truth is not None:
+        handles["truth"] = true
+    figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=4)
     return figure
 
 
-def _dots(axes: Axes, singles: list[Constant], joint: Constant, factor: float) -> None:
+def _dots(
+    axes: Axes, told: list[tuple[Constant, bool]], joint: Constant, factor: float, *, known: bool
+) -> None:
     """One panel of the dot plot; an interval that leaves the panel ends in an arrow head."""
-    axes.axvline(joint.value / factor, color=ORANGE, linewidth=1.0, zorder=1)
+    singles = [single for single, _ in told]
     low, high = joint.ci95
-    axes.axvspan(low / factor, high / factor, color=ORANGE, alpha=0.18, linewidth=0, zorder=0)
+    if known:
+        axes.axvline(joint.value / factor, color=ORANGE, linewidth=1.0, zorder=1)
+        axes.axvspan(low / factor, high / factor, color=ORANGE, alpha=0.18, linewidth=0, zorder=0)
     value = np.array([single.value for single in singles]) / factor
     ends = np.array([single.ci95 for single in singles]).reshape(-1, 2) / factor
     left, right = _panel_limits(value, ends, joint, factor)
     rows = np.arange(len(singles))
     shown = np.clip(ends, left, right)
-    known = np.isfinite(value)
+    finite = np.isfinite(value)
     dot = np.clip(value, left, right)
     bars = np.abs(shown - dot[:, None]).T
-    axes.errorbar(
-        dot[known], rows[known], xerr=bars[:, known], fmt="o", color=BLUE, markersize=3.5,
-        elinewidth=0.9, zorder=3,
-    )  # fmt: skip
+    alone = np.array([one for _, one in told])
+    for those, form, colour in ((finite & alone, "o", BLUE), (finite & ~alone, "none", GREY)):
+        axes.errorbar(
+            dot[those], rows[those], xerr=bars[:, those], fmt=form, color=colour, ecolor=colour,
+            markersize=3.5, elinewidth=0.9, zorder=3,
+        )  # fmt: skip
     for marker, beyond, edge in (("<", ends[:, 0] < left, left), (">", ends[:, 1] > right, right)):
-        hit = known & beyond
+        hit = finite & beyond
         axes.plot(np.full(hit.sum(), edge), rows[hit], marker, color=BLUE, markersize=3,
                   linestyle="none", clip_on=False, zorder=4)  # fmt: skip
     axes.set_xlim(left, right)

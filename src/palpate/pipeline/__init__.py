@@ -61,6 +61,11 @@ from palpate.pipeline.poke import (
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
 )
+from palpate.pipeline.rejections import (
+    Rejections as Rejections,
+    rejection_note as rejection_note,
+    rejections as rejections,
+)
 from palpate.pipeline.result_files import (
     file_stems as file_stems,
     seen_vertices as seen_vertices,
