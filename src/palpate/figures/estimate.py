@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap
@@ -107,6 +108,7 @@ def likelihood_figure(result: FitResult) -> Figure:
     axes.contourf(nu, shear, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE])
     axes.contour(nu, shear, deviance, levels=levels[1:], colors=BLUE, linewidths=0.8)
     axes.set(xlim=(nu[0], nu[-1]), ylim=(shear[0], shear[-1]))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set(xlabel=r"Poisson's ratio $\nu$", ylabel=f"shear modulus $G$ ({unit})")
     patches = {
         f"both together, {share} %": Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)

@@ -218,8 +218,8 @@ def test_motion_is_measured_once(palpate, calls, cube_session, tmp_path, monkeyp
 def test_the_log_and_the_report_lie_in_the_result(palpate, calls, cube_session, tmp_path):
     _, out, err = palpate("fit", cube_session, "-v")
     folder = tmp_path / "cube-result"
-    assert "s  tables and plots" in (folder / "log.txt").read_text(encoding="utf-8")
-    assert "tables and plots" in err
+    assert "s  tables, pictures and report" in (folder / "log.txt").read_text(encoding="utf-8")
+    assert "tables, pictures and report" in err
     assert "report in cube-result/report.html" in out
     code, out, _ = palpate("report", "cube-result")
     assert (code, out[:35]) == (0, "Report in cube-result-report.html (")

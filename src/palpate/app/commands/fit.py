@@ -25,7 +25,7 @@ from palpate.pipeline import (
     with_kept_motion,
     with_pictures_measured,
 )
-from palpate.progress import Progress
+from palpate.progress import Progress, part_of
 from palpate.records import (
     Estimate,
     Session,
@@ -43,6 +43,8 @@ from palpate.report import REPORT_FILE, write_report, write_result_files
 from palpate.versions import versions
 
 _NOT_OK = 3
+# Fractions of the work that are done when the fit and when the drawing begin.
+_PICTURES, _DRAWN = 0.5, 0.9
 _REUSED = "the motion in the pictures is the one that {} holds: nothing has changed since"
 
 
@@ -101,7 +103,10 @@ def fit(
         print_notes(given.notes)
         with progress_bar() as bar:
             progress = log.listening(bar)
-            measured, reused = _measured(given, target, folder, progress)
+            blind = any(one.displacement is None and one.images for one in given.probings)
+            # Shares of the work, about: pictures, where there are some, take as long as the rest.
+            middle = _PICTURES if blind else 0.0
+            measured, reused = _measured(given, target, folder, part_of(progress, 0.0, middle))
             print_notes(measured.notes[len(given.notes) :])
             motion = log.seconds
             result = fit_session(
@@ -109,9 +114,9 @@ def fit(
                 settings=settings,
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
-                progress=progress,
+                progress=part_of(progress, middle, _DRAWN),
             )
-            progress("tables and plots", 1.0)
+            progress("tables, pictures and report", _DRAWN)
             result = _told(result, motion, log, _command(session, probe, settings, surface))
             _write(folder, given, measured, result, log)
     _print(result.estimate, measured)
@@ -128,8 +133,8 @@ def _measured(
     given: Session, target: Path, folder: Path, progress: Progress
 ) -> tuple[Session, bool]:
     """The session with the motion of its pictures, and whether an earlier result held it."""
-    blind = any(one.displacement is None and one.images for one in given.probings)
-    if blind and (kept := with_kept_motion(given, target)) is not None:
+    unread = any(one.displacement is None and one.images for one in given.probings)
+    if unread and (kept := with_kept_motion(given, target)) is not None:
         return kept, True
     return with_pictures_measured(given, progress=progress, parts=parts_folder(folder)), False
 
