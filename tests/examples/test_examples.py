@@ -107,3 +107,9 @@ def test_examples_stay_small():
     files = [path for path in EXAMPLES.rglob("*") if path.is_file()]
     # Two megabytes is what the project allows itself for examples.
     assert sum(path.stat().st_size for path in files if path.suffix != ".pyc") < 2e6
+
+
+def test_whole_result():
+    # 52 g sank the middle of the end face by 10.4 mm (load52_a.csv): 20 g by 4.0 mm, and the
+    # contact itself gives way a little more.
+    assert run_example("14_whole_result.py") == pytest.approx(4.0e-3 * 1.03, rel=0.03)

@@ -67,6 +67,9 @@ class FitResult:
     probes: tuple[ProbeFit, ...]
     intervals: IntervalSet | None = None
 
+    def __repr__(self) -> str:
+        return f"FitResult of {len(self.probes)} probings: {self.estimate!r}"
+
 
 def fit(
     probes: Sequence[ProbeObservations],
@@ -101,7 +104,9 @@ def fit(
     joint = uncertainty_of(misfit, minimum, _weights(rows, table, misfit, minimum))
     intervals, reported, identifiable = _intervals(joint)
     progress("single probings", 0.7)
-    singles = _single_constants(misfit, joint) if len(rows) > 1 else [reported]
+    singles = [(reported, identifiable)]
+    if len(rows) > 1:
+        singles = _single_constants(misfit, joint)
     progress("validation", 0.95)
     fits = probe_fits(probes, misfit, joint)
     contradictions = [c for c in map(contradiction, probes, fits) if c is not None]
@@ -119,7 +124,7 @@ def fit(
         poisson_ratio=reported.poisson_ratio,
         young_modulus=reported.young_modulus,
         identifiable=identifiable,
-        probes=tuple(map(probe_estimate, singles, fits)),
+        probes=tuple(probe_estimate(*one, found) for one, found in zip(singles, fits, strict=True)),
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
         settings=asdict(settings),
@@ -215,8 +220,11 @@ def _intervals(uncertainty: Uncertainty) -> tuple[IntervalSet, IntervalSet, dict
     return intervals, with_prior_ranges(ranged, identifiable, weights), identifiable
 
 
-def _single_constants(misfit: Misfit, joint: Uncertainty) -> list[IntervalSet]:
-    """Constants of every probing alone, with the noise and weights of all."""
+def _single_constants(
+    misfit: Misfit, joint: Uncertainty
+) -> list[tuple[IntervalSet, dict[str, bool]]]:
+    """Constants of every probing alone, with the noise and weights of all, and which of them it
+    determines."""
     # A force that all others doubt is as good as claimed where there are no others.
     claimed = np.stack([probe.force_std for probe in misfit.probes])
     apart = replace(joint.weights, force_root=claimed)
@@ -228,5 +236,5 @@ def _single_constants(misfit: Misfit, joint: Uncertainty) -> list[IntervalSet]:
         )
         scores, _ = scores_of(single, minimum.probes, noise=joint.noise)
         alone = replace(joint, minimum=minimum, scores=scores, weights=weights)
-        found.append(_intervals(alone)[1])
+        found.append(_intervals(alone)[1:])
     return found

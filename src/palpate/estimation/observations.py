@@ -78,6 +78,8 @@ class ProbeObservations:
     landmarks : name -> (k, 3) float [m]    places for messages, such as "the contact"
     nuisances : tuple of Nuisance           errors that its points share, or all probings
     settlement : Settlement or None         None: the response does not depend on the modulus
+    vertices : ResponseModel or None        of all vertices of the mesh, where their displacement is
+                                            wanted along with the estimate
 
     Raises
     ------
@@ -98,6 +100,7 @@ class ProbeObservations:
     landmarks: Mapping[str, Float[np.ndarray, "_ 3"]] = field(default_factory=dict)
     nuisances: tuple[Nuisance, ...] = ()
     settlement: Settlement | None = None
+    vertices: ResponseModel | None = None
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "

@@ -17,6 +17,16 @@ from palpate.pipeline.imported_points import (
     triangulated as triangulated,
     without_contradicted as without_contradicted,
 )
+from palpate.pipeline.kept import (
+    MOTION_FILE as MOTION_FILE,
+    SURFACE_FILE as SURFACE_FILE,
+    FittedProbing as FittedProbing,
+    FittedSurface as FittedSurface,
+    keep_motion as keep_motion,
+    read_fitted_surface as read_fitted_surface,
+    with_kept_motion as with_kept_motion,
+    write_fitted_surface as write_fitted_surface,
+)
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,
@@ -52,6 +62,11 @@ from palpate.pipeline.poke import (
     poke_session as poke_session,
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
+)
+from palpate.pipeline.rejections import (
+    Rejections as Rejections,
+    rejection_note as rejection_note,
+    rejections as rejections,
 )
 from palpate.pipeline.result_files import (
     file_stems as file_stems,

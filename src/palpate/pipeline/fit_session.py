@@ -29,6 +29,7 @@ from palpate.pipeline.model import (
 from palpate.pipeline.observations import (
     settled_observations,
 )
+from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     EXACT,
@@ -94,7 +95,9 @@ def fit_session(
     model = make_object_model(graded, surface=surface, cache=cache)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
-    observations = settled_observations(graded, model, settings=settings, coarser=coarser)
+    observations = settled_observations(
+        graded, model, settings=settings, coarser=coarser, with_surface=True
+    )
     factorised = time.perf_counter()
     last = part_of(progress, _FIT_STARTS, 1.0)
     result = fit(observations, settings=settings, progress=last)
@@ -117,7 +120,12 @@ def fit_session(
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(*result.estimate.notes, *_turn_notes(probes), *_touch_notes(resolved)),
+        notes=(
+            *result.estimate.notes,
+            *_turn_notes(probes),
+            *_touch_notes(resolved),
+            *_rejection_notes(session),
+        ),
         seconds=seconds,
         settings={
             **result.estimate.settings,
@@ -128,7 +136,13 @@ def fit_session(
             "assumed_forces": [one.name for one in session.probings if one.force_std is None],
         },
     )
-    return replace(result, estimate=estimate)
+    fits = tuple(_on_given_mesh(one, len(session.mesh.vertices)) for one in result.probes)
+    return replace(result, estimate=estimate, probes=fits)
+
+
+def _on_given_mesh(found: ProbeFit, vertices: int) -> ProbeFit:
+    """Without what the graded mesh has besides: the given mesh's vertices come first in it."""
+    return found if found.surface is None else replace(found, surface=found.surface[:vertices])
 
 
 def _with_touched_circles(
@@ -179,6 +193,12 @@ def _touch_notes(session: Session) -> list[str]:
         if one.contact.tool is not None and (radius := one.contact.radius) is not None
     ]
     return [f"Radius that the tool touches: {', '.join(touched)}."] if touched else []
+
+
+def _rejection_notes(session: Session) -> list[str]:
+    """A sentence about points that pictures could not follow."""
+    found = rejections(session)
+    return [rejection_note(found)] if any(one.lost for one in found) else []
 
 
 def _support_estimates(

@@ -53,6 +53,7 @@ def settled_observations(
     *,
     settings: FitSettings = FitSettings(),
     coarser: Sequence[ProbeObservations] = (),
+    with_surface: bool = False,
 ) -> list[ProbeObservations]:
     """What each probing saw, with what the model says at the modulus that fits it best, where
     supports give and the model depends on it.
@@ -64,6 +65,8 @@ def settled_observations(
     settings : FitSettings
     coarser : sequence of k ProbeObservations, or none    the same on a coarser mesh: the error of
                                           the mesh is added
+    with_surface : bool                   have the displacement of all vertices told along with the
+                                          estimate
 
     Returns
     -------
@@ -74,7 +77,7 @@ def settled_observations(
     InputError, SingularSystemError, NotConvergedError    as `session_observations`; the springs
                                           explain the motion alone, so no modulus fits best
     """
-    make = session_observations_at(session, model, settings=settings)
+    make = session_observations_at(session, model, settings=settings, with_surface=with_surface)
     stiffnesses = [one.stiffness for one in session.supports if one.stiffness is not None]
     if not stiffnesses:
         return _with_mesh_errors(make(1.0), coarser, 1.0)
@@ -144,7 +147,11 @@ def session_observations(
 
 
 def session_observations_at(
-    session: Session, model: ObjectModel, *, settings: FitSettings = FitSettings()
+    session: Session,
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    with_surface: bool = False,
 ) -> Callable[[float], list[ProbeObservations]]:
     """The same for any modulus, from one factorisation.
 
@@ -153,6 +160,7 @@ def session_observations_at(
     session : Session
     model : ObjectModel
     settings : FitSettings
+    with_surface : bool                   with the displacement of all vertices
 
     Returns
     -------
@@ -163,7 +171,7 @@ def session_observations_at(
         for k, probing in enumerate(session.probings)
     ]
     with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
-    if with_pose:
+    if with_pose or with_surface:
         every = _vertices(session.mesh)
         rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
     if model.springs is not None:
@@ -198,6 +206,7 @@ def _all_observations(
         changes[key] = changes.get(key) or pose_changes(model, field.surface)
         nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
         seen = _observations(session, model, k, response, support, nuisances)
+        seen = replace(seen, vertices=None if nodal is response else nodal)
         if isinstance(response, SpringResponse):
             seen = replace(seen, settlement=settlement(model, response, shear_modulus))
         observations.append(seen)

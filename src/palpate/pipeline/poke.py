@@ -56,6 +56,11 @@ class PokedState:
     reaction: Vector3
     interior: InteriorState | None
 
+    def __repr__(self) -> str:
+        here = ", ".join(f"{1e3 * x:.3g}" for x in self.displacement)
+        most = 1e3 * float(np.linalg.norm(self.largest))
+        return f"PokedState: the contact moves by ({here}) mm, no vertex by more than {most:.3g} mm"
+
 
 def poke_session(
     session: Session,

@@ -2,7 +2,7 @@
 
 import math
 
-from palpate.records.estimate import Constant, ErrorEstimate
+from palpate.records.estimate import Constant, ErrorEstimate, Estimate
 
 # Metres in each unit that a file or a command may name.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
@@ -18,6 +18,10 @@ _ERROR_UNITS = {
     "rad": (180.0 / math.pi, "degrees"),
     "m/Pa": (1e9, "mm/MPa"),
 }
+# What stands in place of a value that the data do not determine.
+NOT_DETERMINED = "not determined"
+# Constants in the order in which they are told, with their symbols.
+SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
 _SPELLINGS = {
     "\u00b5m": "um",
     "\u03bcm": "um",
@@ -122,6 +126,65 @@ def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
     places = _places(constant.std / factor, constant.value / factor)
     low, high = (end / factor for end in constant.ci95)
     return f"{low:.{places}f} to {high:.{places}f}"
+
+
+def constant_row(estimate: Estimate, name: str) -> tuple[str, str, str]:
+    """Value, interval and unit of a constant as a table has them.
+
+    A constant that the data do not determine has no value; its interval, in brackets, is what is
+    possible.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    name : str                      one of `CONSTANT_NAMES`
+
+    Returns
+    -------
+    three str                       `60.35 ± 0.73`, `58.91 to 61.87`, `kPa`; or `not determined`,
+                                    `(0.00 to 0.50)`
+    """
+    constant: Constant = getattr(estimate, name)
+    factor, unit = constant_unit(name, constant.value)
+    interval = interval_text(constant, factor=factor)
+    if not estimate.identifiable[name]:
+        return NOT_DETERMINED, f"({interval})", unit
+    return constant_text(constant, factor=factor), interval, unit
+
+
+def verdict_text(estimate: Estimate) -> str:
+    """What an estimate says, in a sentence or two.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    str                             begins with what the status means; then the constants that are
+                                    determined, with their intervals
+    """
+    sentence = estimate.status.sentence
+    known = []
+    for name, symbol in SYMBOLS.items():
+        if estimate.identifiable[name]:
+            _, interval, unit = constant_row(estimate, name)
+            factor, _ = constant_unit(name, getattr(estimate, name).value)
+            value = value_text(getattr(estimate, name), factor=factor)
+            known.append(f"{symbol} = {value}{unit and ' ' + unit} ({interval})")
+    tail = f" {', '.join(known)}, in brackets the 95 % interval." if known else ""
+    return f"{sentence[0].upper()}{sentence[1:]}.{tail}"
+
+
+def constant_unit(name: str, value: float) -> tuple[float, str]:
+    """Unit that a constant is shown in: (SI units a unit, name), none for Poisson's ratio.
+
+    Parameters
+    ----------
+    name : str                      one of `CONSTANT_NAMES`
+    value : float                   [Pa] for moduli
+    """
+    return (1.0, "") if name == "poisson_ratio" else modulus_unit(value)
 
 
 def _places(std: float, value: float) -> int:

@@ -17,6 +17,8 @@ from palpate.shapes import Indices, Vector3
 # Osmium [kg/m^3]; ten times the earth's gravity [m/s^2]: beyond it a unit is mistaken.
 _DENSEST = 22600.0
 _LARGEST_GRAVITY = 100.0
+# Names that a session prints of itself.
+_NAMED = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +127,16 @@ class Session:
                     " share of the weight is not known; measure the rest state under gravity too,"
                     " and leave [gravity] out"
                 )
+
+    def __repr__(self) -> str:
+        names = [one.name for one in self.probings] or [one.name for one in self.steps]
+        kind = "steps" if self.steps else "probings"
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        return (
+            f"Session {self.name!r}: {len(names)} {kind} ({', '.join(names[:_NAMED])}{more}),"
+            f" {len(self.mesh.vertices)} vertices, {len(self.held_triangles)} of"
+            f" {len(self.mesh.triangles)} triangles held"
+        )
 
 
 def require_probings(session: Session) -> None:

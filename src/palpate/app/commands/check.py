@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import number_text, print_text, terminal_table
+from palpate.app.terminal import number_text, print_tables, print_text, terminal_table
 from palpate.bem import check_memory
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (
@@ -38,13 +37,12 @@ def check(session: Path, /) -> int:
     require_given_motions(given)
     cameras, remarks = survey_cameras(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
-    console = Console()
     print_text(f"{given.name} ({given.path})")
-    console.print(_mesh_table(given))
+    print_tables(_mesh_table(given))
     if surveys:
-        console.print(_probings_table(surveys))
+        print_tables(_probings_table(surveys))
     if cameras:
-        console.print(_cameras_table(cameras))
+        print_tables(_cameras_table(cameras))
     for note in (*given.notes, *remarks):
         print_text(f"Note: {note}")
     print_text(session_outlook(given, surveys))
