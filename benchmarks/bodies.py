@@ -82,7 +82,9 @@ def _lines(edge: float, *stops: float) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _box(x: float, y: float, z: float) -> Callable[[float], TriangleMesh]:
+def box_mesh(x: float, y: float, z: float) -> Callable[[float], TriangleMesh]:
+    """A box of given sides [mm] that stands on z = 0, centred on the z axis."""
+
     def make(edge: float) -> TriangleMesh:
         lines = [_lines(edge, -x / 2, x / 2), _lines(edge, -y / 2, y / 2), _lines(edge, 0, z)]
         return cells(np.ones([len(line) - 1 for line in lines], dtype=bool), lines)
@@ -195,9 +197,9 @@ def _torus(edge: float) -> TriangleMesh:
 
 BODIES = {
     "slab": Shape(
-        _box(80, 60, 16), 5.9e-3, ((0, 0, 1), (0.4, 0.3, 1), (-0.3, 0.3, 1)), poisson_ratio=0.45
+        box_mesh(80, 60, 16), 5.9e-3, ((0, 0, 1), (0.4, 0.3, 1), (-0.3, 0.3, 1)), poisson_ratio=0.45
     ),
-    "block": Shape(_box(60, 45, 45), 5.2e-3),
+    "block": Shape(box_mesh(60, 45, 45), 5.2e-3),
     "egg": Shape(_curve(_egg, 80e-3), 4.1e-3, poisson_ratio=0.4),
     "arch": Shape(
         _arch, 5.2e-3, ((0, 0, 1), (0.7, 0.2, 0.8), (-0.6, 0.3, 0.9)), poisson_ratio=0.1
@@ -210,9 +212,10 @@ BODIES = {
     "hourglass": Shape(_curve(_hourglass, 66e-3), 4.2e-3, poisson_ratio=0.35),
     "cone": Shape(_profile((0, 0), (32, 0), (10, 55), (0, 55)), 4.2e-3, poisson_ratio=0.0),
     "beam": Shape(
-        _box(20, 20, 110), 4.4e-3, ((0.1, 0.1, 1), (1, 0.1, 0.4), (0.1, 1, 0.2)), poisson_ratio=0.25
+        box_mesh(20, 20, 110), 4.4e-3, ((0.1, 0.1, 1), (1, 0.1, 0.4), (0.1, 1, 0.2)),
+        poisson_ratio=0.25,
     ),
-    "plate": Shape(_box(80, 5, 50), 4.3e-3, ((0.1, -1, 0.3), (0.4, -1, 0.5), (-0.35, -1, 0.4))),
+    "plate": Shape(box_mesh(80, 5, 50), 4.3e-3, ((0.1, -1, 0.3), (0.4, -1, 0.5), (-0.35, -1, 0.4))),
     "cylinder": Shape(_profile((0, 0), (20, 0), (20, 60), (0, 60)), 4.6e-3, poisson_ratio=0.45),
     "torus": Shape(
         _torus, 5.0e-3, ((0.7, 0.2, 1), (-0.6, 0.5, 1), (0.1, -1, 0.8)), poisson_ratio=0.15

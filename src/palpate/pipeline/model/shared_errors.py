@@ -20,7 +20,10 @@ from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.moving_supports import rigid_modes
 from palpate.pipeline.model.object_model import ObjectModel
 from palpate.pipeline.model.spring_responses import compliance_error
+from palpate.records import Probing
 
+# Of what a turn of the sensor does to a component: beyond it adds 0.5 % to what is open anyway.
+_OPEN = 10.0
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 
 
@@ -52,7 +55,8 @@ def shared_errors(
     if priors.force_gain > 0.0 and pushed:
         found.append(ForceGain(priors.force_gain))
     if priors.force_direction > 0.0 and pushed:
-        found.append(ForceDirection(priors.force_direction))
+        known = _measured_components(model.session.probings[index], priors.force_direction)
+        found.append(ForceDirection(priors.force_direction, known))
     scale = max(priors.length_scale, scale_error)
     if scale > 0.0:
         found.append(LengthScale(scale))
@@ -64,6 +68,16 @@ def shared_errors(
     if isinstance(response, SpringResponse):
         found += filter(None, [compliance_error(model, response)])
     return tuple(found)
+
+
+def _measured_components(probing: Probing, turn: float) -> tuple[bool, bool, bool]:
+    """Components of a force that were measured: those that are not left so open that a turn of the
+    sensor says nothing more about them."""
+    if probing.force_std is None:
+        return (True, True, True)
+    open_ended = _OPEN * turn * float(np.linalg.norm(probing.force))
+    x, y, z = (bool(std <= open_ended) for std in probing.force_std)
+    return x, y, z
 
 
 def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
