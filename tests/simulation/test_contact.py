@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from cube_green import SHEAR, TOP, top_functions
+from surfaces import box
 
 from palpate.bem import factorise, load_right_hand
 from palpate.bem.system.system import system_matrix
@@ -19,13 +20,12 @@ from palpate.simulation import (
     start_contact,
     touch,
 )
-from palpate.simulation.contact_kernels import STICKS
 from palpate.simulation.green_functions import hat_load
-from surfaces import box
+from palpate.simulation.kernels import STICKS
 
 RADIUS = 0.03
 BALL = Sphere(RADIUS)
-ABOVE = np.array(TOP) + [0.0, 0.0, RADIUS + 1e-6]
+ABOVE = np.array([TOP[0], TOP[1], TOP[2] + RADIUS + 1e-6])
 # A press that goes in obliquely and turns on its way: contact grows, moves and shrinks.
 DEPTH = 2e-3
 
@@ -115,7 +115,9 @@ def test_without_friction_the_work_of_the_tool_is_the_energy_of_the_object(green
 def test_a_closed_path_without_friction_costs_nothing(green):
     share = np.concatenate([np.linspace(0, 1, 150), np.linspace(1, 0, 150)])
     aside = np.sin(np.pi * np.linspace(0, 1, 300)) ** 2
-    places = [oblique(s) + 1e-3 * a * np.array([0, 1, 0]) for s, a in zip(share, aside, strict=True)]
+    places = [
+        oblique(s) + 1e-3 * a * np.array([0, 1, 0]) for s, a in zip(share, aside, strict=True)
+    ]
     states = walked(green, places)
     most = max(energy(green, state) for state in states)
     # The trapezoidal rule in 150 steps a way.
@@ -188,7 +190,7 @@ def test_two_tools_press_as_one_body_whatever_their_order(green):
     small = Sphere(0.008)
 
     def pressed(order):
-        places = [np.array(TOP) + [x, 0, 0.008] for x in (-0.01, 0.012)]
+        places = [np.array([0.02 + x, 0.02, 0.048]) for x in (-0.01, 0.012)]
         tools = [PlacedTool(small, places[k] + [0, 0, 1e-6], friction=0.3) for k in order]
         state = start_contact(green, tools)
         for depth in np.linspace(0, 1e-3, 5):

@@ -16,12 +16,14 @@ from palpate.lab.bench import (
 from palpate.lab.bodies import (
     SHAPES as SHAPES,
     Punch as Punch,
+    Solid as Solid,
     cylinder as cylinder,
     half_ball as half_ball,
     held_nodes as held_nodes,
     make_body as make_body,
     make_solid as make_solid,
     press as press,
+    surface_values as surface_values,
 )
 from palpate.lab.config import (
     Arm as Arm,

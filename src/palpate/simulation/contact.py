@@ -1,7 +1,7 @@
 """Rigid tools pressed into an object, tick by tick: no penetration, no pulling, friction.
 
-A state goes in with the tools' new poses, a state comes out. What touched before is where the search
-begins, so that a tick of a haptic loop takes a fraction of a millisecond.
+A state goes in with the tools' new poses, a state comes out. What touched before is where the
+search begins, so that a tick of a haptic loop takes a fraction of a millisecond.
 """
 
 from collections.abc import Sequence
@@ -13,18 +13,19 @@ from scipy.linalg import block_diag
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import TriangleMesh
-from palpate.simulation.contact_kernels import (
+from palpate.simulation.green_functions import GreenFunctions
+from palpate.simulation.kernels import (
     STICKS,
     Nodal,
     ToolArrays,
+    add_resultants,
     settle,
     tool_gap,
 )
-from palpate.simulation.green_functions import GreenFunctions
 from palpate.simulation.tools import PlacedTool, tool_arrays
 
 # Of the largest nodal force, and rounds until it is reached.
-_SETTLED, _ROUNDS = 1e-11, 120
+_SETTLED, _ROUNDS = 1e-10, 120
 # Turns: a point is inside a closed surface where it sees more than this of it.
 _INSIDE = 0.5
 
@@ -94,8 +95,8 @@ def start_contact(green: GreenFunctions, tools: Sequence[PlacedTool]) -> Contact
         depth = _depth(green.mesh, arrays, t)
         if depth > 0.0:
             raise InputError(
-                f"tool {t + 1} is inside the object, {1e3 * depth:.3g} mm deep, before it is pressed"
-                " in: nobody could say which way it came; start it outside and move it in"
+                f"tool {t + 1} is inside the object, {1e3 * depth:.3g} mm deep, before it is"
+                " pressed in: nobody could say which way it came; start it outside and move it in"
             )
     count = len(green.nodes)
     none = np.zeros((count, 3))
@@ -105,9 +106,7 @@ def start_contact(green: GreenFunctions, tools: Sequence[PlacedTool]) -> Contact
     return ContactState(tuple(tools), zero, zero, *nodal[:-1])
 
 
-def touch(
-    green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactState
-) -> ContactState:
+def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactState) -> ContactState:
     """Move the tools to where they are now.
 
     Friction remembers: move in steps that are small against the contact. Without friction the
@@ -134,24 +133,24 @@ def touch(
         raise InputError("the tools are others than before; begin anew with start_contact")
     arrays = tool_arrays(tools, before.tools)
     rest = green.mesh.vertices[green.nodes]
-    nodal = Nodal(
-        *(getattr(before, name).copy() for name in Nodal._fields[:-1]), gap=np.zeros(len(rest))
-    )
+    kept = [getattr(before, name).copy() for name in Nodal._fields[:-1]]
+    nodal = Nodal._make([*kept, np.zeros(len(rest))])
     square = green.compliance.reshape(rest.size, rest.size)
     rounds = settle(arrays, rest, square, nodal, _SETTLED, _ROUNDS)
     if not rounds:
         raise NotConvergedError(
             f"the contact does not settle in {_ROUNDS} rounds; move the tools in smaller steps"
         )
-    force, torque = _resultants(arrays, rest + nodal.moved, nodal.force, nodal.tool_of)
-    return ContactState(tuple(tools), force, torque, *nodal[:-1])
+    on_tool, torque = np.zeros((2, len(tools), 3))
+    add_resultants(arrays, rest, nodal, on_tool, torque)
+    return ContactState(tuple(tools), on_tool, torque, *nodal[:-1])
 
 
 def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndarray, "t 3 3"]:
     """Covariance of the force on each tool, from that of the elastic constants.
 
-    The poses are exact. Forces are proportional to the shear modulus; by Poisson's ratio they change
-    as the equations of the touching nodes say, whose set and directions stay.
+    The poses are exact. Forces are proportional to the shear modulus; by Poisson's ratio they
+    change as the equations of the touching nodes say, whose set and directions stay.
 
     Parameters
     ----------
@@ -166,9 +165,9 @@ def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndar
     nodes = state.touching
     if nodes.size:
         rows, along = _directions(state)
-        chosen = np.ix_(nodes, range(3), nodes, range(3))
         block, slope = (
-            part[chosen].reshape(3 * len(nodes), -1) for part in (green.compliance, green.slope)
+            part[nodes][:, :, nodes].reshape(3 * len(nodes), -1)
+            for part in (green.compliance, green.slope)
         )
         extra = rows.T @ slope @ state.force[nodes].ravel()
         change = along @ np.linalg.solve(rows.T @ block @ along, -extra)
@@ -189,22 +188,6 @@ def _directions(
         pull = friction * state.slide[i] if state.slide[i].any() else np.zeros(3)
         along.append(np.eye(3) if sticks else (normal - pull)[:, None])
     return block_diag(*rows), block_diag(*along)
-
-
-def _resultants(
-    arrays: ToolArrays,
-    place: Float[np.ndarray, "n 3"],
-    force: Float[np.ndarray, "n 3"],
-    tool_of: Int[np.ndarray, " n"],
-) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]]:
-    """Force and torque of the nodes on each tool."""
-    nodes = np.flatnonzero(tool_of >= 0)
-    count = len(arrays.kind)
-    total, torque = np.zeros((count, 3)), np.zeros((count, 3))
-    arm = place[nodes] - arrays.place[tool_of[nodes]]
-    np.subtract.at(total, tool_of[nodes], force[nodes])
-    np.subtract.at(torque, tool_of[nodes], np.cross(arm, force[nodes]))
-    return total, torque
 
 
 def _depth(mesh: TriangleMesh, arrays: ToolArrays, t: int) -> float:

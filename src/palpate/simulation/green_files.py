@@ -6,15 +6,15 @@ format, name                       texts
 vertices (v, 3), triangles (m, 3)  surface at rest [m]; counter-clockwise from outside
 held_triangles (h,)                what does not move
 nodes (n,)                         vertices that may be touched, ascending
-compliance (n, 3, n, 3)            [m/N] component a at node i per force along b on node j, [i, a, j, b]
-surface (n, 3, v, 3)               [m/N] component a of vertex i per force along b on node j, [j, b, i, a]
+compliance (n, 3, n, 3)            [m/N] [i, a, j, b]: component a at node i per force along b on j
+surface (n, 3, v, 3)               [m/N] [j, b, i, a]: the same of every vertex i
 slope (n, 3, n, 3)                 [m/N] derivative of compliance by Poisson's ratio, [i, a, j, b]
 constants (2,), covariance (2, 2)  shear modulus [Pa], Poisson's ratio
 asymmetry ()                       of compliance before it was made symmetric, a share
 sha256                             of the bytes of all other arrays, in the order of their names
 
-A force on a node is spread as the linear hat around its vertex. Displacements are linear in the forces
-and proportional to 1 / shear modulus.
+A force on a node is spread as the linear hat around its vertex. Displacements are linear in the
+forces and proportional to 1 / shear modulus.
 """
 
 import hashlib

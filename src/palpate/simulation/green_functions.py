@@ -1,9 +1,10 @@
 """Green's functions of a part of a surface: what a force on each of its vertices does everywhere.
 
-They are the elastic map of one material, written out for loads of linear hats around the vertices. The
-force on a vertex and its displacement are a pair in energy only if the table is symmetric; collocation
-keeps that up to the error of the discretisation. Here it is made exact by the mean of both ways, so
-that no closed path of a tool gains or loses energy; `asymmetry` says how far they were apart.
+They are the elastic map of one material, written out for loads of linear hats around the vertices.
+The force on a vertex and its displacement are a pair in energy only if the table is symmetric;
+collocation keeps that up to the error of the discretisation. Here it is made exact by the mean of
+both ways, so that no closed path of a tool gains or loses energy; `asymmetry` says how far they
+were apart.
 
 Source
 ------

@@ -1,23 +1,20 @@
 """Rigid tools that move freely, and where they are.
 
-The tips of the virtual facility go along one axis; a haptic tool turns and comes from any side. Both
-are shapes that points are measured against. To add a tool: a class with `kind`, `radius`, `reach` and
-`planes`; whatever is convex can be given as planes.
+The tips of the virtual facility go along one axis; a haptic tool turns and comes from any side.
+Whatever is convex can be given as planes, by `convex_tool`.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
-from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, enclosed_volume
 from palpate.shapes import Matrix3, Vector3
-from palpate.simulation.contact_kernels import FACES, SPHERE, ToolArrays
+from palpate.simulation.kernels import FACES, SPHERE, ToolArrays
 
 # Sides of the prism that stands for a round punch.
 _SIDES = 48
@@ -25,28 +22,6 @@ _SIDES = 48
 _HOLLOW = 1e-6
 # Of one: by so much a turn may be no rotation.
 _TURN = 1e-9
-
-
-@runtime_checkable
-class Tool(Protocol):
-    """A convex rigid shape in a frame of its own.
-
-    Attributes
-    ----------
-    kind : int                      `SPHERE` or `FACES`
-    radius : float [m]              of the sphere
-    reach : float [m]               radius of a ball about the frame's origin that holds the tool
-    planes : (p, 4) float           outward unit normals, and the offset along each [m]
-    """
-
-    @property
-    def kind(self) -> int: ...
-    @property
-    def radius(self) -> float: ...
-    @property
-    def reach(self) -> float: ...
-    @property
-    def planes(self) -> Float[np.ndarray, "p 4"]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +146,7 @@ class PlacedTool:
 
     Parameters
     ----------
-    tool : Tool
+    tool : Sphere or ConvexTool
     place : (3,) float [m]          of the origin of its frame
     turn : (3, 3) float             rotation from its frame to the object's
     friction : float                coefficient of Coulomb; 0 slides freely, infinite sticks
@@ -181,7 +156,7 @@ class PlacedTool:
     InputError                      a turn that is no rotation, a negative coefficient
     """
 
-    tool: Tool
+    tool: Sphere | ConvexTool
     place: Vector3
     turn: Matrix3 = field(default_factory=lambda: np.eye(3))
     friction: float = 0.0
