@@ -107,3 +107,8 @@ def test_examples_stay_small():
     files = [path for path in EXAMPLES.rglob("*") if path.is_file()]
     # Two megabytes is what the project allows itself for examples.
     assert sum(path.stat().st_size for path in files if path.suffix != ".pyc") < 2e6
+
+
+def test_touch_in_real_time():
+    # The example's own number; a change of the mesh or the elements may move it by some 0.1 %.
+    assert run_example("14_touch_in_real_time.py") == pytest.approx(0.815, rel=0.01)

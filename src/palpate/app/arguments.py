@@ -48,6 +48,10 @@ _COMMANDS = {
         "door.init:init",
         "Write a commented session.toml with what is found in a folder.",
     ),
+    "export": (
+        "use.export:export",
+        "Write an estimated object for a simulator: MuJoCo, CalculiX, FEBio, SOFA, OpenUSD, ...",
+    ),
     "verify": (
         "verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",

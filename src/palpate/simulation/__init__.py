@@ -2,9 +2,9 @@
 
 Purpose    : forces and displacements of an object under tools, fast enough for the hand.
 Takes      : a `Session`, an `Estimate`; tools with their poses.
-Gives      : `GreenFunctions` and their files, `ContactState`.
-Depends on : `pipeline`, `bem`, `records`, `geometry`.
-Read first : `green_functions.py`, then `contact.py`.
+Gives      : `GreenFunctions` and their files, `ContactState`; folders for simulators.
+Depends on : `pipeline`, `lab`, `bem`, `probe`, `records`, `geometry`.
+Read first : `green_functions.py`, `contact.py`; `export.py`, then `solid_model.py`.
 """
 
 from palpate.simulation.contact import (
@@ -13,6 +13,12 @@ from palpate.simulation.contact import (
     start_contact as start_contact,
     touch as touch,
 )
+from palpate.simulation.export import (
+    FitSource as FitSource,
+    export_fit as export_fit,
+    read_fit as read_fit,
+)
+from palpate.simulation.formats import FORMATS as FORMATS
 from palpate.simulation.green_files import (
     read_green_functions as read_green_functions,
     write_green_functions as write_green_functions,
