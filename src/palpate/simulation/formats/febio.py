@@ -16,8 +16,8 @@ from palpate.simulation.solid_model import SolidModel
 POISSON = (-0.999, 0.499)
 RUN = (
     "febio4 -i model.feb: equilibrium under the push; displacement.csv has the displacement of"
-    " every node. FEBio's isotropic elastic material (Saint Venant and Kirchhoff) gives way under large"
-    " compression: scale the forces down where the push is deep."
+    " every node. FEBio's isotropic elastic material (Saint Venant and Kirchhoff) gives way under"
+    " large compression: scale the forces down where the push is deep."
 )
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <!-- SI units; made by Palpate, see README.txt -->
