@@ -38,6 +38,7 @@ from palpate.estimation.search import (
     global_start,
     nelder_mead_minimum,
     scored_minimum,
+    without_settlement,
 )
 from palpate.estimation.settings import FitMethod, FitSettings
 from palpate.progress import Progress, silent
@@ -133,12 +134,36 @@ def fit(
     return FitResult(estimate, likelihood_map(joint, reported), fits, intervals)
 
 
+def best_constants_of(
+    probes: Sequence[ProbeObservations], *, settings: FitSettings = FitSettings()
+) -> tuple[float, float]:
+    """The constants alone, without intervals.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  at least one
+    settings : FitSettings
+
+    Returns
+    -------
+    (float [-], float [Pa])                 Poisson's ratio and shear modulus
+
+    Raises
+    ------
+    InputError, NotConvergedError           as `fit`
+    """
+    rows = _checked_rows(probes)
+    _, minimum = _joint_minimum(rows, response_table(rows, settings.poisson_range), settings)
+    return minimum.poisson_ratio, minimum.shear_modulus
+
+
 def _weights(
     rows: tuple[ObservedRows, ...], table: ResponseTable, misfit: Misfit, minimum: Minimum
 ) -> FixedWeights:
     """The misfit with the weights and errors of its minimum held fixed."""
+    apart, table = without_settlement(rows, table, minimum)
     return fixed_weights(
-        rows,
+        apart,
         table,
         misfit.level,
         [probe.weight for probe in minimum.probes],

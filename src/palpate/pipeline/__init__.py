@@ -12,10 +12,7 @@ from palpate.pipeline.camera_survey import (
     CameraSurvey as CameraSurvey,
     survey_cameras as survey_cameras,
 )
-from palpate.pipeline.fit_session import (
-    fit_session as fit_session,
-    session_observations as session_observations,
-)
+from palpate.pipeline.fit_session import fit_session as fit_session
 from palpate.pipeline.imported_points import (
     triangulated as triangulated,
     without_contradicted as without_contradicted,
@@ -48,12 +45,17 @@ from palpate.pipeline.model import (
     make_object_model as make_object_model,
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
+    resolved_session as resolved_session,
     sliding_motion as sliding_motion,
     surface_load as surface_load,
 )
 from palpate.pipeline.motion_figures import (
     MotionFigures as MotionFigures,
     write_flow_document as write_flow_document,
+)
+from palpate.pipeline.observations import (
+    session_observations as session_observations,
+    settled_observations as settled_observations,
 )
 from palpate.pipeline.poke import (
     PokedState as PokedState,

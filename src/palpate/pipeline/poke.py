@@ -20,8 +20,11 @@ from palpate.errors import InputError
 from palpate.geometry import interpolation_matrix
 from palpate.pipeline.model import (
     check_balance,
+    compliances,
     graded_session,
     held_directions,
+    resolved_session,
+    session_springs,
     sliding_motion,
     surface_load,
 )
@@ -97,7 +100,7 @@ def poke_session(
     SingularSystemError                 the support does not hold the object
     """
     say = progress or silent
-    session = graded_session(session, surface=surface)
+    session = graded_session(resolved_session(session, surface=surface), surface=surface)
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
@@ -106,7 +109,10 @@ def poke_session(
     system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
     say("factorisation", 0.6)
-    elastic_map = make_elastic_map(system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+    elastic_map = make_elastic_map(
+        system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio,
+        springs=session_springs(session, system), compliance=compliances(session),
+    )  # fmt: skip
     load = surface_load(patch)
     (state,) = elastic_map.respond([load], force[None])
     say("interior points", 0.8)

@@ -9,14 +9,19 @@ Read first : `probing.py`, `session.py`, then `files/session.py`.
 
 from palpate.records.contact import (
     FIXED as FIXED,
+    FLAT as FLAT,
     FREE as FREE,
     GIVEN as GIVEN,
     PRESSURES as PRESSURES,
     RIGID as RIGID,
+    SLIDES as SLIDES,
+    SPHERE as SPHERE,
+    STICKS as STICKS,
     Contact as Contact,
     Pressure as Pressure,
     RigidMotion as RigidMotion,
     Support as Support,
+    Tool as Tool,
 )
 from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (

@@ -187,7 +187,7 @@ class ErrorEstimate:
     Parameters
     ----------
     name : str                      "gain of the force sensor"
-    unit : str                      "m", "rad", or empty for a share
+    unit : str                      "m", "rad", "m/Pa", or empty for a share
     value : float                   by how much the measurement is off, in that unit
     std : float                     one standard deviation, after the fit
     prior_std : float               one standard deviation, before

@@ -8,8 +8,16 @@ from palpate.records.estimate import Constant, ErrorEstimate, Estimate
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 # The units of Palpate's own files, and of calibrations, which are never so small.
 FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
+# Stiffness of a bed of springs: traction over displacement [N/m^3]; compliance is its inverse.
+STIFFNESS_UNITS = {"N/m^3": 1.0, "Pa/m": 1.0, "N/mm^3": 1e9, "kPa/mm": 1e6, "MPa/mm": 1e9}
+COMPLIANCE_UNITS = {"m/Pa": 1.0, "m^3/N": 1.0, "mm/kPa": 1e-6, "um/kPa": 1e-9, "mm/MPa": 1e-9}
 # How errors are written: factor on the SI unit, and the unit written.
-_ERROR_UNITS = {"": (100.0, "%"), "m": (1e3, "mm"), "rad": (180.0 / math.pi, "degrees")}
+_ERROR_UNITS = {
+    "": (100.0, "%"),
+    "m": (1e3, "mm"),
+    "rad": (180.0 / math.pi, "degrees"),
+    "m/Pa": (1e9, "mm/MPa"),
+}
 # What stands in place of a value that the data do not determine.
 NOT_DETERMINED = "not determined"
 # Constants in the order in which they are told, with their symbols.
@@ -196,7 +204,8 @@ def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
 
     Returns
     -------
-    (str, str, str)                 shares in per cent, lengths in mm, angles in degrees
+    (str, str, str)                 shares in per cent, lengths in mm, angles in degrees,
+                                    compliances in mm/MPa
     """
     factor, unit = _ERROR_UNITS[error.unit]
     value, std, prior = (factor * x for x in (error.value, error.std, error.prior_std))

@@ -20,6 +20,8 @@ _DENSEST = 22600.0
 _LARGEST_GRAVITY = 100.0
 # Names that a session prints of itself.
 _NAMED = 6
+# More than this no table has room for.
+_LONGEST_NAME = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +183,12 @@ def _check_contents(session: Session) -> None:
             f"the session has one step, '{steps[0].name}', alone; motion needs at least two"
         )
     names = [item.name for item in probings] or [item.name for item in steps]
+    for name in (session.name, *names):
+        if len(name) > _LONGEST_NAME:
+            raise InputError(
+                f"the name {quoted(name)} has {len(name)} characters; must have at most"
+                f" {_LONGEST_NAME}: names stand in tables, pictures and file names"
+            )
     if len(set(names)) < len(names):
         twins = sorted({name for name in names if names.count(name) > 1})
         kind = "probings" if probings else "steps"

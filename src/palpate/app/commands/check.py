@@ -69,6 +69,7 @@ def _mesh_table(session: Session) -> Table:
         ("support", support if session.probings else "-"),
         *((f"support {n} moves", motion) for n, motion in moving),
         *((f"support {n} holds", what) for n, what in _rollers(session)),
+        *((f"support {n} gives", what) for n, what in _springs(session)),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
         ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),
     )
@@ -86,6 +87,19 @@ def _rollers(session: Session) -> list[tuple[int, str]]:
             text = "only " + " and ".join(f"({row})" for row in held)
             if slides is not None and slides.number == number:
                 text += "; the object slides, and how far is estimated"
+            found.append((number, text))
+    return found
+
+
+def _springs(session: Session) -> list[tuple[int, str]]:
+    """Supports that give, by their numbers, and how far they would under the largest force."""
+    found = []
+    areas = triangle_areas(session.mesh)
+    force = max((float(np.linalg.norm(one.force)) for one in session.probings), default=0.0)
+    for number, support in enumerate(session.supports, start=1):
+        if support.stiffness is not None:
+            sunk = force * support.compliance / float(areas[support.triangles].sum())
+            text = f"{support.stiffness:.3g} N/m^3: {1e3 * sunk:.3g} mm under {force:.3g} N"
             found.append((number, text))
     return found
 

@@ -57,6 +57,7 @@ def fit(
     method: Literal["reduced", "nelder-mead"] = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
+    strain: Literal["small", "finite"] = "small",
     cache: Path | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -81,6 +82,9 @@ def fit(
     surface
         What the mesh means: points of a smooth object (with edges where triangles turn by more than
         40 degrees), or flat facets.
+    strain
+        Small: displacements are linear in the force. Finite: what that leaves out of an object that
+        was pressed far is computed with finite elements, and corrected.
     cache
         Folder that keeps the surface integrals of this object for the next fit.
     force
@@ -114,10 +118,11 @@ def fit(
                 settings=settings,
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
+                finite_strain=strain == "finite",
                 progress=part_of(progress, middle, _DRAWN),
             )
             progress("tables, pictures and report", _DRAWN)
-            result = _told(result, motion, log, _command(session, probe, settings, surface))
+            result = _told(result, motion, log, _command(session, probe, settings, surface, strain))
             _write(folder, given, measured, result, log)
     _print(result.estimate, measured)
     if reused:
@@ -147,11 +152,13 @@ def _told(result: FitResult, motion: float, log: StageLog, command: str) -> FitR
     return replace(result, estimate=replace(estimate, seconds=seconds, settings=settings))
 
 
-def _command(session: Path, probe: list[str] | None, settings: FitSettings, surface: str) -> str:
+def _command(
+    session: Path, probe: list[str] | None, settings: FitSettings, surface: str, strain: str
+) -> str:
     """The line that repeats a fit, without what has no part in its numbers."""
     words = ["palpate", "fit", str(session)]
     words += ["--probe", *probe] if probe else []
-    words += ["--method", settings.method, "--surface", surface]
+    words += ["--method", settings.method, "--surface", surface, "--strain", strain]
     return shlex.join([*words, "--poisson-range", *(f"{end:g}" for end in settings.poisson_range)])
 
 

@@ -321,9 +321,10 @@ def _scores(
     spread = noise.power * noise.correlation.variance * projected
     spread += (turn[d:].T * probe.prior(force_power)) @ turn[d:]
     weighted = probe.weighted_products()
-    weighted[d:-1, d:-1] += np.diag(probe.prior())
-    solved = np.linalg.solve(weighted[d:-1, d:-1], weighted[d:-1, :2])
-    curvature = weighted[:2, :2] - weighted[:2, d:-1] @ solved
+    # Errors stay where they are, those of this probing alone, too: as in the misfit's profile.
+    own = slice(d, d + 3 + len(probe.rows.motion))
+    inner = weighted[own, own] + np.diag(probe.prior()[: own.stop - d])
+    curvature = weighted[:2, :2] - weighted[:2, own] @ np.linalg.solve(inner, weighted[own, :2])
     return weighted[:d, -1], information, spread, curvature
 
 

@@ -199,7 +199,7 @@ def _predicted(
 ) -> Points:
     """Displacement of every point of the probing, measured or not, under some shifts and errors."""
     rows, nu = np.arange(3 * len(probe.position)), minimum.poisson_ratio
-    response = probe.response.value(nu)[: len(rows)]
+    response = probe.response_at(nu, minimum.shear_modulus)[: len(rows)]
     load = local.rows.load(minimum.shear_modulus, shift)
     moved = response @ load
     for nuisance in probe.nuisances:
