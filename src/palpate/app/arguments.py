@@ -52,6 +52,10 @@ _COMMANDS = {
         "door.init:init",
         "Write a commented session.toml with what is found in a folder.",
     ),
+    "plan": (
+        "ahead.next_probings:plan",
+        "Find the places where further pushes tell most of the constants.",
+    ),
     "report": (
         "outcome.report:report",
         "Make the report of a result again: one HTML file that needs nothing else.",
@@ -76,7 +80,7 @@ _GROUPS = {
                 "Measure a virtual specimen: pictures, forces and the truth as a session.",
             ),
             "plan": (
-                "plan:plan",
+                "ahead.plan:plan",
                 "Say what the cameras of a session will see, and what precision to expect of it.",
             ),
         },

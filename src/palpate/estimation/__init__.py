@@ -13,10 +13,12 @@ from palpate.estimation.fit import (
     fit as fit,
 )
 from palpate.estimation.intervals import (
+    Information as Information,
     IntervalSet as IntervalSet,
     LikelihoodMap as LikelihoodMap,
     ProbeFit as ProbeFit,
     cramer_rao_bound as cramer_rao_bound,
+    fisher_information as fisher_information,
 )
 from palpate.estimation.nuisance import (
     ContactError as ContactError,

@@ -34,6 +34,7 @@ from palpate.figures.flow import (
     write_flow_pictures as write_flow_pictures,
 )
 from palpate.figures.flow_view import make_flow_view as make_flow_view
+from palpate.figures.next_probings import next_probings_figure as next_probings_figure
 from palpate.figures.recording import recording_figure as recording_figure
 from palpate.figures.style import (
     BLUE as BLUE,

@@ -35,11 +35,6 @@ from palpate.pipeline.measure_motion import (
     with_measured_displacement as with_measured_displacement,
     with_pictures_measured as with_pictures_measured,
 )
-from palpate.pipeline.measurement_plan import (
-    MATCHING_NOISE as MATCHING_NOISE,
-    MeasurementPlan as MeasurementPlan,
-    plan_measurement as plan_measurement,
-)
 from palpate.pipeline.model import (
     graded_session as graded_session,
     make_object_model as make_object_model,
@@ -56,6 +51,13 @@ from palpate.pipeline.motion_figures import (
 from palpate.pipeline.observations import (
     session_observations as session_observations,
     settled_observations as settled_observations,
+)
+from palpate.pipeline.planning import (
+    MATCHING_NOISE as MATCHING_NOISE,
+    MeasurementPlan as MeasurementPlan,
+    NextProbings as NextProbings,
+    plan_measurement as plan_measurement,
+    plan_next as plan_next,
 )
 from palpate.pipeline.poke import (
     PokedState as PokedState,
