@@ -7,6 +7,7 @@ BEM = "Boundary element model"
 ESTIMATION = "Estimation"
 FLOW = "Range flow"
 FACILITY = "Virtual facility"
+SIMULATION = "Simulation"
 Limit = float | tuple[float, float] | None
 
 
@@ -16,7 +17,7 @@ class Figure:
 
     Parameters
     ----------
-    section : str               BEM, ESTIMATION, FLOW or FACILITY
+    section : str               BEM, ESTIMATION, FLOW, FACILITY or SIMULATION
     name : str                  what was measured, on what
     reached : float or None     None where it could not be measured; the note says why
     unit : str                  "", "%", "s", "GB" or "x"; percentages are given as percentages

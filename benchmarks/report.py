@@ -3,7 +3,15 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.figure import BEM, ESTIMATION, FACILITY, FLOW, Figure, Limit
+from benchmarks.figure import (
+    BEM,
+    ESTIMATION,
+    FACILITY,
+    FLOW,
+    SIMULATION,
+    Figure,
+    Limit,
+)
 
 HEAD = "| what | unit | must | reach for | reached | kept | how |"
 KEPT = (
@@ -26,7 +34,7 @@ def as_markdown(
     failures : subject -> message   subjects that stopped before their figures
     """
     lines = [f"- {heading}: {text}" for heading, text in machine]
-    for section in (BEM, ESTIMATION, FLOW, FACILITY):
+    for section in (BEM, ESTIMATION, FLOW, FACILITY, SIMULATION):
         rows = [_row(figure) for figure in figures if figure.section == section]
         if rows:
             lines += ["", f"## {section}", "", HEAD, RULE, *rows]

@@ -39,6 +39,7 @@ PARTS = {
         "flow_real",
     ),
     "facility": ("facility_time", "table3_repeats"),
+    "simulation": ("realtime", "replay"),
 }
 SUBJECTS = tuple(name for names in PARTS.values() for name in names)
 

@@ -60,6 +60,10 @@ _COMMANDS = {
         "outcome.report:report",
         "Make the report of a result again: one HTML file that needs nothing else.",
     ),
+    "export": (
+        "use.export:export",
+        "Write an estimated object for a simulator: MuJoCo, CalculiX, FEBio, SOFA, OpenUSD, ...",
+    ),
     "verify": (
         "verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",

@@ -16,6 +16,7 @@ from palpate.lab.bench import (
 from palpate.lab.bodies import (
     SHAPES as SHAPES,
     Punch as Punch,
+    Solid as Solid,
     cylinder as cylinder,
     half_ball as half_ball,
     held_nodes as held_nodes,

@@ -61,6 +61,7 @@ from palpate.pipeline.planning import (
 )
 from palpate.pipeline.poke import (
     PokedState as PokedState,
+    held_object as held_object,
     poke_session as poke_session,
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,

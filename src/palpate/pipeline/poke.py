@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.bem import (
+    BoundarySystem,
     InteriorState,
     SurfaceSettings,
     assemble_system,
@@ -100,13 +101,9 @@ def poke_session(
     SingularSystemError                 the support does not hold the object
     """
     say = progress or silent
-    session = graded_session(resolved_session(session, surface=surface), surface=surface)
-    patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
-    boundary = make_surface(
-        session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
-    )
     say("integrals over the surface", 0.0)
-    system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
+    session, system = held_object(session, surface=surface, cache=cache)
+    patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
     say("factorisation", 0.6)
     elastic_map = make_elastic_map(
@@ -118,7 +115,7 @@ def poke_session(
     say("interior points", 0.8)
     inside = None if interior is None else interior_state(elastic_map, load, force, interior)
     at_contact = interpolation_matrix(
-        boundary.displacement, np.array([patch.triangle]), patch.barycentric[None]
+        system.surface.displacement, np.array([patch.triangle]), patch.barycentric[None]
     )
     most = int(np.argmax(np.linalg.norm(state.displacement, axis=1)))
     return PokedState(
@@ -129,6 +126,32 @@ def poke_session(
         reaction=state.reaction,
         interior=inside,
     )
+
+
+def held_object(
+    session: Session,
+    *,
+    surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
+) -> tuple[Session, BoundarySystem]:
+    """The boundary element model of a session's object without any load.
+
+    Parameters
+    ----------
+    session : Session
+    surface : SurfaceSettings           how the surface between the vertices is understood
+    cache : Path or None                folder that keeps the surface integrals
+
+    Returns
+    -------
+    Session                             the same on a mesh that is finer at the rims of its supports
+    BoundarySystem                      of that mesh
+    """
+    session = graded_session(resolved_session(session, surface=surface), surface=surface)
+    boundary = make_surface(
+        session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
+    )
+    return session, assemble_system(boundary) if cache is None else cached_system(boundary, cache)
 
 
 def tool_contact(session: Session, point: Vector3, radius: float | None) -> Contact:

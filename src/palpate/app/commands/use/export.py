@@ -1,0 +1,75 @@
+"""`palpate export`: an estimated object in the files of a simulator."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from palpate.app.terminal import print_notes, print_text, progress_bar
+from palpate.records import default_folder, record_inputs, result_folder
+from palpate.simulation import FORMATS, export_fit, read_fit
+
+Simulator = Literal[
+    "mujoco", "calculix", "febio", "sofa", "vtu", "openusd", "obj", "genesis", "isaaclab", "npz"
+]
+
+
+def export(
+    result: Path,
+    /,
+    *,
+    to: Simulator,
+    out: Path | None = None,
+    probe: str | None = None,
+    edge: float | None = None,
+    session: Path | None = None,
+    cache: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Write an estimated object for a simulator: shape, what is held, constants, one push.
+
+    Leaves a folder with the simulator's files, a README.txt and palpate.json, which hold the
+    constants with their intervals and what was changed for the simulator.
+
+    Parameters
+    ----------
+    result
+        Result folder of `palpate fit`.
+    to
+        The simulator.
+    out
+        Folder; it appears whole or not at all. Default: the result folder's name followed by the
+        simulator's, in the current folder.
+    probe
+        Probing that is written along, to be repeated in the simulator. Default: the first that the
+        estimate was made without, else the first.
+    edge
+        Edge of the tetrahedra away from the contact, m. Default: a ninth of the cube root of the
+        volume.
+    session
+        Where the session of the result is now, if it was moved.
+    cache
+        Folder that keeps the surface integrals of this object for the next time.
+    force
+        Write although something else than an unchanged result of this command is there; that is
+        kept beside it as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    target = out or default_folder(result, to)
+    with result_folder(target, kind="export", force=force) as folder:
+        source = read_fit(result, session)
+        record_inputs(folder, source.files)
+        with progress_bar() as progress:
+            body = export_fit(
+                folder, source, to, probe=probe, edge=edge, cache=cache, progress=progress
+            )
+    print_notes(body.notes)
+    if body.push is not None:
+        how = "left out of the estimate" if body.push.held_out else "used in the estimate"
+        print_text(f"Push written along: probing {body.push.name}, {how}")
+    print_text(f"{FORMATS[to].title} files in {target}; README.txt there says how to run them")
+    return 0

@@ -1,0 +1,46 @@
+"""An estimate at work: poked in real time, and handed to simulators.
+
+Purpose    : forces and displacements of an object under tools, fast enough for the hand.
+Takes      : a `Session`, an `Estimate`; tools with their poses.
+Gives      : `GreenFunctions` and their files, `ContactState`; folders for simulators.
+Depends on : `pipeline`, `lab`, `bem`, `probe`, `records`, `geometry`.
+Read first : `green_functions.py`, `contact.py`; `export.py`, then `solid_model.py`.
+"""
+
+from palpate.simulation.contact import (
+    ContactState as ContactState,
+    force_deviation as force_deviation,
+    start_contact as start_contact,
+    touch as touch,
+)
+from palpate.simulation.export import (
+    FitSource as FitSource,
+    export_fit as export_fit,
+    read_fit as read_fit,
+)
+from palpate.simulation.formats import FORMATS as FORMATS
+from palpate.simulation.green_files import (
+    read_green_functions as read_green_functions,
+    write_green_functions as write_green_functions,
+)
+from palpate.simulation.green_functions import (
+    GreenFunctions as GreenFunctions,
+    make_green_functions as make_green_functions,
+    nearest_nodes as nearest_nodes,
+)
+from palpate.simulation.material import (
+    Material as Material,
+    estimated_material as estimated_material,
+    exact_material as exact_material,
+)
+from palpate.simulation.surface_motion import (
+    displacement_under as displacement_under,
+    surface_displacement as surface_displacement,
+)
+from palpate.simulation.tools import (
+    ConvexTool as ConvexTool,
+    PlacedTool as PlacedTool,
+    Sphere as Sphere,
+    convex_tool as convex_tool,
+    flat_punch as flat_punch,
+)

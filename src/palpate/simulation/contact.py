@@ -1,0 +1,223 @@
+"""Rigid tools pressed into an object, tick by tick: no penetration, no pulling, friction.
+
+A state goes in with the tools' new poses, a state comes out. What touched before is where the
+search begins, so that a tick of a haptic loop takes a fraction of a millisecond.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import block_diag
+
+from palpate.errors import InputError, NotConvergedError
+from palpate.geometry import TriangleMesh
+from palpate.simulation.green_functions import GreenFunctions
+from palpate.simulation.kernels import (
+    STICKS,
+    Nodal,
+    ToolArrays,
+    add_resultants,
+    settle,
+    tool_gap,
+)
+from palpate.simulation.tools import PlacedTool, tool_arrays
+
+# Of the largest nodal force, and rounds until it is reached.
+_SETTLED, _ROUNDS = 1e-10, 120
+# Turns: a point is inside a closed surface where it sees more than this of it.
+_INSIDE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactState:
+    """Tools on an object, at rest.
+
+    Attributes
+    ----------
+    tools : tuple of t PlacedTool
+    on_tool : (t, 3) float [N]          force on each tool
+    torque : (t, 3) float [N m]         on each tool, about its place
+    force : (n, 3) float [N]            of the tools on the nodes of the Green's functions
+    moved : (n, 3) float [m]            displacement of these nodes
+    tool_of : (n,) int                  tool that each node touches; -1: none
+    face : (n,) int                     face of the tool that it came in by
+    status : (n,) int                   1: it slides, 2: it sticks
+    anchor : (n, 3) float [m]           where on the tool, in its frame, it sticks or was last
+    normal : (n, 3) float               of the tool there
+    slide : (n, 3) float                which way it slides under friction; else zero
+    """
+
+    tools: tuple[PlacedTool, ...]
+    on_tool: Float[np.ndarray, "t 3"]
+    torque: Float[np.ndarray, "t 3"]
+    force: Float[np.ndarray, "n 3"]
+    moved: Float[np.ndarray, "n 3"]
+    tool_of: Int[np.ndarray, " n"]
+    face: Int[np.ndarray, " n"]
+    status: Int[np.ndarray, " n"]
+    anchor: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    slide: Float[np.ndarray, "n 3"]
+
+    @property
+    def touching(self) -> Int[np.ndarray, " k"]:
+        """Nodes under a tool, among those of the Green's functions."""
+        return np.flatnonzero(self.tool_of >= 0)
+
+    @property
+    def sticking(self) -> Int[np.ndarray, " k"]:
+        """Those of them that stick."""
+        return np.flatnonzero((self.tool_of >= 0) & (self.status == STICKS))
+
+
+def start_contact(green: GreenFunctions, tools: Sequence[PlacedTool]) -> ContactState:
+    """The object at rest with tools that do not touch it yet.
+
+    Parameters
+    ----------
+    green : GreenFunctions
+    tools : sequence of t PlacedTool    outside the object
+
+    Returns
+    -------
+    ContactState
+
+    Raises
+    ------
+    InputError                          no tools, or one that is inside the object
+    """
+    if not tools:
+        raise InputError("there is no tool; give at least one")
+    arrays = tool_arrays(tools, tools)
+    for t in range(len(tools)):
+        depth = _depth(green.mesh, arrays, t)
+        if depth > 0.0:
+            raise InputError(
+                f"tool {t + 1} is inside the object, {1e3 * depth:.3g} mm deep, before it is"
+                " pressed in: nobody could say which way it came; start it outside and move it in"
+            )
+    count = len(green.nodes)
+    none = np.zeros((count, 3))
+    still = np.full(count, -1)
+    zero = np.zeros((len(tools), 3))
+    nodal = Nodal(none, none, still, still, 0 * still, none, none, none, np.zeros(count))
+    return ContactState(tuple(tools), zero, zero, *nodal[:-1])
+
+
+def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactState) -> ContactState:
+    """Move the tools to where they are now.
+
+    Friction remembers: move in steps that are small against the contact. Without friction the
+    outcome does not depend on the steps.
+
+    Parameters
+    ----------
+    green : GreenFunctions
+    tools : sequence of t PlacedTool    the same as before, in new poses
+    before : ContactState               of the tick before
+
+    Returns
+    -------
+    ContactState
+
+    Raises
+    ------
+    InputError                          other tools than before
+    NotConvergedError                   the contact does not settle
+    """
+    if len(tools) != len(before.tools) or any(
+        a.tool is not b.tool for a, b in zip(tools, before.tools, strict=True)
+    ):
+        raise InputError("the tools are others than before; begin anew with start_contact")
+    arrays = tool_arrays(tools, before.tools)
+    rest = green.mesh.vertices[green.nodes]
+    kept = [getattr(before, name).copy() for name in Nodal._fields[:-1]]
+    nodal = Nodal._make([*kept, np.zeros(len(rest))])
+    square = green.compliance.reshape(rest.size, rest.size)
+    rounds = settle(arrays, rest, square, nodal, _SETTLED, _ROUNDS)
+    if not rounds:
+        raise NotConvergedError(
+            f"the contact does not settle in {_ROUNDS} rounds; move the tools in smaller steps"
+        )
+    on_tool, torque = np.zeros((2, len(tools), 3))
+    add_resultants(arrays, rest, nodal, on_tool, torque)
+    return ContactState(tuple(tools), on_tool, torque, *nodal[:-1])
+
+
+def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndarray, "t 3 3"]:
+    """Covariance of the force on each tool, from that of the elastic constants.
+
+    The poses are exact. Forces are proportional to the shear modulus; by Poisson's ratio they
+    change as the equations of the touching nodes say, whose set and directions stay.
+
+    Parameters
+    ----------
+    green : GreenFunctions
+    state : ContactState
+
+    Returns
+    -------
+    (t, 3, 3) float [N^2]
+    """
+    by_ratio = np.zeros_like(state.on_tool)
+    nodes = state.touching
+    if nodes.size:
+        rows, along = _directions(state)
+        block, slope = (
+            part[nodes][:, :, nodes].reshape(3 * len(nodes), -1)
+            for part in (green.compliance, green.slope)
+        )
+        extra = rows.T @ slope @ state.force[nodes].ravel()
+        change = along @ np.linalg.solve(rows.T @ block @ along, -extra)
+        np.subtract.at(by_ratio, state.tool_of[nodes], change.reshape(-1, 3))
+    slopes = np.stack([state.on_tool / green.material.shear_modulus, by_ratio], axis=2)
+    return slopes @ green.material.covariance @ slopes.transpose(0, 2, 1)
+
+
+def _directions(
+    state: ContactState,
+) -> tuple[Float[np.ndarray, "c m"], Float[np.ndarray, "c m"]]:
+    """What of the touching nodes' displacement is given, and which way their forces may change."""
+    rows, along = [], []
+    for i in state.touching:
+        normal, friction = state.normal[i], state.tools[state.tool_of[i]].friction
+        sticks = state.status[i] == STICKS
+        rows.append(np.eye(3) if sticks else normal[:, None])
+        pull = friction * state.slide[i] if state.slide[i].any() else np.zeros(3)
+        along.append(np.eye(3) if sticks else (normal - pull)[:, None])
+    return block_diag(*rows), block_diag(*along)
+
+
+def _depth(mesh: TriangleMesh, arrays: ToolArrays, t: int) -> float:
+    """How deep a tool is in an object at rest [m]; negative: outside."""
+    normal = np.empty(3)
+    local = (mesh.vertices - arrays.place[t]) @ arrays.turn[t]
+    deepest = -min(tool_gap(arrays, t, -1, point, normal)[0] for point in local)
+    seen = winding_number(mesh, arrays.place[t])
+    return max(deepest, float(arrays.reach[t])) if seen > _INSIDE else deepest
+
+
+def winding_number(mesh: TriangleMesh, point: Float[np.ndarray, "3"]) -> float:
+    """How often a closed surface goes round a point: 1 inside, 0 outside.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh                 outward
+    point : (3,) float [m]
+
+    Returns
+    -------
+    float
+
+    Source
+    ------
+    Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125, eq. 8
+    """
+    a, b, c = (mesh.vertices - point)[mesh.triangles].transpose(1, 0, 2)
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    top = np.einsum("ma,ma->m", a, np.cross(b, c))
+    dots = [np.einsum("ma,ma->m", x, y) for x, y in ((a, b), (b, c), (c, a))]
+    angle = 2 * np.arctan2(top, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
+    return float(angle.sum() / (4 * np.pi))

@@ -1,0 +1,263 @@
+"""A result of `palpate fit` handed to a simulator: a folder that explains itself."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from palpate.errors import InputError, RecordError
+from palpate.progress import Progress, silent
+from palpate.records import (
+    CONSTANT_NAMES,
+    Estimate,
+    Session,
+    Status,
+    json_text,
+    read_estimate,
+    read_session,
+    verify_result,
+    write_text,
+)
+from palpate.simulation.formats import FORMATS, Format
+from palpate.simulation.material import Material, estimated_material
+from palpate.simulation.solid_model import (
+    EstimatedObject,
+    SolidModel,
+    make_estimated_object,
+    make_solid_model,
+)
+
+EXPORT_FORMAT = "palpate-export/1"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitSource:
+    """A result of `palpate fit` with the session it was made from.
+
+    Attributes
+    ----------
+    session : Session
+    estimate : Estimate
+    files : tuple of Path           of the result that were read
+    """
+
+    session: Session
+    estimate: Estimate
+    files: tuple[Path, ...]
+
+
+def read_fit(result: Path, session: Path | None = None) -> FitSource:
+    """Read a result folder of `palpate fit`, and the session that it was made from.
+
+    Parameters
+    ----------
+    result : Path
+    session : Path or None          where the session is now; None: where it was
+
+    Returns
+    -------
+    FitSource
+
+    Raises
+    ------
+    RecordError                     no such result, of another version, changed or half copied; its
+                                    session is not there any more
+    """
+    if not result.is_dir():
+        raise RecordError(f"{result}: is no folder; give the result folder of `palpate fit`")
+    findings = verify_result(result)
+    wrong = [one for one in findings if one.role == "result" and not one.is_whole]
+    if wrong:
+        shown = ", ".join(f"{one.file} ({one.state})" for one in wrong[:3])
+        raise RecordError(
+            f"{result}: is not as it was written: {shown}; copy the whole folder again, or run"
+            " `palpate fit` again"
+        )
+    file = result / "estimate.json"
+    if not file.is_file():
+        raise RecordError(f"{result}: is no result of `palpate fit`: it has no estimate.json")
+    place = session or _session_of(result, [one.file for one in findings if one.role == "input"])
+    return FitSource(read_session(place), read_estimate(file), (file,))
+
+
+def _session_of(result: Path, inputs: list[str]) -> Path:
+    """The session file among the inputs of a result."""
+    for name in inputs:
+        if name.endswith(".toml") and (result / name).is_file():
+            text = (result / name).read_text(encoding="utf-8", errors="replace")
+            if "palpate-session/" in text:
+                return result / name
+    raise RecordError(
+        f"{result}: the session that it was made from is not where it was; say where it is now"
+        " with --session"
+    )
+
+
+def written_material(form: Format, material: Material) -> tuple[Material, str]:
+    """The constants as a simulator takes them, and what was changed.
+
+    Parameters
+    ----------
+    form : Format
+    material : Material
+
+    Returns
+    -------
+    Material                        the shear modulus stays
+    str                             empty: nothing was changed
+
+    Raises
+    ------
+    InputError                      a Poisson's ratio below what the simulator takes
+    """
+    low, high = form.poisson
+    ratio = material.poisson_ratio
+    if ratio < low:
+        raise InputError(
+            f"Poisson's ratio is {ratio:.4g}; {form.title} takes {low:g} to {high:g}: choose"
+            " another simulator (`--to calculix`), or fit with --poisson-range 0 0.4999 if the"
+            " material is not auxetic"
+        )
+    if ratio <= high:
+        return material, ""
+    changed = replace(material, poisson_ratio=high)
+    return changed, (
+        f"Poisson's ratio {ratio:.4g} was written as {high:g}, the most that {form.title} takes"
+        f" well; the shear modulus stays, Young's modulus is {changed.young_modulus:.5g} Pa in"
+        f" place of {material.young_modulus:.5g} Pa"
+    )
+
+
+def export_fit(
+    folder: Path,
+    source: FitSource,
+    to: str,
+    *,
+    probe: str | None = None,
+    edge: float | None = None,
+    cache: Path | None = None,
+    progress: Progress | None = None,
+) -> EstimatedObject:
+    """Write the files of one simulator, with README.txt and palpate.json.
+
+    Parameters
+    ----------
+    folder : Path                   exists, is empty
+    source : FitSource
+    to : str                        one of `FORMATS`
+    probe : str or None             probing that is written along; None: the first that the estimate
+                                    was made without, else the first
+    edge : float or None [m]        of the tetrahedra away from the contact
+    cache : Path or None            folder that keeps the surface integrals
+    progress : callable             called with what is done (text) and how far it is (0 to 1)
+
+    Returns
+    -------
+    EstimatedObject                 as it was written, with its notes
+
+    Raises
+    ------
+    InputError                      a material outside the simulator's range, no such probing
+    MeshError                       walls thinner than the tetrahedra
+    """
+    say = progress or silent
+    form = FORMATS[to]
+    material, changed = written_material(form, estimated_material(source.estimate))
+    say("the push in the boundary element model", 0.1)
+    body = make_estimated_object(
+        source.session, source.estimate, material, probe=probe, cache=cache
+    )
+    notes = [note for note in (_told(source.estimate), changed) if note]
+    body = replace(body, notes=(*notes, *body.notes))
+    model = None
+    if form.of_surface is not None:
+        say(f"files of {form.title}", 0.5)
+        form.of_surface(folder, body)
+    elif form.of_solid is not None:
+        say("tetrahedra", 0.4)
+        model = make_solid_model(body, edge=edge)
+        say(f"files of {form.title}", 0.8)
+        form.of_solid(folder, model)
+    write_text(folder / "palpate.json", _facts(form, body, model))
+    write_text(folder / "README.txt", _readme(form, body, model))
+    return body
+
+
+def _told(estimate: Estimate) -> str:
+    """What the data did not determine."""
+    if estimate.status is Status.OK:
+        return ""
+    return f"{estimate.status.value}: {estimate.status.advice}"
+
+
+def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
+    """Everything a program may want to know, as JSON."""
+    estimate, push = body.estimate, body.push
+    constants = {name: getattr(estimate, name) for name in CONSTANT_NAMES}
+    content = {
+        "format": EXPORT_FORMAT,
+        "simulator": form.title,
+        "units": "SI: m, N, Pa, kg; frame of the session's mesh",
+        "session": body.session.name,
+        "status": estimate.status.value,
+        "constants": {
+            name: {"value": one.value, "std": one.std, "ci95": list(one.ci95)}
+            for name, one in constants.items()
+        },
+        "written": {
+            "young_modulus": body.material.young_modulus,
+            "poisson_ratio": body.material.poisson_ratio,
+            "shear_modulus": body.material.shear_modulus,
+            "density": body.density,
+        },
+        "push": push
+        and {
+            "probing": push.name,
+            "held_out": push.held_out,
+            "point": push.point.tolist(),
+            "radius": push.radius,
+            "profile": push.patch.contact.profile,
+            "force": push.force.tolist(),
+            "displacement": push.displacement.tolist(),
+        },
+        "tetrahedra": model
+        and {
+            "nodes": len(model.nodes),
+            "quadratic": len(model.solid.elements),
+            "linear": len(model.linear),
+            "held_nodes": int(model.held.sum()),
+            "deviation": model.solid.deviation,
+        },
+        "notes": list(body.notes),
+    }
+    return json_text(content)
+
+
+def _readme(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
+    """The same for a person."""
+    lines = [f"{body.session.name}, for {form.title}; made by Palpate.", ""]
+    lines += ["Units are SI (m, N, Pa, kg), the frame is that of the session's mesh.", ""]
+    lines.append("Estimated, with 95 % intervals:")
+    for name in CONSTANT_NAMES:
+        one = getattr(body.estimate, name)
+        low, high = one.ci95
+        lines.append(f"  {name:15s} {one.value:.5g}   {low:.5g} to {high:.5g}")
+    material = body.material
+    lines.append(
+        f"Written: young_modulus {material.young_modulus:.6g}, poisson_ratio"
+        f" {material.poisson_ratio:.6g}, density {body.density:g} kg/m^3."
+    )
+    if model is not None:
+        lines.append(
+            f"{len(model.solid.elements)} ten-node tetrahedra, {len(model.linear)} of four on the"
+            f" same {len(model.nodes)} nodes; {int(model.held.sum())} of them are held."
+        )
+    if body.push is not None:
+        push = body.push
+        how = "the estimate was made without it" if push.held_out else "used in the estimate"
+        force, moved = (" ".join(f"{x:.5g}" for x in v) for v in (push.force, push.displacement))
+        lines += [
+            "",
+            f"Push: probing '{push.name}' ({how}), force {force} N; its point moves by {moved} m",
+            "in Palpate's model.",
+        ]
+    lines += ["", f"To run: {form.run}", *(["", "Notes:"] if body.notes else [])]
+    return "\n".join([*lines, *(f"- {note}" for note in body.notes), ""])

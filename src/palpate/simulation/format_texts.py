@@ -1,0 +1,76 @@
+"""Pieces of text that several formats share."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from palpate.records import json_text
+from palpate.simulation.solid_model import SolidModel
+
+REPLAY = "replay.json"
+
+
+def number_text(values: Shaped[np.ndarray, "..."]) -> str:
+    """Numbers with spaces between them, floating ones to nine digits.
+
+    Parameters
+    ----------
+    values : array
+
+    Returns
+    -------
+    str
+    """
+    flat = values.ravel()
+    if np.issubdtype(flat.dtype, np.integer):
+        return " ".join(map(str, flat.tolist()))
+    return " ".join(f"{value:.9g}" for value in flat.tolist())
+
+
+def numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> Iterable[str]:
+    """Rows with their numbers from 1, commas between; nodes count from 1 too.
+
+    Parameters
+    ----------
+    rows : (n, k) array             floating: as they are; whole: numbers of nodes, from 0
+    per_line : int                  entries after which a line is broken
+
+    Yields
+    ------
+    str
+    """
+    whole = np.issubdtype(rows.dtype, np.integer)
+    for number, row in enumerate(rows.tolist(), start=1):
+        cells = [str(number), *(str(v + 1) if whole else f"{v:.9g}" for v in row)]
+        lines = [", ".join(cells[k : k + per_line]) for k in range(0, len(cells), per_line)]
+        yield ",\n".join(lines)
+
+
+def replay_json(model: SolidModel, load: Float[np.ndarray, "n 3"]) -> str:
+    """The push as nodal forces, with what the model says of it.
+
+    Parameters
+    ----------
+    model : SolidModel              with a push
+    load : (n, 3) float [N]
+
+    Returns
+    -------
+    str                             JSON
+    """
+    push = model.body.push
+    if push is None:
+        return json_text({})
+    loaded = np.flatnonzero(load.any(axis=1))
+    return json_text(
+        {
+            "probing": push.name,
+            "force": push.force.tolist(),
+            "displacement": push.displacement.tolist(),
+            "loaded_nodes": loaded.tolist(),
+            "nodal_forces": load[loaded].tolist(),
+            "point_nodes": model.node.tolist(),
+            "point_shares": model.share.tolist(),
+        }
+    )

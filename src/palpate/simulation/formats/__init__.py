@@ -1,0 +1,10 @@
+"""Files for simulators, one file each.
+
+Purpose    : write an estimated object as each simulator takes it.
+Takes      : `SolidModel` or `EstimatedObject`, a folder.
+Gives      : the simulator's files; `FORMATS`, the list of all.
+Depends on : `records`, `geometry`.
+Read first : `registry.py`, then `calculix.py`.
+"""
+
+from palpate.simulation.formats.registry import FORMATS as FORMATS, Format as Format

@@ -1,0 +1,44 @@
+"""Genesis: the surface, and a scene that fills it."""
+
+from pathlib import Path
+
+from palpate.records import write_text
+from palpate.simulation.formats.obj import write_obj
+from palpate.simulation.solid_model import EstimatedObject
+
+POISSON = (0.0, 0.495)
+RUN = "python scene.py, where Genesis is installed: it fills the surface itself."
+_TEXT = '''"""The object in Genesis; made by Palpate, see README.txt. The support is not written."""
+
+import genesis as gs
+
+gs.init()
+scene = gs.Scene(fem_options=gs.options.FEMOptions(use_implicit_solver=True))
+body = scene.add_entity(
+    morph=gs.morphs.Mesh(file="surface.obj", scale=1.0),
+    material=gs.materials.FEM.Elastic(
+        E={young:.9g}, nu={poisson:.9g}, rho={density:.9g}, model="linear_corotated"
+    ),
+)
+scene.build()
+'''
+
+
+def write_genesis(folder: Path, body: EstimatedObject) -> None:
+    """Write surface.obj and scene.py.
+
+    Parameters
+    ----------
+    folder : Path
+    body : EstimatedObject
+
+    Raises
+    ------
+    MeshError, RecordError          a file cannot be written
+    """
+    write_obj(folder, body)
+    material = body.material
+    text = _TEXT.format(
+        young=material.young_modulus, poisson=material.poisson_ratio, density=body.density
+    )
+    write_text(folder / "scene.py", text)

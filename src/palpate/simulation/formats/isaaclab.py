@@ -1,0 +1,41 @@
+"""Isaac Lab: the surface, and the material as its spawners take it."""
+
+from pathlib import Path
+
+from palpate.records import write_text
+from palpate.simulation.formats.obj import write_obj
+from palpate.simulation.solid_model import EstimatedObject
+
+POISSON = (0.0, 0.495)
+RUN = "import body.py in a task of Isaac Lab: PhysX fills the surface itself."
+_TEXT = '''"""The object's material for Isaac Lab; made by Palpate, see README.txt."""
+
+from isaaclab_physx.sim.spawners.materials import PhysxDeformableBodyMaterialCfg
+
+SURFACE = "surface.obj"
+MATERIAL = PhysxDeformableBodyMaterialCfg(
+    youngs_modulus={young:.9g},
+    poissons_ratio={poisson:.9g},
+    density={density:.9g},
+)
+'''
+
+
+def write_isaaclab(folder: Path, body: EstimatedObject) -> None:
+    """Write surface.obj and body.py.
+
+    Parameters
+    ----------
+    folder : Path
+    body : EstimatedObject
+
+    Raises
+    ------
+    MeshError, RecordError          a file cannot be written
+    """
+    write_obj(folder, body)
+    material = body.material
+    text = _TEXT.format(
+        young=material.young_modulus, poisson=material.poisson_ratio, density=body.density
+    )
+    write_text(folder / "body.py", text)

@@ -1,0 +1,36 @@
+"""NPZ: Green's functions around the contacts, for haptic loops."""
+
+from pathlib import Path
+
+import numpy as np
+
+from palpate.simulation.green_files import write_green_functions
+from palpate.simulation.green_functions import make_green_functions, nearest_nodes
+from palpate.simulation.solid_model import EstimatedObject
+
+POISSON = (-0.999, 0.5)
+RUN = (
+    "palpate.simulation.read_green_functions('green.npz'), or any reader of NPZ: its arrays are"
+    " explained in docs/howto/simulate.md."
+)
+# Vertices that may be touched, those nearest to the session's contacts.
+_NODES = 400
+
+
+def write_npz(folder: Path, body: EstimatedObject) -> None:
+    """Write green.npz: the Green's functions of the vertices nearest to the session's contacts.
+
+    Parameters
+    ----------
+    folder : Path
+    body : EstimatedObject
+
+    Raises
+    ------
+    RecordError                     the file cannot be written
+    """
+    session = body.session
+    contacts = np.array([probing.contact.point for probing in session.probings])
+    nodes = nearest_nodes(session, contacts, _NODES)
+    green = make_green_functions(session, body.material, nodes=nodes)
+    write_green_functions(folder / "green.npz", green)

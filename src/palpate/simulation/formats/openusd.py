@@ -1,0 +1,94 @@
+"""OpenUSD: a TetMesh with the constants as Newton and Omniverse's PhysX name them.
+
+Source
+------
+OpenUSD's UsdGeomTetMesh; the deformable material of Omni Physics, whose attributes
+`omniphysics:youngsModulus`, `omniphysics:poissonsRatio` and `omniphysics:density` Newton reads too.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Shaped
+
+from palpate.records import write_text
+from palpate.simulation.format_texts import REPLAY, replay_json
+from palpate.simulation.solid_model import SolidModel
+
+POISSON = (0.0, 0.495)
+RUN = (
+    "any OpenUSD reader from 24.03 on opens model.usda; the prim variable `held` marks nodes that"
+    " do not move, which a simulator has to be told."
+)
+_STAGE = """#usda 1.0
+(
+    defaultPrim = "Object"
+    metersPerUnit = 1
+    kilogramsPerUnit = 1
+    upAxis = "Z"
+    doc = "SI units; made by Palpate, see README.txt"
+)
+
+def Xform "Object" (
+    kind = "component"
+)
+{{
+    def TetMesh "Body" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {{
+        point3f[] points = [{points}]
+        int4[] tetVertexIndices = [{tetrahedra}]
+        int3[] surfaceFaceVertexIndices = [{faces}]
+        uniform token orientation = "rightHanded"
+        int[] primvars:held = [{held}] (
+            interpolation = "vertex"
+        )
+        rel material:binding:physics = </Object/Estimated>
+    }}
+
+    def Material "Estimated" (
+        prepend apiSchemas = ["OmniPhysicsDeformableMaterialAPI"]
+    )
+    {{
+        float omniphysics:youngsModulus = {young:.9g}
+        float omniphysics:poissonsRatio = {poisson:.9g}
+        float omniphysics:density = {density:.9g}
+    }}
+}}
+"""
+
+
+def write_openusd(folder: Path, model: SolidModel) -> None:
+    """Write model.usda and replay.json.
+
+    Parameters
+    ----------
+    folder : Path
+    model : SolidModel
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    material = model.body.material
+    text = _STAGE.format(
+        points=_tuples(model.nodes),
+        tetrahedra=_tuples(model.linear),
+        faces=_tuples(model.skin.triangles),
+        held=", ".join(map(str, model.held.astype(int).tolist())),
+        young=material.young_modulus,
+        poisson=material.poisson_ratio,
+        density=model.body.density,
+    )
+    write_text(folder / "model.usda", text)
+    if model.body.push is not None:
+        write_text(folder / REPLAY, replay_json(model, model.linear_load))
+
+
+def _tuples(rows: Shaped[np.ndarray, "n k"]) -> str:
+    """Rows in brackets."""
+    form = "d" if np.issubdtype(rows.dtype, np.integer) else ".9g"
+    return ", ".join(
+        "(" + ", ".join(format(value, form) for value in row) + ")" for row in rows.tolist()
+    )

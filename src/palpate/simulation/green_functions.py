@@ -1,0 +1,285 @@
+"""Green's functions of a part of a surface: what a force on each of its vertices does everywhere.
+
+They are the elastic map of one material, written out for loads of linear hats around the vertices.
+The force on a vertex and its displacement are a pair in energy only if the table is symmetric;
+collocation keeps that up to the error of the discretisation. Here it is made exact by the mean of
+both ways, so that no closed path of a tool gains or loses energy; `asymmetry` says how far they
+were apart.
+
+Source
+------
+James and Pai, ArtDefo: accurate real time deformable objects, SIGGRAPH (1999), section 4.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.arrays import fixed_array
+from palpate.bem import (
+    BoundarySystem,
+    SurfaceLoad,
+    SurfaceSettings,
+    factorise,
+    load_right_hand,
+    solve,
+    system_slope,
+)
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh
+from palpate.pipeline import held_object
+from palpate.progress import Progress, silent
+from palpate.records import Estimate, Session
+from palpate.simulation.material import Material, estimated_material
+
+# Columns that are solved together: three a vertex.
+_VERTICES_AT_ONCE = 60
+# A table above this is refused [bytes].
+_LARGEST = 2e9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GreenFunctions:
+    """Displacement of a held object per newton on each of some vertices.
+
+    Parameters
+    ----------
+    name : str
+    mesh : TriangleMesh                 at rest [m]
+    held_triangles : (h,) int
+    nodes : (n,) int                    vertices that may be touched, ascending
+    compliance : (n, 3, n, 3) float [m/N]   component a at node i under a force along b on node j;
+                                        symmetric, positive definite
+    surface : (n, 3, v, 3) float [m/N]  component a of vertex i under a force along b on node j, as
+                                        [j, b, i, a]
+    slope : (n, 3, n, 3) float [m/N]    derivative of `compliance` by Poisson's ratio
+    material : Material                 constants and their covariance
+    asymmetry : float                   of the compliance before it was made symmetric, as a share
+
+    Raises
+    ------
+    InputError                          shapes that do not fit, nodes that are no free vertices, a
+                                        compliance that is not symmetric and positive
+    """
+
+    name: str
+    mesh: TriangleMesh
+    held_triangles: Int[np.ndarray, " h"]
+    nodes: Int[np.ndarray, " n"]
+    compliance: Float[np.ndarray, "n 3 n 3"]
+    surface: Float[np.ndarray, "n 3 v 3"]
+    slope: Float[np.ndarray, "n 3 n 3"]
+    material: Material
+    asymmetry: float
+
+    def __post_init__(self) -> None:
+        vertices, count = len(self.mesh.vertices), len(self.nodes)
+        shapes = {
+            "nodes": (None,), "held_triangles": (None,), "compliance": (count, 3, count, 3),
+            "surface": (count, 3, vertices, 3), "slope": (count, 3, count, 3),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            integer = name in ("nodes", "held_triangles")
+            value = fixed_array(getattr(self, name), name=name, shape=shape, integer=integer)
+            object.__setattr__(self, name, value)
+        check_nodes(self.mesh, self.held_triangles, self.nodes)
+        square = self.compliance.reshape(3 * count, -1)
+        if not np.array_equal(square, square.T):
+            raise InputError("compliance is not symmetric; energy would be gained on closed paths")
+        try:
+            np.linalg.cholesky(square)
+        except np.linalg.LinAlgError:
+            raise InputError(
+                "compliance is not positive definite: some force would gain energy; nodes lie too"
+                " close to each other for the mesh, leave out those at narrow triangles"
+            ) from None
+
+
+def make_green_functions(
+    session: Session,
+    estimate: Estimate | Material,
+    *,
+    nodes: Int[np.ndarray, " n"] | None = None,
+    surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
+    progress: Progress | None = None,
+) -> GreenFunctions:
+    """Compute the Green's functions of a part of an object's surface.
+
+    Parameters
+    ----------
+    session : Session
+    estimate : Estimate or Material     constants; of an estimate with their covariance
+    nodes : (n,) int                    vertices of the mesh that may be touched; None: all that
+                                        belong to no held triangle
+    surface : SurfaceSettings           how the surface between the vertices is understood
+    cache : Path                        folder that keeps the surface integrals; None: none
+    progress : callable                 called with what is done (text) and how far it is (0 to 1)
+
+    Returns
+    -------
+    GreenFunctions
+
+    Raises
+    ------
+    InputError                          constants that are not known, nodes that are not free, a
+                                        table that is too large, an object that slides
+    SingularSystemError                 the support does not hold the object
+    """
+    say = progress or silent
+    material = estimate if isinstance(estimate, Material) else estimated_material(estimate)
+    if any(one.directions is not None for one in session.supports):
+        raise InputError(
+            f"{session.path}: a support holds some directions only (rollers); Green's functions are"
+            " made of objects whose supports hold all directions"
+        )
+    chosen = free_nodes(session) if nodes is None else np.unique(nodes)
+    check_nodes(session.mesh, session.held_triangles, chosen)
+    needed = 8.0 * 9 * len(chosen) * (len(session.mesh.vertices) + 4 * len(chosen))
+    if needed > _LARGEST:
+        raise InputError(
+            f"Green's functions of {len(chosen)} vertices on a surface of"
+            f" {len(session.mesh.vertices)} take {needed / 1e9:.1f} GB; at most"
+            f" {_LARGEST / 1e9:.0f} GB are made: choose fewer vertices, those that will be touched"
+        )
+    say("integrals over the surface", 0.0)
+    _, system = held_object(session, surface=surface, cache=cache)
+    everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), say)
+    square = everywhere[:, :, chosen].transpose(2, 3, 0, 1).reshape(3 * len(chosen), -1)
+    compliance = 0.5 * (square + square.T)
+    asymmetry = float(np.linalg.norm(square - square.T) / np.linalg.norm(square + square.T))
+    shape = (len(chosen), 3, len(chosen), 3)
+    everywhere[:, :, chosen] = compliance.reshape(shape)
+    slope = slope.transpose(2, 3, 0, 1).reshape(square.shape)
+    return GreenFunctions(
+        session.name, session.mesh, session.held_triangles, chosen, compliance.reshape(shape),
+        everywhere, (0.5 * (slope + slope.T)).reshape(shape), material, asymmetry,
+    )  # fmt: skip
+
+
+def free_nodes(session: Session) -> Int[np.ndarray, " n"]:
+    """Vertices that belong to no held triangle.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    (n,) int
+    """
+    held = session.mesh.triangles[session.held_triangles]
+    return np.setdiff1d(np.arange(len(session.mesh.vertices)), held)
+
+
+def nearest_nodes(
+    session: Session, points: Float[np.ndarray, "k 3"], count: int
+) -> Int[np.ndarray, " n"]:
+    """The free vertices nearest to some points, for Green's functions of that part of the surface.
+
+    Parameters
+    ----------
+    session : Session
+    points : (k, 3) float [m]           where the object will be touched
+    count : int                         at most so many
+
+    Returns
+    -------
+    (n,) int
+    """
+    free = free_nodes(session)
+    offset = session.mesh.vertices[free][:, None] - points
+    distance = np.linalg.norm(offset, axis=2).min(axis=1)
+    return np.sort(free[np.argsort(distance, kind="stable")[:count]])
+
+
+def check_nodes(
+    mesh: TriangleMesh, held_triangles: Int[np.ndarray, " h"], nodes: Int[np.ndarray, " n"]
+) -> None:
+    """Refuse nodes that are no vertices, not distinct and ascending, or held.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    held_triangles : (h,) int
+    nodes : (n,) int
+
+    Raises
+    ------
+    InputError
+    """
+    count = len(mesh.vertices)
+    if not len(nodes) or nodes[0] < 0 or nodes[-1] >= count or np.any(np.diff(nodes) <= 0):
+        raise InputError(
+            f"nodes must be distinct vertices of the mesh, 0 to {count - 1}, ascending, at least"
+            " one"
+        )
+    held = np.intersect1d(nodes, mesh.triangles[held_triangles])
+    if held.size:
+        raise InputError(
+            f"{held.size} of the nodes belong to the support (first: {held[:3].tolist()}): nothing"
+            " moves there; leave them out"
+        )
+
+
+def hat_load(mesh: TriangleMesh, vertex: int) -> SurfaceLoad:
+    """One newton spread as the linear hat around a vertex.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    vertex : int
+
+    Returns
+    -------
+    SurfaceLoad
+    """
+    corners = mesh.triangles
+
+    def density(
+        triangle: Int[np.ndarray, " n"],
+        barycentric: Float[np.ndarray, "n 3"],
+        position: Float[np.ndarray, "n 3"],
+    ) -> Float[np.ndarray, " n"]:
+        return (barycentric * (corners[triangle] == vertex)).sum(axis=1)
+
+    return SurfaceLoad(np.flatnonzero((corners == vertex).any(axis=1)), density)
+
+
+def _responses(
+    system: BoundarySystem,
+    material: Material,
+    nodes: Int[np.ndarray, " n"],
+    count: int,
+    say: Progress,
+) -> tuple[Float[np.ndarray, "n 3 v 3"], Float[np.ndarray, "n 3 n 3"]]:
+    """Displacement of the first vertices per newton, [j, b, i, a], and its slope at the nodes."""
+    ratio = material.poisson_ratio
+    say("factorisation", 0.3)
+    factorised, change = factorise(system, ratio), system_slope(system)
+    everywhere = np.zeros((len(nodes), 3, count, 3))
+    slope = np.zeros((len(nodes), 3, len(nodes), 3))
+    free = system.unknowns.free_vertices
+    for part in _parts(len(nodes)):
+        say("Green's functions", 0.4 + 0.6 * part.start / len(nodes))
+        loads = [hat_load(system.surface.mesh, int(v)) for v in nodes[part]]
+        right = load_right_hand(system, loads)
+        found = solve(factorised, right.at(ratio))
+        by_nu = right.terms[1] + 2 * ratio * right.terms[2] - change.apply(found)
+        turned = solve(factorised, by_nu)
+        for values, out, kept in (
+            (found, everywhere[part], np.arange(count)), (turned, slope[part], nodes),
+        ):  # fmt: skip
+            moved = np.zeros((len(system.surface.mesh.vertices), 3, 3 * len(loads)))
+            moved[free] = values[: 3 * len(free)].reshape(len(free), 3, -1)
+            by_load = moved[kept].reshape(len(kept), 3, len(loads), 3) / material.shear_modulus
+            out[:] = by_load.transpose(2, 3, 0, 1)
+    return everywhere, slope
+
+
+def _parts(count: int) -> Iterator[slice]:
+    for first in range(0, count, _VERTICES_AT_ONCE):
+        yield slice(first, min(first + _VERTICES_AT_ONCE, count))

@@ -1,0 +1,113 @@
+"""Small linear algebra without a call of a library, and sums over Green's functions.
+
+`compliance` is (3 n, 3 n) and symmetric, so that what a force does is read from a row.
+"""
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, error_model="numpy")
+def dot(x, y):
+    """Scalar product of two vectors."""
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def set_frame(normal, out):
+    """Unit vectors by rows: the normal and two across it."""
+    k = 0
+    for a in range(1, 3):
+        if abs(normal[a]) < abs(normal[k]):
+            k = a
+    length = np.sqrt(1.0 - normal[k] ** 2)
+    for a in range(3):
+        out[0, a] = normal[a]
+        out[1, a] = ((1.0 if a == k else 0.0) - normal[k] * normal[a]) / length
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        out[2, a] = out[0, b] * out[1, c] - out[0, c] * out[1, b]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def solve_in_place(matrix, right):
+    """Gauss with partial pivoting; `right` becomes the solution."""
+    size = right.size
+    for c in range(size):
+        best = c
+        for r in range(c + 1, size):
+            if abs(matrix[r, c]) > abs(matrix[best, c]):
+                best = r
+        if best != c:
+            right[c], right[best] = right[best], right[c]
+            for h in range(c, size):
+                matrix[c, h], matrix[best, h] = matrix[best, h], matrix[c, h]
+        for r in range(c + 1, size):
+            factor = matrix[r, c] / matrix[c, c]
+            if factor != 0.0:
+                right[r] -= factor * right[c]
+                low, high = matrix[c], matrix[r]
+                for h in range(c + 1, size):
+                    high[h] -= factor * low[h]
+    for c in range(size - 1, -1, -1):
+        row = matrix[c]
+        total = right[c]
+        for h in range(c + 1, size):
+            total -= row[h] * right[h]
+        right[c] = total / row[c]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def displace(compliance, nodes, force, rows, out):
+    """Displacement of some rows of nodes under the forces on others; out is (n, 3)."""
+    for i in rows:
+        for a in range(3):
+            out[i, a] = 0.0
+    for j in nodes:
+        for b in range(3):
+            f = force[j, b]
+            if f != 0.0:
+                row = compliance[3 * j + b]
+                for i in rows:
+                    for a in range(3):
+                        out[i, a] += f * row[3 * i + a]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def add_displacement(block, nodes, force, sign, out):
+    """Add what the forces on some nodes do to all of them; out is flat, (3 n,)."""
+    for j in nodes:
+        for b in range(3):
+            f = sign * force[j, b]
+            if f != 0.0:
+                row = block[3 * j + b]
+                for i in range(out.size):
+                    out[i] += f * row[i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def gather(compliance, nodes):
+    """Rows and columns of some nodes."""
+    k = nodes.size
+    block = np.empty((3 * k, 3 * k))
+    for i in range(k):
+        for j in range(k):
+            for a in range(3):
+                for b in range(3):
+                    block[3 * i + a, 3 * j + b] = compliance[3 * nodes[i] + a, 3 * nodes[j] + b]
+    return block
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
+def move_surface(surface, nodes, force, out):
+    """Displacement of the whole surface, (3 v,), under the forces on some nodes.
+
+    surface is (n, 3, 3 v).
+    """
+    out[:] = 0.0
+    for j in nodes:
+        for b in range(3):
+            f = force[j, b]
+            row = surface[j, b]
+            for i in range(out.size):
+                out[i] += f * row[i]

@@ -1,0 +1,164 @@
+"""Which nodes touch a tool: distances, how they came in, and when they leave."""
+
+import numba
+import numpy as np
+
+from palpate.simulation.kernels.linear import dot
+from palpate.simulation.kernels.state import FACES, GLUE, OPEN, ROUNDING, SLIDES, SPHERE, STICKS
+
+# Of a tool's reach: nodes within so much of its surface are looked at first.
+_NEAR = 0.02
+
+
+@numba.njit(cache=True, error_model="numpy")
+def tool_gap(tools, t, face, y, normal):
+    """Signed distance of a point of the tool's frame from its surface, and the normal there.
+
+    With a face given, the distance is from its plane. Returns the distance and the face that it was
+    measured from.
+    """
+    if tools.kind[t] == SPHERE:
+        length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
+        for a in range(3):
+            normal[a] = y[a] / length
+        return length - tools.radius[t], 0
+    best, at = -np.inf, -1
+    first, last = (face, face + 1) if face >= 0 else (tools.start[t], tools.start[t + 1])
+    for k in range(first, last):
+        p = tools.planes[k]
+        height = p[0] * y[0] + p[1] * y[1] + p[2] * y[2] - p[3]
+        if height > best:
+            best, at = height, k
+    for a in range(3):
+        normal[a] = tools.planes[at, a]
+    return best, at
+
+
+@numba.njit(cache=True, error_model="numpy")
+def entry(tools, t, y0, y1):
+    """Through which face, and which share of the way from y0 to y1, a point came into a tool."""
+    if tools.kind[t] == SPHERE:
+        g0 = np.sqrt(y0[0] ** 2 + y0[1] ** 2 + y0[2] ** 2) - tools.radius[t]
+        g1 = np.sqrt(y1[0] ** 2 + y1[1] ** 2 + y1[2] ** 2) - tools.radius[t]
+        return 0, (g0 / (g0 - g1) if g0 > 0.0 else 1.0)
+    share, at, highest, shallowest = -1.0, -1, -np.inf, -1
+    for k in range(tools.start[t], tools.start[t + 1]):
+        p = tools.planes[k]
+        g0 = p[0] * y0[0] + p[1] * y0[1] + p[2] * y0[2] - p[3]
+        g1 = p[0] * y1[0] + p[1] * y1[1] + p[2] * y1[2] - p[3]
+        if g0 > 0.0 and g0 / (g0 - g1) > share:
+            share, at = g0 / (g0 - g1), k
+        if g1 > highest:
+            highest, shallowest = g1, k
+    return (at, share) if at >= 0 else (shallowest, 1.0)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def to_tool(turn, place, x, y):
+    """A point of the object's frame in the tool's."""
+    for a in range(3):
+        y[a] = 0.0
+        for b in range(3):
+            y[a] += turn[b, a] * (x[b] - place[b])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def find_contacts(tools, rest, before, near, nodal):
+    """Gaps of the nodes that may touch, at their present places; nodes that came into a tool join.
+
+    Returns how many joined.
+    """
+    y, y0, x, x0, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    joined = 0
+    for i in near:
+        for a in range(3):
+            x[a] = rest[i, a] + nodal.moved[i, a]
+            x0[a] = rest[i, a] + before[i, a]
+        if nodal.tool_of[i] < 0:
+            for t in range(tools.kind.size):
+                to_tool(tools.turn[t], tools.place[t], x, y)
+                gap, _ = tool_gap(tools, t, -1, y, local)
+                if gap < 0.0 and nodal.tool_of[i] < 0:
+                    to_tool(tools.turn_before[t], tools.before[t], x0, y0)
+                    nodal.face[i], share = entry(tools, t, y0, y)
+                    nodal.tool_of[i], nodal.status[i] = t, STICKS
+                    for a in range(3):
+                        nodal.anchor[i, a] = y0[a] + share * (y[a] - y0[a])
+                    joined += 1
+        t = nodal.tool_of[i]
+        if t >= 0:
+            to_tool(tools.turn[t], tools.place[t], x, y)
+            nodal.gap[i], _ = tool_gap(tools, t, nodal.face[i], y, local)
+            for a in range(3):
+                nodal.normal[i, a] = dot(tools.turn[t, a], local)
+    return joined
+
+
+@numba.njit(cache=True, error_model="numpy")
+def near_nodes(tools, rest, nodal):
+    """Nodes that touch, or may come to touch in this tick; who is missed is found at its end."""
+    out = np.empty(len(rest), dtype=np.int64)
+    x, y, normal, count = np.empty(3), np.empty(3), np.empty(3), 0
+    for i in range(len(rest)):
+        keep = nodal.tool_of[i] >= 0
+        for a in range(3):
+            x[a] = rest[i, a] + nodal.moved[i, a]
+        for t in range(tools.kind.size):
+            step, far = 0.0, 0.0
+            for a in range(3):
+                step += (tools.place[t, a] - tools.before[t, a]) ** 2
+                far += (x[a] - tools.place[t, a]) ** 2
+            margin = 2.0 * np.sqrt(step) + _NEAR * tools.reach[t]
+            if not keep and far <= (tools.reach[t] + margin) ** 2:
+                to_tool(tools.turn[t], tools.place[t], x, y)
+                keep = tool_gap(tools, t, -1, y, normal)[0] < margin
+        if keep:
+            out[count] = i
+            count += 1
+    return out[:count]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def begin_tick(tools, rest, nodal):
+    """Let go of nodes that slid past the rim of their face; what was torn loose may stick again."""
+    x, y, normal = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(len(rest)):
+        t = nodal.tool_of[i]
+        if t >= 0 and tools.friction[t] >= GLUE:
+            nodal.status[i] = STICKS
+        if t >= 0 and tools.kind[t] == FACES:
+            for a in range(3):
+                x[a] = rest[i, a] + nodal.moved[i, a]
+            to_tool(tools.turn_before[t], tools.before[t], x, y)
+            if tool_gap(tools, t, -1, y, normal)[0] > 1e3 * ROUNDING * tools.reach[t]:
+                nodal.tool_of[i], nodal.face[i], nodal.status[i] = -1, -1, OPEN
+                for a in range(3):
+                    nodal.force[i, a] = 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def leave(tools, rest, nodes, nodal):
+    """Nodes that no force holds leave their tool; those that slid stick to where they are now."""
+    x = np.empty(3)
+    for i in nodes:
+        t = nodal.tool_of[i]
+        if nodal.status[i] == OPEN:
+            nodal.tool_of[i], nodal.face[i] = -1, -1
+            for a in range(3):
+                nodal.force[i, a] = 0.0
+        elif nodal.status[i] == SLIDES:
+            for a in range(3):
+                x[a] = rest[i, a] + nodal.moved[i, a]
+            to_tool(tools.turn[t], tools.place[t], x, nodal.anchor[i])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def touching(near, tool_of):
+    """Those of some nodes that touch a tool."""
+    out = np.empty(near.size, dtype=np.int64)
+    count = 0
+    for i in near:
+        if tool_of[i] >= 0:
+            out[count] = i
+            count += 1
+    return out[:count]

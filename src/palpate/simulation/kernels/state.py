@@ -1,0 +1,64 @@
+"""What the kernels of contact work on: tools as arrays, and what is known of every node.
+
+Vectors are in the object's frame unless said otherwise. A force is that of the tool on the node.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+# States of a node.
+OPEN, SLIDES, STICKS = 0, 1, 2
+# Kinds of tools.
+SPHERE, FACES = 0, 1
+# Of the largest force: what is less than nothing by so little is nothing.
+ROUNDING = 1e-12
+# Coefficients of friction from which on nothing slides.
+GLUE = 1e9
+
+
+class Nodal(NamedTuple):
+    """What is known of all n nodes; the kernels change it in place.
+
+    Attributes
+    ----------
+    force, moved : (n, 3) float [N], [m]
+    tool_of, face, status : (n,) int        as in `ContactState`
+    anchor, normal, slide : (n, 3) float
+    gap : (n,) float [m]
+    """
+
+    force: np.ndarray
+    moved: np.ndarray
+    tool_of: np.ndarray
+    face: np.ndarray
+    status: np.ndarray
+    anchor: np.ndarray
+    normal: np.ndarray
+    slide: np.ndarray
+    gap: np.ndarray
+
+
+class ToolArrays(NamedTuple):
+    """Tools as the kernels see them; `planes` are those of all tools, one after the other.
+
+    Attributes
+    ----------
+    kind, start : (t,), (t + 1,) int
+    radius, reach : (t,) float [m]      of the sphere; of a ball about the place that holds the tool
+    planes : (p, 4) float               outward normal, and the offset along it [m]
+    friction : (t,) float               coefficient; 0 slides freely, infinite sticks
+    place, turn : (t, 3), (t, 3, 3)     pose; a point y of the tool is at place + turn y
+    before, turn_before                 the pose at the tick before
+    """
+
+    kind: np.ndarray
+    start: np.ndarray
+    radius: np.ndarray
+    reach: np.ndarray
+    planes: np.ndarray
+    friction: np.ndarray
+    place: np.ndarray
+    turn: np.ndarray
+    before: np.ndarray
+    turn_before: np.ndarray

@@ -1,0 +1,311 @@
+"""An estimated object as simulators take it: constants, one push, and tetrahedra where wanted."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from palpate.errors import InputError
+from palpate.geometry import (
+    TriangleMesh,
+    closest_points,
+    enclosed_volume,
+    quartered,
+    triangle_areas,
+)
+from palpate.lab import Solid, held_nodes, make_solid, surface_values
+from palpate.pipeline import poke_session
+from palpate.probe import ContactPatch, find_contact_patch
+from palpate.records import RIGID, Estimate, Probing, Session
+from palpate.shapes import Points, PointScalars, Vector3
+from palpate.simulation.material import Material
+
+# What fills a body where nobody said how heavy it is: water [kg/m^3].
+USUAL_DENSITY = 1000.0
+# Elements along the cube root of a body's volume, and along the radius of a contact.
+_ALONG_BODY, _ALONG_CONTACT = 9.0, 2.5
+# The fine elements reach to so many radii.
+_FINE_REACH = 1.2
+# Triangles under a contact are divided in four so often to integrate its pressure.
+_LEVELS = 4
+# Four triangles of a six-node one.
+_QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+# The middles of a ten-node tetrahedron: inner diagonals, and the ring around each; its corners.
+_DIAGONALS = np.array([[4, 9, 5, 6, 7, 8], [5, 7, 4, 6, 9, 8], [6, 8, 4, 5, 9, 7]])
+_CORNERS = np.array([[0, 4, 6, 7], [1, 5, 4, 8], [2, 6, 5, 9], [3, 8, 7, 9]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Push:
+    """One probing, to be repeated in a simulator.
+
+    Attributes
+    ----------
+    name : str                      of the probing
+    held_out : bool                 whether the estimate was made without it
+    point : (3,) float [m]          middle of the contact
+    radius : float [m] or None      of the contact
+    force : (3,) float [N]          on the object
+    displacement : (3,) float [m]   of that point, as the boundary elements say
+    patch : ContactPatch            where it presses
+    """
+
+    name: str
+    held_out: bool
+    point: Vector3
+    radius: float | None
+    force: Vector3
+    displacement: Vector3
+    patch: ContactPatch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedObject:
+    """An object whose constants were estimated, in SI units, in the frame of its session.
+
+    Attributes
+    ----------
+    session : Session
+    estimate : Estimate
+    material : Material             constants as they are written
+    density : float [kg/m^3]
+    push : Push or None             None: its probing cannot be repeated by forces
+    notes : tuple of str            what was assumed or left out, in sentences
+    """
+
+    session: Session
+    estimate: Estimate
+    material: Material
+    density: float
+    push: Push | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolidModel:
+    """The object filled with tetrahedra.
+
+    Attributes
+    ----------
+    body : EstimatedObject
+    solid : Solid                   quadratic tetrahedra
+    linear : (e, 4) int             the same nodes joined to linear ones, eight for each
+    held : (n,) bool                nodes that do not move
+    load : (n, 3) float [N]         of the push on the nodes, as quadratic elements share it; zero
+                                    where there is none
+    linear_load : (n, 3) float [N]  as linear ones do
+    node : (k,) int                 nodes from whose displacement that of the push's point follows
+    share : (k,) float              their shares, which sum to 1
+    """
+
+    body: EstimatedObject
+    solid: Solid
+    linear: Int[np.ndarray, "e 4"]
+    held: Bool[np.ndarray, " n"]
+    load: Float[np.ndarray, "n 3"]
+    linear_load: Float[np.ndarray, "n 3"]
+    node: Int[np.ndarray, " k"]
+    share: Float[np.ndarray, " k"]
+
+    @property
+    def nodes(self) -> Points:
+        """All nodes [m]."""
+        return self.solid.nodes
+
+    @property
+    def skin(self) -> TriangleMesh:
+        """Outer triangles of the linear tetrahedra over all nodes, counter-clockwise outside."""
+        return TriangleMesh(self.nodes, self.solid.facets[:, _QUARTERS].reshape(-1, 3))
+
+
+def make_estimated_object(
+    session: Session,
+    estimate: Estimate,
+    material: Material,
+    *,
+    probe: str | None = None,
+    cache: Path | None = None,
+) -> EstimatedObject:
+    """Take an object with one of its probings, and what the model says about that.
+
+    Parameters
+    ----------
+    session : Session
+    estimate : Estimate
+    material : Material             constants that are written
+    probe : str or None             probing to repeat; None: the first that the estimate was made
+                                    without, else the first
+    cache : Path or None            folder that keeps the surface integrals
+
+    Returns
+    -------
+    EstimatedObject
+
+    Raises
+    ------
+    InputError                      no such probing
+    """
+    probing = chosen_probing(session, estimate, probe)
+    notes = []
+    if session.density is None:
+        notes.append(
+            f"the session gives no density: {USUAL_DENSITY:g} kg/m^3 was written; it changes"
+            " motion, not where the object comes to rest"
+        )
+    push = None
+    if probing.contact.profile == RIGID:
+        notes.append(
+            f"probing '{probing.name}' pulls a grip, which no nodal forces repeat: it was not"
+            " written along; name another with --probe"
+        )
+    else:
+        push = _pushed(session, estimate, material, probing, cache)
+        if probing.loads:
+            notes.append(
+                f"probing '{probing.name}' has {len(probing.loads)} loads beside its tool: only"
+                " the tool's force was written"
+            )
+    density = USUAL_DENSITY if session.density is None else session.density
+    return EstimatedObject(session, estimate, material, density, push, tuple(notes))
+
+
+def chosen_probing(session: Session, estimate: Estimate, name: str | None) -> Probing:
+    """The probing that is repeated.
+
+    Parameters
+    ----------
+    session : Session
+    estimate : Estimate
+    name : str or None              None: the first that the estimate was made without, else the
+                                    first
+
+    Returns
+    -------
+    Probing
+
+    Raises
+    ------
+    InputError                      no such probing
+    """
+    there = {one.name: one for one in session.probings}
+    if name is not None and name not in there:
+        raise InputError(
+            f"{session.path}: there is no probing '{name}' (there are: {', '.join(there)})"
+        )
+    used = {one.name for one in estimate.probes}
+    left_out = [one for one in session.probings if one.name not in used]
+    return there[name] if name is not None else (left_out or list(session.probings))[0]
+
+
+def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> SolidModel:
+    """Fill an object with tetrahedra, finer under its push.
+
+    Parameters
+    ----------
+    body : EstimatedObject
+    edge : float or None [m]        of the quadratic tetrahedra away from the contact; None: nine
+                                    along the cube root of the volume
+
+    Returns
+    -------
+    SolidModel                      the same input gives the same bytes
+
+    Raises
+    ------
+    InputError                      an edge that is not positive; scikit-fem is not installed
+    MeshError                       walls thinner than the tetrahedra
+    """
+    session, push = body.session, body.push
+    fine = []
+    if push is not None and push.radius is not None:
+        fine = [(push.point, _FINE_REACH * push.radius, push.radius / _ALONG_CONTACT)]
+    usual = float(np.cbrt(enclosed_volume(session.mesh))) / _ALONG_BODY
+    solid = make_solid(session.mesh, edge=usual if edge is None else edge, fine=fine)
+    empty = np.zeros_like(solid.nodes)
+    model = SolidModel(
+        body, solid, linear_parts(solid), held_nodes(solid, session.held_triangles), empty, empty,
+        np.zeros(0, dtype=np.int64), np.zeros(0),
+    )  # fmt: skip
+    return model if push is None else _loaded(model, push)
+
+
+def linear_parts(solid: Solid) -> Int[np.ndarray, "e 4"]:
+    """Every ten-node tetrahedron cut into eight of four nodes, by the shortest inner diagonal.
+
+    Parameters
+    ----------
+    solid : Solid
+
+    Returns
+    -------
+    (e, 4) int                      of positive volume
+    """
+    nodes, elements = solid.nodes, solid.elements
+    ends = nodes[elements[:, _DIAGONALS[:, :2]]]
+    shortest = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).argmin(axis=1)
+    chosen = _DIAGONALS[shortest]
+    ring = np.stack([chosen[:, 2:], np.roll(chosen[:, 2:], -1, axis=1)], axis=2)
+    axis = np.repeat(chosen[:, None, :2], 4, axis=1)
+    inner = np.concatenate([axis, ring], axis=2)
+    local = np.concatenate([np.broadcast_to(_CORNERS, inner.shape), inner], axis=1)
+    parts = np.take_along_axis(elements, local.reshape(len(elements), -1), axis=1).reshape(-1, 4)
+    turned = np.linalg.det(nodes[parts[:, 1:]] - nodes[parts[:, :1]]) < 0.0
+    parts[turned] = parts[turned][:, [0, 2, 1, 3]]
+    return parts
+
+
+def _pushed(
+    session: Session,
+    estimate: Estimate,
+    material: Material,
+    probing: Probing,
+    cache: Path | None,
+) -> Push:
+    """A probing with what the boundary elements say about it."""
+    contact = probing.contact
+    patch = find_contact_patch(session.mesh, contact, session.held_triangles, name=probing.name)
+    poked = poke_session(
+        session, probing.force, contact, shear_modulus=material.shear_modulus,
+        poisson_ratio=material.poisson_ratio, cache=cache,
+    )  # fmt: skip
+    held_out = probing.name not in {one.name for one in estimate.probes}
+    return Push(
+        probing.name, held_out, contact.point, contact.radius, probing.force, poked.displacement,
+        patch,
+    )  # fmt: skip
+
+
+def _loaded(model: SolidModel, push: Push) -> SolidModel:
+    """The model with the push's force shared by its nodes."""
+    points, weight = _pressure_points(model.body.session.mesh, push.patch)
+    curved = surface_values(model.solid, points).T @ weight
+    skin = model.skin
+    place = closest_points(skin, points)
+    share = place.barycentric * weight[:, None]
+    flat = np.bincount(
+        skin.triangles[place.triangle].ravel(), share.ravel(), minlength=len(model.nodes)
+    )
+    at = surface_values(model.solid, push.point[None])
+    return replace(
+        model,
+        load=curved[:, None] * push.force,
+        linear_load=flat[:, None] * push.force,
+        node=at.indices.astype(np.int64),
+        share=at.data,
+    )
+
+
+def _pressure_points(mesh: TriangleMesh, patch: ContactPatch) -> tuple[Points, PointScalars]:
+    """Points on the patch with their shares of the force, which sum to 1."""
+    triangle = np.asarray(patch.triangles, dtype=np.int64)
+    corners = np.tile(np.eye(3), (triangle.size, 1, 1))
+    for _ in range(_LEVELS):
+        triangle, corners = quartered(triangle, corners)
+    middle = corners.mean(axis=1)
+    position = np.einsum("nv,nva->na", middle, mesh.vertices[mesh.triangles[triangle]])
+    area = triangle_areas(mesh)[triangle]
+    even = patch.contact.triangles is not None
+    pressure = area if even else area * patch.density(triangle, middle, position)
+    pressed = pressure > 0.0
+    return position[pressed], pressure[pressed] / pressure.sum()

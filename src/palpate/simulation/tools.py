@@ -1,0 +1,206 @@
+"""Rigid tools that move freely, and where they are.
+
+The tips of the virtual facility go along one axis; a haptic tool turns and comes from any side.
+Whatever is convex can be given as planes, by `convex_tool`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, enclosed_volume
+from palpate.shapes import Matrix3, Vector3
+from palpate.simulation.kernels import FACES, SPHERE, ToolArrays
+
+# Sides of the prism that stands for a round punch.
+_SIDES = 48
+# Of its volume: by so much a mesh may miss its convex hull.
+_HOLLOW = 1e-6
+# Of one: by so much a turn may be no rotation.
+_TURN = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A ball about the origin of its frame.
+
+    Parameters
+    ----------
+    radius : float [m]              > 0
+
+    Raises
+    ------
+    InputError                      a radius that is not positive
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        _check_length("radius of the sphere", self.radius)
+
+    @property
+    def kind(self) -> int:
+        """`SPHERE`."""
+        return SPHERE
+
+    @property
+    def reach(self) -> float:
+        """Its radius [m]."""
+        return self.radius
+
+    @property
+    def planes(self) -> Float[np.ndarray, "p 4"]:
+        """None."""
+        return np.zeros((0, 4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConvexTool:
+    """The convex body behind some planes.
+
+    Parameters
+    ----------
+    planes : (p, 4) float           outward unit normals, and the offset along each [m]
+    reach : float [m]               radius of a ball about the origin that holds it
+    """
+
+    planes: Float[np.ndarray, "p 4"]
+    reach: float
+
+    @property
+    def kind(self) -> int:
+        """`FACES`."""
+        return FACES
+
+    @property
+    def radius(self) -> float:
+        """None: zero."""
+        return 0.0
+
+
+def flat_punch(radius: float, length: float) -> ConvexTool:
+    """A round rod with a flat end at the origin, along +z; it presses towards -z.
+
+    Parameters
+    ----------
+    radius : float [m]              > 0; of the circle about a prism of 48 sides
+    length : float [m]              > 0
+
+    Returns
+    -------
+    ConvexTool
+
+    Raises
+    ------
+    InputError                      a length that is not positive
+    """
+    _check_length("radius of the punch", radius)
+    _check_length("length of the punch", length)
+    angle = 2 * np.pi * (np.arange(_SIDES) + 0.5) / _SIDES
+    across = radius * np.cos(np.pi / _SIDES)
+    sides = np.column_stack(
+        [np.cos(angle), np.sin(angle), np.zeros(_SIDES), np.full(_SIDES, across)]
+    )
+    ends = np.array([[0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 1.0, length]])
+    return ConvexTool(np.concatenate([ends, sides]), float(np.hypot(radius, length)))
+
+
+def convex_tool(mesh: TriangleMesh) -> ConvexTool:
+    """A tool of the shape of a convex mesh, in the mesh's own frame.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, convex
+
+    Returns
+    -------
+    ConvexTool                      coplanar triangles are one face
+
+    Raises
+    ------
+    InputError                      a mesh that is flat, open or not convex
+    """
+    try:
+        hull = ConvexHull(mesh.vertices)
+    except (QhullError, ValueError) as error:
+        raise InputError("the tool's mesh has no volume; give a closed convex surface") from error
+    volume = enclosed_volume(mesh)
+    if abs(volume - hull.volume) > _HOLLOW * hull.volume:
+        raise InputError(
+            f"the tool's mesh holds {1e6 * volume:.4g} ml, its convex hull {1e6 * hull.volume:.4g}"
+            " ml; a tool must be convex and closed, with outward normals: give its hull, or several"
+            " convex tools"
+        )
+    planes = np.unique(np.round(hull.equations, 12), axis=0)
+    planes = np.column_stack([planes[:, :3], -planes[:, 3]])
+    return ConvexTool(planes, float(np.linalg.norm(mesh.vertices, axis=1).max()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedTool:
+    """A tool and its pose in the object's frame.
+
+    Parameters
+    ----------
+    tool : Sphere or ConvexTool
+    place : (3,) float [m]          of the origin of its frame
+    turn : (3, 3) float             rotation from its frame to the object's
+    friction : float                coefficient of Coulomb; 0 slides freely, infinite sticks
+
+    Raises
+    ------
+    InputError                      a turn that is no rotation, a negative coefficient
+    """
+
+    tool: Sphere | ConvexTool
+    place: Vector3
+    turn: Matrix3 = field(default_factory=lambda: np.eye(3))
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        turn = np.asarray(self.turn, dtype=np.float64)
+        off = np.abs(turn @ turn.T - np.eye(3)).max() if turn.shape == (3, 3) else np.inf
+        if not off <= _TURN or np.linalg.det(turn) < 0.0:
+            raise InputError(f"turn is {turn.tolist()}; must be a rotation, (3, 3)")
+        if not self.friction >= 0.0:
+            raise InputError(
+                f"friction is {self.friction}; must be 0 (slides), a coefficient, or infinite"
+                " (sticks)"
+            )
+
+
+def tool_arrays(now: Sequence[PlacedTool], before: Sequence[PlacedTool]) -> ToolArrays:
+    """Tools as the kernels take them.
+
+    Parameters
+    ----------
+    now : sequence of t PlacedTool
+    before : sequence of t PlacedTool       the same at the tick before
+
+    Returns
+    -------
+    ToolArrays
+    """
+    tools = [one.tool for one in now]
+    start = np.cumsum([0, *(len(tool.planes) for tool in tools)])
+    return ToolArrays(
+        kind=np.array([tool.kind for tool in tools]),
+        start=start,
+        radius=np.array([tool.radius for tool in tools]),
+        reach=np.array([tool.reach for tool in tools]),
+        planes=np.concatenate([np.zeros((0, 4)), *(tool.planes for tool in tools)]),
+        friction=np.array([float(one.friction) for one in now]),
+        place=np.array([one.place for one in now], dtype=np.float64),
+        turn=np.array([one.turn for one in now], dtype=np.float64),
+        before=np.array([one.place for one in before], dtype=np.float64),
+        turn_before=np.array([one.turn for one in before], dtype=np.float64),
+    )
+
+
+def _check_length(name: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0.0):
+        raise InputError(f"{name} is {value}; must be positive, in metres")

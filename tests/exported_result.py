@@ -1,0 +1,34 @@
+"""A result folder of `palpate fit` that was never fitted, for the tests of `palpate export`."""
+
+import numpy as np
+from cube_session import cube_session
+from estimate_samples import sample_result
+
+from palpate.records import (
+    read_session,
+    record_inputs,
+    result_folder,
+    session_files,
+    write_estimate,
+)
+
+# A wide contact, whose tetrahedra are large: simulators take seconds.
+RADIUS = 0.014
+SIDE = 0.04
+
+
+def written_result(place):
+    """A result folder of a fit of the cube with a second probing that was left out."""
+    folder = cube_session.__wrapped__(place)
+    text = (folder / "session.toml").read_text().replace("0.006", str(RADIUS))
+    again = text[text.index("[[probe]]") :].replace("n01", "n02")
+    rows = np.loadtxt(folder / "n01.csv", delimiter=",", skiprows=1)
+    rows[:, 3:6] *= 0.97
+    head = "x,y,z,ux,uy,uz,sigma"
+    np.savetxt(folder / "n02.csv", rows, delimiter=",", header=head, comments="")
+    (folder / "session.toml").write_text(text + again)
+    session = read_session(folder)
+    with result_folder(place / "result", kind="fit") as result:
+        write_estimate(result / "estimate.json", sample_result(session).estimate)
+        record_inputs(result, session_files(folder))
+    return place / "result"

@@ -1,0 +1,220 @@
+"""An estimated object in the files of simulators: what is in them, and what two of these do."""
+
+import json
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+from exported_result import RADIUS, SIDE, written_result
+
+from palpate.errors import InputError, RecordError
+from palpate.geometry import enclosed_volume, read_mesh
+from palpate.records import Constant
+from palpate.simulation import FORMATS, export_fit, read_fit, read_green_functions
+from palpate.simulation.formats import registry
+from palpate.simulation.material import exact_material
+from palpate.simulation.solid_model import make_estimated_object, make_solid_model
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    return written_result(tmp_path_factory.mktemp("export"))
+
+
+@pytest.fixture(scope="module")
+def source(result):
+    return read_fit(result)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def model(source, cache):
+    material = exact_material(2e4, 0.3)
+    body = make_estimated_object(source.session, source.estimate, material, cache=cache)
+    return make_solid_model(body, edge=0.01)
+
+
+@pytest.fixture(scope="module")
+def exported(source, cache, tmp_path_factory):
+    """Folder of every format."""
+    folders = {}
+    for name in FORMATS:
+        folders[name] = tmp_path_factory.mktemp(name)
+        export_fit(folders[name], source, name, edge=0.01, cache=cache)
+    return folders
+
+
+def test_the_tetrahedra_fill_the_object_in_both_forms(model):
+    corner = model.nodes[model.linear]
+    volume = np.linalg.det(corner[:, 1:] - corner[:, :1]) / 6
+    assert volume.min() > 0.0
+    assert len(model.linear) == 8 * len(model.solid.elements)
+    # A cube is met exactly: rounding.
+    assert volume.sum() == pytest.approx(SIDE**3)
+    assert enclosed_volume(model.skin) == pytest.approx(SIDE**3)
+    np.testing.assert_array_equal(model.held, model.nodes[:, 2] < 1e-9)
+
+
+def test_the_push_is_the_force_at_its_place_in_both_forms(model):
+    push = model.body.push
+    assert (push.name, push.held_out) == ("n02", True)
+    for load in (model.load, model.linear_load):
+        np.testing.assert_allclose(load.sum(axis=0), push.force, atol=1e-12)
+        moment = np.cross(model.nodes - push.point, load).sum(axis=0)
+        # The points under the contact lie symmetric on the squares of the mesh: to a thousandth
+        # of the force times its radius.
+        assert np.abs(moment).max() < 1e-3 * np.linalg.norm(push.force) * RADIUS
+    np.testing.assert_allclose(model.share @ model.nodes[model.node], push.point, atol=1e-12)
+
+
+def test_facts_and_readme_say_what_was_written(source, exported):
+    for name, folder in exported.items():
+        facts = json.loads((folder / "palpate.json").read_text())
+        young = source.estimate.young_modulus
+        assert facts["constants"]["young_modulus"]["ci95"] == list(young.ci95)
+        assert facts["written"]["young_modulus"] == pytest.approx(young.value)
+        assert facts["push"]["probing"] == "n02"
+        readme = (folder / "README.txt").read_text()
+        assert FORMATS[name].run in readme
+        assert "no density: 1000 kg/m^3 was written" in readme
+
+
+def written_nodes(name, folder):
+    """Nodes and number of tetrahedra of the formats that have them."""
+    if name == "vtu":
+        mesh = meshio.read(folder / "model.vtu")
+        assert mesh.point_data["held"].sum() > 0
+        return mesh.points, len(mesh.cells_dict["tetra10"])
+    if name == "calculix":
+        lines = (folder / "model.inp").read_text().splitlines()
+        start, end = lines.index("*NODE, NSET=ALL"), lines.index("*ELEMENT, TYPE=C3D10, ELSET=BODY")
+        nodes = np.array([line.split(",")[1:] for line in lines[start + 1 : end]], dtype=float)
+        return nodes, lines.index("*NSET, NSET=HELD") - end - 1
+    if name == "febio":
+        root = ET.parse(folder / "model.feb").getroot()
+        nodes = [list(map(float, n.text.split(","))) for n in root.iter("node") if "id" in n.attrib]
+        return np.array(nodes), len(root.findall("Mesh/Elements/elem"))
+    if name == "openusd":
+        text = (folder / "model.usda").read_text()
+        pieces = dict(line.strip().split(" = ", 1) for line in text.splitlines() if " = [" in line)
+        nodes = eval(pieces["point3f[] points"])
+        return np.array(nodes), len(eval(pieces["int4[] tetVertexIndices"]))
+    file, tag, keys = {
+        "mujoco": ("model.xml", "flexcomp", ("point", "element")),
+        "sofa": ("model.scn", "MeshTopology", ("position", "tetrahedra")),
+    }[name]
+    one = next(ET.parse(folder / file).getroot().iter(tag))
+    nodes, cells = (np.array(one.attrib[key].split(), dtype=float) for key in keys)
+    return nodes.reshape(-1, 3), cells.size // 4
+
+
+@pytest.mark.parametrize("name", ["mujoco", "calculix", "febio", "sofa", "vtu", "openusd"])
+def test_solids_are_written_with_all_their_nodes(exported, name):
+    facts = json.loads((exported[name] / "palpate.json").read_text())["tetrahedra"]
+    nodes, cells = written_nodes(name, exported[name])
+    assert len(nodes) == facts["nodes"]
+    assert cells == facts["linear" if name in ("mujoco", "sofa", "openusd") else "quadratic"]
+    # Nine digits.
+    np.testing.assert_allclose(np.ptp(nodes, axis=0), SIDE, rtol=1e-8)
+
+
+def test_febio_has_every_nodal_force_once(exported):
+    root = ET.parse(exported["febio"] / "model.feb").getroot()
+    rows = [list(map(float, n.text.split(","))) for n in root.findall("MeshData/NodeData/node")]
+    loaded = root.find("Mesh/NodeSet[@name='loaded']").text.split(",")
+    assert len(rows) == len(loaded)
+    np.testing.assert_allclose(np.sum(rows, axis=0), [0.0, 0.0, -1.2], atol=1e-8)
+
+
+def test_surfaces_and_programs_are_written(source, exported):
+    for name in ("obj", "genesis", "isaaclab"):
+        mesh = read_mesh(exported[name] / "surface.obj")
+        # OBJ holds eight digits or more.
+        assert enclosed_volume(mesh) == pytest.approx(SIDE**3, rel=1e-6)
+    for name, file in (("genesis", "scene.py"), ("isaaclab", "body.py"), ("mujoco", "replay.py")):
+        compile((exported[name] / file).read_text(), file, "exec")
+    green = read_green_functions(exported["npz"] / "green.npz")
+    assert green.material.shear_modulus == source.estimate.shear_modulus.value
+
+
+def test_every_format_is_registered_with_one_writer():
+    files = {name for name in vars(registry) if name in FORMATS}
+    assert files == set(FORMATS)
+    for form in FORMATS.values():
+        assert (form.of_solid is None) != (form.of_surface is None)
+
+
+def test_calculix_moves_the_point_as_the_model_does(exported):
+    if shutil.which("ccx") is None:
+        pytest.skip("CalculiX (ccx) is not installed")
+    folder = exported["calculix"]
+    subprocess.run(["ccx", "model"], cwd=folder, check=True, capture_output=True, timeout=100)
+    rows = [line.split() for line in (folder / "model.dat").read_text().splitlines()]
+    moved = {int(row[0]) - 1: np.array(row[1:], dtype=float) for row in rows if len(row) == 4}
+    push = json.loads((folder / "replay.json").read_text())
+    nodes = zip(push["point_nodes"], push["point_shares"], strict=True)
+    found, wanted = sum(share * moved[node] for node, share in nodes), push["displacement"]
+    # Tetrahedra of 6 mm under a contact of 14 mm, triangles of 7 mm.
+    assert np.linalg.norm(found - wanted) < 0.02 * np.linalg.norm(wanted)
+
+
+def test_mujoco_moves_the_point_as_the_model_does(exported):
+    pytest.importorskip("mujoco")
+    done = subprocess.run(
+        [sys.executable, "replay.py"], cwd=exported["mujoco"], check=True, capture_output=True,
+        text=True, timeout=100,
+    )  # fmt: skip
+    # Linear tetrahedra are stiff: 3 mm under a contact of 14 mm.
+    assert float(done.stdout.split()[-1]) < 0.05
+
+
+def with_ratio(source, ratio):
+    constant = Constant(ratio, 0.01, (ratio - 0.02, ratio + 0.02))
+    return replace(source, estimate=replace(source.estimate, poisson_ratio=constant))
+
+
+def test_a_material_outside_a_simulators_range_is_refused_or_said(source, tmp_path):
+    with pytest.raises(InputError, match=r"ratio is -0\.2; MuJoCo takes 0 to 0\.495: choose"):
+        export_fit(tmp_path, with_ratio(source, -0.2), "mujoco")
+    body = export_fit(tmp_path, with_ratio(source, 0.4999), "genesis")
+    assert body.notes[0].startswith("Poisson's ratio 0.4999 was written as 0.495")
+    assert body.material.poisson_ratio == 0.495
+    assert body.material.shear_modulus == source.estimate.shear_modulus.value
+
+
+def test_a_probing_that_is_not_there_is_refused(source, tmp_path):
+    with pytest.raises(InputError, match=r"no probing 'n09' \(there are: n01, n02\)"):
+        export_fit(tmp_path, source, "obj", probe="n09")
+
+
+def test_results_of_other_versions_half_copied_or_without_session_are_refused(tmp_path):
+    result = written_result(tmp_path)
+    contents = result / "contents.txt"
+    whole = contents.read_text()
+    contents.write_text(whole.replace("palpate-result/1", "palpate-result/9"))
+    with pytest.raises(RecordError, match="is no result that can be verified"):
+        read_fit(result)
+    contents.write_text(whole)
+    estimate = (result / "estimate.json").read_bytes()
+    (result / "estimate.json").write_bytes(estimate[:100])
+    with pytest.raises(RecordError, match=r"not as it was written: estimate\.json \(changed\)"):
+        read_fit(result)
+    (result / "estimate.json").unlink()
+    with pytest.raises(RecordError, match=r"estimate\.json \(missing\)"):
+        read_fit(result)
+    (result / "estimate.json").write_bytes(estimate)
+    (tmp_path / "cube").rename(tmp_path / "elsewhere")
+    with pytest.raises(RecordError, match=r"not where it was; say where it is now with --session"):
+        read_fit(result)
+    assert read_fit(result, tmp_path / "elsewhere").session.name == "a [bold] cube"
+    with pytest.raises(RecordError, match="is no folder"):
+        read_fit(result / "estimate.json")

@@ -1,0 +1,109 @@
+"""Green's functions against the elastic map, and their files."""
+
+import numpy as np
+import pytest
+from cube_green import NU, SHEAR, TOP
+from estimate_samples import sample_result
+
+from palpate.errors import InputError, RecordError
+from palpate.pipeline import poke_session
+from palpate.records import Contact
+from palpate.simulation import (
+    Material,
+    displacement_under,
+    estimated_material,
+    exact_material,
+    make_green_functions,
+    read_green_functions,
+    write_green_functions,
+)
+
+
+def test_a_force_on_a_vertex_moves_the_surface_as_a_poke_there(session, green):
+    force = np.array([0.3, -0.2, -1.0])
+    poked = poke_session(
+        session, force, Contact(np.array(TOP), None, "vertex"), shear_modulus=SHEAR,
+        poisson_ratio=NU,
+    )  # fmt: skip
+    moved = displacement_under(green, np.array([TOP]), force[None])
+    at = np.linalg.norm(session.mesh.vertices - TOP, axis=1).argmin()
+    # Made symmetric: off by what the discretisation is not.
+    np.testing.assert_allclose(moved[at], poked.displacement, rtol=2 * green.asymmetry)
+    assert green.asymmetry < 0.05
+    held = session.mesh.triangles[session.held_triangles]
+    assert not moved[held].any()
+
+
+def test_a_force_between_vertices_is_shared_by_them(session, green):
+    corner = session.mesh.triangles[np.isin(session.mesh.triangles, green.nodes).all(axis=1)][0]
+    share, force = np.array([0.2, 0.3, 0.5]), np.array([[0.0, 0.0, -1.0]])
+    point = (share @ session.mesh.vertices[corner])[None]
+    parts = [displacement_under(green, session.mesh.vertices[[c]], force) for c in corner]
+    # Linear: rounding.
+    np.testing.assert_allclose(
+        displacement_under(green, point, force), np.tensordot(share, parts, 1), atol=1e-12
+    )
+
+
+def test_a_force_where_nothing_is_known_is_refused(green):
+    with pytest.raises(InputError, match="1 of 1 points lie outside"):
+        displacement_under(green, np.array([[0.0, 0.02, 0.01]]), np.ones((1, 3)))
+
+
+def test_files_give_back_what_was_written(tmp_path, green):
+    path = tmp_path / "g.npz"
+    write_green_functions(path, green)
+    again = read_green_functions(path)
+    for name in ("nodes", "compliance", "surface", "slope", "held_triangles"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(green, name))
+    assert again.material.shear_modulus == SHEAR
+    assert again.asymmetry == green.asymmetry
+
+
+def spoilt(path, green, **changes):
+    write_green_functions(path, green)
+    with np.load(path) as file:
+        content = {name: file[name] for name in file.files} | changes
+    np.savez(path, **{name: value for name, value in content.items() if value is not None})
+
+
+def test_spoilt_files_are_refused(tmp_path, green):
+    path = tmp_path / "g.npz"
+    for changes, words in (
+        ({"format": np.array("palpate-greens/9")}, "'palpate-greens/9'; this version reads"),
+        ({"slope": None}, "'slope' is missing"),
+        ({"compliance": 2 * green.compliance}, "not as they were written"),
+    ):
+        spoilt(path, green, **changes)
+        with pytest.raises(RecordError, match=words):
+            read_green_functions(path)
+    write_green_functions(path, green)
+    path.write_bytes(path.read_bytes()[:-1000])
+    with pytest.raises(RecordError, match="only a part of one"):
+        read_green_functions(path)
+    with pytest.raises(RecordError, match="No such file"):
+        read_green_functions(tmp_path / "none.npz")
+
+
+def test_held_and_unknown_vertices_are_refused(session):
+    held = int(session.mesh.triangles[session.held_triangles[0], 0])
+    material = exact_material(SHEAR, NU)
+    with pytest.raises(InputError, match="belong to the support"):
+        make_green_functions(session, material, nodes=np.array([held]))
+    with pytest.raises(InputError, match="distinct vertices"):
+        make_green_functions(session, material, nodes=np.array([10**6]))
+
+
+def test_the_covariance_is_the_one_that_gives_all_three_deviations(session):
+    estimate = sample_result(session).estimate
+    found = estimated_material(estimate)
+    slope = np.array([2 * (1 + found.poisson_ratio), 2 * found.shear_modulus])
+    # Rounding.
+    assert np.sqrt(slope @ found.covariance @ slope) == pytest.approx(estimate.young_modulus.std)
+
+
+def test_impossible_materials_are_refused():
+    with pytest.raises(InputError, match=r"poisson_ratio is 0\.6"):
+        exact_material(1e4, 0.6)
+    with pytest.raises(InputError, match="covariance must be"):
+        Material(1e4, 0.3, np.array([[1.0, 5.0], [5.0, 1.0]]))
