@@ -227,6 +227,7 @@ def fit(
     probe: Sequence[str] | None = None,
     method: str = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
+    finite_strain: bool = False,
     cache: Path | str | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -238,6 +239,8 @@ def fit(
     probe : sequence of str         use these probings only; of a folder
     method : str                    "reduced", or "nelder-mead" on the full model
     poisson_range : (float, float)  Poisson's ratios that are possible
+    finite_strain : bool            correct what the linear model leaves out of an object that was
+                                    pressed far
     cache : path or None            folder that keeps the surface integrals for the next time
     progress : callable             told what is done (text) and how far it is (0 to 1)
 
@@ -258,6 +261,7 @@ def fit(
         settings=FitSettings(method=method, poisson_range=poisson_range),
         surface=SurfaceSettings(),
         cache=folder,
+        finite_strain=finite_strain,
         progress=progress,
     )
     return Result(measured, fitted, folder)

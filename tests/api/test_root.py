@@ -56,6 +56,7 @@ def test_a_notebook_shows_a_table(result):
     assert shown.count("<tr>") == 4
     assert "<td>60.0 ± 1.2</td>" in shown
     assert "<b>a [bold] cube</b>" in shown
+    assert result.session._repr_html_().count("<li>") == 1
 
 
 @pytest.mark.parametrize("what", ["likelihood", "probings", "n01"])
