@@ -180,8 +180,13 @@ def test_mujoco_moves_the_point_as_the_model_does(exported):
 
 
 def with_ratio(source, ratio):
-    constant = Constant(ratio, 0.01, (ratio - 0.02, ratio + 0.02))
-    return replace(source, estimate=replace(source.estimate, poisson_ratio=constant))
+    """The same shear modulus with another Poisson's ratio."""
+    young = 2 * source.estimate.shear_modulus.value * (1 + ratio)
+    constants = {
+        name: Constant(value, 0.01 * abs(value), (value - 0.02 * abs(value), value + abs(value)))
+        for name, value in (("poisson_ratio", ratio), ("young_modulus", young))
+    }
+    return replace(source, estimate=replace(source.estimate, **constants))
 
 
 def test_a_material_outside_a_simulators_range_is_refused_or_said(source, tmp_path):
