@@ -27,6 +27,7 @@ class Shape:
     edge : float [m]                for about 600 vertices
     towards : (k, 3) float          directions whose farthest points are pressed
     held : float [m]                triangles whose vertices are all below this height are held
+    poisson_ratio : float [-]       of its material
     """
 
     make: Callable[[float], TriangleMesh]
@@ -37,6 +38,7 @@ class Shape:
         (-0.45, 1.0, 0.4),
     )
     held: float = 1e-6
+    poisson_ratio: float = 0.3
 
 
 def cells(occupied: Bool[np.ndarray, "i j k"], lines: Sequence[np.ndarray]) -> TriangleMesh:
@@ -80,7 +82,9 @@ def _lines(edge: float, *stops: float) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _box(x: float, y: float, z: float) -> Callable[[float], TriangleMesh]:
+def box_mesh(x: float, y: float, z: float) -> Callable[[float], TriangleMesh]:
+    """A box of given sides [mm] that stands on z = 0, centred on the z axis."""
+
     def make(edge: float) -> TriangleMesh:
         lines = [_lines(edge, -x / 2, x / 2), _lines(edge, -y / 2, y / 2), _lines(edge, 0, z)]
         return cells(np.ones([len(line) - 1 for line in lines], dtype=bool), lines)
@@ -165,36 +169,55 @@ def _mushroom(s: np.ndarray) -> np.ndarray:
     return PchipInterpolator(arc / arc[-1], stops)(s) * _MM
 
 
+# Angle of the ring's section at which its flat foot cuts it, from the lowest line.
+_FOOT = 0.9
+
+
 def _torus(edge: float) -> TriangleMesh:
-    """A ring of radius 30 mm and 13 mm thick radius, lying, its lowest part held."""
-    around, across = max(round(2 * np.pi * 30 * _MM / edge), 12), round(2 * np.pi * 13 * _MM / edge)
-    across = max(across, 8)
+    """A ring of radius 30 mm and 13 mm thick radius, cut flat below, lying."""
+    around = max(round(2 * np.pi * 30 * _MM / edge), 12)
+    half = 13 * np.sin(_FOOT)
+    below = max(round(2 * half * _MM / edge), 3)
+    above = round(2 * (np.pi - _FOOT) * 13 * _MM / edge)
+    angles = np.linspace(_FOOT, 2 * np.pi - _FOOT, above, endpoint=False) - 0.5 * np.pi
+    out = np.concatenate([np.linspace(-half, half, below, endpoint=False), 13 * np.cos(angles)])
+    up = np.concatenate([np.zeros(below), 13 * (np.cos(_FOOT) + np.sin(angles))])
+    across = len(out)
     i, j = (g.ravel() for g in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
-    phi, theta = 2 * np.pi * i / around, 2 * np.pi * (j + 0.5) / across - 0.5 * np.pi
-    radius = 30 + 13 * np.cos(theta)
-    place = [radius * np.cos(phi), radius * np.sin(phi), 13 + 13 * np.sin(theta)]
-    ahead, up = (i + 1) % around * across + j, i * across + (j + 1) % across
+    phi, radius = 2 * np.pi * i / around, 30 + out[j]
+    place = [radius * np.cos(phi), radius * np.sin(phi), np.where(j < below, 0.0, up[j])]
+    ahead, over = (i + 1) % around * across + j, i * across + (j + 1) % across
     both = (i + 1) % around * across + (j + 1) % across
     here = i * across + j
     even = ((i + j) % 2 == 0)[:, None]
-    first = np.where(even, np.stack([here, ahead, both], 1), np.stack([here, ahead, up], 1))
-    second = np.where(even, np.stack([here, both, up], 1), np.stack([ahead, both, up], 1))
+    first = np.where(even, np.stack([here, ahead, both], 1), np.stack([here, ahead, over], 1))
+    second = np.where(even, np.stack([here, both, over], 1), np.stack([ahead, both, over], 1))
     return TriangleMesh(np.stack(place, axis=1) * _MM, np.concatenate([first, second]))
 
 
 BODIES = {
-    "slab": Shape(_box(80, 60, 16), 5.9e-3, ((0, 0, 1), (0.4, 0.3, 1), (-0.3, 0.3, 1))),
-    "block": Shape(_box(60, 45, 45), 5.2e-3),
-    "egg": Shape(_curve(_egg, 80e-3), 4.1e-3),
-    "arch": Shape(_arch, 5.2e-3, ((0, 0, 1), (0.7, 0.2, 0.8), (-0.6, 0.3, 0.9))),
+    "slab": Shape(
+        box_mesh(80, 60, 16), 5.9e-3, ((0, 0, 1), (0.4, 0.3, 1), (-0.3, 0.3, 1)), poisson_ratio=0.45
+    ),
+    "block": Shape(box_mesh(60, 45, 45), 5.2e-3),
+    "egg": Shape(_curve(_egg, 80e-3), 4.1e-3, poisson_ratio=0.4),
+    "arch": Shape(
+        _arch, 5.2e-3, ((0, 0, 1), (0.7, 0.2, 0.8), (-0.6, 0.3, 0.9)), poisson_ratio=0.1
+    ),
     "mushroom": Shape(
-        _curve(_mushroom, 84e-3), 4.1e-3, ((0.02, 0.05, 1), (1, 0.2, 0.6), (-0.5, 1, 0.5))
+        _curve(_mushroom, 84e-3), 4.1e-3, ((0.02, 0.05, 1), (1, 0.2, 0.6), (-0.5, 1, 0.5)),
+        poisson_ratio=0.2,
     ),
     "bracket": Shape(_bracket, 4.6e-3, ((-0.3, 0.1, 1), (0.2, 0.1, 1), (-1, 0.3, 0.4))),
-    "hourglass": Shape(_curve(_hourglass, 66e-3), 4.2e-3),
-    "cone": Shape(_profile((0, 0), (32, 0), (10, 55), (0, 55)), 4.2e-3),
-    "beam": Shape(_box(20, 20, 110), 4.4e-3, ((0.1, 0.1, 1), (1, 0.1, 0.4), (0.1, 1, 0.2))),
-    "plate": Shape(_box(80, 5, 50), 4.3e-3, ((0.1, -1, 0.3), (0.4, -1, 0.5), (-0.35, -1, 0.4))),
-    "cylinder": Shape(_profile((0, 0), (20, 0), (20, 60), (0, 60)), 4.6e-3),
-    "torus": Shape(_torus, 5.4e-3, ((0.7, 0.2, 1), (-0.6, 0.5, 1), (0.1, -1, 0.8)), 3.2e-3),
+    "hourglass": Shape(_curve(_hourglass, 66e-3), 4.2e-3, poisson_ratio=0.35),
+    "cone": Shape(_profile((0, 0), (32, 0), (10, 55), (0, 55)), 4.2e-3, poisson_ratio=0.0),
+    "beam": Shape(
+        box_mesh(20, 20, 110), 4.4e-3, ((0.1, 0.1, 1), (1, 0.1, 0.4), (0.1, 1, 0.2)),
+        poisson_ratio=0.25,
+    ),
+    "plate": Shape(box_mesh(80, 5, 50), 4.3e-3, ((0.1, -1, 0.3), (0.4, -1, 0.5), (-0.35, -1, 0.4))),
+    "cylinder": Shape(_profile((0, 0), (20, 0), (20, 60), (0, 60)), 4.6e-3, poisson_ratio=0.45),
+    "torus": Shape(
+        _torus, 5.0e-3, ((0.7, 0.2, 1), (-0.6, 0.5, 1), (0.1, -1, 0.8)), poisson_ratio=0.15
+    ),
 }  # fmt: skip

@@ -2,29 +2,34 @@
 with the boundary elements that estimate."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from benchmarks.bodies import BODIES, Shape
-from palpate.geometry import (
-    TriangleMesh,
-    quadratic_shapes,
-    unit_normals,
+from palpate.geometry import TriangleMesh, unit_normals
+from palpate.lab.bodies.finite_elements import (
+    Body,
+    make_body,
+    pressure_load,
+    solve_load,
+    surface_values,
 )
-from palpate.lab.bodies.finite_elements import Body, make_body, solve_load, surface_values
 from palpate.lab.bodies.tetrahedra import Solid, make_solid
+from palpate.records.contact import smooth_pressure
 from palpate.shapes import Points
 
 SHEAR_MODULUS = 2e4
 RADIUS = 5e-3
 # A tool keeps its radius and a little more away from edges and from the support.
 _CLEARANCE = 1.35
+# Edges of the surface that is filled over those of the surface that estimates.
+_SURFACE = 0.25
+# Edge of the tetrahedra under a tool over its radius.
+_FINE = 0.25
 # Between contacts.
 _APART = 15e-3
-_STEPS = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,53 +85,34 @@ class Truth:
 
     body: Body
 
-    @cached_property
-    def _load_places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Shape functions (s, 6), places (f, s, 3), areas and outward sides of the outer faces."""
-        steps = (np.arange(_STEPS) + 0.5) / _STEPS
-        a, b = (g.ravel() for g in np.meshgrid(steps, steps))
-        a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-        shape = quadratic_shapes(np.stack([1 - a - b, a, b], axis=1)).T
-        solid = self.body.solid
-        nodes = solid.nodes[solid.facets]
-        side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
-        return shape, np.einsum("sn,fna->fsa", shape, nodes), np.linalg.norm(side, axis=1), side
-
     def displacement(
         self, point: Float[np.ndarray, "3"], force: Float[np.ndarray, "3"], radius: float
     ) -> Float[np.ndarray, "n 3"]:
         """Nodal displacement [m] under a pressure (1 - r^2 / a^2)^2 around a point."""
-        shape, place, area, side = self._load_places
-        facing = (side @ force < 0)[:, None]
-        square = ((place - point) ** 2).sum(axis=2) / radius**2
-        density = np.where(facing, np.clip(1 - square, 0, None) ** 2 * area[:, None], 0.0)
-        share = np.zeros(len(self.body.solid.nodes))
-        np.add.at(share, self.body.solid.facets, density @ shape)
-        return solve_load(self.body, share[:, None] / share.sum() * force)
+        share = pressure_load(self.body.solid, point, radius, smooth_pressure)
+        return solve_load(self.body, share[:, None] * force)
 
     def at(self, nodal: Float[np.ndarray, "n 3"], points: Points) -> Points:
         """Displacement of points of the surface, or of the nearest places."""
         return surface_values(self.body.solid, points) @ nodal
 
 
-def make_truth(name: str, poisson_ratio: float, *, edge: float) -> Truth:
+def make_truth(name: str, *, edge: float) -> Truth:
     """A body of `BODIES`, filled from a surface much finer than the one that estimates.
 
     Parameters
     ----------
     name : str
-    poisson_ratio : float [-]
-    edge : float [m]            of the tetrahedra; half of it under the tools
+    edge : float [m]            of the tetrahedra, away from the tools
     """
     shape = BODIES[name]
     places = contacts(shape.make(shape.edge), shape)
-    surface = shape.make(0.45 * shape.edge)
-    fine = [(place.point, 1.2 * RADIUS, 0.5 * edge) for place in places]
+    surface = shape.make(_SURFACE * shape.edge)
+    fine = [(place.point, 1.2 * RADIUS, _FINE * RADIUS) for place in places]
     solid = make_solid(surface, edge=edge, fine=fine)
+    held = _held(solid, shape)
     return Truth(
-        make_body(
-            solid, _held(solid, shape), shear_modulus=SHEAR_MODULUS, poisson_ratio=poisson_ratio
-        )
+        make_body(solid, held, shear_modulus=SHEAR_MODULUS, poisson_ratio=shape.poisson_ratio)
     )
 
 

@@ -33,14 +33,13 @@ from palpate.records import (
     Session,
 )
 
-POISSON_RATIO = 0.3
 NOISE = 0.01
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
-TRUTH = dict(
-    zip(NAMES, (POISSON_RATIO, SHEAR_MODULUS, 2 * SHEAR_MODULUS * (1 + POISSON_RATIO)), strict=True)
-)
-# Edges of the tetrahedra over those of the surface's triangles.
-FINE = 0.7
+# Edges of the tetrahedra over those of the surface's triangles, of three solutions, each a constant
+# part of the one before.
+EDGES = (1.4, 1.0, 0.7)
+# What a step leaves of the one before: between first order of convergence and third.
+LEFT = (0.7**3, 0.7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,28 +52,51 @@ class Measured:
     mesh : TriangleMesh
     shape : Shape
     moved : (c, v, 3) float [m]     under one newton inward
+    own : float [-]                 what the extrapolation to elements of no size has changed, over
+                                    the displacement
+    left : float [-]                what the last step of the mesh has left of the one before
     """
 
     name: str
     mesh: TriangleMesh
     shape: Shape
     moved: Float[np.ndarray, "c v 3"]
+    own: float
+    left: float
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """The constants."""
+        ratio = self.shape.poisson_ratio
+        values = (ratio, SHEAR_MODULUS, 2 * SHEAR_MODULUS * (1 + ratio))
+        return dict(zip(NAMES, values, strict=True))
 
 
 def measured_body(name: str, folder: Path) -> Measured:
     """Truth of a body, computed once."""
     shape = BODIES[name]
     mesh = shape.make(shape.edge)
-    file = folder / f"{name}_{POISSON_RATIO}_{FINE}.npz"
+    coarse, middle, fine = (_solved(name, mesh, folder, edge) for edge in EDGES)
+    # Aitken's extrapolation: the steps shrink as a geometric series does.
+    first, second = middle - coarse, fine - middle
+    left = np.clip((first * second).sum() / (first**2).sum(), *LEFT)
+    rest = second * left / (1.0 - left)
+    own = np.linalg.norm(rest) / np.linalg.norm(fine)
+    return Measured(name, mesh, shape, fine + rest, float(own), float(left))
+
+
+def _solved(name: str, mesh: TriangleMesh, folder: Path, edge: float) -> Float[np.ndarray, "c v 3"]:
+    file = folder / f"{name}_{edge}.npy"
     if not file.exists():
-        truth = make_truth(name, POISSON_RATIO, edge=FINE * shape.edge)
+        shape = BODIES[name]
+        truth = make_truth(name, edge=edge * shape.edge)
         moved = [
             truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
             for one in contacts(mesh, shape)
         ]
         folder.mkdir(parents=True, exist_ok=True)
-        np.savez(file, u=np.stack(moved))
-    return Measured(name, mesh, shape, np.load(file)["u"])
+        np.save(file, np.stack(moved))
+    return np.load(file)
 
 
 def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Session:
@@ -112,42 +134,52 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
     )
 
 
-def errors_of(estimate: Estimate) -> str:
+def errors_of(estimate: Estimate, truth: dict[str, float]) -> str:
     """Errors of E and nu with their standard deviations."""
     young, ratio = estimate.young_modulus, estimate.poisson_ratio
-    truth = TRUTH["young_modulus"]
+    true = truth["young_modulus"]
     return (
-        f"E {100 * (young.value / truth - 1):+6.2f} % (+- {100 * young.std / truth:4.2f})   "
-        f"nu {ratio.value - POISSON_RATIO:+.4f} (+- {ratio.std:.4f})   {estimate.status}"
+        f"E {100 * (young.value / true - 1):+6.2f} % (+- {100 * young.std / true:4.2f})   "
+        f"nu {ratio.value - truth['poisson_ratio']:+.4f} (+- {ratio.std:.4f})   {estimate.status}"
     )
 
 
-def held_shares(estimates: Sequence[Estimate]) -> str:
-    """How many intervals hold each constant."""
-    parts = []
-    for name in NAMES:
-        ends = [getattr(one, name).ci95 for one in estimates]
-        held = sum(low <= TRUTH[name] <= high for low, high in ends)
-        parts.append(f"{name} {held}")
-    return ", ".join(parts)
+def held(estimate: Estimate, truth: dict[str, float]) -> np.ndarray:
+    """Which constants its intervals hold, (3,) bool."""
+    ends = [getattr(estimate, name).ci95 for name in NAMES]
+    return np.array(
+        [low <= truth[name] <= high for name, (low, high) in zip(NAMES, ends, strict=True)]
+    )
+
+
+def _counts(every: Sequence[np.ndarray]) -> str:
+    return ", ".join(f"{name} {n}" for name, n in zip(NAMES, np.sum(every, axis=0), strict=True))
 
 
 def main() -> None:
     """Print errors of clean data, and how often intervals hold."""
     folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 20
-    every: list[Estimate] = []
+    every: list[np.ndarray] = []
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder)
         clean = fit_session(session(body, EXACT, 0.0, 0), cache=folder / "integrals").estimate
-        print(f"{name:10s} {len(body.mesh.vertices):4d} vertices, clean   {errors_of(clean)}")
+        print(
+            f"{name:10s} nu {body.shape.poisson_ratio:.2f}, {len(body.mesh.vertices)} vertices, "
+            f"truth extrapolated by {100 * body.own:.2f} %, its steps by {body.left:.2f} each"
+        )
+        print(f"{'':10s} clean                 {errors_of(clean, body.truth)}", flush=True)
         found = []
         for seed in range(count):
             noisy = session(body, ErrorPriors(), NOISE, seed)
-            found.append(fit_session(noisy, cache=folder / "integrals").estimate)
-            print(f"{'':10s} session {seed:2d}            {errors_of(found[-1])}", flush=True)
+            estimate = fit_session(noisy, cache=folder / "integrals").estimate
+            found.append(held(estimate, body.truth))
+            print(
+                f"{'':10s} session {seed:2d}            {errors_of(estimate, body.truth)}",
+                flush=True,
+            )
         every += found
-        print(f"{'':10s} of {count}: {held_shares(found)}", flush=True)
-    print(f"of {len(every)} sessions intervals hold: {held_shares(every)}")
+        print(f"{'':10s} of {count}: {_counts(found)}", flush=True)
+    print(f"of {len(every)} sessions intervals hold: {_counts(every)}")
 
 
 if __name__ == "__main__":

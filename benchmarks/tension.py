@@ -3,7 +3,8 @@
 The truth are quadratic hexahedra of scikit-fem: one grip shifts and turns as a machine that gives,
 the other is pulled by a known force and does not turn against it. A load cell measures the force
 along the sheet only; image correlation sees one face between the grips. Run by
-`python -m benchmarks.tension [REPEATS]`.
+`python -m benchmarks.tension [REPEATS]`: with all errors exact but force and noise, and
+with errors drawn from their priors.
 """
 
 import sys
@@ -13,22 +14,25 @@ from pathlib import Path
 
 import numpy as np
 import skfem
-from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from benchmarks.meshes import sheet
 from palpate.estimation import ProbeObservations, fit
 from palpate.geometry import closest_points
-from palpate.pipeline import make_object_model, session_observations
+from palpate.pipeline import graded_session, make_object_model, settled_observations
 from palpate.records import (
+    EXACT,
     FREE,
     RIGID,
     Contact,
     DisplacementField,
+    ErrorPriors,
     Probing,
     Session,
     Support,
 )
+from palpate.shapes import Points
 
 SIZE = np.array([0.1, 0.02, 0.001])
 GRIP = 0.01
@@ -43,7 +47,7 @@ CELLS = (40, 8, 1)
 POINTS = (57, 15)
 
 
-def true_displacement(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def true_displacement() -> Callable[[Points], Points]:
     """Displacement of points of the sheet [m] from finite elements, and the foot's motion."""
     ends = [np.linspace(0, GRIP, 5), np.linspace(SIZE[0] - GRIP, SIZE[0], 5)]
     along = np.unique(np.concatenate([ends[0], np.linspace(GRIP, SIZE[0] - GRIP, 61), ends[1]]))
@@ -58,9 +62,13 @@ def true_displacement(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 
     unit[head.nodal["u^1"]] = unit[head.facet["u^1"]] = unit[head.edge["u^1"]] = 1.0
     moved = skfem.solve(*skfem.condense(stiffness, np.zeros(basis.N), x=unit, D=held))
     moved *= FORCE[0] / (moved @ stiffness @ moved)
-    inside = np.clip(points.T, 1e-9, SIZE[:, None] * (1 - 1e-7))
-    stretched = (basis.probes(inside) @ moved).reshape(3, -1).T
-    return stretched + SHIFT + np.cross(TURN, points)
+
+    def displacement(points: Points) -> Points:
+        inside = np.clip(points.T, 1e-9, SIZE[:, None] * (1 - 1e-7))
+        stretched = (basis.probes(inside) @ moved).reshape(3, -1).T
+        return stretched + SHIFT + np.cross(TURN, points)
+
+    return displacement
 
 
 def _gripped(x: np.ndarray) -> np.ndarray:
@@ -68,7 +76,7 @@ def _gripped(x: np.ndarray) -> np.ndarray:
     return across & ((x[0] < GRIP + 1e-9) | (x[0] > SIZE[0] - GRIP - 1e-9))
 
 
-def session_of(points: Float[np.ndarray, "n 3"]) -> Session:
+def session_of(points: Points, errors: ErrorPriors) -> Session:
     """The sheet between its grips; nothing measured yet."""
     mesh = sheet(SIZE, CELLS)
     gripped = _gripped(mesh.vertices.T)[mesh.triangles].all(axis=1)
@@ -84,19 +92,45 @@ def session_of(points: Float[np.ndarray, "n 3"]) -> Session:
     probing = Probing("n01", contact, FORCE, std, None, None, field, None)
     supports = (Support(foot, FREE), Support(head, FREE))
     held = np.concatenate([foot, head])
-    return Session("sheet", Path(), mesh, held, (probing,), None, None, None, (), supports=supports)
+    return Session(
+        "sheet", Path(), mesh, held, (probing,), None, None, None, (), supports=supports,
+        errors=errors,
+    )  # fmt: skip
 
 
-def repeated(count: int, say: Callable[[str], None] = print) -> None:
+def observed(session: Session) -> ProbeObservations:
+    """The sheet as `palpate fit` models it: graded, beside the given mesh."""
+    plain = replace(session, errors=EXACT)
+    coarser = settled_observations(plain, make_object_model(plain))
+    graded = graded_session(session)
+    (seen,) = settled_observations(graded, make_object_model(graded), coarser=coarser)
+    return seen
+
+
+def drawn(
+    seen: ProbeObservations, truth: Callable[[Points], Points], errors: ErrorPriors, seed: int
+) -> ProbeObservations:
+    """What is told is wrong by draws from the priors, the points lie where they are told to."""
+    rng = np.random.default_rng(seed)
+    gain = (1 + errors.force_gain * rng.normal()) * (1 + FORCE_ERROR * rng.normal())
+    turn = Rotation.from_rotvec(errors.pose_rotation * rng.normal(size=3))
+    shift = errors.pose_translation * rng.normal(size=3)
+    scale = 1.0 + errors.length_scale * rng.normal(size=3)
+    centre = 0.5 * SIZE
+    moved = truth(turn.inv().apply(seen.position - centre - shift) + centre)
+    noise = NOISE * rng.normal(size=moved.shape)
+    return replace(seen, displacement=scale * turn.apply(moved) + noise, force=gain * FORCE)
+
+
+def repeated(count: int, errors: ErrorPriors, say: Callable[[str], None] = print) -> None:
     """Fit as many noisy copies, and tell error and coverage."""
     x = np.linspace(0.015, 0.085, POINTS[0])
     y = np.linspace(0.0015, 0.0185, POINTS[1])
     points = np.stack([a.ravel() for a in np.meshgrid(x, y, SIZE[2:], indexing="ij")], axis=1)
-    truth = true_displacement(points)
-    session = session_of(points)
-    (seen,) = session_observations(session, make_object_model(session))
+    truth, session = true_displacement(), session_of(points, errors)
+    seen = observed(session)
     constants = {"shear_modulus": SHEAR, "poisson_ratio": NU, "young_modulus": YOUNG}
-    found = [fit([_noisy(seen, truth, seed)]).estimate for seed in range(count)]
+    found = [fit([drawn(seen, truth, errors, seed)]).estimate for seed in range(count)]
     say(f"{len(session.mesh.vertices)} vertices, {len(points)} points, {count} repeats")
     for name, true in constants.items():
         values = np.array([getattr(one, name).value for one in found])
@@ -110,11 +144,8 @@ def repeated(count: int, say: Callable[[str], None] = print) -> None:
     say("status: " + ", ".join(sorted({str(one.status) for one in found})))
 
 
-def _noisy(seen: ProbeObservations, truth: np.ndarray, seed: int) -> ProbeObservations:
-    rng = np.random.default_rng(seed)
-    force = FORCE * (1 + FORCE_ERROR * rng.normal())
-    return replace(seen, displacement=truth + NOISE * rng.normal(size=truth.shape), force=force)
-
-
 if __name__ == "__main__":
-    repeated(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    for name, errors in (("exact but for force and noise", EXACT), ("all", ErrorPriors())):
+        print(f"errors: {name}", flush=True)
+        repeated(count, errors)

@@ -27,7 +27,11 @@ displacement = "n01.csv"
 @pytest.fixture
 def cube_session(tmp_path: Path) -> Path:
     """A cube of 40 mm held at z = 0, pressed from above; sigma 0.1 mm, one row not measured."""
-    folder = tmp_path / "cube"
+    return write_cube_session(tmp_path / "cube")
+
+
+def write_cube_session(folder: Path) -> Path:
+    """The files of `cube_session` in a folder that is not there yet."""
     folder.mkdir()
     mesh = box(size=(0.04, 0.04, 0.04), cells=6)
     write_mesh(folder / "mesh.ply", mesh)

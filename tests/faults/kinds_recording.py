@@ -95,6 +95,7 @@ KINDS = [
           "perpendicular"),
     _kind("a camera twice", replaced(_FILE, 'name = "c1"', 'name = "c0"'), "[[camera]]", "twice"),
     _init("a session is there", lambda folder: None, ".", "session.toml", "already"),
+    _init("a whole disk", lambda folder: None, "/", "the whole disk", "one measurement"),
     _init("no such folder", lambda folder: None, "nowhere", "nowhere", "no such folder"),
     _init("no mesh", lambda folder: (folder / "empty").mkdir(), "empty", "no surface"),
 ]  # fmt: skip

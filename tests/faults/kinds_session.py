@@ -89,6 +89,16 @@ def _one_triangle(folder: Path) -> None:
 # What is wrong, damage, pieces of the message.
 _CHECKED = [
     ("session.toml is empty", written("session.toml", ""), ("session.toml", "format")),
+    (
+        "a name as long as a book",
+        _in_session('name = "a [bold] cube"', f'name = "{"x" * 100_000}"'),
+        ("the name 'xxx", "100000 characters", "at most 200"),
+    ),
+    (
+        "a probing's name as long as a book",
+        _in_session('name = "n01"', f'name = "{"y" * 300}"'),
+        ("the name 'yyy", "300 characters"),
+    ),
     ("a force of two components", _in_session(_FORCE, "force = [0, -1.2]"), ("toml", "force")),
     (
         "a force of a meganewton",

@@ -8,10 +8,16 @@ import pytest
 from estimate_samples import constants, sample_result
 
 from palpate.estimation import LikelihoodMap
+from palpate.figures import (
+    displacement_figure,
+    errors_figure,
+    likelihood_figure,
+    predictions_figure,
+)
 from palpate.figures.displacement import best_direction, make_view, projected
 from palpate.figures.estimate import _panel_limits as panel_limits, _refined as refined, write_plots
 from palpate.geometry import TriangleMesh
-from palpate.records import Constant, Status, read_session
+from palpate.records import Constant, ErrorEstimate, Status, read_session
 
 
 @pytest.fixture
@@ -34,8 +40,12 @@ def png_size(path):
 def test_all_pictures_are_written(tmp_path, session, result):
     written = write_plots(tmp_path, session, result)
     names = [str(path.relative_to(tmp_path)) for path in written]
-    assert names == ["likelihood.png", "probings.png", "displacement/n01.png"]
+    drawings = [f"{name}.{kind}" for name in ("likelihood", "probings") for kind in ("png", "svg")]
+    assert names == [*drawings, "displacement/n01.png"]
     for path in written:
+        if path.suffix == ".svg":
+            assert path.read_text(encoding="utf-8").startswith("<?xml")
+            continue
         width, height = png_size(path)
         # Wide enough to read, small enough for a page.
         assert 500 <= width <= 1600
@@ -51,19 +61,19 @@ def test_a_constant_that_is_not_identifiable_can_be_drawn(tmp_path, session, res
         identifiable={"shear_modulus": True, "poisson_ratio": False, "young_modulus": True},
         probes=(probe,),
     )
-    assert len(write_plots(tmp_path, session, replace(result, estimate=estimate))) == 3
+    assert len(write_plots(tmp_path, session, replace(result, estimate=estimate))) == 5
 
 
 def test_outliers_only_can_be_drawn(tmp_path, session, result):
     fit = replace(result.probes[0], weight=np.zeros_like(result.probes[0].weight))
-    assert len(write_plots(tmp_path, session, replace(result, probes=(fit,)))) == 3
+    assert len(write_plots(tmp_path, session, replace(result, probes=(fit,)))) == 5
 
 
 def test_nothing_measured_gives_no_picture(tmp_path, session, result):
     probing = session.probings[0]
     nothing = replace(probing.displacement, displacement=probing.displacement.points * np.nan)
     empty = replace(session, probings=(replace(probing, displacement=nothing),))
-    assert len(write_plots(tmp_path, empty, result)) == 2
+    assert len(write_plots(tmp_path, empty, result)) == 4
 
 
 def test_a_name_with_dollars_is_not_mathematics(tmp_path, session, result):
@@ -72,7 +82,7 @@ def test_a_name_with_dollars_is_not_mathematics(tmp_path, session, result):
     estimate = replace(result.estimate, probes=(replace(result.estimate.probes[0], name=name),))
     fit = replace(result.probes[0], name=name)
     written = write_plots(tmp_path, named, replace(result, estimate=estimate, probes=(fit,)))
-    assert len(written) == 3
+    assert len(written) == 5
 
 
 def test_a_folder_that_is_not_there_is_an_error(tmp_path, session, result):
@@ -138,3 +148,76 @@ def test_the_likelihood_is_refined_between_its_nodes():
     expected = 5e4 * (fine_nu - 0.2) ** 2 + 26 * (fine_shear[:, None] - 2.0) ** 2
     # Cubic splines hold a quadratic to rounding.
     np.testing.assert_allclose(fine, expected, atol=1e-9)
+
+
+def texts(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_the_printed_intervals_are_drawn_beside_the_region(result):
+    figure = likelihood_figure(result)
+    (axes,) = figure.axes
+    assert "each alone, 95 %: as printed" in texts(figure)
+    ends = [np.sort(np.asarray(line.get_xdata())) for line in axes.lines]
+    # The sample's interval of Poisson's ratio: 0.3, 4 % on either side.
+    assert any(end[:2] == pytest.approx([0.288, 0.312], abs=1e-12) for end in ends)
+    assert "estimate" in texts(figure)
+
+
+def test_what_is_not_determined_has_no_best_dot(result):
+    lost = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": False}
+    estimate = replace(result.estimate, identifiable=lost, status=Status.from_identifiable(lost))
+    figure = likelihood_figure(replace(result, estimate=estimate))
+    assert "estimate" not in texts(figure)
+    assert "not determined: all that is possible" in texts(figure)
+    assert not any(line.get_marker() == "o" for line in figure.axes[0].lines)
+
+
+def test_residuals_are_drawn_in_sigmas(session, result):
+    fit = replace(result.probes[0], sigma=np.full_like(result.probes[0].predicted, 5e-5))
+    figure = displacement_figure(session.mesh, session.probings[0], fit)
+    labels = [axes.get_xlabel() for axes in figure.axes]
+    assert "difference (sigmas)" in labels
+    # Half of (0.3, 0, -0.4) mm over 0.05 mm: rms over three components.
+    dots = figure.axes[2].collections[1].get_array()
+    np.testing.assert_allclose(dots, np.sqrt(25 / 3), rtol=1e-9)
+    # The force is named.
+    assert "1.2 N" in [text.get_text() for text in figure.axes[0].texts]
+
+
+def test_the_support_is_drawn_darker(session, result):
+    def darkest(held):
+        figure = displacement_figure(session.mesh, session.probings[0], result.probes[0], held=held)
+        return figure.axes[0].collections[0].get_facecolors()[:, :3].mean(axis=1).min()
+
+    upper = np.flatnonzero(
+        (session.mesh.vertices[session.mesh.triangles][:, :, 2] > 0.0).all(axis=1)
+    )
+    assert darkest(upper) < darkest(np.zeros(0, dtype=int)) - 0.1
+
+
+def test_errors_are_drawn_in_their_own_sigmas(result):
+    errors = (
+        ErrorEstimate("gain of the force sensor", "", 0.004, 0.008, 0.01),
+        ErrorEstimate("shift of the object along x", "m", -1.1e-3, 5e-5, 2e-4),
+    )
+    figure = errors_figure(replace(result.estimate, errors=errors))
+    (axes,) = figure.axes
+    dots = axes.containers[0].lines[0]
+    # The farthest first.
+    np.testing.assert_allclose(dots.get_xdata(), [-5.5, 0.4], rtol=1e-12)
+    assert axes.get_yticklabels()[0].get_text() == errors[1].name
+    assert errors_figure(result.estimate) is None
+
+
+def test_predictions_are_drawn_along_their_direction(session, result):
+    fit = result.probes[0]
+    foretold = np.zeros_like(fit.predicted) + np.array([0.0, 0.0, -2e-4])
+    drawn = predictions_figure(
+        session, replace(result, probes=(replace(fit, left_out_predicted=foretold),))
+    )
+    dots = drawn.axes[0].lines[1]
+    # 168 points moved by (0.3, 0, -0.4) mm: along z 0.4 where 0.2 mm were foretold.
+    np.testing.assert_allclose(dots.get_xdata(), 0.2, rtol=1e-12)
+    np.testing.assert_allclose(dots.get_ydata(), 0.4, rtol=1e-12)
+    assert len(dots.get_xdata()) == 168

@@ -201,3 +201,46 @@ def test_under_its_weight_what_is_held_does_not_move(directions):
     held = weighed[:, 2] if directions is not None else weighed
     # Beside 9.81e3 N/m^3 x (30 mm)^2: what the block sinks, times the shear modulus.
     assert np.abs(held).max() < 1e-9
+
+
+def platens(force=(0.0, 0.0, -PRESS), upper=UP, lower=UP, motion=FREE, moved=None):
+    pulled = Contact(MIDDLE[TOP].mean(axis=0), None, "rigid", TOP)
+    supports = Support(BOTTOM, directions=lower), Support(TOP, motion, upper)
+    return session(*supports, contact=pulled, force=force, moved=moved)
+
+
+def test_a_force_on_a_platen_without_friction():
+    """Pressed by its upper platen the block is a column, whatever it slides on both."""
+
+    def moved(points):
+        return shortened(points) + rigid_modes(points, AXIS) @ SLID
+
+    result = fit_session(platens(moved=moved))
+    estimate = result.estimate
+    assert estimate.shear_modulus.value == pytest.approx(SHEAR, rel=1e-4)
+    assert estimate.poisson_ratio.value == pytest.approx(NU, abs=1e-4)
+    assert np.abs(result.probes[0].residual).max() < 1e-8
+    upper, _ = estimate.probes[0].supports
+    # The shifts of what is pulled follow from the force, and a platen does not turn here.
+    assert np.isnan(upper.translation).all()
+    np.testing.assert_allclose(upper.rotation, 0.0, atol=1e-6)
+
+
+def test_a_glued_grip_presses_otherwise():
+    """The test above can fail: a grip that holds all directions keeps the end from widening."""
+    glued = platens(upper=None, lower=None)
+    assert abs(fit_session(glued).estimate.shear_modulus.value / SHEAR - 1.0) > 0.005
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"force": (1.0, 0.0, -5.0)}, "a roller, and 1 N of it are across its directions"),
+        ({"upper": None}, r"along \((1, 0, 0|0, 1, 0)\) no other support holds the object"),
+        ({"lower": np.eye(3)[:1]}, r"along \(0, 0, 1\) no other support holds the object"),
+        ({"motion": "fixed"}, "whose motion is 'fixed'"),
+    ],
+)
+def test_a_force_that_nothing_answers_is_refused(wrong, message):
+    with pytest.raises(InputError, match=message):
+        platens(**wrong)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from palpate.errors import InputError
-from palpate.records import PRESSURES, Contact, read_session
+from palpate.errors import InputError, RecordError
+from palpate.records import PRESSURES, Contact, Tool, read_session
 from palpate.records.contact import contact_profiles
 
 
@@ -38,13 +38,36 @@ def test_a_contact_needs_a_radius_unless_it_is_a_vertex():
 
 
 def test_an_unknown_profile_is_refused():
-    with pytest.raises(InputError, match="'flat'; must be one of smooth, uniform, hertz, vertex"):
-        Contact(np.zeros(3), 0.1, "flat")
+    text = "'conical'; must be one of smooth, uniform, hertz, flat, vertex"
+    with pytest.raises(InputError, match=text):
+        Contact(np.zeros(3), 0.1, "conical")
 
 
 def test_a_new_tool_shape_is_one_line(edited, monkeypatch):
     """A cone is registered: sessions may name it from then on."""
     monkeypatch.setitem(PRESSURES, "cone", lambda s: np.clip(1.0 - s, 0.0, None))
-    assert contact_profiles() == ("smooth", "uniform", "hertz", "cone", "vertex")
+    assert contact_profiles() == ("smooth", "uniform", "hertz", "flat", "cone", "vertex")
     session = read_session(edited('"smooth"', '"cone"'))
     assert session.probings[0].contact.profile == "cone"
+
+
+def test_a_tool_is_named_instead_of_a_radius(edited):
+    contact = 'radius = 0.006, profile = "smooth"'
+    session = read_session(edited(contact, 'tool = "sphere", tool_radius = "8 mm"'))
+    assert session.probings[0].contact.tool == Tool("sphere", 8e-3, "slides")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('tool = "wedge", tool_radius = 3', "allowed: sphere, flat"),
+        ('tool = "sphere"', "tool_radius"),
+        ('tool = "sphere", tool_radius = -3', "tool_radius is -3"),
+        ('tool = "sphere", tool_radius = "3 inch"', "inch"),
+        ('tool = "sphere", tool_radius = 3, friction = "glue"', "allowed: slides, sticks"),
+        ('tool = "sphere", tool_radius = 3, radius = 2', "radius"),
+    ],
+)
+def test_bad_tools(edited, text, message):
+    with pytest.raises(RecordError, match=message):
+        read_session(edited('radius = 0.006, profile = "smooth"', text))

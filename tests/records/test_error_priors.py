@@ -26,12 +26,14 @@ def test_units(tmp_path):
         tmp_path,
         "[errors]\nforce_gain = 0.02\ncontact_point = 1.5\ncontact_radius = 0.2\n"
         'length_scale = "0.1 %"\nforce_direction = "1 deg"\nforce = 0.005\n'
-        'pose = { translation = "0.02 cm", rotation = "0.01 rad" }\n',
+        'pose = { translation = "0.02 cm", rotation = "0.01 rad" }\n'
+        'support_compliance = "20 um/kPa"\n',
     )
     # Plain lengths are in the session's unit, here mm.
     expected = ErrorPriors(
         force_gain=0.02, force_direction=np.pi / 180, force=0.005, contact_point=1.5e-3,
         contact_radius=0.2, pose_translation=2e-4, pose_rotation=0.01, length_scale=1e-3,
+        support_compliance=2e-8,
     )  # fmt: skip
     for name in ErrorPriors.__slots__:
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-12)

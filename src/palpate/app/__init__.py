@@ -1,11 +1,12 @@
 """The command line: thin, no numerics.
 
 Purpose    : the commands `palpate fit`, `check`, `flow`, `import`, `poke`, `compression`, `lab`,
-             `calibrate`, `mesh`, `scan`, `record`, `init`, `export`, `verify` and `reproduce`.
+             `calibrate`, `mesh`, `scan`, `record`, `init`, `export`, `report`, `verify`,
+             `completion` and `reproduce`.
 Takes      : arguments of a shell.
 Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok, 70 an
              error of the program, 128 and a signal's number).
-Depends on : `paper`, `figures`, `simulation`, `pipeline`, `calibration`, `scanning`,
+Depends on : `paper`, `report`, `figures`, `simulation`, `pipeline`, `calibration`, `scanning`,
              `recording`, `lab`, `estimation`, `bem`, `probe`, `records`, `geometry`.
 Read first : `cli.py`, `arguments.py`, then `commands/fit.py`.
 

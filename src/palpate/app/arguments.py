@@ -1,10 +1,14 @@
 """The command line's words: which commands there are, and what is run."""
 
-from cyclopts import App, CycloptsError
+import sys
+from typing import Literal
+
+from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
 
-from palpate import __version__
+from palpate.app.output import Output, output_as
 from palpate.errors import InputError
+from palpate.versions import versions
 
 _BAD_INPUT = 2
 # What Python's float takes and no option means.
@@ -48,6 +52,14 @@ _COMMANDS = {
         "door.init:init",
         "Write a commented session.toml with what is found in a folder.",
     ),
+    "plan": (
+        "ahead.next_probings:plan",
+        "Find the places where further pushes tell most of the constants.",
+    ),
+    "report": (
+        "outcome.report:report",
+        "Make the report of a result again: one HTML file that needs nothing else.",
+    ),
     "export": (
         "use.export:export",
         "Write an estimated object for a simulator: MuJoCo, CalculiX, FEBio, SOFA, OpenUSD, ...",
@@ -65,14 +77,14 @@ _COMMANDS = {
 # `palpate lab CONFIG.toml OUT`.
 _GROUPS = {
     "lab": (
-        "Virtual measurements: made with their truth, or planned.",
+        "Virtual measurements, with their truth, or planned; what there is: palpate lab --list",
         {
             "make": (
                 "lab:lab",
                 "Measure a virtual specimen: pictures, forces and the truth as a session.",
             ),
             "plan": (
-                "plan:plan",
+                "ahead.plan:plan",
                 "Say what the cameras of a session will see, and what precision to expect of it.",
             ),
         },
@@ -86,6 +98,13 @@ _GROUPS = {
     ),
 }
 _HELP_WORDS = ("--help", "-h", "--version")
+# Said of every command, wherever they stand in the line.
+_JSON_WORDS, _VERBOSE_WORDS = ("--json",), ("-v", "--verbose")
+_FLAGS_HELP = (
+    "With any command: --json prints its tables and sentences as one JSON document; -v tells every"
+    " stage of long work with its time. Exit codes: 0 done, 2 bad input, 3 an estimate that is not"
+    " ok."
+)
 
 
 def make_app() -> App:
@@ -97,10 +116,14 @@ def make_app() -> App:
     """
     app = App(
         name="palpate",
+        help_epilogue=_FLAGS_HELP,
+        # Nobody wants a list with nothing in it.
+        default_parameter=Parameter(negative_iterable=()),
         help="Elastic constants of a soft object, with intervals, from probings with a known"
         " force.",
-        version=__version__,
-        help_format="plaintext",
+        version=versions_text,
+        version_format="plaintext",
+        help_format="markdown",
         error_console=Console(stderr=True),
         suppress_keyboard_interrupt=False,
     )
@@ -111,7 +134,27 @@ def make_app() -> App:
         for name, (place, text) in commands.items():
             inner.command(f"palpate.app.commands.{place}", name=name, help=text)
         app.command(inner)
+
+    @app.command
+    def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
+        """Print what a shell needs to complete commands and options.
+
+        Parameters
+        ----------
+        shell
+            `palpate completion bash > ~/.local/share/bash-completion/completions/palpate`;
+            `palpate completion zsh > ~/.zfunc/_palpate`, with `fpath+=~/.zfunc` before `compinit`;
+            `palpate completion fish > ~/.config/fish/completions/palpate.fish`.
+        """
+        sys.stdout.write(app.generate_completion(shell=shell))
+        return 0
+
     return app
+
+
+def versions_text() -> str:
+    """Versions of Palpate and of what its numbers depend on, a line each."""
+    return "\n".join(f"{name} {number}" for name, number in versions().items())
 
 
 def completed(words: list[str]) -> list[str]:
@@ -159,12 +202,20 @@ def run(words: list[str]) -> int:
     BrokenPipeError                 nobody reads what is printed
     """
     _check_numbers(words)
+    own = [word for word in words if word not in (*_JSON_WORDS, *_VERBOSE_WORDS)]
+    wanted = Output(
+        json=any(word in words for word in _JSON_WORDS),
+        verbose=any(word in words for word in _VERBOSE_WORDS),
+    )
+    with output_as(wanted, words):
+        return _called(completed(own))
+
+
+def _called(words: list[str]) -> int:
+    """Have a command do its work."""
     try:
         outcome = make_app()(
-            completed(words),
-            exit_on_error=False,
-            print_error=True,
-            result_action="return_value",
+            words, exit_on_error=False, print_error=True, result_action="return_value"
         )
     except CycloptsError:
         return _BAD_INPUT

@@ -4,7 +4,7 @@ Source: Lang and Pai (2001), eq. 5.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +22,15 @@ from palpate.bem.loads import (
     loaded_triangles,
     shape_columns,
 )
-from palpate.bem.system import BoundarySystem, FactorisedSystem, factorise, solve
+from palpate.bem.system import (
+    BoundarySystem,
+    FactorisedSystem,
+    Springs,
+    SpringSystem,
+    factorise,
+    make_spring_factors,
+    solve,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,12 +60,14 @@ class ElasticMap:
     factorised : FactorisedSystem
     shear_modulus : float [Pa]
     poisson_ratio : float [-]
+    springs : SpringSystem or None        where a support gives
     """
 
     system: BoundarySystem
     factorised: FactorisedSystem
     shear_modulus: float
     poisson_ratio: float
+    springs: SpringSystem | None = None
 
     def respond(
         self, loads: Sequence[SurfaceLoad], forces: Float[np.ndarray, "k 3"]
@@ -76,7 +86,11 @@ class ElasticMap:
         surface = self.system.surface
         shapes = [load_shape(surface, load) for load in loads]
         right = load_right_hand(self.system, loads, shapes)
-        unit = solve(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
+        if self.springs is None:
+            unit = solve(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
+        else:
+            right = right.on_springs(self.springs.give, self.springs.changes)
+            unit = self.springs.solve(right.at(self.poisson_ratio)) / self.shear_modulus
         unit = unit.reshape(-1, len(loads), 3)
         return [self.state(unit[:, k] @ force) for k, force in enumerate(forces)]
 
@@ -85,18 +99,27 @@ class ElasticMap:
 
         Parameters
         ----------
-        unknowns : (k,) float [m]         free displacements, then scaled tractions; the support is
-                                          at rest
+        unknowns : (k,) float [m]         free displacements, then scaled tractions, then those of
+                                          springs, if any
 
         Returns
         -------
         ElasticState
         """
-        return sorted_state(self.system, unknowns, self.shear_modulus)
+        found = sorted_state(self.system, unknowns[: self.system.size], self.shear_modulus)
+        if self.springs is None:
+            return found
+        moved = self.springs.factors.springs.place @ unknowns[self.system.size :]
+        return replace(found, displacement=found.displacement + moved.reshape(-1, 3))
 
 
 def make_elastic_map(
-    system: BoundarySystem, *, shear_modulus: float, poisson_ratio: float
+    system: BoundarySystem,
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
+    springs: Springs | None = None,
+    compliance: Float[np.ndarray, " s"] | None = None,
 ) -> ElasticMap:
     """The elastic map of an object for one material.
 
@@ -105,6 +128,8 @@ def make_elastic_map(
     system : BoundarySystem           from `assemble_system`
     shear_modulus : float [Pa]        > 0
     poisson_ratio : float [-]         -1 < nu <= 0.5
+    springs : Springs or None         under supports that give
+    compliance : (s,) float [m/Pa]    of each of these: displacement over traction
 
     Returns
     -------
@@ -116,7 +141,13 @@ def make_elastic_map(
     SingularSystemError               the support does not hold the object
     """
     check_material(shear_modulus, poisson_ratio)
-    return ElasticMap(system, factorise(system, poisson_ratio), shear_modulus, poisson_ratio)
+    factorised = factorise(system, poisson_ratio)
+    on_springs = None
+    if springs is not None and compliance is not None:
+        give = springs.give(compliance * shear_modulus / system.traction_length)
+        none = np.zeros((0, give.size))
+        on_springs = SpringSystem(make_spring_factors(factorised, system, springs), give, none)
+    return ElasticMap(system, factorised, shear_modulus, poisson_ratio, on_springs)
 
 
 def load_right_hand(
@@ -124,37 +155,39 @@ def load_right_hand(
     loads: Sequence[SurfaceLoad],
     shapes: Sequence[ContactShape | None] | None = None,
     *,
+    forces: Float[np.ndarray, "k 3"] | None = None,
     cells: LoadCells | None = None,
 ) -> RightHand:
-    """Right-hand sides of loads of one newton along each axis.
+    """Right-hand sides of loads of one newton along each axis, or of one force each.
 
     Parameters
     ----------
     system : BoundarySystem
     loads : sequence of k SurfaceLoad
     shapes : sequence of k ContactShape or None   how the elements around each dip (`load_shape`)
+    forces : (k, 3) float [N] or None             None: one newton along each axis
     cells : LoadCells or None                     how finely loads are divided, see `load_points`
 
     Returns
     -------
-    RightHand                         three columns a load
+    RightHand                         three columns a load, or one
     """
     balance = -np.eye(3) / system.traction_length
-    kernel = system.traction_kernel
-    right = joined(
-        [
-            load_columns(
-                integrate_load(system.surface, load, system.collocation, kernel, cells=cells),
-                balance,
-            )
-            for load in loads
-        ]
-    )
-    given = enumerate(shapes or ())
-    dips = [(k, shape) for k, shape in given if shape is not None and shape.midpoints.size]
+    kernel, parts = system.traction_kernel, []
+    for k, load in enumerate(loads):
+        fields = integrate_load(system.surface, load, system.collocation, kernel, cells=cells)
+        columns = load_columns(fields, balance)
+        parts.append(columns if forces is None else columns.under(forces[k]))
+    right = joined(parts)
+    dips, numbers = [], []
+    for k, shape in enumerate(shapes or ()):
+        if shape is not None and shape.midpoints.size:
+            dips.append(shape if forces is None else shape.under(forces[k]))
+            numbers.append(k)
     if dips:
-        columns = (3 * np.array([k for k, _ in dips])[:, None] + np.arange(3)).ravel()
-        right = right.plus(shape_columns(system, [shape for _, shape in dips]), columns)
+        each = 3 if forces is None else 1
+        columns_of = (each * np.array(numbers)[:, None] + np.arange(each)).ravel()
+        right = right.plus(shape_columns(system, dips), columns_of)
     return right
 
 

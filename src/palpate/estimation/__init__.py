@@ -7,12 +7,18 @@ Depends on : `bem`, `records`, `geometry`.
 Read first : `observations.py`, then `fit.py`.
 """
 
-from palpate.estimation.fit import FitResult as FitResult, fit as fit
+from palpate.estimation.fit import (
+    FitResult as FitResult,
+    best_constants_of as best_constants_of,
+    fit as fit,
+)
 from palpate.estimation.intervals import (
+    Information as Information,
     IntervalSet as IntervalSet,
     LikelihoodMap as LikelihoodMap,
     ProbeFit as ProbeFit,
     cramer_rao_bound as cramer_rao_bound,
+    fisher_information as fisher_information,
 )
 from palpate.estimation.nuisance import (
     ContactError as ContactError,
@@ -20,23 +26,31 @@ from palpate.estimation.nuisance import (
     ForceDirection as ForceDirection,
     ForceGain as ForceGain,
     LengthScale as LengthScale,
+    MaterialLaw as MaterialLaw,
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     Pose as Pose,
+    SupportCompliance as SupportCompliance,
 )
 from palpate.estimation.observations import (
     ProbeObservations as ProbeObservations,
     ResponseModel as ResponseModel,
+    Settlement as Settlement,
 )
 from palpate.estimation.responses import (
+    CENTRE as CENTRE,
     PointRows as PointRows,
     ProbeMotions as ProbeMotions,
     ProbeResponse as ProbeResponse,
     ProbeRows as ProbeRows,
     ReducedModel as ReducedModel,
+    SpringResponse as SpringResponse,
     full_responses as full_responses,
+    full_spring_responses as full_spring_responses,
     make_reduced_model as make_reduced_model,
+    make_spring_model as make_spring_model,
     reduced_response as reduced_response,
+    reduced_spring_response as reduced_spring_response,
 )
 from palpate.estimation.settings import (
     FitMethod as FitMethod,

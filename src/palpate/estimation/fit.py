@@ -38,6 +38,7 @@ from palpate.estimation.search import (
     global_start,
     nelder_mead_minimum,
     scored_minimum,
+    without_settlement,
 )
 from palpate.estimation.settings import FitMethod, FitSettings
 from palpate.progress import Progress, silent
@@ -65,6 +66,9 @@ class FitResult:
     likelihood: LikelihoodMap
     probes: tuple[ProbeFit, ...]
     intervals: IntervalSet | None = None
+
+    def __repr__(self) -> str:
+        return f"FitResult of {len(self.probes)} probings: {self.estimate!r}"
 
 
 def fit(
@@ -100,7 +104,9 @@ def fit(
     joint = uncertainty_of(misfit, minimum, _weights(rows, table, misfit, minimum))
     intervals, reported, identifiable = _intervals(joint)
     progress("single probings", 0.7)
-    singles = _single_constants(misfit, joint) if len(rows) > 1 else [reported]
+    singles = [(reported, identifiable)]
+    if len(rows) > 1:
+        singles = _single_constants(misfit, joint)
     progress("validation", 0.95)
     fits = probe_fits(probes, misfit, joint)
     contradictions = [c for c in map(contradiction, probes, fits) if c is not None]
@@ -118,7 +124,7 @@ def fit(
         poisson_ratio=reported.poisson_ratio,
         young_modulus=reported.young_modulus,
         identifiable=identifiable,
-        probes=tuple(map(probe_estimate, singles, fits)),
+        probes=tuple(probe_estimate(*one, found) for one, found in zip(singles, fits, strict=True)),
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
         settings=asdict(settings),
@@ -128,12 +134,36 @@ def fit(
     return FitResult(estimate, likelihood_map(joint, reported), fits, intervals)
 
 
+def best_constants_of(
+    probes: Sequence[ProbeObservations], *, settings: FitSettings = FitSettings()
+) -> tuple[float, float]:
+    """The constants alone, without intervals.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  at least one
+    settings : FitSettings
+
+    Returns
+    -------
+    (float [-], float [Pa])                 Poisson's ratio and shear modulus
+
+    Raises
+    ------
+    InputError, NotConvergedError           as `fit`
+    """
+    rows = _checked_rows(probes)
+    _, minimum = _joint_minimum(rows, response_table(rows, settings.poisson_range), settings)
+    return minimum.poisson_ratio, minimum.shear_modulus
+
+
 def _weights(
     rows: tuple[ObservedRows, ...], table: ResponseTable, misfit: Misfit, minimum: Minimum
 ) -> FixedWeights:
     """The misfit with the weights and errors of its minimum held fixed."""
+    apart, table = without_settlement(rows, table, minimum)
     return fixed_weights(
-        rows,
+        apart,
         table,
         misfit.level,
         [probe.weight for probe in minimum.probes],
@@ -190,8 +220,11 @@ def _intervals(uncertainty: Uncertainty) -> tuple[IntervalSet, IntervalSet, dict
     return intervals, with_prior_ranges(ranged, identifiable, weights), identifiable
 
 
-def _single_constants(misfit: Misfit, joint: Uncertainty) -> list[IntervalSet]:
-    """Constants of every probing alone, with the noise and weights of all."""
+def _single_constants(
+    misfit: Misfit, joint: Uncertainty
+) -> list[tuple[IntervalSet, dict[str, bool]]]:
+    """Constants of every probing alone, with the noise and weights of all, and which of them it
+    determines."""
     # A force that all others doubt is as good as claimed where there are no others.
     claimed = np.stack([probe.force_std for probe in misfit.probes])
     apart = replace(joint.weights, force_root=claimed)
@@ -203,5 +236,5 @@ def _single_constants(misfit: Misfit, joint: Uncertainty) -> list[IntervalSet]:
         )
         scores, _ = scores_of(single, minimum.probes, noise=joint.noise)
         alone = replace(joint, minimum=minimum, scores=scores, weights=weights)
-        found.append(_intervals(alone)[1])
+        found.append(_intervals(alone)[1:])
     return found

@@ -7,7 +7,7 @@ import numpy as np
 from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
 from palpate.estimation.observations import CLAIMED_GROUPS, GROUP_COUNT
 from palpate.estimation.search import Misfit
-from palpate.records import SURPRISING, ErrorEstimate, error_texts
+from palpate.records import SURPRISING, ErrorEstimate, error_texts, length_unit
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
 # Where the model fails, and what is most often wrong there.
@@ -29,6 +29,8 @@ _WORDS = {
 }
 # Disagreement of the probings that raises a variance by this factor is mentioned.
 _MENTIONED_FACTOR = 2.0
+# Fewer points leave the noise level and the errors that they share undetermined.
+_FEW_POINTS = 4
 # A force of smaller robust weight is mentioned.
 _MIN_FORCE_WEIGHT = 0.5
 
@@ -55,7 +57,7 @@ def fit_notes(
     -------
     tuple of str                    empty where there is nothing to say
     """
-    notes = [*_noise_notes(misfit), *_interval_notes(uncertainty)]
+    notes = [*_count_notes(misfit), *_noise_notes(misfit), *_interval_notes(uncertainty)]
     for probe in uncertainty.minimum.probes:
         if probe.force_weight < _MIN_FORCE_WEIGHT:
             off = float(np.linalg.norm(probe.shift[:3]))
@@ -73,11 +75,24 @@ def fit_notes(
         )
     if not identifiable["poisson_ratio"]:
         notes.append(
-            "Poisson's ratio cannot be determined; what the data determine is"
-            f" {identifiable_combination(uncertainty.weights)}. Moduli are given for all of its"
-            " range."
+            f"What the data determine is {identifiable_combination(uncertainty.weights)}; the"
+            " moduli's intervals are for all of the range of Poisson's ratio."
         )
     return tuple(notes)
+
+
+def _count_notes(misfit: Misfit) -> list[str]:
+    """Said where so few points were measured that nothing else is to blame for a wide interval."""
+    count = sum(len(probe.start) for probe in misfit.probes)
+    if count > _FEW_POINTS:
+        return []
+    points = "One point was" if count == 1 else f"{count} points were"
+    said = (
+        f"{points} measured in all: that few cannot tell noise from stiffness, whatever their"
+        " quality, and the intervals are wide for that reason; measure ten or more, on all sides"
+        " of the contact."
+    )
+    return [said]
 
 
 def _noise_notes(misfit: Misfit) -> list[str]:
@@ -85,7 +100,7 @@ def _noise_notes(misfit: Misfit) -> list[str]:
     notes = []
     estimated = [int(g) for g in present if g < CLAIMED_GROUPS.start]
     if estimated:
-        parts = [f"{misfit.level[g]:.2e} m in {_GROUP_NAMES[g]}" for g in estimated]
+        parts = [f"{_length_text(misfit.level[g])} in {_GROUP_NAMES[g]}" for g in estimated]
         notes.append(f"Noise levels were estimated from the residuals: {', '.join(parts)}.")
     raised = [int(g) for g in present if g >= CLAIMED_GROUPS.start and misfit.level[g] > 1]
     if raised:
@@ -96,6 +111,11 @@ def _noise_notes(misfit: Misfit) -> list[str]:
             f" {', '.join(parts)}."
         )
     return notes
+
+
+def _length_text(metres: float) -> str:
+    factor, unit = length_unit(float(metres))
+    return f"{metres / factor:.2g} {unit}"
 
 
 def _interval_notes(uncertainty: Uncertainty) -> list[str]:

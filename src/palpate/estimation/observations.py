@@ -1,6 +1,6 @@
 """What one probing contributes to the estimation: measured displacements and their model."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -39,6 +39,24 @@ class ResponseModel(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Settlement:
+    """How a response depends on the shear modulus where supports give under known stiffnesses.
+
+    What an object sinks into springs does not depend on its own modulus: displacement is, nearly,
+    an affine function of 1 / G, and response(G) = response + (G / G_0 - 1) derivative.
+
+    Parameters
+    ----------
+    shear_modulus : float [Pa]              G_0, at which the response was taken
+    derivative : function                   Poisson's ratio -> (n_rows, c) float: of the response
+                                            with respect to log G, there
+    """
+
+    shear_modulus: float
+    derivative: Callable[[float], Float[np.ndarray, "n_rows c"]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ProbeObservations:
     """One probing: where the surface was seen to move, under which force, and its model.
 
@@ -59,6 +77,9 @@ class ProbeObservations:
                                             one
     landmarks : name -> (k, 3) float [m]    places for messages, such as "the contact"
     nuisances : tuple of Nuisance           errors that its points share, or all probings
+    settlement : Settlement or None         None: the response does not depend on the modulus
+    vertices : ResponseModel or None        of all vertices of the mesh, where their displacement is
+                                            wanted along with the estimate
 
     Raises
     ------
@@ -78,6 +99,8 @@ class ProbeObservations:
     motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     landmarks: Mapping[str, Float[np.ndarray, "_ 3"]] = field(default_factory=dict)
     nuisances: tuple[Nuisance, ...] = ()
+    settlement: Settlement | None = None
+    vertices: ResponseModel | None = None
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "
@@ -108,6 +131,22 @@ class ProbeObservations:
                     f"{label}{name} is {getattr(self, name)}; every component must be >= 0 "
                     "(0 = exact)"
                 )
+
+    def response_at(
+        self, poisson_ratio: float, shear_modulus: float
+    ) -> Float[np.ndarray, "n_rows c"]:
+        """The response for one material (`ResponseModel.value`).
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]
+        shear_modulus : float [Pa]
+        """
+        response = self.response.value(poisson_ratio)
+        if self.settlement is None:
+            return response
+        share = shear_modulus / self.settlement.shear_modulus - 1.0
+        return response + share * self.settlement.derivative(poisson_ratio)
 
 
 def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | None) -> None:
@@ -145,6 +184,7 @@ class ObservedRows:
     motion, motion_std : (q,) float
     response : ResponseModel
     nuisances : tuple of Nuisance
+    settlement : Settlement or None
     """
 
     name: str
@@ -162,6 +202,7 @@ class ObservedRows:
     motion_std: Float[np.ndarray, " q"]
     response: ResponseModel
     nuisances: tuple[Nuisance, ...] = ()
+    settlement: Settlement | None = None
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -233,6 +274,16 @@ class ObservedRows:
         """Derivative of `value` with respect to Poisson's ratio."""
         return self._measured_rows(self.response.slope(poisson_ratio), poisson_ratio)
 
+    def settling(
+        self, poisson_ratio: float, shear_modulus: float
+    ) -> Float[np.ndarray, "r c"] | None:
+        """Derivative of the response of the measured rows with respect to log G; None: there is
+        none."""
+        if self.settlement is None:
+            return None
+        found = self._measured_rows(self.settlement.derivative(poisson_ratio), poisson_ratio)
+        return found * (shear_modulus / self.settlement.shear_modulus)
+
     def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
         # A copy of all rows costs more than the fit's own work.
         whole = len(self.rows) == len(response)
@@ -293,6 +344,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         motion_std=probe.motion_std,
         response=probe.response,
         nuisances=probe.nuisances,
+        settlement=probe.settlement,
     )
 
 

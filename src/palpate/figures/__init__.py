@@ -14,13 +14,27 @@ from palpate.figures.calibration import (
     rig_figure as rig_figure,
     save_page as save_page,
 )
-from palpate.figures.displacement import displacement_figure as displacement_figure
-from palpate.figures.estimate import probings_figure as probings_figure, write_plots as write_plots
+from palpate.figures.checks import (
+    errors_figure as errors_figure,
+    predictions_figure as predictions_figure,
+)
+from palpate.figures.displacement import (
+    MOST_SIGMAS as MOST_SIGMAS,
+    OUTLIER_WEIGHT as OUTLIER_WEIGHT,
+    best_direction as best_direction,
+    displacement_figure as displacement_figure,
+)
+from palpate.figures.estimate import (
+    likelihood_figure as likelihood_figure,
+    probings_figure as probings_figure,
+    write_plots as write_plots,
+)
 from palpate.figures.flow import (
     flow_figure as flow_figure,
     write_flow_pictures as write_flow_pictures,
 )
 from palpate.figures.flow_view import make_flow_view as make_flow_view
+from palpate.figures.next_probings import next_probings_figure as next_probings_figure
 from palpate.figures.recording import recording_figure as recording_figure
 from palpate.figures.style import (
     BLUE as BLUE,

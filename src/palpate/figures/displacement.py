@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
 
 from palpate.estimation import ProbeFit
 from palpate.figures.style import (
@@ -25,12 +26,17 @@ from palpate.figures.style import (
 )
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
 from palpate.records import Probing, observed_rows
-from palpate.shapes import Flags, Matrix3, Points, PointScalars, TriangleScalars, Vector3
+from palpate.shapes import Flags, Indices, Matrix3, Points, PointScalars, TriangleScalars, Vector3
 
+Points2 = Float[np.ndarray, "n 2"]
 OUTLIER_WEIGHT = 0.1  # robust weight below which a point counts as an outlier
 ARROWS_ACROSS = 12  # more would hide the points
 LONGEST_ARROW = 0.13  # of the object's size in the picture
-CLAY = LinearSegmentedColormap.from_list("clay", ["#a9adb4", "#f4f5f6"])
+CLAY = LinearSegmentedColormap.from_list("clay", ["#b9bcc2", "#fafafa"])
+# Light and dark tell lengths apart, and no colour of theirs is that of the body.
+LENGTHS, RESIDUALS = "viridis", "YlOrRd"
+MOST_SIGMAS = 4.0  # residuals from here on look alike
+HELD = "#7d8796"  # what a support holds
 MIN_FACING = 0.25  # cosine between normal and view below which a point is hard to see
 ELEVATIONS = (15.0, 30.0, 45.0, 65.0)  # degrees above the horizon that a view is chosen from
 AZIMUTHS = 24
@@ -45,11 +51,13 @@ class SurfaceView:
     R_view_object : (3, 3) float      rows: right, up, toward the viewer
     polygons : (m, 3, 2) float [m]    corners in the picture plane
     brightness : (m,) float           0 dark to 1 bright
+    triangle : (m,) int               which of the surface's triangles they are
     """
 
     R_view_object: Matrix3
     polygons: Float[np.ndarray, "m 3 2"]
     brightness: TriangleScalars
+    triangle: Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +69,8 @@ class _Scene:
     front: Flags
     contact: Vector3
     push: Vector3
+    newtons: float
+    held: Bool[np.ndarray, " m"]
     outlier: Flags
     size: float
     spot: float
@@ -72,8 +82,10 @@ class _Scene:
 
 
 @styled
-def displacement_figure(mesh: TriangleMesh, probing: Probing, fit: ProbeFit) -> Figure | None:
-    """Three views of the surface: measured, predicted, and their difference.
+def displacement_figure(
+    mesh: TriangleMesh, probing: Probing, fit: ProbeFit, *, held: Indices | None = None
+) -> Figure | None:
+    """Three views of the surface: measured, predicted, and their difference in sigmas.
 
     Points carry the length of their displacement as colour, the same scale for the first two;
     arrows are drawn at some of them. Points on the far side are left out.
@@ -83,6 +95,7 @@ def displacement_figure(mesh: TriangleMesh, probing: Probing, fit: ProbeFit) -> 
     mesh : TriangleMesh
     probing : Probing
     fit : ProbeFit                  of that probing
+    held : (k,) int or None         triangles of the supports, drawn darker
 
     Returns
     -------
@@ -94,17 +107,29 @@ def displacement_figure(mesh: TriangleMesh, probing: Probing, fit: ProbeFit) -> 
     seen = observed_rows(field)
     normals = unit_normals(mesh)[field.surface.triangle[seen]]
     outlier = fit.weight[seen].min(axis=1) < OUTLIER_WEIGHT
-    scene = _scene(mesh, probing, field.points[seen], normals, outlier)
+    held = np.zeros(0, dtype=int) if held is None else held
+    scene = _scene(mesh, probing, field.points[seen], normals, outlier, held)
     measured, predicted = field.displacement[seen], fit.predicted[seen]
     vectors = [
         1e3 * projected(scene.view, vector)
         for vector in (measured, predicted, measured - predicted)
     ]
-    return _drawn(probing.name, scene, vectors)
+    sigma = None if fit.sigma is None else fit.sigma[seen]
+    return _drawn(probing.name, scene, vectors, _sigmas(measured - predicted, sigma))
+
+
+def _sigmas(difference: Points, sigma: Points | None) -> PointScalars | None:
+    """Length of every difference in standard deviations, 1 on average where all is right."""
+    return None if sigma is None else np.sqrt(np.mean((difference / sigma) ** 2, axis=1))
 
 
 def _scene(
-    mesh: TriangleMesh, probing: Probing, points: Points, normals: Points, outlier: Flags
+    mesh: TriangleMesh,
+    probing: Probing,
+    points: Points,
+    normals: Points,
+    outlier: Flags,
+    held: Indices,
 ) -> _Scene:
     """Surface, points and force as the viewer has them."""
     touched = closest_points(mesh, probing.contact.point[None]).triangle[0]
@@ -115,13 +140,15 @@ def _scene(
         front=normals @ view.R_view_object[2] > 0.05,
         contact=1e3 * projected(view, probing.contact.point),
         push=projected(view, probing.force / max(float(np.linalg.norm(probing.force)), 1e-300)),
+        newtons=float(np.linalg.norm(probing.force)),
+        held=np.isin(view.triangle, held),
         outlier=outlier,
         size=1e3 * bounding_diagonal(mesh),
         spot=float(np.clip(3000.0 / len(points), 5.0, 42.0)),
     )
 
 
-def _drawn(name: str, scene: _Scene, vectors: list[Points]) -> Figure:
+def _drawn(name: str, scene: _Scene, vectors: list[Points], sigmas: PointScalars | None) -> Figure:
     """The figure: two panels with one colour bar, the difference with its own."""
     lengths = [np.linalg.norm(vector, axis=1) for vector in vectors]
     used = scene.used
@@ -130,23 +157,26 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points]) -> Figure:
     low, high = _extent(scene)
     figure, panels = three_panels(high - low)
     titles = ("measured", "predicted", "measured \N{MINUS SIGN} predicted")
-    scales = (("cividis", largest), ("cividis", largest), ("magma_r", worst))
+    shown = [*lengths[:2], lengths[2] if sigmas is None else sigmas]
+    last = worst if sigmas is None else MOST_SIGMAS
+    scales = ((LENGTHS, largest, largest), (LENGTHS, largest, largest), (RESIDUALS, last, worst))
     arrow = LONGEST_ARROW * scene.size
-    for axes, title, vector, length, (cmap, top) in zip(
-        panels, titles, vectors, lengths, scales, strict=True
+    for axes, title, vector, colour, (cmap, most, top) in zip(
+        panels, titles, vectors, shown, scales, strict=True
     ):
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         _surface(axes, scene)
-        _points(axes, scene, length, cmap, top)
+        _points(axes, scene, colour, cmap, most)
         front = scene.front & scene.used
-        stretched = arrow / top * vector[front, :2]
+        stretched = _bounded(arrow / top * vector[front, :2], 1.5 * arrow)
         add_arrows(axes, scene.place[front, :2], stretched, pitch=scene.size / ARROWS_ACROSS)
         title_panel(axes, title)
     _contact(panels[0], scene)
     _scale_bar(panels[0])
     label = "displacement $|u|$ (mm)"
-    add_colour_bar(figure, panels[:2], "cividis", Normalize(0.0, largest), label)
-    add_colour_bar(figure, panels[2:], "magma_r", Normalize(0.0, worst), "difference (mm)")
+    add_colour_bar(figure, panels[:2], LENGTHS, Normalize(0.0, largest), label)
+    label = "difference (mm)" if sigmas is None else "difference (sigmas)"
+    add_colour_bar(figure, panels[2:], RESIDUALS, Normalize(0.0, last), label)
     rms = float(np.sqrt(np.mean(lengths[2][used] ** 2)))
     note = f"arrows: {magnification_text(arrow / largest)} the displacement, "
     note += f"{magnification_text(arrow / worst)} the difference"
@@ -155,9 +185,15 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points]) -> Figure:
     return figure
 
 
+def _bounded(vectors: Points2, longest: float) -> Points2:
+    """Arrows, the longest of them cut: they would leave the picture."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300)))
+
+
 def _left_out(scene: _Scene) -> str:
     """What the picture does not colour, in words."""
-    notes = []
+    notes = ["dark: held"] if scene.held.any() else []
     if scene.outlier.any() and not scene.outlier.all():
         count = int(scene.outlier.sum())
         notes.append(f"\N{MULTIPLICATION SIGN} {count} outlier{'s' * (count > 1)}, left aside")
@@ -183,6 +219,8 @@ def _arrow_tail(scene: _Scene) -> Float[np.ndarray, "2"]:
 def _surface(axes: Axes, scene: _Scene) -> None:
     """Shaded triangles, nearest last."""
     colours = CLAY(scene.view.brightness)
+    shade = 0.75 + 0.25 * scene.view.brightness[scene.held, None]
+    colours[scene.held, :3] = shade * np.array(to_rgb(HELD))
     axes.add_collection(
         PolyCollection(
             cast(Any, 1e3 * scene.view.polygons),
@@ -217,6 +255,12 @@ def _contact(axes: Axes, scene: _Scene) -> None:
                     "shrinkB": 0, "mutation_scale": 9},
     )  # fmt: skip
     axes.plot(*tip, "o", color=ORANGE, markersize=3, zorder=5)
+    if scene.newtons > 0.0:
+        axes.annotate(
+            f"{scene.newtons:.3g} N", (tail[0], tail[1]), (3, 1), textcoords="offset points",
+            color=ORANGE, fontsize=7.5, weight="bold", zorder=6, annotation_clip=False,
+            path_effects=[Stroke(linewidth=2.0, foreground="white"), Normal()],
+        )  # fmt: skip
 
 
 def _scale_bar(axes: Axes) -> None:
@@ -275,7 +319,7 @@ def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
     order = front[np.argsort(corners[front, :, 2].mean(axis=1))]
     light = np.array(LIGHT) / np.linalg.norm(LIGHT)
     brightness = np.clip(normals[order] @ light, 0.0, 1.0)
-    return SurfaceView(rotation, corners[order, :, :2], brightness)
+    return SurfaceView(rotation, corners[order, :, :2], brightness, order)
 
 
 def projected(view: SurfaceView, points: Shaped[np.ndarray, "*n 3"]) -> Shaped[np.ndarray, "*n 3"]:

@@ -1,23 +1,31 @@
 """Pictures of an estimate: likelihood, each probing alone, measured against predicted."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap
+from palpate.figures.checks import errors_figure, predictions_figure
 from palpate.figures.displacement import displacement_figure
 from palpate.figures.style import (
     BLUE,
     GREY,
+    INK,
     MIDDLE_BLUE,
     ORANGE,
     PALE_BLUE,
     open_frame,
+    save_drawing,
     save_figure,
     styled,
 )
@@ -34,11 +42,12 @@ _SYMBOLS = {
 
 
 def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]:
-    """Write all pictures of an estimate as PNG files.
+    """Write all pictures of an estimate as PNG files, those of lines and letters as SVG too.
 
     `likelihood.png` shows which pairs of Poisson's ratio and shear modulus the data allow,
-    `probings.png` what each probing alone says, `displacement/NAME.png` measured against predicted
-    displacement of each probing on the object's surface.
+    `probings.png` what each probing alone says, `predictions.png` how well the others foretell it,
+    `errors.png` what was found of the errors that points share, `displacement/NAME.png` measured
+    against predicted displacement of each probing on the object's surface.
 
     Parameters
     ----------
@@ -54,12 +63,20 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     ------
     OSError                 a file cannot be written
     """
-    written = [save_figure(likelihood_figure(result), folder / "likelihood.png")]
+    written = save_drawing(likelihood_figure(result), folder / "likelihood.png")
     if result.estimate.probes:
-        written.append(save_figure(probings_figure(result.estimate), folder / "probings.png"))
+        written += save_drawing(probings_figure(result.estimate), folder / "probings.png")
+    for name, drawn in (
+        ("predictions", predictions_figure(session, result)),
+        ("errors", errors_figure(result.estimate)),
+    ):
+        if drawn is not None:
+            written += save_drawing(drawn, folder / f"{name}.png")
     by_name = {probing.name: probing for probing in session.probings}
     for number, fit in enumerate(result.probes, start=1):
-        figure = displacement_figure(session.mesh, by_name[fit.name], fit)
+        figure = displacement_figure(
+            session.mesh, by_name[fit.name], fit, held=session.held_triangles
+        )
         if figure is not None:
             stem = file_stem(fit.name, otherwise=f"probing-{number}")
             file = folder / "displacement" / f"{stem}.png"
@@ -78,38 +95,72 @@ def likelihood_figure(result: FitResult) -> Figure:
 
     Returns
     -------
-    Figure                          4.6 by 3.6 inches
+    Figure                          4.6 by 3.9 inches
     """
     estimate = result.estimate
     factor, unit = modulus_unit(estimate.shear_modulus.value)
     nu, shear, deviance = _refined(result.likelihood)
     shear = shear / factor
-    figure = Figure(figsize=(4.6, 3.6))
-    axes = figure.add_axes((0.14, 0.13, 0.82, 0.76))
+    figure = Figure(figsize=(4.6, 3.9))
+    axes = figure.add_axes((0.14, 0.12, 0.82, 0.70))
     # A spline may dip below zero.
     levels = [min(0.0, float(deviance.min())) - 1e-9, *REGIONS.values()]
     axes.contourf(nu, shear, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE])
     axes.contour(nu, shear, deviance, levels=levels[1:], colors=BLUE, linewidths=0.8)
-    young = estimate.young_modulus.value
-    (same_young,) = axes.plot(
-        nu, young / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8
-    )
-    (best,) = axes.plot(
-        estimate.poisson_ratio.value, estimate.shear_modulus.value / factor, "o", color=ORANGE,
-        markersize=5, markeredgecolor="white", zorder=5, clip_on=False,
-    )  # fmt: skip
     axes.set(xlim=(nu[0], nu[-1]), ylim=(shear[0], shear[-1]))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set(xlabel=r"Poisson's ratio $\nu$", ylabel=f"shear modulus $G$ ({unit})")
-    young_factor, young_unit = modulus_unit(young)
-    patches = [
-        Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
-        for colour in (MIDDLE_BLUE, PALE_BLUE)
-    ]
-    labels = ["best", "50 %", "95 %", f"$E$ = {young / young_factor:.4g} {young_unit}"]
-    handles = [best, *patches, same_young]
-    figure.legend(handles, labels, loc="upper center", ncols=4, columnspacing=1.4)
+    patches = {
+        f"both together, {share} %": Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
+        for share, colour in zip(REGIONS, (MIDDLE_BLUE, PALE_BLUE), strict=True)
+    }
+    handles = patches | _told_lines(axes, estimate, nu, factor)
+    figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=2, columnspacing=1.4)
     open_frame(axes)
     return figure
+
+
+def _told_lines(
+    axes: Axes, estimate: Estimate, nu: Float[np.ndarray, " a"], factor: float
+) -> dict[str, Artist]:
+    """What the table says of each constant alone, beside the region of both; by their labels."""
+    found: dict[str, Artist] = {}
+    ratio, shear, young = (
+        getattr(estimate, name) for name in ("poisson_ratio", "shear_modulus", "young_modulus")
+    )
+    known = [estimate.identifiable[name] for name in ("poisson_ratio", "shear_modulus")]
+    place = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
+    low, high = np.clip(ratio.ci95, *axes.get_xlim())
+    soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
+    # What is not determined is drawn as what it is: all that is possible.
+    lines = [
+        axes.plot([low, high], [place[1]] * 2, **_told(known[0]))[0],
+        axes.plot([place[0]] * 2, [soft, stiff], **_told(known[1]))[0],
+    ]
+    for line, one in zip(lines, known, strict=True):
+        label = "each alone, 95 %: as printed" if one else "not determined: all that is possible"
+        found[label] = line
+    if all(known):
+        (found["estimate"],) = axes.plot(
+            ratio.value, shear.value / factor, "o", color=ORANGE, markersize=5,
+            markeredgecolor="white", zorder=5, clip_on=False,
+        )  # fmt: skip
+    if estimate.identifiable["young_modulus"]:
+        edges = [end / factor / (2.0 * (1.0 + nu)) for end in young.ci95]
+        found["E, 95 %: as printed"] = axes.fill_between(
+            nu, *edges, color=ORANGE, alpha=0.12, linewidth=0, zorder=-1
+        )
+        size, unit = modulus_unit(young.value)
+        (found[f"$E$ = {young.value / size:.4g} {unit}"],) = axes.plot(
+            nu, young.value / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8
+        )
+    return found
+
+
+def _told(known: bool) -> dict[str, Any]:
+    """How the interval of one constant is drawn."""
+    ends = {"marker": "|", "markersize": 6.0, "zorder": 4, "clip_on": False}
+    return ends | {"color": ORANGE if known else GREY, "linewidth": 2.0 if known else 1.2}
 
 
 def _refined(
@@ -132,12 +183,15 @@ def _refined(
 
 
 @styled
-def probings_figure(estimate: Estimate) -> Figure:
+def probings_figure(estimate: Estimate, *, truth: Mapping[str, float] | None = None) -> Figure:
     """Constants of each probing alone with 95 per cent intervals; the joint ones as a band.
+
+    A constant that is not determined has no value: its intervals are drawn without dots.
 
     Parameters
     ----------
     estimate : Estimate             with probings
+    truth : mapping or None         constant's name -> its true value [Pa; -], a line of its own
 
     Returns
     -------
@@ -155,38 +209,54 @@ def probings_figure(estimate: Estimate) -> Figure:
     for axes, (name, symbol) in zip(panels, _SYMBOLS.items(), strict=True):
         joint = getattr(estimate, name)
         factor, unit = (1.0, "") if name == "poisson_ratio" else modulus_unit(joint.value)
-        singles = [getattr(probe, name) for probe in estimate.probes]
-        _dots(axes, singles, joint, factor)
+        told = [
+            (getattr(probe, name), probe.identifiable.get(name, estimate.identifiable[name]))
+            for probe in estimate.probes
+        ]
+        _dots(axes, told, joint, factor, known=estimate.identifiable[name])
         axes.set_xlabel(f"{symbol} ({unit})" if unit else symbol)
         if not estimate.identifiable[name]:
-            axes.set_title("not identifiable from these data", color=ORANGE)
+            axes.set_title("not determined by these data", color=INK)
+        if truth is not None:
+            true = axes.axvline(truth[name] / factor, color=INK, linestyle="--", linewidth=0.9)
     panels[0].set_yticks(range(count), [probe.name for probe in estimate.probes], parse_math=False)
     panels[0].set_ylim(count - 0.4, -0.6)
-    handles = [panels[0].containers[0], panels[0].lines[0], panels[0].patches[0]]
-    labels = ["one probing, 95 %", "all probings", "its 95 % interval"]
-    figure.legend(handles, labels, loc="upper center", ncols=3)
+    handles: dict[str, Artist] = {
+        "one probing, 95 %": Line2D([], [], color=BLUE, marker="o", markersize=3.5, linewidth=0.9),
+        "all probings": Line2D([], [], color=ORANGE, linewidth=1.0),
+        "its 95 % interval": Patch(color=ORANGE, alpha=0.18, linewidth=0),
+    }
+    if truth is not None:
+        handles["truth"] = true
+    figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=4)
     return figure
 
 
-def _dots(axes: Axes, singles: list[Constant], joint: Constant, factor: float) -> None:
+def _dots(
+    axes: Axes, told: list[tuple[Constant, bool]], joint: Constant, factor: float, *, known: bool
+) -> None:
     """One panel of the dot plot; an interval that leaves the panel ends in an arrow head."""
-    axes.axvline(joint.value / factor, color=ORANGE, linewidth=1.0, zorder=1)
+    singles = [single for single, _ in told]
     low, high = joint.ci95
-    axes.axvspan(low / factor, high / factor, color=ORANGE, alpha=0.18, linewidth=0, zorder=0)
+    if known:
+        axes.axvline(joint.value / factor, color=ORANGE, linewidth=1.0, zorder=1)
+        axes.axvspan(low / factor, high / factor, color=ORANGE, alpha=0.18, linewidth=0, zorder=0)
     value = np.array([single.value for single in singles]) / factor
     ends = np.array([single.ci95 for single in singles]).reshape(-1, 2) / factor
     left, right = _panel_limits(value, ends, joint, factor)
     rows = np.arange(len(singles))
     shown = np.clip(ends, left, right)
-    known = np.isfinite(value)
+    finite = np.isfinite(value)
     dot = np.clip(value, left, right)
     bars = np.abs(shown - dot[:, None]).T
-    axes.errorbar(
-        dot[known], rows[known], xerr=bars[:, known], fmt="o", color=BLUE, markersize=3.5,
-        elinewidth=0.9, zorder=3,
-    )  # fmt: skip
+    alone = np.array([one for _, one in told])
+    for those, form, colour in ((finite & alone, "o", BLUE), (finite & ~alone, "none", GREY)):
+        axes.errorbar(
+            dot[those], rows[those], xerr=bars[:, those], fmt=form, color=colour, ecolor=colour,
+            markersize=3.5, elinewidth=0.9, zorder=3,
+        )  # fmt: skip
     for marker, beyond, edge in (("<", ends[:, 0] < left, left), (">", ends[:, 1] > right, right)):
-        hit = known & beyond
+        hit = finite & beyond
         axes.plot(np.full(hit.sum(), edge), rows[hit], marker, color=BLUE, markersize=3,
                   linestyle="none", clip_on=False, zorder=4)  # fmt: skip
     axes.set_xlim(left, right)

@@ -37,6 +37,8 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 7.5,
     "savefig.dpi": 150.0,
+    # The same figure is the same file.
+    "svg.hashsalt": "palpate",
 }
 # A decorator for functions that draw: it sets the style while they run.
 styled = mpl.rc_context(STYLE)
@@ -64,6 +66,28 @@ def save_figure(figure: Figure, path: Path) -> Path:
     """
     figure.savefig(path, pil_kwargs=_PNG)
     return path
+
+
+@styled
+def save_drawing(figure: Figure, path: Path) -> list[Path]:
+    """Write a figure of lines and letters as PNG, and as SVG beside it.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : Path                     of the PNG; its folder exists, files of that name are replaced
+
+    Returns
+    -------
+    list of two Path
+
+    Raises
+    ------
+    OSError                         a file cannot be written
+    """
+    drawn = path.with_suffix(".svg")
+    figure.savefig(drawn, metadata={"Date": None, "Creator": None})
+    return [save_figure(figure, path), drawn]
 
 
 @styled
@@ -174,7 +198,7 @@ def add_colour_bar(
     axes = figure.add_axes((middle - 0.5 * width, 0.61 / total, width, 0.075 / total))
     bar = figure.colorbar(
         ScalarMappable(norm, cmap), cax=axes, orientation="horizontal", extend="max",
-        ticks=MaxNLocator(4),
+        ticks=MaxNLocator(3),
     )  # fmt: skip
     bar.outline.set_linewidth(0.4)
     bar.set_label(label, labelpad=2)
@@ -216,7 +240,7 @@ def add_arrows(
     pitch : float                   of square cells, the same unit: of the points in a cell the
                                     nearest to its centre has an arrow
     shortest : float                shorter ones would be blots and are left out before the choice
-    colour : str                    with a dark rim, if it is not dark itself
+    colour : str                    with a rim, dark or bright, that any ground shows
     """
     known = np.flatnonzero(
         (np.linalg.norm(vector, axis=1) > shortest) & np.isfinite(place).all(axis=1)
@@ -226,11 +250,11 @@ def add_arrows(
     order = np.argsort(off_centre, kind="stable")
     _, first = np.unique(cell[order], axis=0, return_index=True)
     chosen = known[order[first]]
-    width, rim = (0.014, 0.0) if colour == INK else (0.022, 0.5)
+    width, rim, around = (0.016, 0.35, "white") if colour == INK else (0.022, 0.5, INK)
     axes.quiver(
         *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
         units="inches", width=width, headwidth=3.4, headlength=3.6, headaxislength=3.2,
-        minlength=0.5, color=colour, edgecolor=INK, linewidth=rim, zorder=3,
+        minlength=0.5, color=colour, edgecolor=around, linewidth=rim, zorder=3,
     )  # fmt: skip
 
 

@@ -52,6 +52,7 @@ from palpate.geometry.sides import (
     Sides as Sides,
     split_sides as split_sides,
 )
+from palpate.geometry.thickness import wall_thickness as wall_thickness
 from palpate.geometry.triangle_mesh import (
     TriangleMesh as TriangleMesh,
     area_vectors as area_vectors,

@@ -44,6 +44,13 @@ class TriangleMesh:
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "triangles", triangles)
 
+    def __repr__(self) -> str:
+        sides = " x ".join(f"{1e3 * side:.4g}" for side in np.ptp(self.vertices, axis=0))
+        return (
+            f"TriangleMesh: {len(self.vertices)} vertices, {len(self.triangles)} triangles,"
+            f" {sides} mm"
+        )
+
 
 def area_vectors(mesh: TriangleMesh) -> TriangleVectors:
     """Outward normal of every triangle times its area.

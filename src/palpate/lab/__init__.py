@@ -23,6 +23,9 @@ from palpate.lab.bodies import (
     make_body as make_body,
     make_solid as make_solid,
     press as press,
+    pressure_load as pressure_load,
+    solve_finite as solve_finite,
+    solve_load as solve_load,
     surface_values as surface_values,
 )
 from palpate.lab.config import (

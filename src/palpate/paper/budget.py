@@ -20,6 +20,7 @@ from palpate.errors import InputError
 from palpate.figures import (
     BLUE,
     GREY,
+    INK,
     ORANGE,
     PALE_BLUE,
     Picture,
@@ -315,11 +316,15 @@ def budget_picture(sources: Sequence[SourceErrors]) -> Picture:
     ):
         _panel(axes, sources, column, factor)
         axes.set_xlabel(label)
-    panels[0].set_yticks(range(len(sources)), [source.name for source in sources])
+    names = [f"{source.name} ({len(source.joint)})" for source in sources]
+    panels[0].set_yticks(range(len(sources)), names)
     panels[0].set_ylim(len(sources) - 0.4, -0.6)
-    handles = [panels[0].containers[0], panels[0].lines[0], panels[0].lines[1]]
-    labels = ["single probings", "all together", "single, without any source"]
-    figure.legend(handles, labels, loc="upper center", ncols=3)
+    handles = [panels[0].containers[0], *panels[0].lines[:3]]
+    labels = [
+        "single probings, rms", "all together, rms", "each draw (their number in brackets)",
+        "single, without any source",
+    ]  # fmt: skip
+    figure.legend(handles, labels, loc="upper center", ncols=4)
     return figure_pixels(figure)
 
 
@@ -330,6 +335,11 @@ def _panel(axes: Axes, sources: Sequence[SourceErrors], column: int, factor: flo
     joint = factor * np.array([_rms(source.joint)[column] for source in sources])
     axes.barh(rows, single, height=0.62, color=PALE_BLUE, edgecolor=BLUE, linewidth=0.6)
     axes.plot(joint, rows, "o", color=ORANGE, markersize=4.5, zorder=3, clip_on=False)
+    draws = [factor * np.abs(source.joint[:, column]) for source in sources]
+    axes.plot(
+        np.concatenate(draws), np.repeat(rows, [len(one) for one in draws]), "o", color=INK,
+        markersize=1.8, zorder=4, clip_on=False,
+    )  # fmt: skip
     axes.axvline(single[0], color=GREY, linestyle="--", linewidth=0.8, zorder=0)
     axes.axhline(len(sources) - 1.5, color=GREY, linewidth=0.5)
     axes.set_xlim(left=0.0)

@@ -46,6 +46,7 @@ from palpate.paper.sessions import (
     true_material,
 )
 from palpate.progress import Progress, part_of
+from palpate.records import CONSTANT_NAMES
 from palpate.vision import is_valid
 
 # Built-in configurations of the facility.
@@ -227,7 +228,12 @@ def _table3(measured: Measured, _work: Workplace) -> PaperResult:
         constants_summary(found, truth, compressed_modulus(truth)),
         tuple(constants_table(each, f"Table 3, {method}") for method, each in found.items()),
         {
-            f"table3_{method}": figure_pixels(probings_figure(each.result.estimate))
+            f"table3_{method}": figure_pixels(
+                probings_figure(
+                    each.result.estimate,
+                    truth={name: getattr(truth, name) for name in CONSTANT_NAMES},
+                )
+            )
             for method, each in found.items()
         },
     )

@@ -12,13 +12,20 @@ from palpate.pipeline.camera_survey import (
     CameraSurvey as CameraSurvey,
     survey_cameras as survey_cameras,
 )
-from palpate.pipeline.fit_session import (
-    fit_session as fit_session,
-    session_observations as session_observations,
-)
+from palpate.pipeline.fit_session import fit_session as fit_session
 from palpate.pipeline.imported_points import (
     triangulated as triangulated,
     without_contradicted as without_contradicted,
+)
+from palpate.pipeline.kept import (
+    MOTION_FILE as MOTION_FILE,
+    SURFACE_FILE as SURFACE_FILE,
+    FittedProbing as FittedProbing,
+    FittedSurface as FittedSurface,
+    keep_motion as keep_motion,
+    read_fitted_surface as read_fitted_surface,
+    with_kept_motion as with_kept_motion,
+    write_fitted_surface as write_fitted_surface,
 )
 from palpate.pipeline.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
@@ -28,16 +35,12 @@ from palpate.pipeline.measure_motion import (
     with_measured_displacement as with_measured_displacement,
     with_pictures_measured as with_pictures_measured,
 )
-from palpate.pipeline.measurement_plan import (
-    MATCHING_NOISE as MATCHING_NOISE,
-    MeasurementPlan as MeasurementPlan,
-    plan_measurement as plan_measurement,
-)
 from palpate.pipeline.model import (
     graded_session as graded_session,
     make_object_model as make_object_model,
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
+    resolved_session as resolved_session,
     sliding_motion as sliding_motion,
     surface_load as surface_load,
 )
@@ -45,12 +48,28 @@ from palpate.pipeline.motion_figures import (
     MotionFigures as MotionFigures,
     write_flow_document as write_flow_document,
 )
+from palpate.pipeline.observations import (
+    session_observations as session_observations,
+    settled_observations as settled_observations,
+)
+from palpate.pipeline.planning import (
+    MATCHING_NOISE as MATCHING_NOISE,
+    MeasurementPlan as MeasurementPlan,
+    NextProbings as NextProbings,
+    plan_measurement as plan_measurement,
+    plan_next as plan_next,
+)
 from palpate.pipeline.poke import (
     PokedState as PokedState,
     held_object as held_object,
     poke_session as poke_session,
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
+)
+from palpate.pipeline.rejections import (
+    Rejections as Rejections,
+    rejection_note as rejection_note,
+    rejections as rejections,
 )
 from palpate.pipeline.result_files import (
     file_stems as file_stems,

@@ -7,52 +7,44 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
-from scipy.sparse import csr_array
 
 from palpate.bem import SurfaceSettings
-from palpate.errors import InputError
+from palpate.errors import NotConvergedError
 from palpate.estimation import (
-    Discretisation,
-    FitMethod,
     FitResult,
     FitSettings,
-    Nuisance,
     ProbeFit,
-    ProbeObservations,
-    ProbeResponse,
     fit,
-    full_responses,
-    make_reduced_model,
-    reduced_response,
 )
-from palpate.geometry import SurfacePoints, TriangleMesh
 from palpate.pipeline.model import (
-    LEFT_OF_STEP,
     ObjectModel,
-    free_std,
-    given_motion,
+    fit_at_finite_strain,
     graded_session,
+    has_tools,
+    largest_change,
     make_object_model,
-    pose_changes,
-    probe_rows,
-    shared_errors,
+    resolved_session,
+    touched_session,
 )
+from palpate.pipeline.observations import (
+    settled_observations,
+)
+from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     EXACT,
-    GIVEN,
-    DisplacementField,
     ProbeEstimate,
-    Probing,
     Session,
     SupportEstimate,
     require_probings,
 )
-from palpate.shapes import Vertices
 
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
+# Radii settle when constants do; they change with the cube root of the modulus alone.
+_MOST_TOUCHES, _TOUCH_SETTLED = 6, 0.01
+# At one half the formulae of the contact have a removable singularity.
+_LARGEST_RATIO = 0.4999
 # A turn [rad] that leaves a false strain of 1e-5 is mentioned.
 _LARGE_TURN = 5e-3
 
@@ -63,6 +55,7 @@ def fit_session(
     settings: FitSettings = FitSettings(),
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
+    finite_strain: bool = False,
     progress: Progress = silent,
 ) -> FitResult:
     """Estimate the elastic constants of a session's object.
@@ -73,6 +66,7 @@ def fit_session(
     settings : FitSettings            how the constants are searched and their intervals found
     surface : SurfaceSettings         how the surface between the vertices is understood
     cache : Path or None              folder that keeps the integrals for the next time
+    finite_strain : bool              correct for what a linear model leaves out
     progress : callable               told what is done (text) and how far it is (0 to 1)
 
     Returns
@@ -87,21 +81,30 @@ def fit_session(
     start = time.perf_counter()
     require_probings(session)
     progress("the given mesh", 0.0)
+    resolved = resolved_session(session, surface=surface)
+    if has_tools(resolved):
+        resolved = _with_touched_circles(resolved, settings, surface, cache)
     # First, and gone before the graded one takes its memory.
-    plain = replace(session, errors=EXACT)
-    coarser = session_observations(
+    plain = replace(resolved, errors=EXACT)
+    coarser = settled_observations(
         plain, make_object_model(plain, surface=surface, cache=cache), settings=settings
     )
     compared = time.perf_counter()
     progress("integrals over the surface", 0.25)
-    graded = graded_session(session, surface=surface)
+    graded = graded_session(resolved, surface=surface)
     model = make_object_model(graded, surface=surface, cache=cache)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
-    observations = session_observations(graded, model, settings=settings)
-    observations = _with_mesh_errors(observations, coarser)
+    observations = settled_observations(
+        graded, model, settings=settings, coarser=coarser, with_surface=True
+    )
     factorised = time.perf_counter()
-    result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
+    last = part_of(progress, _FIT_STARTS, 1.0)
+    result = fit(observations, settings=settings, progress=last)
+    if finite_strain:
+        result = fit_at_finite_strain(
+            resolved, observations, result, settings=settings, progress=last
+        )
     progress("done", 1.0)
     seconds = {
         "given_mesh": compared - start,
@@ -117,27 +120,53 @@ def fit_session(
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(*result.estimate.notes, *_turn_notes(probes)),
+        notes=(
+            *result.estimate.notes,
+            *_turn_notes(probes),
+            *_touch_notes(resolved),
+            *_rejection_notes(session),
+        ),
         seconds=seconds,
         settings={
             **result.estimate.settings,
             "surface": asdict(surface),
+            "finite_strain": finite_strain,
             "errors": asdict(session.errors),
-            "vertices": [len(one.mesh.vertices) for one in (session, graded)],
+            "vertices": [len(one.mesh.vertices) for one in (session, resolved, graded)],
             "assumed_forces": [one.name for one in session.probings if one.force_std is None],
         },
     )
-    return replace(result, estimate=estimate)
+    fits = tuple(_on_given_mesh(one, len(session.mesh.vertices)) for one in result.probes)
+    return replace(result, estimate=estimate, probes=fits)
 
 
-def _with_mesh_errors(
-    observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
-) -> list[ProbeObservations]:
-    """What was seen, with the error of the mesh that a coarser one shows."""
-    return [
-        replace(one, nuisances=(*one.nuisances, Discretisation(LEFT_OF_STEP, other.response.value)))
-        for one, other in zip(observations, coarser, strict=True)
-    ]
+def _on_given_mesh(found: ProbeFit, vertices: int) -> ProbeFit:
+    """Without what the graded mesh has besides: the given mesh's vertices come first in it."""
+    return found if found.surface is None else replace(found, surface=found.surface[:vertices])
+
+
+def _with_touched_circles(
+    session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
+) -> Session:
+    """A session whose contacts are as wide as its tools touch, for the constants that it yields."""
+    for _ in range(_MOST_TOUCHES):
+        plain = replace(session, errors=EXACT)
+        model = make_object_model(plain, surface=surface, cache=cache)
+        found = fit(settled_observations(plain, model, settings=settings), settings=settings)
+        before, session = (
+            session,
+            touched_session(
+                session,
+                shear_modulus=found.estimate.shear_modulus.value,
+                poisson_ratio=min(found.estimate.poisson_ratio.value, _LARGEST_RATIO),
+            ),
+        )
+        if largest_change(before, session) < _TOUCH_SETTLED:
+            return session
+    raise NotConvergedError(
+        f"the circles that the tools touch still change after {_MOST_TOUCHES} fits: the force and"
+        " the displacements do not belong together; check tool_radius and the unit of the force"
+    )
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
@@ -156,6 +185,22 @@ def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
     return notes
 
 
+def _touch_notes(session: Session) -> list[str]:
+    """What the tools touch."""
+    touched = [
+        f"{1e3 * radius:.3g} mm in {one.name}"
+        for one in session.probings
+        if one.contact.tool is not None and (radius := one.contact.radius) is not None
+    ]
+    return [f"Radius that the tool touches: {', '.join(touched)}."] if touched else []
+
+
+def _rejection_notes(session: Session) -> list[str]:
+    """A sentence about points that pictures could not follow."""
+    found = rejections(session)
+    return [rejection_note(found)] if any(one.lost for one in found) else []
+
+
 def _support_estimates(
     model: ObjectModel, index: int, found: ProbeFit
 ) -> tuple[SupportEstimate, ...]:
@@ -171,125 +216,3 @@ def _support_estimates(
         parts = (tuple(part.tolist()) for part in (moved[0], error[0], moved[1], error[1]))
         estimates.append(SupportEstimate(support.number, *parts))
     return tuple(estimates)
-
-
-def session_observations(
-    session: Session, model: ObjectModel, *, settings: FitSettings = FitSettings()
-) -> list[ProbeObservations]:
-    """What each probing saw, with what the model says it should have seen.
-
-    Parameters
-    ----------
-    session : Session                     k probings, each with displacements
-    model : ObjectModel                   of this session
-    settings : FitSettings                method and range of Poisson's ratio
-
-    Returns
-    -------
-    list of k ProbeObservations
-
-    Raises
-    ------
-    InputError                            a probing without displacements
-    SingularSystemError                   the support does not hold the object
-    NotConvergedError                     the reduced model does not serve the range
-    """
-    rows = [
-        probe_rows(model, k, _measured(probing).surface)
-        for k, probing in enumerate(session.probings)
-    ]
-    with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
-    if with_pose:
-        every = _vertices(session.mesh)
-        rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
-    if settings.method == FitMethod.NELDER_MEAD:
-        responses = full_responses(model.system, model.right, rows)
-    else:
-        reduced = make_reduced_model(
-            model.system, model.right, poisson_range=settings.poisson_range
-        )
-        responses = [reduced_response(reduced, row) for row in rows]
-    own = responses[: len(session.probings)]
-    vertices = responses[len(session.probings) :] if with_pose else own
-    support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
-    changes: dict[bytes, list[csr_array]] = {}
-    observations = []
-    for k, (response, nodal) in enumerate(zip(own, vertices, strict=True)):
-        field = _measured(session.probings[k])
-        # Probings often have the same points.
-        key = field.surface.position.tobytes()
-        changes[key] = changes.get(key) or pose_changes(model, field.surface)
-        nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
-        observations.append(_observations(session, model, k, response, support, nuisances))
-    return observations
-
-
-def _vertices(mesh: TriangleMesh) -> SurfacePoints:
-    """All vertices as points of the surface."""
-    corner = np.zeros(len(mesh.vertices), dtype=np.int64)
-    corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
-    triangle, place = np.divmod(corner, 3)
-    return SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
-
-
-def _observations(
-    session: Session,
-    model: ObjectModel,
-    index: int,
-    response: ProbeResponse,
-    support: Vertices,
-    nuisances: tuple[Nuisance, ...],
-) -> ProbeObservations:
-    probing = session.probings[index]
-    field = _measured(probing)
-    motion, motion_std = _motions(session, model, index)
-    force_std = probing.force_std
-    if force_std is None:
-        length = float(np.linalg.norm(probing.force))
-        force_std = np.full(3, session.errors.force * length)
-    return ProbeObservations(
-        name=probing.name,
-        position=field.points,
-        displacement=field.displacement,
-        std=field.std,
-        force=probing.force,
-        force_std=force_std,
-        tip_displacement=probing.tip_displacement,
-        tip_displacement_std=probing.tip_displacement_std,
-        response=response,
-        landmarks={"the contact": probing.contact.point[None], "the support": support},
-        motion=motion,
-        motion_std=motion_std,
-        nuisances=nuisances,
-    )
-
-
-def _motions(
-    session: Session, model: ObjectModel, index: int
-) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
-    """What is known before about the motions of the supports, and how well."""
-    value, std = [], []
-    for support in model.supports:
-        if support.motion == GIVEN:
-            given = given_motion(session, session.probings[index], support)
-            value.append(given.value)
-            std.append(given.std)
-        else:
-            value.append(np.zeros(6))
-            std.append(free_std(session.mesh))
-    strains = np.ones(int(model.gives_motions))
-    left = [j for j in range(6 * len(value) + strains.size) if j not in model.lifts(index)]
-    return (
-        np.concatenate([*value, strains])[left],
-        np.concatenate([*std, 0.0 * strains])[left],
-    )
-
-
-def _measured(probing: Probing) -> DisplacementField:
-    """The displacements of a probing, which must be there."""
-    if probing.displacement is None:
-        raise InputError(
-            f"probing '{probing.name}' has no measured displacement and no images; give one of"
-            " them, or leave it out with --probe"
-        )
-    return probing.displacement

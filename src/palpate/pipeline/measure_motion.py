@@ -141,7 +141,7 @@ def measure_motion(
         raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
     progress("cameras", 0.0)
     rig = read_rig(session.rig)
-    store = Parts(parts, "" if parts is None else _key(session, method, pose))
+    store = Parts(parts, "" if parts is None else motion_key(session, method, pose))
     total = sum(len(later) for _, _, later in sequences)
     motions: list[MeasuredMotion] = []
     notes: list[str] = []
@@ -285,8 +285,8 @@ def _follow(
     return after, flow, method.vertices(flow, rig, mesh)
 
 
-def _key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
-    """What all instants depend on: the contents of the session's files, and how they are used."""
+def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
+    """Digest of what all instants depend on: the session's files, and how they are used."""
     try:
         sums = file_sums(session_files(session.path), start=session.path.parent)
     except OSError as error:

@@ -21,8 +21,10 @@ from palpate.errors import InputError
 from palpate.geometry import interpolation_matrix
 from palpate.pipeline.model import (
     check_balance,
+    compliances,
     graded_session,
     held_directions,
+    session_springs,
     sliding_motion,
     surface_load,
 )
@@ -53,6 +55,11 @@ class PokedState:
     largest_point: Vector3
     reaction: Vector3
     interior: InteriorState | None
+
+    def __repr__(self) -> str:
+        here = ", ".join(f"{1e3 * x:.3g}" for x in self.displacement)
+        most = 1e3 * float(np.linalg.norm(self.largest))
+        return f"PokedState: the contact moves by ({here}) mm, no vertex by more than {most:.3g} mm"
 
 
 def poke_session(
@@ -98,7 +105,10 @@ def poke_session(
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
     say("factorisation", 0.6)
-    elastic_map = make_elastic_map(system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+    elastic_map = make_elastic_map(
+        system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio,
+        springs=session_springs(session, system), compliance=compliances(session),
+    )  # fmt: skip
     load = surface_load(patch)
     (state,) = elastic_map.respond([load], force[None])
     say("interior points", 0.8)
@@ -136,7 +146,7 @@ def held_object(
     Session                             the same on a mesh that is finer at the rims of its supports
     BoundarySystem                      of that mesh
     """
-    session = graded_session(session, surface=surface)
+    session = graded_session(resolved_session(session, surface=surface), surface=surface)
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
     )

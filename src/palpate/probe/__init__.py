@@ -1,11 +1,12 @@
 """What a tool does to the object, and the plain compression test beside it.
 
-Purpose    : the triangles under a tool with its pressure there; Young's modulus of a pressed
-             cylinder, with an honest interval.
+Purpose    : the triangles under a tool with its pressure there; the circle that a tool touches;
+             Young's modulus of a pressed cylinder, with an honest interval.
 Takes      : a mesh and a `Contact`; files of testing machines, or shortening and force.
-Gives      : `ContactPatch`; `CompressionResult` per specimen, `CompressionSeries` over several.
+Gives      : `ContactPatch`, `Touch`; `CompressionResult` per specimen, `CompressionSeries` over
+             several.
 Depends on : `records`, `geometry`, `shapes`, `errors`.
-Read first : `contact_patch.py`, then `compression_test.py`.
+Read first : `contact_patch.py`, `touch.py`, then `compression_test.py`.
 """
 
 from palpate.probe.compression_files import (
@@ -24,4 +25,10 @@ from palpate.probe.compression_test import (
 from palpate.probe.contact_patch import (
     ContactPatch as ContactPatch,
     find_contact_patch as find_contact_patch,
+)
+from palpate.probe.touch import (
+    Touch as Touch,
+    inward_push as inward_push,
+    surface_curvature as surface_curvature,
+    touch as touch,
 )

@@ -1,5 +1,6 @@
 """What lies in a folder that is to become a session: surface, cameras, pictures, videos, tables."""
 
+import os
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -85,11 +86,15 @@ def survey_folder(folder: Path) -> FolderSurvey:
 
     Raises
     ------
-    RecordError                     no such folder, or one of too many files
+    RecordError                     no such folder, a disk as a whole, or one of too many files
     """
     if not folder.is_dir():
         raise RecordError(f"{folder}: no such folder; make it, and put the mesh into it")
-    files = sorted(path for path in _files(folder) if path.is_file())
+    if not os.access(folder, os.R_OK | os.X_OK):
+        raise RecordError(f"{folder}: the folder cannot be read (Permission denied)")
+    if folder.resolve() == Path(folder.resolve().anchor):
+        raise RecordError(f"{folder}: is the whole disk; name the folder of one measurement")
+    files = sorted(path for path in _files(folder) if os.path.isfile(path))
     if len(files) > _MOST_FILES:
         raise RecordError(f"{folder}: has {len(files)} files; name the folder of one measurement")
 

@@ -9,18 +9,24 @@ Read first : `probing.py`, `session.py`, then `files/session.py`.
 
 from palpate.records.contact import (
     FIXED as FIXED,
+    FLAT as FLAT,
     FREE as FREE,
     GIVEN as GIVEN,
     PRESSURES as PRESSURES,
     RIGID as RIGID,
+    SLIDES as SLIDES,
+    SPHERE as SPHERE,
+    STICKS as STICKS,
     Contact as Contact,
     Pressure as Pressure,
     RigidMotion as RigidMotion,
     Support as Support,
+    Tool as Tool,
 )
 from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
     CONSTANT_NAMES as CONSTANT_NAMES,
+    IMPOSSIBLE as IMPOSSIBLE,
     SURPRISING as SURPRISING,
     Constant as Constant,
     ErrorEstimate as ErrorEstimate,
@@ -34,9 +40,11 @@ from palpate.records.files import (
     Finding as Finding,
     ImportItem as ImportItem,
     default_folder as default_folder,
+    disk_errors as disk_errors,
     displacement_line as displacement_line,
     file_stem as file_stem,
     file_sums as file_sums,
+    folder_changes as folder_changes,
     import_plan as import_plan,
     named_displacements as named_displacements,
     parts_folder as parts_folder,
@@ -85,12 +93,17 @@ from palpate.records.programs import (
 from palpate.records.quantities import (
     FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
     LENGTH_UNITS as LENGTH_UNITS,
+    NOT_DETERMINED as NOT_DETERMINED,
+    SYMBOLS as SYMBOLS,
+    constant_row as constant_row,
     constant_text as constant_text,
+    constant_unit as constant_unit,
     error_texts as error_texts,
     interval_text as interval_text,
     length_unit as length_unit,
     modulus_unit as modulus_unit,
     value_text as value_text,
+    verdict_text as verdict_text,
 )
 from palpate.records.rig import (
     DISTORTION_TERMS as DISTORTION_TERMS,
@@ -106,11 +119,18 @@ from palpate.records.session import (
     require_probings as require_probings,
 )
 from palpate.records.text import (
+    FORCES as FORCES,
+    LENGTHS as LENGTHS,
+    MODULI as MODULI,
     Column as Column,
+    Quantity as Quantity,
     TextTable as TextTable,
     TomlTable as TomlTable,
     json_text as json_text,
     make_table as make_table,
+    quantities as quantities,
+    quantity as quantity,
+    read_text as read_text,
     read_text_table as read_text_table,
     read_toml as read_toml,
     split_cells as split_cells,

@@ -59,21 +59,47 @@ def hertz_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.sqrt(np.clip(1 - s**2, 0, None))
 
 
+def flat_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """1 / sqrt(1 - s^2), under a rigid flat punch without friction.
+
+    Parameters
+    ----------
+    s : array [-]                   distance from the contact point over the radius, >= 0
+
+    Returns
+    -------
+    array [-]                       1 at the centre, without bound at the rim, 0 from there on
+
+    Source
+    ------
+    Johnson, Contact Mechanics (1985), eq. 3.34
+    """
+    return np.where(s < 1, 1.0 / np.sqrt(np.clip(1 - s**2, 1e-12, None)), 0.0)
+
+
 # To add a tool shape: a file with its pressure, and one line here. Only the shape of the curve
 # counts: it is scaled so that the total is the force.
 PRESSURES: Mapping[str, Pressure] = {
     "smooth": smooth_pressure,
     "uniform": uniform_pressure,
     "hertz": hertz_pressure,
+    "flat": flat_pressure,
 }
 # The hat function of the vertex nearest to the contact point; a patch without a radius.
 VERTEX = "vertex"
 # A load over given triangles: the same traction everywhere, or a grip that keeps them rigid.
 UNIFORM, RIGID = "uniform", "rigid"
+# Tools, and what a surface does under them.
+SPHERE, FLAT = TOOL_SHAPES = ("sphere", "flat")
+SLIDES, STICKS = FRICTIONS = ("slides", "sticks")
+# Of a tool's radius: where the search for the touched circle starts.
+_TOUCHED = 0.5
 # How a support moves.
 FIXED, GIVEN, FREE = MOTIONS = ("fixed", "given", "free")
 # Of the largest singular value: directions that add less to others are the same again.
 _SAME_DIRECTION = 1e-3
+# Beds of springs [N/m^3]: a metre of the softest gel, and a tenth of a millimetre of diamond.
+_SOFTEST, _STIFFEST = 1.0, 1e16
 # Turns beyond which the displacement of a rigid motion is no longer linear in it: cos differs from
 # 1 by 1e-3.
 _LARGEST_TURN = 0.05
@@ -82,6 +108,43 @@ _LARGEST_TURN = 0.05
 def contact_profiles() -> tuple[str, ...]:
     """Names that a contact's profile may have."""
     return (*PRESSURES, VERTEX)
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """A rigid tool; what it touches follows from the contact.
+
+    Parameters
+    ----------
+    shape : str                     `SPHERE`; or `FLAT`, the round face of a punch
+    radius : float [m]              of the sphere, or of the face, > 0
+    friction : str                  the surface `SLIDES` under it freely, or `STICKS` to it
+
+    Raises
+    ------
+    InputError                      another shape or friction; a radius that is not positive
+    """
+
+    shape: str
+    radius: float
+    friction: str = SLIDES
+
+    def __post_init__(self) -> None:
+        for name, value, known in (
+            ("tool", self.shape, TOOL_SHAPES),
+            ("friction", self.friction, FRICTIONS),
+        ):
+            if value not in known:
+                raise InputError(f"{name} is '{value}'; must be one of {', '.join(known)}")
+        if not (np.isfinite(self.radius) and self.radius > 0.0):
+            raise InputError(f"tool_radius is {self.radius}; must be a positive length")
+
+    def contact(self, point: Vector3) -> "Contact":
+        """Where the search for the touched circle starts: half the sphere's radius, or all of a
+        flat face."""
+        if self.shape == FLAT:
+            return Contact(point, self.radius, "flat", tool=self)
+        return Contact(point, _TOUCHED * self.radius, "hertz", tool=self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +158,8 @@ class Contact:
                                     triangles
     profile : str                   one of `contact_profiles`; with triangles `UNIFORM` or `RIGID`
     triangles : (k,) int or None    what is loaded, in place of a round patch
+    tool : Tool or None             what presses: radius and profile follow from it, and those here
+                                    are where the search starts; None: they are known
 
     Raises
     ------
@@ -106,6 +171,7 @@ class Contact:
     radius: float | None
     profile: str
     triangles: Indices | None = None
+    tool: Tool | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
@@ -150,15 +216,19 @@ class Support:
     directions : (d, 3) float or None    of a roller: only these are held, along the others the
                                     surface slides without friction; orthonormal afterwards; None:
                                     all are held
+    stiffness : float [N/m^3] or None    of springs between the surface and what holds it: traction
+                                    over displacement, > 0; None: rigid
 
     Raises
     ------
-    InputError                      another motion; a direction that is zero, or depends on others
+    InputError                      another motion; a direction that is zero, or depends on others;
+                                    a stiffness that is not positive
     """
 
     triangles: Indices
     motion: str = FIXED
     directions: Float[np.ndarray, "d 3"] | None = None
+    stiffness: float | None = None
 
     def __post_init__(self) -> None:
         triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
@@ -167,6 +237,17 @@ class Support:
             raise InputError(f"motion is '{self.motion}'; must be one of {', '.join(MOTIONS)}")
         if self.directions is not None:
             object.__setattr__(self, "directions", _orthonormal(self.directions))
+        if self.stiffness is not None and not (_SOFTEST <= self.stiffness <= _STIFFEST):
+            raise InputError(
+                f"stiffness is {self.stiffness:g} N/m^3; must be a traction over a displacement"
+                f" from {_SOFTEST:g} to {_STIFFEST:g} N/m^3 (a foam 1 cm thick has about 5e6): for"
+                " a rigid support leave it out"
+            )
+
+    @property
+    def compliance(self) -> float:
+        """Displacement over traction [m/Pa]; 0: rigid."""
+        return 0.0 if self.stiffness is None else 1.0 / self.stiffness
 
     @property
     def holding(self) -> Float[np.ndarray, "3 3"]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 from enum import StrEnum, auto
 from typing import Any
@@ -19,44 +19,57 @@ CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"
 _TANGENTIAL_CURE = (
-    "force and normal displacement determine only G / (1 - nu): observe displacement vectors with"
-    " all three components near the contact (a few contact radii away), or probe at more points"
+    "observe displacement vectors with all three components near the contact (a few contact radii"
+    " away), or probe at more points, on steep slopes too: force and normal displacement alone"
+    " determine only G / (1 - nu)"
 )
 _SCALE_CURE = (
-    "the displacements hardly exceed their noise: press harder (within small deformation),"
-    " measure more points nearer to the contact, or repeat probings"
+    "press harder (within small deformation), measure more points nearer to the contact, or repeat"
+    " probings: the displacements hardly exceed their noise"
 )
-_ADVICE = {
-    "ok": "every constant is identifiable from the data",
-    "poisson_ratio" + _SUFFIX: f"Poisson's ratio is not identifiable: {_TANGENTIAL_CURE}",
-    "shear_modulus" + _SUFFIX: f"the shear modulus is not identifiable: {_SCALE_CURE}",
-    "young_modulus" + _SUFFIX: f"Young's modulus is not identifiable: {_SCALE_CURE}",
+# What a status means, and what to do about it.
+_FINDINGS = {
+    "ok": ("all three constants are determined by the data", ""),
+    "poisson_ratio" + _SUFFIX: ("Poisson's ratio is not determined by the data", _TANGENTIAL_CURE),
+    "shear_modulus" + _SUFFIX: ("the shear modulus is not determined by the data", _SCALE_CURE),
+    "young_modulus" + _SUFFIX: ("Young's modulus is not determined by the data", _SCALE_CURE),
     "shear_modulus_and_poisson_ratio" + _SUFFIX: (
-        "only Young's modulus is identifiable, as in bending or stretching far from the contact; G"
-        f" and nu follow only together: {_TANGENTIAL_CURE}"
+        "only Young's modulus is determined by the data, as in bending or stretching",
+        f"for the shear modulus and Poisson's ratio {_TANGENTIAL_CURE}",
     ),
     "poisson_ratio_and_young_modulus" + _SUFFIX: (
-        f"only the shear modulus is identifiable: {_TANGENTIAL_CURE}"
+        "only the shear modulus is determined by the data",
+        f"for Young's modulus and Poisson's ratio {_TANGENTIAL_CURE}",
     ),
     "shear_modulus_and_young_modulus" + _SUFFIX: (
-        f"only Poisson's ratio is identifiable: check the force, {_SCALE_CURE}"
+        "only Poisson's ratio is determined by the data",
+        f"for the moduli check the force, then {_SCALE_CURE}",
     ),
-    "nothing_identifiable": f"no constant is identifiable: {_SCALE_CURE}",
+    "nothing_identifiable": ("no constant is determined by the data", _SCALE_CURE),
     "model_contradicted": (
-        "the model does not explain what was measured, so the constants may be far off and their"
-        " intervals too narrow: the notes say where; check the support, the contact (point, radius,"
-        " force), the place of the points on the mesh, and whether the material is the same"
-        " everywhere and in all directions"
+        (
+            "the model does not explain what was measured, so the constants may be far off and"
+            " their intervals too narrow"
+        ),
+        (
+            "read in the notes where; check the support, the contact (point, radius, force), the"
+            " place of the points on the mesh, and whether the material is the same everywhere and"
+            " in all directions"
+        ),
     ),
     "not_converged": (
-        "the search for the constants stopped early: look at the plots for outliers, and check"
-        " that force, contact point and displacements belong together"
+        "the search for the constants stopped early, so the numbers are no estimate",
+        (
+            "look at the plots for outliers, and check that force, contact point and displacements"
+            " belong together"
+        ),
     ),
 }
 
 
 class Status(StrEnum):
-    """Outcome of an estimation, its name in small letters as text; `advice` holds the cure."""
+    """Outcome of an estimation, its name in small letters as text; a person reads `sentence`, and
+    what to do about it in `cure`."""
 
     OK = auto()
     POISSON_RATIO_NOT_IDENTIFIABLE = auto()
@@ -70,9 +83,19 @@ class Status(StrEnum):
     NOT_CONVERGED = auto()
 
     @property
+    def sentence(self) -> str:
+        """What it means, in words, without capital and full stop."""
+        return _FINDINGS[self.value][0]
+
+    @property
+    def cure(self) -> str:
+        """What to do about it, in words; empty where there is nothing to do."""
+        return _FINDINGS[self.value][1]
+
+    @property
     def advice(self) -> str:
-        """What the status means and what to do about it."""
-        return _ADVICE[self.value]
+        """What it means and what to do about it."""
+        return f"{self.sentence}: {self.cure}" if self.cure else self.sentence
 
     @classmethod
     def from_identifiable(cls, identifiable: Mapping[str, bool]) -> "Status":
@@ -164,7 +187,7 @@ class ErrorEstimate:
     Parameters
     ----------
     name : str                      "gain of the force sensor"
-    unit : str                      "m", "rad", or empty for a share
+    unit : str                      "m", "rad", "m/Pa", or empty for a share
     value : float                   by how much the measurement is off, in that unit
     std : float                     one standard deviation, after the fit
     prior_std : float               one standard deviation, before
@@ -212,6 +235,8 @@ class ProbeEstimate:
     prediction_error : float [m] or None    rms residual when this probing was left out
     supports : tuple of SupportEstimate     those that move
     errors : tuple of ErrorEstimate         of the measurement of this probing alone
+    identifiable : mapping                  constant's name -> whether this probing alone determines
+                                            it; empty where that was not asked
     """
 
     name: str
@@ -225,6 +250,7 @@ class ProbeEstimate:
     prediction_error: float | None
     supports: tuple[SupportEstimate, ...] = ()
     errors: tuple[ErrorEstimate, ...] = ()
+    identifiable: Mapping[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +300,15 @@ class Estimate:
         # What the data do not determine is given for all of its range, each constant by itself.
         if all(self.identifiable.values()):
             _check_product(*values)
+
+    def __repr__(self) -> str:
+        parts = []
+        for name in CONSTANT_NAMES:
+            one: Constant = getattr(self, name)
+            low, high = one.ci95
+            told = f"{one.value:.4g} " if self.identifiable[name] else "not determined "
+            parts.append(f"{name} {told}({low:.4g} to {high:.4g})")
+        return f"Estimate: {self.status.sentence}; {', '.join(parts)}"
 
 
 def _check_ranges(shear: float, ratio: float, young: float) -> None:

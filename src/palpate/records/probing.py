@@ -66,6 +66,12 @@ class DisplacementField:
         if len(self.surface.triangle) != n:
             raise InputError(f"surface has {len(self.surface.triangle)} points; must be {n}")
 
+    def __repr__(self) -> str:
+        seen = observed_rows(self)
+        length = np.linalg.norm(self.displacement[seen], axis=1)
+        median = f", median {1e3 * np.median(length):.3g} mm" if len(length) else ""
+        return f"DisplacementField: {len(seen)} points, {seen.sum()} measured{median}"
+
 
 def measured_rows(displacement: Points) -> Flags:
     """True for the points that were measured, (n,) bool: no component is NaN.
@@ -211,3 +217,9 @@ class Probing:
             )
         if std is not None and not np.all(std > 0.0):
             raise InputError(f"tip_displacement_std is {std.tolist()}; must be positive")
+
+    def __repr__(self) -> str:
+        force = ", ".join(f"{x:.3g}" for x in self.force)
+        point = ", ".join(f"{1e3 * x:.4g}" for x in self.contact.point)
+        seen = "not measured yet" if self.displacement is None else repr(self.displacement)
+        return f"Probing {self.name!r}: ({force}) N at ({point}) mm; {seen}"

@@ -2,14 +2,26 @@
 
 import math
 
-from palpate.records.estimate import Constant, ErrorEstimate
+from palpate.records.estimate import Constant, ErrorEstimate, Estimate
 
 # Metres in each unit that a file or a command may name.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 # The units of Palpate's own files, and of calibrations, which are never so small.
 FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
+# Stiffness of a bed of springs: traction over displacement [N/m^3]; compliance is its inverse.
+STIFFNESS_UNITS = {"N/m^3": 1.0, "Pa/m": 1.0, "N/mm^3": 1e9, "kPa/mm": 1e6, "MPa/mm": 1e9}
+COMPLIANCE_UNITS = {"m/Pa": 1.0, "m^3/N": 1.0, "mm/kPa": 1e-6, "um/kPa": 1e-9, "mm/MPa": 1e-9}
 # How errors are written: factor on the SI unit, and the unit written.
-_ERROR_UNITS = {"": (100.0, "%"), "m": (1e3, "mm"), "rad": (180.0 / math.pi, "degrees")}
+_ERROR_UNITS = {
+    "": (100.0, "%"),
+    "m": (1e3, "mm"),
+    "rad": (180.0 / math.pi, "degrees"),
+    "m/Pa": (1e9, "mm/MPa"),
+}
+# What stands in place of a value that the data do not determine.
+NOT_DETERMINED = "not determined"
+# Constants in the order in which they are told, with their symbols.
+SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
 _SPELLINGS = {
     "\u00b5m": "um",
     "\u03bcm": "um",
@@ -116,6 +128,65 @@ def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
     return f"{low:.{places}f} to {high:.{places}f}"
 
 
+def constant_row(estimate: Estimate, name: str) -> tuple[str, str, str]:
+    """Value, interval and unit of a constant as a table has them.
+
+    A constant that the data do not determine has no value; its interval, in brackets, is what is
+    possible.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    name : str                      one of `CONSTANT_NAMES`
+
+    Returns
+    -------
+    three str                       `60.35 ± 0.73`, `58.91 to 61.87`, `kPa`; or `not determined`,
+                                    `(0.00 to 0.50)`
+    """
+    constant: Constant = getattr(estimate, name)
+    factor, unit = constant_unit(name, constant.value)
+    interval = interval_text(constant, factor=factor)
+    if not estimate.identifiable[name]:
+        return NOT_DETERMINED, f"({interval})", unit
+    return constant_text(constant, factor=factor), interval, unit
+
+
+def verdict_text(estimate: Estimate) -> str:
+    """What an estimate says, in a sentence or two.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    str                             begins with what the status means; then the constants that are
+                                    determined, with their intervals
+    """
+    sentence = estimate.status.sentence
+    known = []
+    for name, symbol in SYMBOLS.items():
+        if estimate.identifiable[name]:
+            _, interval, unit = constant_row(estimate, name)
+            factor, _ = constant_unit(name, getattr(estimate, name).value)
+            value = value_text(getattr(estimate, name), factor=factor)
+            known.append(f"{symbol} = {value}{unit and ' ' + unit} ({interval})")
+    tail = f" {', '.join(known)}, in brackets the 95 % interval." if known else ""
+    return f"{sentence[0].upper()}{sentence[1:]}.{tail}"
+
+
+def constant_unit(name: str, value: float) -> tuple[float, str]:
+    """Unit that a constant is shown in: (SI units a unit, name), none for Poisson's ratio.
+
+    Parameters
+    ----------
+    name : str                      one of `CONSTANT_NAMES`
+    value : float                   [Pa] for moduli
+    """
+    return (1.0, "") if name == "poisson_ratio" else modulus_unit(value)
+
+
 def _places(std: float, value: float) -> int:
     """Decimals that show two digits of the standard deviation, or four of the value."""
     shown = std if math.isfinite(std) and std > 0.0 else abs(value) * 1e-2
@@ -133,7 +204,8 @@ def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
 
     Returns
     -------
-    (str, str, str)                 shares in per cent, lengths in mm, angles in degrees
+    (str, str, str)                 shares in per cent, lengths in mm, angles in degrees,
+                                    compliances in mm/MPa
     """
     factor, unit = _ERROR_UNITS[error.unit]
     value, std, prior = (factor * x for x in (error.value, error.std, error.prior_std))

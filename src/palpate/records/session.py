@@ -17,6 +17,10 @@ from palpate.shapes import Indices, Vector3
 # Osmium [kg/m^3]; ten times the earth's gravity [m/s^2]: beyond it a unit is mistaken.
 _DENSEST = 22600.0
 _LARGEST_GRAVITY = 100.0
+# Names that a session prints of itself.
+_NAMED = 6
+# More than this no table has room for.
+_LONGEST_NAME = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +130,16 @@ class Session:
                     " and leave [gravity] out"
                 )
 
+    def __repr__(self) -> str:
+        names = [one.name for one in self.probings] or [one.name for one in self.steps]
+        kind = "steps" if self.steps else "probings"
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        return (
+            f"Session {self.name!r}: {len(names)} {kind} ({', '.join(names[:_NAMED])}{more}),"
+            f" {len(self.mesh.vertices)} vertices, {len(self.held_triangles)} of"
+            f" {len(self.mesh.triangles)} triangles held"
+        )
+
 
 def require_probings(session: Session) -> None:
     """Refuse a rigid-motion sequence where probings are needed.
@@ -164,6 +178,12 @@ def _check_contents(session: Session) -> None:
             f"the session has one step, '{steps[0].name}', alone; motion needs at least two"
         )
     names = [item.name for item in probings] or [item.name for item in steps]
+    for name in (session.name, *names):
+        if len(name) > _LONGEST_NAME:
+            raise InputError(
+                f"the name {quoted(name)} has {len(name)} characters; must have at most"
+                f" {_LONGEST_NAME}: names stand in tables, pictures and file names"
+            )
     if len(set(names)) < len(names):
         twins = sorted({name for name in names if names.count(name) > 1})
         kind = "probings" if probings else "steps"

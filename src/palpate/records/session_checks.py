@@ -11,6 +11,7 @@ from palpate.geometry import (
     triangle_areas,
     triangle_distances,
     unit_normals,
+    wall_thickness,
 )
 from palpate.records.contact import RIGID, Contact
 from palpate.records.large_turn import LARGE_TURN, whole_turn
@@ -19,8 +20,10 @@ from palpate.records.quantities import modulus_unit
 from palpate.records.session import Session
 from palpate.shapes import Indices
 
-# Mean edge over thickness from which a sheet bends wrongly: by 30 to 90 % at 2.
-_COARSE_EDGE = 1.5
+# Edge over thickness from which a wall bends too little: by at most 3 % at 1.7, by 20 % at 2.8.
+_COARSE_EDGE = 1.7
+# Of the surface; smaller thin parts do not decide how a body bends.
+_THIN_SHARE = 0.02
 # Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
 _UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
@@ -35,6 +38,8 @@ _STRONGEST = 3e9
 _EARTH = 9.81
 # Foams have 10 to 100 kg/m^3.
 _LIGHTEST = 5.0
+# Over the largest measured displacement: an object that sinks farther was to be seen to sink.
+_SINKS = 2.0
 # Of the surface: a smaller support is more likely one that was missed.
 _SMALLEST_SUPPORT = 2e-3
 
@@ -248,16 +253,7 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     mesh = session.mesh
     size = bounding_diagonal(mesh)
     notes = []
-    edge = mesh_quality(mesh).edge_mean
-    offset = mesh.vertices - mesh.vertices.mean(axis=0)
-    axes = np.linalg.svd(offset, full_matrices=False)[2]
-    thickness = float(np.ptp(offset @ axes.T, axis=0).min())
-    if edge > _COARSE_EDGE * thickness:
-        notes.append(
-            f"The object is a sheet {1e3 * thickness:.3g} mm thick and the edges of its triangles"
-            f" are {1e3 * edge:.3g} mm long: stretching in its plane is modelled, bending out of it"
-            " comes out far too stiff. If it bends, use edges shorter than it is thick."
-        )
+    notes += _thin_notes(mesh)
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {_UNIT_HINT}.")
     if session.probings:
@@ -277,9 +273,50 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
         notes.append(
             f"The density is {session.density:.3g} kg/m^3, lighter than foam: is it in g/cm^3?"
         )
+    notes += _settlement_notes(session)
     for probing in session.probings:
         notes += [f"Probing {probing.name}: {text}" for text in _probing_notes(mesh, probing, size)]
     return tuple(notes)
+
+
+def _thin_notes(mesh: TriangleMesh) -> list[str]:
+    """Whether walls are thinner than their triangles can follow, and what mesh would do."""
+    corner = mesh.vertices[mesh.triangles]
+    edge = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean(axis=1)
+    thickness, area = wall_thickness(mesh), triangle_areas(mesh)
+    thin = edge > _COARSE_EDGE * thickness
+    if area[thin].sum() < _THIN_SHARE * area.sum():
+        return []
+    k = int(np.where(thin, thickness, np.inf).argmin())
+    share = edge[thin] / (_COARSE_EDGE * thickness[thin])
+    wanted = len(mesh.vertices) + 0.5 * float((share**2 - 1.0).sum())
+    place = ", ".join(f"{1e3 * x:.0f}" for x in corner[k].mean(axis=0))
+    text = (
+        f"The object is {1e3 * thickness[k]:.3g} mm thin at ({place}) mm, where the edges of its"
+        f" triangles are {1e3 * edge[k]:.3g} mm long: stretching in its plane is modelled, bending"
+        f" out of it comes out too stiff. If it bends, use about {wanted:.2g} vertices (palpate"
+        " mesh)."
+    )
+    return [text]
+
+
+def _settlement_notes(session: Session) -> list[str]:
+    """Supports into whose springs the object would sink farther than anything moved."""
+    notes = []
+    areas = triangle_areas(session.mesh)
+    for number, support in enumerate(session.supports, start=1):
+        for probing in session.probings:
+            force = float(np.linalg.norm(probing.force))
+            sunk = force * support.compliance / float(areas[support.triangles].sum())
+            largest = _largest_displacement(probing)
+            if len(session.supports) == 1 and sunk > _SINKS * largest > 0.0:
+                notes.append(
+                    f"Probing {probing.name}: under its {force:.3g} N the object would sink"
+                    f" {sunk:.3g} m into support {number}, whose stiffness is"
+                    f" {support.stiffness:.3g} N/m^3; nothing moved farther than {largest:.3g} m:"
+                    " is it in N/m^3?"
+                )
+    return notes
 
 
 def _probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str]:

@@ -10,6 +10,11 @@ from palpate.records.contact import FIXED, FREE, GIVEN, RIGID, Support
 from palpate.records.probing import Probing
 from palpate.shapes import Indices
 
+# Of a force: what may be across the directions of a roller, whose friction is small and not zero.
+_UNANSWERED = 0.05
+# Sine of half a degree, squared: directions that others hold less than this they do not hold.
+_HELD = 1e-4
+
 
 def check_supports(
     mesh: TriangleMesh, supports: Sequence[Support], probings: Sequence[Probing]
@@ -94,14 +99,31 @@ def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Suppo
             f" '{supports[pulled[0] - 1].motion}'; a support that is pulled moves as the force"
             ' makes it: say motion = "free", and give its measured points in the displacement file'
         )
-    if supports[pulled[0] - 1].directions is not None:
-        raise InputError(
-            f"{place}: its force acts on support {pulled[0]}, a roller, which is not built yet;"
-            " load that face instead: contact = { triangles = ..., traction = "
-            '"uniform" }'
-        )
+    _check_pull(probing, supports, pulled[0])
     if probing.tip_displacement is not None:
         raise InputError(
             f"{place}: tip_displacement is of a tool's contact point, but the force acts on a"
             " support; give the displacement of the grip in the displacement file"
+        )
+
+
+def _check_pull(probing: Probing, supports: Sequence[Support], number: int) -> None:
+    """Refuse a force across what the support that it pulls holds, and one that no other answers."""
+    place = f"probing '{probing.name}': its force acts on support {number}"
+    holding = supports[number - 1].holding
+    across = float(np.linalg.norm(probing.force - holding @ probing.force))
+    if across > _UNANSWERED * float(np.linalg.norm(probing.force)):
+        raise InputError(
+            f"{place}, a roller, and {across:.3g} N of it are across its directions, along which"
+            " it slides: give the part along them, or hold those directions too (directions in"
+            " [[support]])"
+        )
+    others = sum(one.holding for k, one in enumerate(supports, start=1) if k != number)
+    value, vector = np.linalg.eigh(holding @ others @ holding + np.eye(3) - holding)
+    if value[0] < _HELD:
+        axis = ", ".join(f"{x:.3g}" for x in np.round(vector[:, 0], 3) + 0.0)
+        raise InputError(
+            f"{place}, and along ({axis}) no other support holds the object, which would follow:"
+            " hold that direction elsewhere, or make support"
+            f" {number} a roller that does not hold it (directions in [[support]])"
         )

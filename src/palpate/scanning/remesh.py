@@ -13,13 +13,12 @@ from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
     checked_mesh,
-    half_edges,
     triangle_areas,
-    unit_normals,
+    wall_thickness,
 )
 from palpate.scanning.mending import adapted, distances, place_text
 from palpate.scanning.plane import Plane
-from palpate.shapes import Points, PointScalars, Vertices
+from palpate.shapes import Points, Vertices
 
 # Edges at the given points over edges far away, and how fast they grow with the distance.
 FINER = 1.0 / 3.0
@@ -31,9 +30,6 @@ _OTHERWISE = (0.97, 1.03, 0.92)
 _FEWEST, _MOST = 50, 50_000
 # A wall thinner than this, in edges of its own triangles, cannot be told from a sheet.
 _THINNEST = 0.5
-# Cosine from which normals face away from each other; that across an edge of less than 70 degrees.
-_FACING, _KNIFE = 0.7, -0.34
-_NEIGHBOURS = 40
 
 
 def remeshed(
@@ -147,7 +143,7 @@ def _accepted(mesh: TriangleMesh) -> TriangleMesh:
         ) from error
     corner = sound.vertices[sound.triangles]
     edge = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean(axis=1)
-    thickness = _thickness(sound)
+    thickness = wall_thickness(sound)
     ratio = thickness / edge
     k = int(ratio.argmin())
     if ratio[k] < _THINNEST:
@@ -160,23 +156,3 @@ def _accepted(mesh: TriangleMesh) -> TriangleMesh:
             f" {cure}, or use points finer there"
         )
     return sound
-
-
-def _thickness(mesh: TriangleMesh) -> PointScalars:
-    """Distance of each triangle's centre to the nearest one that faces the other way behind it."""
-    centre, normal = mesh.vertices[mesh.triangles].mean(axis=1), unit_normals(mesh)
-    gap, other = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
-    away = centre[other] - centre[:, None]
-    behind = np.einsum("kja,ka->kj", away, normal) < -_FACING * gap
-    opposite = np.einsum("kja,ka->kj", normal[other], normal) < -_FACING
-    thickness = np.where(behind & opposite, gap, np.inf).min(axis=1)
-    # The two sides of a knife's edge meet there: no sheet.
-    halves = half_edges(mesh.triangles)
-    a, b = halves.pairs().T
-    knife = np.einsum("ka,ka->k", normal[a // 3], normal[b // 3]) < _KNIFE
-    if knife.any():
-        middle = mesh.vertices[halves.ends[halves.edge[a[knife]]]].mean(axis=1)
-        length = np.linalg.norm(np.diff(mesh.vertices[halves.ends], axis=1)[:, 0], axis=1)
-        close, _ = cKDTree(middle).query(centre)
-        thickness[close < 3.0 * float(np.median(length))] = np.inf
-    return thickness

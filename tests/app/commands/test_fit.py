@@ -8,11 +8,13 @@ import json
 
 import numpy as np
 import pytest
+from pipeline.kept.picture_session import measured, with_pictures
 
 from palpate.app.commands import fit as fit_command
 from palpate.errors import NotConvergedError, SingularSystemError
 from palpate.estimation import FitResult, LikelihoodMap, ProbeFit
 from palpate.records import Constant, Estimate, ProbeEstimate, Status, read_estimate
+from palpate.report import report
 
 G = Constant(2.1e4, 150.0, (2.07e4, 2.13e4))
 NU = Constant(0.21, 0.006, (0.198, 0.222))
@@ -66,7 +68,7 @@ def calls(monkeypatch):
         (folder / "likelihood.png").write_bytes(b"png")
 
     monkeypatch.setattr(fit_command, "fit_session", fit_session)
-    monkeypatch.setattr(fit_command, "write_plots", write_plots)
+    monkeypatch.setattr(report, "write_plots", write_plots)
     return asked
 
 
@@ -77,7 +79,13 @@ def test_constants_are_printed_and_the_folder_is_written(palpate, calls, cube_se
         assert text in out
     assert "Note: Told by the estimation." in out
     folder = tmp_path / "cube-result"
-    assert read_estimate(folder / "estimate.json") == _result(calls[0][0]).estimate
+    written, expected = read_estimate(folder / "estimate.json"), _result(calls[0][0]).estimate
+    # Added are the time of the whole and what repeats it.
+    assert written.seconds["total"] < 60.0
+    assert written.settings["command"].startswith(f"palpate fit {cube_session} --method reduced")
+    assert dataclasses.replace(written, seconds={}, settings={}) == dataclasses.replace(
+        expected, seconds={}, settings={}
+    )
     assert (folder / "likelihood.png").exists()
 
 
@@ -121,8 +129,11 @@ def test_status_that_is_not_ok_ends_with_three_and_its_cure(
     monkeypatch.setattr(fit_command, "fit_session", fit_session)
     code, out, err = palpate("fit", cube_session)
     assert code == 3
-    assert "no" in out.split()
-    assert "poisson_ratio_not_identifiable: Poisson's ratio is not identifiable" in err
+    assert "Poisson's ratio nu  not determined" in out
+    # Once, as a sentence, with what would determine it.
+    assert err.count("not determined") == 1
+    assert "Poisson's ratio is not determined by the data: observe displacement vectors" in err
+    assert "_identifiable" not in out + err
     assert (tmp_path / "cube-result" / "estimate.json").exists()
 
 
@@ -163,7 +174,7 @@ def test_a_disk_that_fills_up_leaves_nothing(palpate, calls, cube_session, tmp_p
     def write_plots(folder, session, result):
         raise OSError(28, "No space left on device", "likelihood.png")
 
-    monkeypatch.setattr(fit_command, "write_plots", write_plots)
+    monkeypatch.setattr(report, "write_plots", write_plots)
     code, _, err = palpate("fit", cube_session)
     assert code == 2
     assert "cube-result: cannot be written (No space left on device); nothing was changed" in err
@@ -181,3 +192,45 @@ def test_default_folder_is_named_after_the_session(palpate, calls, cube_session,
     (cube_session / "session.toml").rename(cube_session / "noisy.toml")
     assert palpate("fit", cube_session / "noisy.toml")[0] == 0
     assert (tmp_path / "cube-noisy-result").is_dir()
+
+
+def test_motion_is_measured_once(palpate, calls, cube_session, tmp_path, monkeypatch):
+    asked = []
+
+    def with_pictures_measured(session, **_):
+        asked.append(session)
+        return measured(session)
+
+    monkeypatch.setattr(fit_command, "with_pictures_measured", with_pictures_measured)
+    with_pictures(cube_session)
+    _, first, _ = palpate("fit", cube_session)
+    _, second, err = palpate("fit", cube_session)
+    assert len(asked) == 1
+    assert "nothing has changed since" not in first
+    assert "Note: the motion in the pictures is the one that cube-result holds" in second
+    # Its notes are said again.
+    assert "note: the pictures are dark" in err
+    (cube_session / "loaded_c0.png").write_bytes(b"another picture")
+    assert palpate("fit", cube_session)[0] == 0
+    assert len(asked) == 2
+
+
+def test_the_log_and_the_report_lie_in_the_result(palpate, calls, cube_session, tmp_path):
+    _, out, err = palpate("fit", cube_session, "-v")
+    folder = tmp_path / "cube-result"
+    assert "s  tables, pictures and report" in (folder / "log.txt").read_text(encoding="utf-8")
+    assert "tables, pictures and report" in err
+    assert "report in cube-result/report.html" in out
+    code, out, _ = palpate("report", "cube-result")
+    assert (code, out[:35]) == (0, "Report in cube-result-report.html (")
+    assert (tmp_path / "cube-result-report.html").read_bytes() == (
+        folder / "report.html"
+    ).read_bytes()
+    # Nothing is replaced unasked.
+    code, _, err = palpate("report", "cube-result")
+    assert code == 2
+    assert "is there already" in err
+    assert palpate("report", "cube-result", "--force")[0] == 0
+    code, _, err = palpate("report", cube_session)
+    assert code == 2
+    assert "no result of this version of Palpate" in err

@@ -95,7 +95,7 @@ def test_an_estimate_that_is_not_ok_is_used_with_a_note(palpate, asked, cube_ses
     code, _, err = palpate("poke", cube_session, *PUSH, "--result", folder)
     assert code == 0
     assert "palpate: note:" in err
-    assert "poisson_ratio_not_identifiable" in err
+    assert "Poisson's ratio is not determined by the data" in err
 
 
 @pytest.mark.parametrize(

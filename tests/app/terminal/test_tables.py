@@ -8,8 +8,13 @@ from cube_session import cube_session as cube_session
 from estimate_samples import sample_result
 from rich.console import Console
 
-from palpate.app.terminal.tables import constants_table, number_text, terminal_table
-from palpate.records import ErrorEstimate, read_session
+from palpate.app.terminal.tables import (
+    constants_table,
+    number_text,
+    probes_table,
+    terminal_table,
+)
+from palpate.records import ErrorEstimate, Status, read_session
 
 
 def printed(table, width):
@@ -40,16 +45,17 @@ def test_the_last_row_stands_apart_where_it_is_a_total():
     assert not any(row.end_section for row in terminal_table("t", ("n", "k"), rows).rows)
 
 
-@pytest.mark.parametrize(("width", "whole"), [(90, True), (60, False)])
-def test_columns_are_as_narrow_as_their_numbers_and_nothing_is_left_out(width, whole):
+@pytest.mark.parametrize("width", [30, 60, 90])
+def test_columns_are_as_narrow_as_their_numbers_and_nothing_is_left_out(width):
     columns = ("source", *(["largest error (kPa)"] * 7))
     text = printed(
         terminal_table("Wide", columns, [("tip misalignment", *(["-1234.50"] * 7))]), width
     )
-    # Seven headings of 19 characters would take 140 columns.
-    assert (text.count("-1234.50") == 7) is whole
-    # Where there is no room, a cell goes on in the next line.
+    # Seven headings of 19 characters would take 140 columns; where even the numbers have no room,
+    # columns go on below.
+    assert text.count("-1234.50") == 7
     assert "…" not in text
+    assert max(map(len, text.splitlines())) <= width
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
@@ -71,3 +77,35 @@ def test_what_the_intervals_hold_is_said_below_the_constants(cube_session):
     assert "The force of 1 of 1 probings is taken as known to 1 % of its length" in text
     # The one that is farthest off by its own prior.
     assert "shift of the object along x, by -0.3 mm ± 0.05 mm (taken for possible: 0.2 mm)" in text
+
+
+NAMES = ("probing-of-18-char", "another_of-18-char")
+
+
+def named(cube_session):
+    """An estimate of two probings with names of 18 characters."""
+    estimate = sample_result(read_session(cube_session)).estimate
+    (probe,) = estimate.probes
+    return replace(estimate, probes=tuple(replace(probe, name=name) for name in NAMES))
+
+
+@pytest.mark.parametrize("width", [60, 80, 140])
+def test_numbers_stay_whole_and_names_are_all_there(cube_session, width):
+    text = printed(probes_table(named(cube_session)), width)
+    assert "…" not in text
+    for word in (*NAMES, "0.3000 ± 0.0060", "23.08", "60.0 ± 1.2"):
+        assert word in text
+    assert max(map(len, text.splitlines())) <= width
+
+
+def test_what_is_not_determined_is_said_in_place_of_a_number(cube_session):
+    lost = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
+    estimate = replace(
+        named(cube_session), identifiable=lost, status=Status.from_identifiable(lost)
+    )
+    text = printed(constants_table(estimate), 100)
+    assert "not determined" in text
+    assert "(0.2880 to 0.3120)" in text
+    assert "0.3000" not in text
+    # A probing alone tells no more than all of them.
+    assert "0.3000" not in printed(probes_table(estimate), 140)

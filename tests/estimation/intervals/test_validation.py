@@ -15,6 +15,8 @@ from palpate.estimation.intervals.validation import (
 )
 from palpate.records import Constant
 
+TOLD = {"shear_modulus": True, "poisson_ratio": True, "young_modulus": True}
+
 
 def _probes(noise: float, **options: object) -> list[ProbeObservations]:
     rng = np.random.default_rng(2)
@@ -81,14 +83,14 @@ def test_points_are_counted_and_residuals_averaged() -> None:
                          [np.nan, 1.0, np.nan]])  # fmt: skip
     weight = np.array([0.25, 0.9, 0.249, 0.0, 0.5])[:, None] * np.isfinite(residual)
     fit = ProbeFit("n", np.zeros((5, 3)), residual, weight, np.full((5, 3), 2.0))
-    found = probe_estimate(IntervalSet(constant, constant, constant), fit)
+    found = probe_estimate(IntervalSet(constant, constant, constant), TOLD, fit)
     assert (found.observed, found.missing, found.rejected) == (4, 1, 1)
     # Lengths 5, 5 and 1 of the three that are kept.
     assert found.rms_residual == pytest.approx(np.sqrt(51 / 3), rel=1e-12)
     squares = 1 + 4 + 4 + 4 + 4 + 9 + 1
     assert found.prediction_error == pytest.approx(np.sqrt(squares / 3), rel=1e-12)
     alone = probe_estimate(
-        IntervalSet(constant, constant, constant), replace(fit, left_out_predicted=None)
+        IntervalSet(constant, constant, constant), TOLD, replace(fit, left_out_predicted=None)
     )
     assert alone.prediction_error is None
 
@@ -96,5 +98,5 @@ def test_points_are_counted_and_residuals_averaged() -> None:
 def test_nothing_kept_has_no_residual() -> None:
     constant = Constant(1.0, 0.1, (0.8, 1.2))
     fit = ProbeFit("n", np.zeros((1, 3)), np.ones((1, 3)), np.zeros((1, 3)), None)
-    found = probe_estimate(IntervalSet(constant, constant, constant), fit)
+    found = probe_estimate(IntervalSet(constant, constant, constant), TOLD, fit)
     assert (found.rms_residual, found.rejected) == (0.0, 1)

@@ -214,3 +214,26 @@ def test_simplex_and_scoring_agree_with_errors() -> None:
     for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
         one, other = getattr(quick, name), getattr(slow, name)
         assert other.value == pytest.approx(one.value, abs=0.1 * one.std)
+
+
+@pytest.mark.parametrize("noise", [NOISE, 10 * NOISE])
+def test_one_probing_alone_is_no_surer_than_its_gauge(noise):
+    """Whether the interval comes from a parabola or from the misfit's profile."""
+    (probe,) = _probes(count=1, noise=noise)
+    gained = replace(probe, nuisances=(ForceGain(0.05),))
+    plain, found = (fit([one]).estimate for one in (probe, gained))
+    for name in ("shear_modulus", "young_modulus"):
+        low, high = getattr(found, name).ci95
+        known = np.log(np.divide(*getattr(plain, name).ci95)) / (2 * 1.96)
+        # Variances add; the quantile of few degrees of freedom only makes it wider.
+        assert np.log(high / low) / (2 * 1.96) > 0.98 * np.hypot(0.05, known), name
+
+
+def test_what_the_gauge_did_not_measure_is_not_turned():
+    (probe,) = _probes(count=1)
+    turned = _columns(ForceDirection(0.01), probe)
+    along = _columns(ForceDirection(0.01, measured=(False, False, True)), probe)
+    response = probe.response.value(NU)
+    force = 0.01 * np.cross(np.eye(3), probe.force / SHEAR)
+    np.testing.assert_allclose(along, np.outer(response[:, 2], force[:, 2]), atol=1e-15)
+    assert np.abs(turned - along).max() > 0.1 * np.abs(turned).max()

@@ -232,6 +232,18 @@ def test_tolerance_of_a_plane_is_in_the_unit_of_lengths(edited):
     assert len(read_session(edited("tolerance = 0.002", "tolerance = 0.004")).held_triangles) == 32
 
 
+def test_stiffness_of_a_bed_under_the_support(edited):
+    folder = edited("[support]", '[support]\nstiffness = "2 kPa/mm"')
+    session = read_session(folder)
+    assert session.supports[0].stiffness == pytest.approx(2e6, rel=1e-12)
+    assert session.supports[0].compliance == pytest.approx(5e-7, rel=1e-12)
+    assert not any("would sink" in note for note in session.notes)
+    # 1.2 N over 16 cm^2 on a thousandth of that: 0.38 m, where nothing moved more than 2 mm.
+    session = read_session(edited('"2 kPa/mm"', "2e3"))
+    assert any("would sink 0.375 m into support 1" in note for note in session.notes)
+    assert read_session(edited("stiffness = 2e3", "")).supports[0].stiffness is None
+
+
 def test_support_that_is_the_whole_surface_is_refused(edited):
     folder = _support(edited, "box = { min = [-1, -1, -1], max = [1, 1, 1] }")
     with pytest.raises(RecordError, match=r"the whole surface \(all 192 triangles\)"):
@@ -432,3 +444,12 @@ def test_what_is_too_large_is_refused_before_the_surface_is_checked(session_fold
         read_session(session_folder, allow=allow)
     with pytest.raises(MeshError, match="open"):
         read_session(session_folder)
+
+
+def test_the_arm_s_first_touch_is_an_error_of_the_tip(edited):
+    """3, 4 and 12 make 13."""
+    text = "tip_displacement = [0, 0, -0.001]\ntip_displacement_std = [3e-5, 12e-5, 0.0]"
+    text += '\ntip_displacement_offset_std = "0.04 mm"\ncontact = { point = [0.04'
+    session = read_session(edited("contact = { point = [0.04", text))
+    std = [one.tip_displacement_std for one in session.probings if one.tip_displacement is not None]
+    np.testing.assert_allclose(std[-1], [5e-5, np.hypot(12e-5, 4e-5), 4e-5])

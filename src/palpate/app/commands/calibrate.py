@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.calibration import (
     AprilGrid,
     Calibration,
@@ -103,7 +102,7 @@ def calibrate(
         save_figure(rig_figure(calibration), folder / "rig.png")
     print_notes(calibration.notes)
     quality = camera_quality(calibration)
-    Console().print(_table(calibration, quality))
+    print_tables(_table(calibration, quality))
     print_notes([text for camera in quality for text in camera.missing])
     print_text(f"{_lengths(calibration)}Result in {place}")
     return 0

@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import number_text, print_text, terminal_table
+from palpate.app.terminal import number_text, print_tables, print_text, terminal_table
 from palpate.bem import check_memory
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (
@@ -38,13 +37,12 @@ def check(session: Path, /) -> int:
     require_given_motions(given)
     cameras, remarks = survey_cameras(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
-    console = Console()
     print_text(f"{given.name} ({given.path})")
-    console.print(_mesh_table(given))
+    print_tables(_mesh_table(given))
     if surveys:
-        console.print(_probings_table(surveys))
+        print_tables(_probings_table(surveys))
     if cameras:
-        console.print(_cameras_table(cameras))
+        print_tables(_cameras_table(cameras))
     for note in (*given.notes, *remarks):
         print_text(f"Note: {note}")
     print_text(session_outlook(given, surveys))
@@ -71,6 +69,7 @@ def _mesh_table(session: Session) -> Table:
         ("support", support if session.probings else "-"),
         *((f"support {n} moves", motion) for n, motion in moving),
         *((f"support {n} holds", what) for n, what in _rollers(session)),
+        *((f"support {n} gives", what) for n, what in _springs(session)),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
         ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),
     )
@@ -88,6 +87,19 @@ def _rollers(session: Session) -> list[tuple[int, str]]:
             text = "only " + " and ".join(f"({row})" for row in held)
             if slides is not None and slides.number == number:
                 text += "; the object slides, and how far is estimated"
+            found.append((number, text))
+    return found
+
+
+def _springs(session: Session) -> list[tuple[int, str]]:
+    """Supports that give, by their numbers, and how far they would under the largest force."""
+    found = []
+    areas = triangle_areas(session.mesh)
+    force = max((float(np.linalg.norm(one.force)) for one in session.probings), default=0.0)
+    for number, support in enumerate(session.supports, start=1):
+        if support.stiffness is not None:
+            sunk = force * support.compliance / float(areas[support.triangles].sum())
+            text = f"{support.stiffness:.3g} N/m^3: {1e3 * sunk:.3g} mm under {force:.3g} N"
             found.append((number, text))
     return found
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_file_notes, terminal_table
+from palpate.app.terminal import print_file_notes, print_tables, terminal_table
 from palpate.errors import InputError
 from palpate.probe import (
     CompressionRecord,
@@ -112,7 +111,7 @@ def compression(
             notes += [(file.name, note) for note in (*record.notes, *result.notes)]
         if staged is not None:
             write_text(staged, sealed(_content(results), files, folder=staged.parent))
-    Console().print(_table(results))
+    print_tables(_table(results))
     print_file_notes(notes, files=len(files))
     return 0
 

@@ -1,28 +1,34 @@
 """`palpate fit`: a session in, a table and a result folder out."""
 
+import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
 
 from palpate.app.terminal import (
+    StageLog,
     constants_table,
     print_notes,
+    print_tables,
     print_text,
     probes_table,
     progress_bar,
 )
 from palpate.bem import SurfaceSettings, check_memory
-from palpate.estimation import FitSettings
-from palpate.figures import write_plots
+from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import (
     fit_session,
+    keep_motion,
+    with_kept_motion,
     with_pictures_measured,
-    write_residuals,
 )
+from palpate.progress import Progress, part_of
 from palpate.records import (
+    Estimate,
+    Session,
     Status,
     default_folder,
     parts_folder,
@@ -31,10 +37,15 @@ from palpate.records import (
     require_probings,
     result_folder,
     session_files,
-    write_estimate,
+    write_text,
 )
+from palpate.report import REPORT_FILE, write_report, write_result_files
+from palpate.versions import versions
 
 _NOT_OK = 3
+# Fractions of the work that are done when the fit and when the drawing begin.
+_PICTURES, _DRAWN = 0.5, 0.9
+_REUSED = "the motion in the pictures is the one that {} holds: nothing has changed since"
 
 
 def fit(
@@ -46,12 +57,14 @@ def fit(
     method: Literal["reduced", "nelder-mead"] = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
+    strain: Literal["small", "finite"] = "small",
     cache: Path | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
 
-    Prints the constants with their intervals and leaves a folder with estimate.json and plots.
+    Prints the constants with their intervals and leaves a folder with a report, estimate.json and
+    plots. Motion that was measured in pictures is kept there and used again by the next fit.
 
     Parameters
     ----------
@@ -69,6 +82,9 @@ def fit(
     surface
         What the mesh means: points of a smooth object (with edges where triangles turn by more than
         40 degrees), or flat facets.
+    strain
+        Small: displacements are linear in the force. Finite: what that leaves out of an object that
+        was pressed far is computed with finite elements, and corrected.
     cache
         Folder that keeps the surface integrals of this object for the next fit.
     force
@@ -80,7 +96,7 @@ def fit(
     int
         0, or 3 where the data do not determine a constant.
     """
-    console = Console()
+    log = StageLog()
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
@@ -89,29 +105,79 @@ def fit(
         record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)
-        with progress_bar() as progress:
-            measured = with_pictures_measured(given, progress=progress, parts=parts_folder(folder))
+        with progress_bar() as bar:
+            progress = log.listening(bar)
+            blind = any(one.displacement is None and one.images for one in given.probings)
+            # Shares of the work, about: pictures, where there are some, take as long as the rest.
+            middle = _PICTURES if blind else 0.0
+            measured, reused = _measured(given, target, folder, part_of(progress, 0.0, middle))
             print_notes(measured.notes[len(given.notes) :])
+            motion = log.seconds
             result = fit_session(
                 measured,
                 settings=settings,
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
-                progress=progress,
+                finite_strain=strain == "finite",
+                progress=part_of(progress, middle, _DRAWN),
             )
-            progress("tables and plots", 1.0)
-            write_estimate(folder / "estimate.json", result.estimate)
-            write_residuals(folder, measured, result)
-            write_plots(folder, measured, result)
-    estimate = result.estimate
-    if len(estimate.probes) > 0:
-        console.print(probes_table(estimate))
-    console.print(constants_table(estimate))
-    for note in estimate.notes:
-        if note not in measured.notes:
-            print_text(f"Note: {note}")
-    print_text(f"Result in {target} ({estimate.seconds.get('total', float('nan')):.1f} s)")
-    if estimate.status is not Status.OK:
-        print(f"palpate: {estimate.status.value}: {estimate.status.advice}", file=sys.stderr)
+            progress("tables, pictures and report", _DRAWN)
+            result = _told(result, motion, log, _command(session, probe, settings, surface, strain))
+            _write(folder, given, measured, result, log)
+    _print(result.estimate, measured)
+    if reused:
+        print_text(f"Note: {_REUSED.format(target)}.")
+    print_text(f"Result in {target}, report in {target / REPORT_FILE} ({log.seconds:.1f} s)")
+    if result.estimate.status is not Status.OK:
+        print(f"palpate: {result.estimate.status.advice}", file=sys.stderr)
         return _NOT_OK
     return 0
+
+
+def _measured(
+    given: Session, target: Path, folder: Path, progress: Progress
+) -> tuple[Session, bool]:
+    """The session with the motion of its pictures, and whether an earlier result held it."""
+    unread = any(one.displacement is None and one.images for one in given.probings)
+    if unread and (kept := with_kept_motion(given, target)) is not None:
+        return kept, True
+    return with_pictures_measured(given, progress=progress, parts=parts_folder(folder)), False
+
+
+def _told(result: FitResult, motion: float, log: StageLog, command: str) -> FitResult:
+    """The result with the seconds of the whole work, and what repeats it."""
+    estimate = result.estimate
+    seconds = {"reading_and_motion": motion, **estimate.seconds, "total": log.seconds}
+    settings = {"command": command, "versions": versions(), **estimate.settings}
+    return replace(result, estimate=replace(estimate, seconds=seconds, settings=settings))
+
+
+def _command(
+    session: Path, probe: list[str] | None, settings: FitSettings, surface: str, strain: str
+) -> str:
+    """The line that repeats a fit, without what has no part in its numbers."""
+    words = ["palpate", "fit", str(session)]
+    words += ["--probe", *probe] if probe else []
+    words += ["--method", settings.method, "--surface", surface, "--strain", strain]
+    return shlex.join([*words, "--poisson-range", *(f"{end:g}" for end in settings.poisson_range)])
+
+
+def _write(
+    folder: Path, given: Session, measured: Session, result: FitResult, log: StageLog
+) -> None:
+    """All files of the result, the report last, which is made of the others."""
+    if measured is not given:
+        keep_motion(folder, given, measured)
+    write_result_files(folder, measured, result)
+    write_text(folder / "log.txt", "\n".join([*log.lines, *measured.notes, ""]))
+    write_report(folder, folder / REPORT_FILE)
+
+
+def _print(estimate: Estimate, session: Session) -> None:
+    """The tables, and what a reader must know besides."""
+    if len(estimate.probes) > 0:
+        print_tables(probes_table(estimate))
+    print_tables(constants_table(estimate))
+    for note in estimate.notes:
+        if note not in session.notes:
+            print_text(f"Note: {note}")

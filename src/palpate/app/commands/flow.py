@@ -4,21 +4,25 @@ import math
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
 from rich.markup import escape
 
-from palpate.app.terminal import flow_table, print_notes, print_text, progress_bar
+from palpate.app.terminal import flow_table, print_notes, print_tables, print_text, progress_bar
+from palpate.errors import InputError
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
     FLOW_METHODS,
     MotionFigures,
     SessionFlow,
     measure_motion,
+    rejection_note,
+    rejections,
+    with_measured_displacement,
     write_flow_document,
     write_motions,
 )
@@ -116,7 +120,8 @@ def flow(
                 pictures=pictures,
             )  # fmt: skip
     print_notes(note for note in found.notes if note not in given.notes)
-    Console().print(flow_table(figures, found.rig))
+    print_tables(flow_table(figures, found.rig))
+    _print_rejections(given, found)
     print_text(f"{_closing(figures, seconds)}\nResult in {target}")
     return _NOT_OK if _complaints(figures) else 0
 
@@ -151,6 +156,14 @@ def _write(
     }
     write_flow_document(folder / "flow.json", figures, files, found.rig, heading)
     return figures
+
+
+def _print_rejections(session: Session, found: SessionFlow) -> None:
+    """Whether so many lost vertices are usual; nothing where a probing has none at all."""
+    with suppress(InputError):
+        lost = rejections(with_measured_displacement(session, found))
+        if any(one.lost for one in lost):
+            print_text(rejection_note(lost))
 
 
 def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 
 from palpate.app.terminal import (
     number_text,
     print_file_notes,
     print_notes,
+    print_tables,
     print_text,
     terminal_table,
 )
@@ -246,7 +246,7 @@ def _csv_name(probe: str) -> str:
 
 def _report(session: Session, done: Sequence[_Import], out: Path | None) -> None:
     """What was read and where it went."""
-    Console().print(_table(done))
+    print_tables(_table(done))
     notes = [(item.file.name, note) for item in done for note in item.imported.notes]
     print_file_notes(notes, files=len(done))
     for item in done:

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Annotated, get_args, get_type_hints
 
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.errors import InputError
 from palpate.lab import (
     SHAPES,
@@ -56,7 +55,7 @@ def lab(
         0.
     """
     if list_:
-        Console().print(*_lists())
+        print_tables(*_lists())
         return 0
     if config is None or out is None:
         raise InputError(

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Float
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.units import Force, Length, Modulus, Place
 from palpate.bem import InteriorState, SurfaceSettings, check_memory
 from palpate.errors import InputError
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
@@ -29,20 +29,21 @@ def poke(
     session: Path,
     /,
     *,
-    force: _Triple,
-    at: _Triple,
+    force: Force,
+    at: Place,
     interior: Annotated[list[_Triple] | None, Parameter(consume_multiple=True)] = None,
-    radius: float | None = None,
+    radius: Length | None = None,
     result: Path | None = None,
-    young_modulus: float | None = None,
-    shear_modulus: float | None = None,
+    young_modulus: Modulus | None = None,
+    shear_modulus: Modulus | None = None,
     poisson_ratio: float | None = None,
     surface: Literal["smooth", "flat"] = "smooth",
     cache: Path | None = None,
 ) -> int:
     """Press a tool on a session's object: how far it gives way, and where it strains.
 
-    Lengths are in metres and forces in newtons, in the frame of the session's mesh. The material
+    Lengths are in metres and forces in newtons, or with their unit ("12 mm", "1.2 N", "50 kPa"), in
+    the frame of the session's mesh. The material
     is that of a result folder of `palpate fit` (--result), or a modulus and Poisson's ratio.
 
     Parameters
@@ -95,9 +96,9 @@ def poke(
         f" ({_numbers(force)}) N over a radius of {1e3 * (contact.radius or 0.0):.3g} mm;"
         f" the support answers with ({_numbers(found.reaction)}) N"
     )
-    Console().print(_displacement_table(found, points))
+    print_tables(_displacement_table(found, points))
     if found.interior is not None:
-        Console().print(_stress_table(found.interior))
+        print_tables(_stress_table(found.interior))
     return 0
 
 
@@ -122,7 +123,7 @@ def _estimated(result: Path) -> tuple[float, float]:
     """The constants of an estimate; a note where the data did not determine all of them."""
     estimate = read_estimate(result / "estimate.json" if result.is_dir() else result)
     if estimate.status is not Status.OK:
-        print_notes([f"{result}: {estimate.status.value}: {estimate.status.advice}"])
+        print_notes([f"{result}: {estimate.status.advice}"])
     shear, ratio = estimate.shear_modulus.value, estimate.poisson_ratio.value
     if not np.isfinite([shear, ratio]).all():
         raise InputError(

@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
 
-from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.errors import InputError
 from palpate.lab import choose_variant
 from palpate.paper import (
@@ -71,7 +70,7 @@ def reproduce(
             write_result(folder / below[name], result)
     for result in results.values():
         summary = result.summary
-        Console().print(terminal_table(summary.title, summary.columns, shown_rows(summary)))
+        print_tables(terminal_table(summary.title, summary.columns, shown_rows(summary)))
     if page is not None:
         command = f"palpate reproduce {ALL}{' --quick' if quick else ''} --page {page.as_posix()}"
         folders = {name: target / below[name] for name in names}

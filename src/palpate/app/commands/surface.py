@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.figures import save_figure, scan_figure, surface_figure
 from palpate.geometry import (
     MeshQuality,
@@ -93,10 +92,9 @@ def mesh(
             )
         write_prepared(folder, made)
         save_figure(surface_figure(file.name, made), folder / "mesh.png")
-    console = Console()
     if made.actions:
-        console.print(_actions_table(made))
-    console.print(_figures_table(made))
+        print_tables(_actions_table(made))
+    print_tables(_figures_table(made))
     print_text(f"Result in {place}")
     return 0
 
@@ -150,9 +148,8 @@ def scan(
             )  # fmt: skip
         write_scanned(folder, made)
         save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
-    console = Console()
-    console.print(_views_table(made))
-    console.print(_scan_table(made))
+    print_tables(_views_table(made))
+    print_tables(_scan_table(made))
     print_text(f"Result in {place}")
     return 0
 

@@ -3,9 +3,7 @@
 import sys
 from pathlib import Path
 
-from rich.console import Console
-
-from palpate.app.terminal import print_text, terminal_table
+from palpate.app.terminal import print_tables, print_text, terminal_table
 from palpate.records import verify_result
 
 _NOT_OK = 3
@@ -28,7 +26,7 @@ def verify(result: Path, /) -> int:
     wrong = [finding for finding in found if not finding.is_whole]
     if wrong:
         rows = [(finding.file, finding.role, finding.state) for finding in wrong]
-        Console().print(terminal_table(f"Changed in {result}", ("file", "role", "state"), rows))
+        print_tables(terminal_table(f"Changed in {result}", ("file", "role", "state"), rows))
         shown = ", ".join(f"{finding.file} ({finding.state})" for finding in wrong[:3])
         more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         print(f"palpate: {result}: not as it was: {shown}{more}", file=sys.stderr)

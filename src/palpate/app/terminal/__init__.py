@@ -1,6 +1,6 @@
 """What commands write on the terminal.
 
-Purpose    : tables, notes and a progress bar that look alike in every command.
+Purpose    : tables, notes and a progress bar that look alike in every command, or as JSON.
 Takes      : texts; `Estimate`, `MotionFigures`.
 Gives      : rich tables; lines on stdout and stderr.
 Depends on : `pipeline`, `records`.
@@ -10,9 +10,12 @@ Read first : `tables.py`.
 from palpate.app.terminal.notes import (
     print_file_notes as print_file_notes,
     print_notes as print_notes,
+)
+from palpate.app.terminal.output import (
+    print_tables as print_tables,
     print_text as print_text,
 )
-from palpate.app.terminal.progress import progress_bar as progress_bar
+from palpate.app.terminal.progress import StageLog as StageLog, progress_bar as progress_bar
 from palpate.app.terminal.tables import (
     constants_table as constants_table,
     flow_table as flow_table,

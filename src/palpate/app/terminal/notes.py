@@ -3,18 +3,7 @@
 import sys
 from collections.abc import Iterable
 
-from rich.console import Console
-
-
-def print_text(text: str, *, wrapped: bool = True) -> None:
-    """Print sentences as they are: brackets in names are no markup.
-
-    Parameters
-    ----------
-    text : str
-    wrapped : bool                  between words at the terminal's width; not where it is copied
-    """
-    Console().print(text, markup=False, highlight=False, soft_wrap=not wrapped)
+from palpate.app.terminal.output import print_text
 
 
 def print_notes(notes: Iterable[str]) -> None:

@@ -1,12 +1,15 @@
 """A progress bar on the terminal that shows only where there is something to wait for."""
 
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 from rich import progress as rich_progress
 from rich.console import Console
 
+from palpate.app.output import wanted_output
 from palpate.progress import Progress
 
 
@@ -14,12 +17,17 @@ from palpate.progress import Progress
 def progress_bar() -> Iterator[Progress]:
     """A callback `(stage, fraction)` that moves a bar on stderr; the bar vanishes at the end.
 
-    Where stderr is not a terminal nothing is shown.
+    Where stderr is not a terminal nothing is shown; where every stage is to be told, each has a
+    line with the seconds so far, on a terminal or not.
     """
+    if wanted_output().verbose:
+        yield _told_lines()
+        return
     console = Console(file=sys.stderr)
     bar = rich_progress.Progress(
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),
+        rich_progress.TaskProgressColumn(),
         rich_progress.TimeElapsedColumn(),
         console=console,
         transient=True,
@@ -32,3 +40,58 @@ def progress_bar() -> Iterator[Progress]:
 
     with bar:
         yield report
+
+
+def _told_lines() -> Progress:
+    """Progress as lines on stderr."""
+    start, last = time.perf_counter(), [""]
+
+    def report(stage: str, fraction: float) -> None:
+        if stage != last[0]:
+            seconds = time.perf_counter() - start
+            print(f"palpate: {seconds:7.1f} s  {100 * fraction:3.0f} %  {stage}", file=sys.stderr)
+            last[0] = stage
+
+    return report
+
+
+@dataclass(slots=True)
+class StageLog:
+    """When each stage of some work began, for the log that lies beside a result.
+
+    Attributes
+    ----------
+    lines : list of str             seconds since the beginning, and the stage
+    """
+
+    lines: list[str] = field(default_factory=list)
+    _start: float = field(default_factory=time.perf_counter)
+
+    @property
+    def seconds(self) -> float:
+        """Since the beginning."""
+        return time.perf_counter() - self._start
+
+    def add(self, stage: str) -> None:
+        """Note what begins now.
+
+        Parameters
+        ----------
+        stage : str                 the same as before is not noted again
+        """
+        if not self.lines or not self.lines[-1].endswith(f"s  {stage}"):
+            self.lines.append(f"{self.seconds:9.2f} s  {stage}")
+
+    def listening(self, say: Progress) -> Progress:
+        """Progress that is noted on its way.
+
+        Parameters
+        ----------
+        say : callable              is told all the same
+        """
+
+        def report(stage: str, fraction: float) -> None:
+            self.add(stage)
+            say(stage, fraction)
+
+        return report

@@ -1,22 +1,20 @@
 """Tables for the terminal: one way to build them, and those of an estimate and of a flow."""
 
 import math
-import re
 import statistics
-import textwrap
 from collections.abc import Iterable, Sequence
 
-from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
+from palpate.app.terminal.shown_table import ShownTable
 from palpate.pipeline import MotionFigures
 from palpate.records import (
     Estimate,
+    ProbeEstimate,
     Rig,
+    constant_row,
     constant_text,
     error_texts,
-    interval_text,
     length_unit,
     modulus_unit,
     value_text,
@@ -28,10 +26,6 @@ _LABELS = {
     "young_modulus": "Young's modulus E",
 }
 _SHORT = {"reprojection": "reproj.", "neighbours": "neighb."}
-# Headings are broken between words, so that columns are as narrow as what is in them, or this.
-_HEADING_WIDTH = 7
-# A cell that begins like this makes its column one of words, which are set to the left.
-_WORD = re.compile(r"(?!unknown|nan|inf)[A-Za-z\[]")
 
 
 def terminal_table(
@@ -44,7 +38,8 @@ def terminal_table(
 ) -> Table:
     """A table for the terminal: words to the left, numbers to the right.
 
-    On a narrow terminal a cell goes on in the next line; nothing is left out.
+    On a narrow terminal a cell of words goes on in the next line, and columns that have no room go
+    on below, behind the names; no number is broken, nothing is left out.
 
     Parameters
     ----------
@@ -58,28 +53,7 @@ def terminal_table(
     -------
     Table                           of rich
     """
-    rows = [list(row) for row in rows]
-    table = Table(
-        title=escape(title), title_justify="left", caption=escape(caption) or None,
-        caption_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
-    )  # fmt: skip
-    for k, heading in enumerate(columns):
-        cells = [row[k] for row in rows]
-        width = max(_HEADING_WIDTH, *map(len, cells)) if cells else _HEADING_WIDTH
-        words = k == 0 or any(_WORD.match(cell) for cell in cells)
-        # A name may go on in the next line, a number may not.
-        unbroken = 0 if k == 0 else max((len(w) for cell in cells for w in cell.split()), default=0)
-        table.add_column(
-            escape(textwrap.fill(heading, width, break_long_words=False)),
-            justify="left" if words else "right",
-            overflow="fold",
-            min_width=unbroken,
-        )
-    for k, row in enumerate(rows):
-        if total and k == len(rows) - 1:
-            table.add_section()
-        table.add_row(*map(escape, row))
-    return table
+    return ShownTable(title, columns, [list(row) for row in rows], caption, total=total)
 
 
 def number_text(value: float | None, form: str) -> str:
@@ -98,7 +72,7 @@ def number_text(value: float | None, form: str) -> str:
 
 
 def constants_table(estimate: Estimate) -> Table:
-    """The three constants with their intervals, and whether the data determine them.
+    """The three constants with their intervals; no values of those that are not determined.
 
     Parameters
     ----------
@@ -110,11 +84,9 @@ def constants_table(estimate: Estimate) -> Table:
     """
     rows = []
     for name, label in _LABELS.items():
-        constant = getattr(estimate, name)
-        factor, unit = (1.0, "-") if name == "poisson_ratio" else modulus_unit(constant.value)
-        values = constant_text(constant, factor=factor), interval_text(constant, factor=factor)
-        rows.append((label, *values, unit, "yes" if estimate.identifiable[name] else "no"))
-    columns = ("constant", "value ± 1 sigma", "95 % interval", "unit", "identifiable")
+        *texts, unit = constant_row(estimate, name)
+        rows.append((label, *texts, unit or "-"))
+    columns = ("constant", "value ± 1 sigma", "95 % interval", "unit")
     caption = " ".join(_captions(estimate))
     return terminal_table("Elastic constants", columns, rows, caption=caption)
 
@@ -150,12 +122,12 @@ def probes_table(estimate: Estimate) -> Table:
     -------
     Table                           moduli in a unit of fitting size, residuals in mm
     """
-    factor, unit = modulus_unit(estimate.young_modulus.value)
+    _, unit = modulus_unit(estimate.young_modulus.value)
     rows = [
         (
-            probe.name, constant_text(probe.poisson_ratio),
-            value_text(probe.shear_modulus, factor=factor),
-            constant_text(probe.young_modulus, factor=factor), str(probe.observed),
+            probe.name, _single(estimate, probe, "poisson_ratio"),
+            _single(estimate, probe, "shear_modulus"),
+            _single(estimate, probe, "young_modulus"), str(probe.observed),
             str(probe.missing), str(probe.rejected), _millimetres(probe.rms_residual),
             _millimetres(probe.prediction_error),
         )
@@ -166,8 +138,21 @@ def probes_table(estimate: Estimate) -> Table:
         ("probing", "nu", "G", "E", "seen", "nan", "off", "rms", "left out"),
         rows,
         caption="seen: points; nan: of them not measured; off: outliers left aside; rms: residual"
-        " of the joint estimate; left out: residual of the prediction from the other probings",
+        " of the joint estimate; left out: residual of the prediction from the other probings; a"
+        " dash: not determined by this probing alone",
     )
+
+
+def _single(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
+    """A constant as one probing alone determines it; the shear modulus without its deviation."""
+    # What all together do not determine, none does.
+    if not probe.identifiable.get(name, estimate.identifiable[name]):
+        return "-"
+    factor = 1.0
+    if name != "poisson_ratio":
+        factor, _ = modulus_unit(estimate.young_modulus.value)
+    form = value_text if name == "shear_modulus" else constant_text
+    return form(getattr(probe, name), factor=factor)
 
 
 def flow_table(figures: Sequence[MotionFigures], rig: Rig) -> Table:

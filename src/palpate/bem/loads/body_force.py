@@ -33,10 +33,12 @@ class BodyForce:
     right : RightHand                     two columns: the traction on the free surface, the moved
                                           support
     particular : (v, 3) float [m Pa]      particular displacement of every vertex over factor(nu)
+    support_traction : (s, 3) float [Pa]  particular traction at the held sides
     """
 
     right: RightHand
     particular: Float[np.ndarray, "v 3"]
+    support_traction: Float[np.ndarray, "s 3"]
 
 
 def dilation_factor(poisson_ratio: float) -> float:
@@ -83,7 +85,23 @@ def body_force_columns(
     traction = _hydrostatic_traction(surface, free, force_density, origin)
     traction = np.einsum("kij,kqj->kqi", left[free], traction)
     pressed = traction_column(system, free, traction, quadrature=quadrature)
-    return BodyForce(joined([pressed, support_columns(system, -particular)]), particular)
+    held_traction = _at_sides(system, force_density, origin)
+    return BodyForce(
+        joined([pressed, support_columns(system, -particular)]), particular, held_traction
+    )
+
+
+def _at_sides(
+    system: BoundarySystem, force_density: Float[np.ndarray, "3"], origin: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "s 3"]:
+    """-(b.y) n at every held side, n the mean normal of its triangles."""
+    surface, sides = system.surface, system.unknowns.held_sides
+    held = np.flatnonzero(surface.held)
+    total = np.zeros((surface.traction.n_nodes, 3))
+    traction = _hydrostatic_traction(surface, held, force_density, origin)[:, :3]
+    np.add.at(total, surface.sides.corner[held], traction)
+    count = np.bincount(surface.sides.corner[held].ravel(), minlength=len(total))
+    return -total[sides] / count[sides][:, None]
 
 
 def _hydrostatic_traction(

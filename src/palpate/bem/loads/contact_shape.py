@@ -35,12 +35,17 @@ class ContactShape:
     ----------
     midpoints : (p,) int              rows of `QuadraticNodes.weights` where more than 2e-3 of the
                                       dip is missed; none where the mesh is fine enough
-    missing : (2, p, 3, 3) float      displacement times shear modulus per newton, constant and
-                                      slope in nu [1/m]; [.., i, j]: component i, force along j
+    missing : (2, p, 3, c) float      displacement times shear modulus, constant and slope in nu;
+                                      [.., i, j]: component i under force j: one newton along each
+                                      of three axes [1/m], or one force [N/m]
     """
 
     midpoints: Int[np.ndarray, " p"]
-    missing: Float[np.ndarray, "2 p 3 3"]
+    missing: Float[np.ndarray, "2 p 3 c"]
+
+    def under(self, force: Float[np.ndarray, "3"]) -> "ContactShape":
+        """The same under one force [N]."""
+        return ContactShape(self.midpoints, (self.missing @ force)[..., None])
 
 
 def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -> ContactShape:
@@ -91,27 +96,29 @@ def shape_columns(
     Parameters
     ----------
     system : BoundarySystem
-    shapes : sequence of k ContactShape
+    shapes : sequence of k ContactShape under as many forces each
     quadrature : Quadrature
 
     Returns
     -------
-    RightHand                         three columns a shape, quadratic in Poisson's ratio
+    RightHand                         a column for each force of each shape, quadratic in Poisson's
+                                      ratio
     """
-    surface = system.surface
+    surface, forces = system.surface, shapes[0].missing.shape[3]
     nodes, triangles = _shape_nodes(surface.displacement, shapes)
     blocks = assemble(
         surface, system.collocation, nodes, TRACTION, triangles=triangles, quadrature=quadrature
     )
     n_rows = blocks.n_rows
-    fields = blocks.values.transpose(2, 0, 3, 1).reshape(TRACTION.count, -1, len(shapes), 2, 3, 3)
+    fields = blocks.values.transpose(2, 0, 3, 1)
+    fields = fields.reshape(TRACTION.count, -1, len(shapes), 2, 3, forces)
     # Component j of the dip by its force c, constant and slope p; force and component i of the row.
     scaled, constant = (
         np.einsum("ijrspjc->pirsc", part).reshape(2, 3 * n_rows, -1)
         for part in traction_parts(fields[:, :n_rows])
     )
     constant, slope = scaled + constant, -2 * scaled
-    terms = np.zeros((3, 3 * n_rows + 3, 3 * len(shapes)))
+    terms = np.zeros((3, 3 * n_rows + 3, forces * len(shapes)))
     terms[:, :-3] = -constant[0], -(constant[1] + slope[0]), -slope[1]
     return RightHand(terms)
 
@@ -119,20 +126,21 @@ def shape_columns(
 def _shape_nodes(
     nodes: QuadraticNodes, shapes: Sequence[ContactShape]
 ) -> tuple[QuadraticNodes, Int[np.ndarray, " t"]]:
-    """18 nodes a shape, one for each entry of its `missing`, whose shape functions carry these
-    entries; and the triangles on which they do."""
+    """Some nodes a shape, one for each entry of its `missing` at a midpoint, whose shape functions
+    carry these entries; and the triangles on which they do."""
+    entries = shapes[0].missing[:, 0].size
     used = np.unique(np.concatenate([shape.midpoints for shape in shapes]))
     number = np.full(nodes.weights.shape[0], -1)
     number[used] = np.arange(used.size)
     parts = []
     for k, shape in enumerate(shapes):
-        values = shape.missing.transpose(1, 0, 2, 3).reshape(-1, 18)
-        row = np.repeat(number[shape.midpoints], 18)
-        column = np.tile(18 * k + np.arange(18), shape.midpoints.size)
+        values = shape.missing.transpose(1, 0, 2, 3).reshape(-1, entries)
+        row = np.repeat(number[shape.midpoints], entries)
+        column = np.tile(entries * k + np.arange(entries), shape.midpoints.size)
         parts.append((row, column, values.ravel()))
     row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     # One more row of zeros, for corners and for midpoints that miss nothing.
-    count = 18 * len(shapes)
+    count = entries * len(shapes)
     weights = csr_array((value, (row, column)), shape=(used.size + 1, count))
     local = number[nodes.element[:, 3:] - nodes.n_nodes]
     triangles = np.flatnonzero((local >= 0).any(axis=1))

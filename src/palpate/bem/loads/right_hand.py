@@ -44,6 +44,10 @@ class RightHand:
         constant, slope, curvature = self.terms
         return constant + poisson_ratio * (slope + poisson_ratio * curvature)
 
+    def under(self, force: Float[np.ndarray, " c"]) -> "RightHand":
+        """One column for so much of each."""
+        return RightHand((self.terms @ force)[:, :, None])
+
     def __add__(self, other: "RightHand") -> "RightHand":
         """Sum of two sets of as many columns."""
         return self.plus(other, np.arange(self.terms.shape[2]))
@@ -63,6 +67,32 @@ class RightHand:
         terms = self.terms.copy()
         terms[:, :, columns] += other.terms
         return RightHand(terms)
+
+    def on_springs(
+        self,
+        give: Float[np.ndarray, " e"],
+        changes: Float[np.ndarray, "d e"],
+        known: Float[np.ndarray, "e c"] | None = None,
+    ) -> "RightHand":
+        """The same loads for an object on springs (`SpringSystem`).
+
+        Parameters
+        ----------
+        give : (e,) float
+        changes : (d, e) float
+        known : (e, c) float or None    traction on each spring beside the unknown one, times
+                                        `traction_length`; None: none
+
+        Returns
+        -------
+        RightHand                 1 + d blocks of rows: the equations, then those of the springs
+        """
+        count, columns = self.terms.shape[1:]
+        terms = np.zeros((3, 1 + len(changes), count + give.size, columns))
+        terms[:, 0, :count] = self.terms
+        if known is not None:
+            terms[0, :, count:] = -np.vstack([give, changes])[:, :, None] * known
+        return RightHand(terms.reshape(3, -1, columns))
 
 
 def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3 3"]) -> RightHand:

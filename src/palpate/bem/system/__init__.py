@@ -3,7 +3,7 @@
 Purpose    : write the boundary integral equation for the unknowns of an object and solve it.
 Takes      : a `BoundarySurface`.
 Gives      : `BoundarySystem`, its factorisation, its derivative with respect to Poisson's ratio,
-             equations at single points; all of it kept on disk if asked.
+             equations at single points, springs under its support; kept on disk if asked.
 Depends on : `bem.integrals`, `geometry`.
 Read first : `system.py`, `boundary.py`.
 """
@@ -12,6 +12,15 @@ from palpate.bem.system.cache import cached_system as cached_system
 from palpate.bem.system.memory import check_memory as check_memory
 from palpate.bem.system.rollers import loose_motions as loose_motions
 from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope
+from palpate.bem.system.springs import (
+    SpringFactors as SpringFactors,
+    Springs as Springs,
+    SpringSlope as SpringSlope,
+    SpringSystem as SpringSystem,
+    make_spring_factors as make_spring_factors,
+    make_springs as make_springs,
+    spring_columns as spring_columns,
+)
 from palpate.bem.system.surface_point import (
     PointEquations as PointEquations,
     point_equations as point_equations,

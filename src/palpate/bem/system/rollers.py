@@ -118,10 +118,10 @@ def make_elimination(
         return None
     open_directions = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
     open_directions[unknowns.held_vertices] -= unknowns.vertex_directions
-    moving = _bases(open_directions[unknowns.free_vertices])
-    columns = block_diag([moving, _bases(unknowns.side_directions), eye_array(3)], format="csr")
+    moving = bases(open_directions[unknowns.free_vertices])
+    columns = block_diag([moving, bases(unknowns.side_directions), eye_array(3)], format="csr")
     answered = orth(unknowns.side_directions.sum(axis=0), rcond=_NOT_HELD)
-    by_point = _bases(_equations(surface, unknowns, collocation, open_directions)[order])
+    by_point = bases(_equations(surface, unknowns, collocation, open_directions)[order])
     # Of the whole system, rows go by component first.
     place = (np.arange(n_points)[:, None] + n_points * np.arange(3)).ravel()
     shuffled = csr_array(
@@ -193,8 +193,17 @@ def _null_space(matrix: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k q"]:
     return vectors[size <= _NOT_HELD * size.max()].T
 
 
-def _bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
-    """Orthonormal directions that each projector keeps, block by block."""
+def bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
+    """Orthonormal directions that each projector keeps, block by block.
+
+    Parameters
+    ----------
+    projectors : (n, 3, 3) float
+
+    Returns
+    -------
+    (3 n, q) sparse               the axes themselves where a projector keeps all directions
+    """
     value, vector = np.linalg.eigh(projectors)
     kept = value > 0.5
     whole = np.isclose(projectors, np.eye(3), atol=1e-12).all(axis=(1, 2))

@@ -2,7 +2,7 @@
 
 Purpose    : intervals, what is identifiable, the likelihood's map, how probings are predicted.
 Takes      : a `Misfit` and its `Minimum`.
-Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, the Cramer-Rao bound.
+Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, `Information`, the Cramer-Rao bound.
 Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.search`, `records`, `geometry`;
              files of its room.
 Read first : `sandwich.py`, then `uncertainty.py`.
@@ -18,14 +18,16 @@ from palpate.estimation.intervals.identifiability import (
     with_open_ratio as with_open_ratio,
     with_prior_ranges as with_prior_ranges,
 )
+from palpate.estimation.intervals.information import (
+    Information as Information,
+    cramer_rao_bound as cramer_rao_bound,
+    fisher_information as fisher_information,
+)
 from palpate.estimation.intervals.likelihood import (
     LikelihoodMap as LikelihoodMap,
     likelihood_map as likelihood_map,
 )
-from palpate.estimation.intervals.sandwich import (
-    cramer_rao_bound as cramer_rao_bound,
-    scores_of as scores_of,
-)
+from palpate.estimation.intervals.sandwich import scores_of as scores_of
 from palpate.estimation.intervals.uncertainty import (
     IntervalSet as IntervalSet,
     Uncertainty as Uncertainty,

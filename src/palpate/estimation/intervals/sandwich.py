@@ -14,10 +14,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
-from palpate.errors import InputError
 from palpate.estimation.intervals.spatial_correlation import CorrelationFactor, correlation_factor
-from palpate.estimation.noise import Gaussian, gaussian_moments, score_moments
-from palpate.estimation.observations import GROUP_COUNT, ProbeObservations, observed_rows_of
+from palpate.estimation.noise import gaussian_moments, score_moments
 from palpate.estimation.search import LocalProbe, Misfit, diagonal_root
 
 DIRECTIONS = ("poisson_ratio", "shear_modulus", "young_modulus")
@@ -250,7 +248,7 @@ def scores_of(
     if noise is None:
         noise = _noise_of(misfit, local)
         turns = [
-            _projection(probe, noise.slope, slope)[:, :2]
+            projection(probe, noise.slope, slope)[:, :2]
             for probe, (_, slope) in zip(local, forces, strict=True)
         ]
         noise = replace(
@@ -260,74 +258,26 @@ def scores_of(
     return Scores(*(np.stack(column) for column in zip(*parts, strict=True))), noise
 
 
-def cramer_rao_bound(
-    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
-) -> dict[str, float]:
-    """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
-
-    For Gaussian noise of the claimed size. Uncertain forces and the errors that points share are
-    nuisance parameters, known to their claimed uncertainty.
-
-    Parameters
-    ----------
-    probes : sequence of ProbeObservations  all with standard deviations
-    poisson_ratio : float [-]
-    shear_modulus : float [Pa]              > 0
-
-    Returns
-    -------
-    constant's name -> float                nu [-], G and E [Pa]; infinite where not identifiable
-
-    Raises
-    ------
-    InputError                              a probing has no standard deviations
-    """
-    for probe in probes:
-        if probe.std is None:
-            raise InputError(
-                f"probing {probe.name!r} has no std; the bound needs the noise of every point"
-            )
-    rows = tuple(observed_rows_of(probe) for probe in probes)
-    misfit = Misfit(rows, np.ones(GROUP_COUNT), Gaussian())
-    shifts, errors = misfit.no_shifts(), np.zeros(len(misfit.shared))
-    scaled = misfit.scaled(poisson_ratio, shear_modulus, shifts)
-    information = np.diag(np.append(np.zeros(2), np.ones(len(errors))))
-    for local in misfit.linearised(scaled, 0.0, shear_modulus, shifts, errors):
-        turn = _projection(local, 1.0, 1.0)
-        information += local.design[:, : local.common].T @ local.design @ turn
-    crossed = np.linalg.solve(information[2:, 2:], information[2:, :2])
-    information = information[:2, :2] - information[:2, 2:] @ crossed
-    covariance = np.linalg.pinv(information, hermitian=True)
-    young = 2 * shear_modulus * (1 + poisson_ratio)
-    bound = {}
-    for (name, turn), value in zip(
-        directions(poisson_ratio).items(), (1.0, shear_modulus, young), strict=True
-    ):
-        identifiable = np.allclose(information @ covariance @ turn, turn, atol=1e-6)
-        spread = float(np.sqrt(turn @ covariance @ turn)) if identifiable else np.inf
-        bound[name] = value * spread
-    return bound
-
-
 def _scores(
     probe: LocalProbe, noise: ScoreNoise, force_power: float, force_slope: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Score, information, covariance of the score and curvature of one probing."""
     d = probe.common
     gram = probe.design.T @ probe.design
-    turn = _projection(probe, noise.slope, force_slope)
+    turn = projection(probe, noise.slope, force_slope)
     projected = turn.T @ gram @ turn
     information = noise.slope * projected + (turn[d:].T * probe.prior(force_slope)) @ turn[d:]
     spread = noise.power * noise.correlation.variance * projected
     spread += (turn[d:].T * probe.prior(force_power)) @ turn[d:]
     weighted = probe.weighted_products()
-    weighted[d:-1, d:-1] += np.diag(probe.prior())
-    solved = np.linalg.solve(weighted[d:-1, d:-1], weighted[d:-1, :2])
-    curvature = weighted[:2, :2] - weighted[:2, d:-1] @ solved
+    # Errors stay where they are, those of this probing alone, too: as in the misfit's profile.
+    own = slice(d, d + 3 + len(probe.rows.motion))
+    inner = weighted[own, own] + np.diag(probe.prior()[: own.stop - d])
+    curvature = weighted[:2, :2] - weighted[:2, own] @ np.linalg.solve(inner, weighted[own, :2])
     return weighted[:d, -1], information, spread, curvature
 
 
-def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
+def projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
     """(d + n, d) matrix that takes the n shifts out of the design of the d common parameters."""
     d = probe.common
     gram = slope * (probe.design.T @ probe.design)

@@ -12,7 +12,7 @@ from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import LocalProbe, Minimum, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
-from palpate.shapes import Points
+from palpate.shapes import Points, Vertices
 
 # One scoring step is the refit itself to second order; beyond this the table is searched.
 _SMALL_MOVE = 0.01
@@ -34,6 +34,10 @@ class ProbeFit:
         from the constants of all other probings and the measured force; motions as fitted
     motion, motion_std : (q,) float         of supports, as fitted (`ProbeObservations`)
     errors : tuple of ErrorEstimate         those that belong to this probing alone
+    sigma : (n, 3) float [m]                1 sigma of the noise as the estimate took it, NaN where
+                                            not measured
+    surface : (v, 3) float [m] or None      displacement of all vertices of the mesh under the best
+                                            true force; None: not asked for
     """
 
     name: str
@@ -44,6 +48,8 @@ class ProbeFit:
     motion: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     errors: tuple[ErrorEstimate, ...] = ()
+    sigma: Points | None = None
+    surface: Vertices | None = None
 
 
 def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
@@ -114,11 +120,40 @@ def probe_fits(
         std = _shift_std(local, uncertainty)
         motion_std = local.rows.motion_std * std[3:own]
         errors = error_estimates(misfit.own(local.rows), local.shift[own:], std[own:])
-        residual = probe.displacement - predicted
         fits.append(
-            ProbeFit(probe.name, predicted, residual, weight, left, load[4:], motion_std, errors)
+            ProbeFit(
+                name=probe.name,
+                predicted=predicted,
+                residual=probe.displacement - predicted,
+                weight=weight,
+                left_out_predicted=left,
+                motion=load[4:],
+                motion_std=motion_std,
+                errors=errors,
+                sigma=_sigma(local, misfit, n),
+                surface=_surface(probe, minimum.poisson_ratio, load),
+            )
         )
     return tuple(fits)
+
+
+def _sigma(local: LocalProbe, misfit: Misfit, count: int) -> Points:
+    """1 sigma of every component of every point, at the noise levels that were found."""
+    sigma = np.full(3 * count + 3, np.nan)
+    sigma[local.rows.rows] = local.rows.sigma(misfit.level)
+    return sigma[: 3 * count].reshape(-1, 3)
+
+
+def _surface(
+    probe: ProbeObservations, poisson_ratio: float, load: Float[np.ndarray, " c"]
+) -> Vertices | None:
+    """Displacement of all vertices of the mesh, where their response is known."""
+    if probe.vertices is None:
+        return None
+    response = probe.vertices.value(poisson_ratio)
+    # Behind the vertices stands the contact point, where it was measured.
+    response = response if probe.tip_displacement is None else response[:-3]
+    return np.asarray(response @ load).reshape(-1, 3)
 
 
 def error_estimates(
@@ -164,7 +199,7 @@ def _predicted(
 ) -> Points:
     """Displacement of every point of the probing, measured or not, under some shifts and errors."""
     rows, nu = np.arange(3 * len(probe.position)), minimum.poisson_ratio
-    response = probe.response.value(nu)[: len(rows)]
+    response = probe.response_at(nu, minimum.shear_modulus)[: len(rows)]
     load = local.rows.load(minimum.shear_modulus, shift)
     moved = response @ load
     for nuisance in probe.nuisances:
@@ -173,12 +208,15 @@ def _predicted(
     return np.asarray(moved).reshape(-1, 3)
 
 
-def probe_estimate(constants: IntervalSet, fit: ProbeFit) -> ProbeEstimate:
+def probe_estimate(
+    constants: IntervalSet, identifiable: Mapping[str, bool], fit: ProbeFit
+) -> ProbeEstimate:
     """What one probing says alone, and how well all together explain it.
 
     Parameters
     ----------
     constants : IntervalSet         from this probing alone
+    identifiable : mapping          constant's name -> whether this probing alone determines it
     fit : ProbeFit
 
     Returns
@@ -201,6 +239,7 @@ def probe_estimate(constants: IntervalSet, fit: ProbeFit) -> ProbeEstimate:
         rms_residual=_rms(fit.residual[kept]),
         prediction_error=error,
         errors=fit.errors,
+        identifiable=identifiable,
     )
 
 

@@ -3,7 +3,7 @@
 Purpose    : what a wrong gain, direction, contact, pose or scale does to the displacements.
 Takes      : the response of a probing and what it is multiplied with.
 Gives      : `Nuisance` (a protocol); `ForceGain`, `ForceDirection`, `LengthScale`, `ContactError`,
-             `Pose`, `Discretisation`.
+             `Pose`, `Discretisation`, `SupportCompliance`, `MaterialLaw`.
 Depends on : nothing but the ground floor.
 Read first : `nuisance.py`, then `force_gain.py`.
 """
@@ -13,8 +13,12 @@ from palpate.estimation.nuisance.discretisation import Discretisation as Discret
 from palpate.estimation.nuisance.force_direction import ForceDirection as ForceDirection
 from palpate.estimation.nuisance.force_gain import ForceGain as ForceGain
 from palpate.estimation.nuisance.length_scale import LengthScale as LengthScale
+from palpate.estimation.nuisance.material_law import MaterialLaw as MaterialLaw
 from palpate.estimation.nuisance.nuisance import (
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
 )
 from palpate.estimation.nuisance.pose import Pose as Pose
+from palpate.estimation.nuisance.support_compliance import (
+    SupportCompliance as SupportCompliance,
+)

@@ -27,7 +27,7 @@ class Discretisation:
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """One for all probings."""
-        return (NuisanceParameter("mesh, in steps from the given to the graded one,", self.std),)
+        return (NuisanceParameter("mesh (in steps from the given to the graded one)", self.std),)
 
     def columns(
         self,

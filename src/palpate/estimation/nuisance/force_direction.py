@@ -15,9 +15,12 @@ class ForceDirection:
     Parameters
     ----------
     std : float [rad]               about each axis of the object's frame, > 0
+    measured : (3,) bool            components that the sensor measured; the others are free by
+                                    themselves, and a turn of what was not measured is none
     """
 
     std: float
+    measured: tuple[bool, bool, bool] = (True, True, True)
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -33,4 +36,5 @@ class ForceDirection:
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
         """What a small turn of the force moves (`Nuisance.columns`)."""
-        return response[:, :3] @ (self.std * np.cross(np.eye(3), load[:3])).T
+        turned = self.std * np.cross(np.eye(3), load[:3]) * np.array(self.measured)
+        return response[:, :3] @ turned.T

@@ -8,16 +8,21 @@ Read first : `responses.py`, then `reduced_model.py`.
 """
 
 from palpate.estimation.responses.reduced_model import (
+    CENTRE as CENTRE,
     ReducedModel as ReducedModel,
     make_reduced_model as make_reduced_model,
+    make_spring_model as make_spring_model,
 )
 from palpate.estimation.responses.responses import (
     PointRows as PointRows,
     ProbeMotions as ProbeMotions,
     ProbeResponse as ProbeResponse,
     ProbeRows as ProbeRows,
+    SpringResponse as SpringResponse,
     full_responses as full_responses,
+    full_spring_responses as full_spring_responses,
     reduced_response as reduced_response,
+    reduced_spring_response as reduced_spring_response,
 )
 from palpate.estimation.responses.table import (
     ResponseTable as ResponseTable,

@@ -15,12 +15,22 @@ Frommer and Glaessner, Restarted GMRES for shifted linear systems, SIAM J. Sci. 
 Saad, Iterative Methods for Sparse Linear Systems (2003), algorithm 6.2 with reorthogonalisation.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem import BoundarySystem, RightHand, factorise, solve, system_slope
+from palpate.bem import (
+    BoundarySystem,
+    RightHand,
+    SpringFactors,
+    SpringSlope,
+    SpringSystem,
+    factorise,
+    solve,
+    system_slope,
+)
 from palpate.errors import NotConvergedError
 
 CENTRE = 0.3
@@ -105,16 +115,69 @@ def make_reduced_model(
     NotConvergedError                 the tolerance is not met with `MOST_DIRECTIONS`
     """
     factorised = factorise(system, CENTRE)
-    matrix_slope = system_slope(system)
+    return _gathered(
+        lambda terms: solve(factorised, terms), system_slope(system).apply, right, poisson_range,
+        tolerance,
+    )  # fmt: skip
+
+
+def make_spring_model(
+    system: BoundarySystem,
+    factors: SpringFactors,
+    right: RightHand,
+    give: Float[np.ndarray, " e"],
+    changes: Float[np.ndarray, "d e"],
+    *,
+    known: Float[np.ndarray, "e c"] | None = None,
+    poisson_range: tuple[float, float] = (0.0, 0.4999),
+    tolerance: float = 1e-8,
+) -> ReducedModel:
+    """The same for an object on springs, with the derivatives of its solutions (`SpringSystem`).
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    factors : SpringFactors           at the Poisson's ratio `CENTRE`
+    right : RightHand                 c columns, of the object on a rigid support
+    give : (e,) float
+    changes : (d, e) float            of the give
+    known : (e, c) float or None      traction on each spring beside the unknown one, times
+                                      `traction_length`; None: none
+    poisson_range : (float, float)
+    tolerance : float
+
+    Returns
+    -------
+    ReducedModel                      its directions are 1 + d blocks: the unknowns and the springs,
+                                      then the derivatives of both
+
+    Raises
+    ------
+    NotConvergedError                 as `make_reduced_model`
+    """
+    solver = SpringSystem(factors, give, changes)
+    slope = SpringSlope(system_slope(system), factors.columns[1], 1 + len(changes))
+    right = right.on_springs(give, changes, known)
+    return _gathered(solver.solve, slope.apply, right, poisson_range, tolerance)
+
+
+def _gathered(
+    solved: Callable[[np.ndarray], np.ndarray],
+    sloped: Callable[[np.ndarray], np.ndarray],
+    right: RightHand,
+    poisson_range: tuple[float, float],
+    tolerance: float,
+) -> ReducedModel:
+    """Directions by the inverse of the matrix at the centre, and by its derivative."""
     _, slope, curvature = right.terms
     slope = slope + 2 * CENTRE * curvature
-    first = solve(factorised, right.at(CENTRE))
-    second = solve(factorised, slope - matrix_slope.apply(first))
-    third = solve(factorised, curvature - matrix_slope.apply(second))
+    first = solved(right.at(CENTRE))
+    second = solved(slope - sloped(first))
+    third = solved(curvature - sloped(second))
     scale, start = (np.linalg.norm(term, axis=0) + _TINY for term in (first, third))
     basis, steps = [third / start], []
     while len(basis) <= MOST_DIRECTIONS:
-        direction, step = _orthogonalised(solve(factorised, matrix_slope.apply(basis[-1])), basis)
+        direction, step = _orthogonalised(solved(sloped(basis[-1])), basis)
         steps.append(step)
         model = ReducedModel(
             CENTRE, np.stack([first, second, *basis]), _hessenberg(steps), start, scale

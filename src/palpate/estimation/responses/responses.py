@@ -18,6 +18,7 @@ from palpate.bem import BoundarySystem, RightHand, dilation_factor, factorise, s
 from palpate.estimation.responses.reduced_model import ReducedModel
 
 _SLOPE_STEP = 1e-4
+_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,11 +52,14 @@ class ProbeMotions:
                                       unknowns of the system, for a shear modulus of one pascal
     lifts : (3,) int                  which of the motions are the shifts of that support along x, y
                                       and z: its force takes their place
+    holding : (3, 3) float            projector onto the directions in which it is pulled: those
+                                      that it holds
     """
 
     own: Float[np.ndarray, "n_rows q"]
     grip: csr_array | None = None
     lifts: tuple[int, ...] = ()
+    holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
 
     def split(
         self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
@@ -74,7 +78,10 @@ class ProbeMotions:
         """
         lifts = list(self.lifts)
         others = np.setdiff1d(np.arange(moved.shape[1]), lifts)
-        compliance = np.linalg.inv(force[:, lifts])
+        # A roller takes and gives a force along its own directions only.
+        value, vector = np.linalg.eigh(self.holding)
+        along = vector[:, value > 0.5]
+        compliance = along @ np.linalg.solve(along.T @ force[:, lifts] @ along, along.T)
         pushed = moved[:, lifts] @ compliance
         return pushed, moved[:, others] - pushed @ force[:, others]
 
@@ -215,6 +222,59 @@ class ProbeResponse:
         return (higher - lower) / (2 * _SLOPE_STEP)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SpringResponse:
+    """Response of one probing of an object whose supports give (`ResponseModel`).
+
+    Attributes
+    ----------
+    rows : ProbeRows
+    seen : callable                   Poisson's ratio -> (1 + d, rows, c): `ProbeRows.seen` of the
+                                      solution there, and what one more unit of the give of each of
+                                      d supports changes about it
+    """
+
+    rows: ProbeRows
+    seen: Callable[[float], Float[np.ndarray, "n rows c"]]
+
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
+        """As `ProbeResponse.value`."""
+        return self._plain().value(poisson_ratio)
+
+    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
+        """As `ProbeResponse.slope`."""
+        return self._plain().slope(poisson_ratio)
+
+    def change(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows p"]:
+        """As `ProbeResponse.change`."""
+        return self._plain().change(poisson_ratio)
+
+    def softening(self, poisson_ratio: float, support: int) -> Float[np.ndarray, "n_rows c"]:
+        """Derivative of `value` with respect to the give of one of the supports.
+
+        Parameters
+        ----------
+        poisson_ratio : float
+        support : int                 its place among the d
+        """
+        both = self.seen(poisson_ratio)
+        value, change = both[0], both[1 + support]
+        # Linear but for a support that is pulled: its force takes the place of its shifts.
+        size = max(float(np.linalg.norm(change)), _TINY)
+        step = _SLOPE_STEP * float(np.linalg.norm(value)) / size
+        higher, lower = (
+            self._from(value + sign * step * change).value(poisson_ratio) for sign in (1.0, -1.0)
+        )
+        return (higher - lower) / (2 * step)
+
+    def _from(self, seen: Float[np.ndarray, "rows c"]) -> ProbeResponse:
+        """The response that a solution gives of which so much is seen."""
+        return ProbeResponse(self.rows, lambda _: seen)
+
+    def _plain(self) -> ProbeResponse:
+        return ProbeResponse(self.rows, lambda poisson_ratio: self.seen(poisson_ratio)[0])
+
+
 def full_responses(
     system: BoundarySystem, right: RightHand, rows: Sequence[ProbeRows]
 ) -> list[ProbeResponse]:
@@ -241,6 +301,34 @@ def full_responses(
     return [ProbeResponse(probe, seen_by(probe)) for probe in rows]
 
 
+def full_spring_responses(
+    solution: Callable[[float], Float[np.ndarray, "k c"]], rows: Sequence[ProbeRows], blocks: int
+) -> list[SpringResponse]:
+    """The same of an object on springs.
+
+    Parameters
+    ----------
+    solution : function               Poisson's ratio -> (k, c) float: solutions in blocks
+                                      (`SpringSystem`)
+    rows : sequence of ProbeRows
+    blocks : int                      1 + d
+
+    Returns
+    -------
+    list of SpringResponse
+    """
+    latest = lru_cache(maxsize=1)(solution)
+
+    def seen_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "n rows c"]]:
+        def seen(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
+            parts = np.split(latest(poisson_ratio)[:, probe.columns], blocks)
+            return np.stack([probe.seen(part) for part in parts])
+
+        return seen
+
+    return [SpringResponse(probe, seen_by(probe)) for probe in rows]
+
+
 def reduced_response(model: ReducedModel, rows: ProbeRows) -> ProbeResponse:
     """Response of one probing, its rows projected on the directions of the reduced model.
 
@@ -253,11 +341,41 @@ def reduced_response(model: ReducedModel, rows: ProbeRows) -> ProbeResponse:
     -------
     ProbeResponse
     """
-    terms = [rows.seen(term) for term in model.directions[:, :, rows.columns]]
-    projected = np.stack(terms, axis=2).transpose(1, 0, 2).copy()
+    projected = _projected(rows, model.directions[:, :, rows.columns])
 
     def seen(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:
         weights, _ = model.coefficients(poisson_ratio, rows.columns)
         return (projected @ weights.T[:, :, None])[:, :, 0].T
 
     return ProbeResponse(rows, seen)
+
+
+def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -> SpringResponse:
+    """The same of an object on springs.
+
+    Parameters
+    ----------
+    model : ReducedModel              of `make_spring_model`
+    rows : ProbeRows
+    blocks : int                      1 + d: solutions and their derivatives
+
+    Returns
+    -------
+    SpringResponse
+    """
+    parts = np.split(model.directions[:, :, rows.columns], blocks, axis=1)
+    projected = np.stack([_projected(rows, part) for part in parts])
+
+    def seen(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
+        weights, _ = model.coefficients(poisson_ratio, rows.columns)
+        return (projected @ weights.T[:, :, None])[..., 0].transpose(0, 2, 1)
+
+    return SpringResponse(rows, seen)
+
+
+def _projected(
+    rows: ProbeRows, directions: Float[np.ndarray, "j k c"]
+) -> Float[np.ndarray, "c rows j"]:
+    """What a probing sees of each direction."""
+    terms = [rows.seen(term) for term in directions]
+    return np.stack(terms, axis=2).transpose(1, 0, 2).copy()

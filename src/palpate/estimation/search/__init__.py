@@ -19,6 +19,7 @@ from palpate.estimation.search.scoring import (
     diagonal_root as diagonal_root,
     scored_minimum as scored_minimum,
 )
+from palpate.estimation.search.settlement import without_settlement as without_settlement
 from palpate.estimation.search.variable_projection import (
     FixedWeights as FixedWeights,
     ProjectedProbes as ProjectedProbes,

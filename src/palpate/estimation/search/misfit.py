@@ -37,6 +37,8 @@ class ScaledRows:
     effects : (r, m + e) float      change for one prior standard deviation of each error, at the
                                     reference: of the m that probings share, then of its own
     shear_modulus : float [Pa]      at which the effects were taken; they are inverse to it
+    settling : (r, c) float or None derivative of the response with respect to log G there, over the
+                                    noise; None: there is none
     """
 
     probe: ObservedRows
@@ -45,6 +47,14 @@ class ScaledRows:
     slope: Float[np.ndarray, "r c"]
     effects: Float[np.ndarray, "r e"]
     shear_modulus: float
+    settling: Float[np.ndarray, "r c"] | None = None
+
+    def response(self, offset: float, shear_modulus: float) -> Float[np.ndarray, "r c"]:
+        """Response at nu = reference + offset and a shear modulus, over the noise."""
+        response = self.base if offset == 0 else self.base + offset * self.slope
+        if self.settling is None:
+            return response
+        return response + (shear_modulus / self.shear_modulus - 1.0) * self.settling
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,6 +226,11 @@ class Misfit:
         for probe, shift in zip(self.probes, shifts, strict=True):
             sigma = probe.sigma(self.level)[:, None]
             response = probe.value(poisson_ratio)
+            settling = probe.settling(poisson_ratio, shear_modulus)
+            if settling is not None and probe.settlement is not None:
+                share = 1.0 - probe.settlement.shear_modulus / shear_modulus
+                response = response + share * settling
+                settling = settling / sigma
             slope = np.zeros_like(response)
             if with_slope:
                 slope = probe.slope(poisson_ratio) / sigma
@@ -229,7 +244,9 @@ class Misfit:
                 effects[:, place] = column
             measured = probe.measured / sigma[:, 0]
             scaled.append(
-                ScaledRows(probe, measured, response / sigma, slope, effects, shear_modulus)
+                ScaledRows(
+                    probe, measured, response / sigma, slope, effects, shear_modulus, settling
+                )
             )
         return scaled
 
@@ -312,7 +329,7 @@ def _linearised(
     errors: Float[np.ndarray, " m"],
 ) -> LocalProbe:
     probe = rows.probe
-    response = rows.base if offset == 0 else rows.base + offset * rows.slope
+    response = rows.response(offset, shear_modulus)
     load = probe.load(shear_modulus, shift)
     pushed = response[:, :4] @ load[:4]
     shared, first = len(errors), 2 + len(errors)
@@ -322,6 +339,8 @@ def _linearised(
     table = np.empty((len(pushed), first + len(shift) + 1))
     table[:, 0] = rows.slope @ load
     np.negative(pushed, out=table[:, 1])
+    if rows.settling is not None:
+        table[:, 1] += (shear_modulus / rows.shear_modulus) * (rows.settling @ load)
     table[:, 2:first] = effects[:, :shared]
     table[:, first : first + motions] = probe.per_shift(response, shear_modulus)
     table[:, first + motions : -1] = effects[:, shared:]

@@ -16,6 +16,8 @@ from palpate.lab.bodies.finite_elements import (
     Body as Body,
     held_nodes as held_nodes,
     make_body as make_body,
+    pressure_load as pressure_load,
+    solve_load as solve_load,
     surface_values as surface_values,
 )
 from palpate.lab.bodies.neo_hookean import solve_finite as solve_finite

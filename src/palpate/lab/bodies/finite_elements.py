@@ -4,6 +4,7 @@ Elements, quadrature and sums over elements are scikit-fem's. Nothing of the bou
 used: what estimates a specimen's constants must not have made the specimen.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +17,12 @@ from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
 from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
 from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, skin
 from palpate.optional_imports import late_import
-from palpate.shapes import Points
+from palpate.shapes import Points, Vector3
 
 # Of the body's size: held nodes nearer to a line than this hold it by rounding only.
 _IN_LINE = 1e-6
+# Points along a side of a face, of those that integrate a pressure over it.
+_SAMPLES = 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,6 +236,55 @@ def solve_load(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, 
     free = ~body.held
     displacement[free] = body.factor.solve(load[free].reshape(-1, 1)).reshape(-1, 3)
     return displacement
+
+
+def pressure_load(
+    solid: Solid,
+    point: Vector3,
+    radius: float,
+    pressure: Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]],
+) -> Float[np.ndarray, " n"]:
+    """Shares of the nodes in a force that a round tool spreads over the surface.
+
+    Parameters
+    ----------
+    solid : Solid
+    point : (3,) float [m]          centre of the touched circle
+    radius : float [m]              of the circle, > 0
+    pressure : function             distance from the centre over the radius -> pressure, of any
+                                    scale
+
+    Returns
+    -------
+    (n,) float                      sum to 1
+
+    Raises
+    ------
+    InputError                      the circle misses the surface
+    """
+    nodes = solid.nodes[solid.facets]
+    size = np.linalg.norm(nodes[:, 1:3] - nodes[:, :1], axis=2).max(axis=1)
+    side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
+    gap = np.linalg.norm(nodes - point, axis=2).min(axis=1)
+    # The far side of a thin body is as near, and looks the other way.
+    near = (gap < radius + size) & (side @ side[int(gap.argmin())] > 0.0)
+    shape = quadratic_shapes(_inner_points()).T
+    distance = np.linalg.norm(np.einsum("sv,fva->fsa", shape, nodes[near]) - point, axis=2)
+    area = np.linalg.norm(side[near], axis=1)[:, None]
+    density = np.where(distance < radius, pressure(np.minimum(distance / radius, 1.0)), 0.0) * area
+    if not density.any():
+        raise InputError("the tool touches no part of the surface; check its point and radius")
+    share = np.zeros(len(solid.nodes))
+    np.add.at(share, solid.facets[near], density @ shape)
+    return share / share.sum()
+
+
+def _inner_points() -> Float[np.ndarray, "s 3"]:
+    """Barycentric coordinates of points that lie evenly in a triangle."""
+    steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    return np.stack([1 - a - b, a, b], axis=1)
 
 
 def surface_values(solid: Solid, points: Points) -> csr_array:

@@ -7,10 +7,20 @@ Depends on : `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 
+from palpate.pipeline.model.finite_strain import (
+    make_finite_body as make_finite_body,
+    strain_corrections as strain_corrections,
+)
+from palpate.pipeline.model.giving_supports import (
+    compliances as compliances,
+    session_springs as session_springs,
+)
 from palpate.pipeline.model.grading import (
     LEFT_OF_STEP as LEFT_OF_STEP,
     graded_session as graded_session,
+    resolved_session as resolved_session,
 )
+from palpate.pipeline.model.large_strain import fit_at_finite_strain as fit_at_finite_strain
 from palpate.pipeline.model.moving_supports import (
     check_balance as check_balance,
     free_std as free_std,
@@ -30,4 +40,13 @@ from palpate.pipeline.model.object_model import (
 from palpate.pipeline.model.shared_errors import (
     pose_changes as pose_changes,
     shared_errors as shared_errors,
+)
+from palpate.pipeline.model.spring_responses import (
+    settlement as settlement,
+    spring_responses as spring_responses,
+)
+from palpate.pipeline.model.touched import (
+    has_tools as has_tools,
+    largest_change as largest_change,
+    touched_session as touched_session,
 )

@@ -64,7 +64,7 @@ def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPat
     """Triangles that the contact reaches, changed or not; where that takes in the support, those
     that it reaches itself."""
     contact, priors = probing.contact, session.errors
-    wider = radius * (1.0 + priors.contact_radius) + priors.contact_point
+    wider = radius * (1.0 + _radius_std(session, contact)) + priors.contact_point
     surface = session.mesh, session.held_triangles
     try:
         return find_contact_patch(
@@ -89,10 +89,17 @@ def _changed(
                 f"contact point of {probing.name} toward {name}", priors.contact_point, "m"
             )
             yield parameter, replace(contact, point=contact.point + place - places[0])
-    if priors.contact_radius > 0.0 and contact.radius is not None:
-        parameter = NuisanceParameter(f"contact radius of {probing.name}", priors.contact_radius)
-        wider = contact.radius * (1.0 + priors.contact_radius)
+    radius_std = _radius_std(session, contact)
+    if radius_std > 0.0 and contact.radius is not None:
+        parameter = NuisanceParameter(f"contact radius of {probing.name}", radius_std)
+        wider = contact.radius * (1.0 + radius_std)
         yield parameter, replace(contact, radius=wider)
+
+
+def _radius_std(session: Session, contact: Contact) -> float:
+    """Prior of a contact's radius, over itself."""
+    priors = session.errors
+    return priors.contact_radius if contact.tool is None else priors.touched_radius
 
 
 def _tangents(session: Session, patch: ContactPatch) -> tuple[Float[np.ndarray, "2 3"], list[str]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array, csr_array, hstack, kron
+from scipy.sparse import csr_array, hstack, kron
 
 from palpate.bem import (
     BodyForce,
@@ -16,6 +16,7 @@ from palpate.bem import (
     PointEquations,
     PressureDisc,
     RightHand,
+    Springs,
     SurfaceLoad,
     SurfaceSettings,
     assemble_system,
@@ -23,7 +24,6 @@ from palpate.bem import (
     cached_system,
     check_memory,
     face_columns,
-    integral_weights,
     joined,
     load_right_hand,
     load_shape,
@@ -35,6 +35,7 @@ from palpate.bem import (
 from palpate.estimation import PointRows, ProbeMotions, ProbeRows
 from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.contact_changes import ContactChange, contact_changes
+from palpate.pipeline.model.giving_supports import session_springs, springs_at, support_force
 from palpate.pipeline.model.moving_supports import (
     MovingSupport,
     held_directions,
@@ -81,6 +82,7 @@ class ObjectModel:
     right : RightHand                     three columns a patch, one a pressure, two of gravity, if
                                           any, q of the supports, then those of `changes`
     changes : tuple of ContactChange      of the probings, in their order
+    springs : Springs or None             under supports that give
     body : BodyForce or None
     tips : ContactPoints or None          None where no tip was measured
     """
@@ -96,6 +98,7 @@ class ObjectModel:
     body: BodyForce | None
     tips: ContactPoints | None
     changes: tuple[ContactChange, ...] = ()
+    springs: Springs | None = None
 
     @property
     def gives_motions(self) -> bool:
@@ -159,7 +162,9 @@ def make_object_model(
         weight = session.density * session.gravity
     dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
     changes = contact_changes(session, _patch_numbers(session, patches))
-    loads = tuple(patches.values()), dips, tuple(pressed.values()), weight, shapes, changes
+    changed_dips = [load_shape(boundary, surface_load(one.patch)) for one in changes]
+    pressures = tuple(pressed.values())
+    loads = tuple(patches.values()), dips, pressures, weight, shapes, changes, changed_dips
     right, body = _right_hand(system, *loads)
     tips = None
     if any(probing.tip_displacement is not None for probing in session.probings):
@@ -171,7 +176,7 @@ def make_object_model(
         tips = ContactPoints(equations, _right_hand(equations.system, *loads)[0])
     return ObjectModel(
         session, system, patches, pressed, supports, sliding is not None, shapes, right, body, tips,
-        changes,
+        changes, session_springs(session, system),
     )  # fmt: skip
 
 
@@ -200,6 +205,7 @@ def _right_hand(
     weight: Float[np.ndarray, "3"] | None,
     shapes: Float[np.ndarray, "v 3 q"],
     changes: Sequence[ContactChange],
+    dips_of_changes: Sequence[ContactShape | None],
 ) -> tuple[RightHand, BodyForce | None]:
     """Columns of all loads, of the weight [N/m^3], if any, of what is held and moves, and of
     contacts that differ a little."""
@@ -215,26 +221,23 @@ def _right_hand(
         parts.append(body.right)
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
     nominal = [parts[change.nominal] for change in changes]
-    parts += _change_columns(system, changes, nominal)
+    parts += _change_columns(system, changes, dips_of_changes, nominal)
     return joined(parts), body
 
 
 def _change_columns(
     system: BoundarySystem,
     changes: Sequence[ContactChange],
+    shapes: Sequence[ContactShape | None],
     nominal: Sequence[RightHand],
 ) -> list[RightHand]:
     """A column for each changed contact less the nominal one, under the force of its probing."""
-    loads = [surface_load(change.patch) for change in changes]
-    if not loads:
+    if not changes:
         return []
-    shapes = [load_shape(system.surface, load) for load in loads]
-    changed = load_right_hand(system, loads, shapes, cells=_CHANGE_CELLS).terms
-    columns = []
-    for k, (change, before) in enumerate(zip(changes, nominal, strict=True)):
-        after = changed[:, :, 3 * k : 3 * k + 3]
-        columns.append(RightHand(((after - before.terms) @ change.force)[:, :, None]))
-    return columns
+    loads, forces = [surface_load(change.patch) for change in changes], [x.force for x in changes]
+    after = load_right_hand(system, loads, shapes, forces=np.array(forces), cells=_CHANGE_CELLS)
+    before = joined([one.under(force) for one, force in zip(nominal, forces, strict=True)])
+    return [RightHand(after.terms - before.terms)]
 
 
 def _distinct_patches(
@@ -291,7 +294,10 @@ def probe_rows(
         particular = (at_points @ _particular(model.system, model.body)).ravel()
     free = at_points[:, model.system.unknowns.free_vertices]
     rest = csr_array((particular.size, model.system.size - 3 * free.shape[1]))
-    surface = csr_array(hstack([kron(free, np.eye(3)), rest]))
+    parts = [kron(free, np.eye(3)), rest]
+    if model.springs is not None:
+        parts.append(kron(at_points, np.eye(3)) @ model.springs.place)
+    surface = csr_array(hstack(parts))
     tip = None
     if model.session.probings[index].tip_displacement is not None and model.tips is not None:
         tip = _tip_rows(model, model.tips, index, columns)
@@ -363,17 +369,8 @@ def _motions(
     pulled = model.pulled(index)
     if pulled is None:
         return ProbeMotions(own)
-    grip = _force_on(model.system, model.supports[pulled].triangles)
-    return ProbeMotions(own, grip, model.lifts(index))
-
-
-def _force_on(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> csr_array:
-    """Force on some held triangles from the unknowns, for a shear modulus of one pascal."""
-    weights = integral_weights(system.surface, triangles)[system.unknowns.held_sides]
-    first = 3 * system.unknowns.free_vertices.size
-    side, axis = np.repeat(np.arange(weights.size), 3), np.tile(np.arange(3), weights.size)
-    value = np.repeat(weights / system.traction_length, 3)
-    return csr_array(coo_array((value, (axis, first + 3 * side + axis)), shape=(3, system.size)))
+    grip = support_force(model.system, model.supports[pulled].triangles, model.springs)
+    return ProbeMotions(own, grip, model.lifts(index), model.supports[pulled].holding)
 
 
 def _tip_rows(
@@ -385,10 +382,10 @@ def _tip_rows(
     if model.body is not None:
         contact = list(model.patches.values())[patch]
         nodes = model.system.surface.displacement
-        at_tip = interpolation_matrix(
-            nodes, np.array([contact.triangle]), contact.barycentric[None]
-        )
+        where = np.array([contact.triangle]), contact.barycentric[None]
+        at_tip = interpolation_matrix(nodes, *where)
         particular = (at_tip @ _particular(model.system, model.body))[0]
-    return PointRows(
-        tips.equations.matrix[:, patch], tips.equations.own[:, patch], np.stack(right), particular
-    )
+    matrix = tips.equations.matrix[:, patch]
+    if model.springs is not None:
+        matrix = np.concatenate([matrix, springs_at(tips.equations, model.springs, patch)], axis=2)
+    return PointRows(matrix, tips.equations.own[:, patch], np.stack(right), particular)

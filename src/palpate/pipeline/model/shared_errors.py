@@ -14,18 +14,23 @@ from palpate.estimation import (
     Nuisance,
     Pose,
     ProbeResponse,
+    SpringResponse,
 )
 from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.moving_supports import rigid_modes
 from palpate.pipeline.model.object_model import ObjectModel
+from palpate.pipeline.model.spring_responses import compliance_error
+from palpate.records import Probing
 
+# Of what a turn of the sensor does to a component: beyond it adds 0.5 % to what is open anyway.
+_OPEN = 10.0
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 
 
 def shared_errors(
     model: ObjectModel,
     index: int,
-    response: ProbeResponse,
+    response: ProbeResponse | SpringResponse,
     change: Sequence[csr_array],
     vertices: Response,
     scale_error: float,
@@ -36,7 +41,7 @@ def shared_errors(
     ----------
     model : ObjectModel
     index : int                     of the probing
-    response : ProbeResponse        of the probing
+    response : ProbeResponse or SpringResponse      of the probing
     change : sequence of csr_array  `pose_changes` of its points
     vertices : function             response of all vertices to its loads
     scale_error : float [-]         of its displacements' lengths, beside the session's own prior
@@ -50,7 +55,8 @@ def shared_errors(
     if priors.force_gain > 0.0 and pushed:
         found.append(ForceGain(priors.force_gain))
     if priors.force_direction > 0.0 and pushed:
-        found.append(ForceDirection(priors.force_direction))
+        known = _measured_components(model.session.probings[index], priors.force_direction)
+        found.append(ForceDirection(priors.force_direction, known))
     scale = max(priors.length_scale, scale_error)
     if scale > 0.0:
         found.append(LengthScale(scale))
@@ -59,7 +65,19 @@ def shared_errors(
     mine = tuple(one.parameter for one in model.changes if one.probing == index)
     if mine:
         found.append(ContactError(mine, response.change))
+    if isinstance(response, SpringResponse):
+        found += filter(None, [compliance_error(model, response)])
     return tuple(found)
+
+
+def _measured_components(probing: Probing, turn: float) -> tuple[bool, bool, bool]:
+    """Components of a force that were measured: those that are not left so open that a turn of the
+    sensor says nothing more about them."""
+    if probing.force_std is None:
+        return (True, True, True)
+    open_ended = _OPEN * turn * float(np.linalg.norm(probing.force))
+    x, y, z = (bool(std <= open_ended) for std in probing.force_std)
+    return x, y, z
 
 
 def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:

@@ -18,7 +18,9 @@ from palpate.records.files.estimate import (
 from palpate.records.files.import_pose import read_import_pose as read_import_pose
 from palpate.records.files.results import (
     default_folder as default_folder,
+    disk_errors as disk_errors,
     file_stem as file_stem,
+    folder_changes as folder_changes,
     parts_folder as parts_folder,
     record_inputs as record_inputs,
     result_file as result_file,

@@ -92,6 +92,10 @@ def _known(table: TomlTable, key: str, unknown: float = math.nan) -> float:
     return unknown if table.get(key) is None else _number(table, key)
 
 
+def _flags(table: TomlTable | None) -> dict[str, bool]:
+    return {} if table is None else {name: table.boolean(name) for name in table.values}
+
+
 def _read_constant(table: TomlTable) -> Constant:
     ends = table.get("ci95")
     if not isinstance(ends, list) or len(ends) != 2:
@@ -145,5 +149,6 @@ def _read_probe(table: TomlTable) -> ProbeEstimate:
         prediction_error=None if error is None else _number(table, "prediction_error"),
         supports=tuple(map(_read_support, table.optional("supports", table.tables) or ())),
         errors=_read_errors(table),
+        identifiable=_flags(table.optional("identifiable", table.table)),
         **constants,
     )

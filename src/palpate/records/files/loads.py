@@ -7,16 +7,21 @@ import numpy as np
 from palpate.geometry import TriangleMesh, area_vectors, closest_points
 from palpate.records.contact import (
     FIXED,
+    FRICTIONS,
     RIGID,
+    SLIDES,
+    TOOL_SHAPES,
     UNIFORM,
     Contact,
     RigidMotion,
     Support,
+    Tool,
     contact_profiles,
 )
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.support import listed_triangles
 from palpate.records.probing import DisplacementField, Load
+from palpate.records.quantities import LENGTH_UNITS
 from palpate.records.text import TomlTable
 from palpate.shapes import Indices, Vector3
 
@@ -175,6 +180,8 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
         if "traction" in contact.values:
             contact.choice("traction", (UNIFORM,))
         return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
+    if "tool" in contact.values:
+        return _tool(contact, metres).contact(metres * contact.vector("point"))
     contact.check_keys(("point", "radius", "profile"))
     radius = contact.optional("radius", contact.number)
     return Contact(
@@ -182,6 +189,15 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
         radius=None if radius is None else metres * radius,
         profile=contact.choice("profile", contact_profiles()),
     )
+
+
+def _tool(contact: TomlTable, metres: float) -> Tool:
+    contact.check_keys(("point", "tool", "tool_radius", "friction"))
+    friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS))
+    shape = contact.choice("tool", TOOL_SHAPES)
+    radius = contact.quantity("tool_radius", LENGTH_UNITS, metres)
+    with contact.blamed():
+        return Tool(shape, radius, SLIDES if friction is None else friction)
 
 
 def _middle(mesh: TriangleMesh, triangles: Indices) -> Vector3:

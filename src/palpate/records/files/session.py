@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
+
 from palpate.disk import settle
 from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
@@ -21,7 +23,7 @@ from palpate.records.files.loads import (
 )
 from palpate.records.files.support import read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
-from palpate.records.quantities import FILE_LENGTH_UNITS
+from palpate.records.quantities import FILE_LENGTH_UNITS, LENGTH_UNITS
 from palpate.records.session import Session, Step
 from palpate.records.session_checks import (
     check_contact,
@@ -31,6 +33,7 @@ from palpate.records.session_checks import (
     plausibility_notes,
 )
 from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
+from palpate.shapes import Vector3
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
@@ -40,6 +43,7 @@ _ROOT_KEYS = (
 # The keys of these tables are the fields of their records.
 _STEP_KEYS, _PROBE_KEYS = ([field.name for field in fields(kind)] for kind in (Step, Probing))
 _PROBE_KEYS[_PROBE_KEYS.index("loads")] = "load"
+_PROBE_KEYS.append("tip_displacement_offset_std")
 
 
 def _any_size(n_vertices: int, n_probings: int) -> None:
@@ -230,8 +234,7 @@ def _probing(
             " they are to come from as images",
         )
     support_field, support_notes = read_support_field(table, mesh, metres_per_unit=metres)
-    tip = table.optional("tip_displacement", table.vector)
-    tip_std = table.optional("tip_displacement_std", table.number_or_vector)
+    tip, tip_std = _tip(table, metres)
     with table.blamed():
         loads = read_loads(table, mesh, metres_per_unit=metres)
         contact, force = read_push(table, mesh, supports, loads, metres_per_unit=metres)
@@ -240,8 +243,8 @@ def _probing(
             contact=contact,
             force=force,
             force_std=table.optional("force_std", table.number_or_vector),
-            tip_displacement=None if tip is None else metres * tip,
-            tip_displacement_std=None if tip_std is None else metres * tip_std,
+            tip_displacement=tip,
+            tip_displacement_std=tip_std,
             displacement=field,
             images=images,
             loads=loads,
@@ -257,6 +260,21 @@ def _probing(
         if field is not None:
             check_observed_points(mesh, still, field)
     return probing, notes + support_notes
+
+
+def _tip(table: TomlTable, metres: float) -> tuple[Vector3 | None, Vector3 | None]:
+    """Displacement of the contact point and its standard deviation [m], with that of where the arm
+    first touched."""
+    tip = table.optional("tip_displacement", table.vector)
+    std = table.optional("tip_displacement_std", table.number_or_vector)
+    if "tip_displacement_offset_std" in table.values:
+        offset = table.quantity("tip_displacement_offset_std", LENGTH_UNITS, metres)
+        if not offset > 0.0:
+            table.fail(
+                "tip_displacement_offset_std", "must be positive; leave it out where it is exact"
+            )
+        std = np.hypot(np.zeros(3) if std is None else std, offset / metres)
+    return None if tip is None else metres * tip, None if std is None else metres * std
 
 
 def _images(table: TomlTable) -> Images | None:

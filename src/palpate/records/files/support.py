@@ -8,6 +8,7 @@ from jaxtyping import Float
 from palpate.errors import RecordError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records.contact import FIXED, MOTIONS, Support
+from palpate.records.quantities import STIFFNESS_UNITS
 from palpate.records.text import TomlTable, read_text
 from palpate.shapes import Indices
 
@@ -36,13 +37,16 @@ def read_supports(
     name = None if isinstance(root.get("support"), list) else "[support]"
     supports = []
     for table in root.tables("support", name):
-        table.check_keys((*_SELECTORS, "motion", "directions"))
+        table.check_keys((*_SELECTORS, "motion", "directions", "stiffness"))
         motion = table.choice("motion", MOTIONS) if "motion" in table.values else FIXED
         directions = _directions(table) if "directions" in table.values else None
+        stiffness = None
+        if "stiffness" in table.values:
+            stiffness = table.quantity("stiffness", STIFFNESS_UNITS, 1.0)
         selectors = {key: value for key, value in table.values.items() if key in _SELECTORS}
         held = read_support(replace(table, values=selectors), mesh, metres_per_unit=metres_per_unit)
         with table.blamed():
-            supports.append(Support(held, motion, directions))
+            supports.append(Support(held, motion, directions, stiffness))
     if not supports:
         root.fail("support", "has no table; say what is held")
     return tuple(supports)

@@ -34,3 +34,11 @@ from palpate.records.text.tree_file import (
     TREE_SUFFIXES as TREE_SUFFIXES,
     read_tree as read_tree,
 )
+from palpate.records.text.units import (
+    FORCES as FORCES,
+    LENGTHS as LENGTHS,
+    MODULI as MODULI,
+    Quantity as Quantity,
+    quantities as quantities,
+    quantity as quantity,
+)

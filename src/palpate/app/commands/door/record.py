@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from palpate.app.terminal import (
     number_text,
     print_notes,
+    print_tables,
     print_text,
     progress_bar,
     terminal_table,
@@ -63,9 +63,8 @@ def record(
         save_figure(recording_figure(found, given.name), folder / "recording.png")
         record_inputs(folder, _inputs(given))
     print_notes(found.notes)
-    console = Console()
-    console.print(_presses(found, placed))
-    console.print(_clocks(found))
+    print_tables(_presses(found, placed))
+    print_tables(_clocks(found))
     print_text(f"{_zero(found)}\nSession in {place}; next: palpate check {place}")
     return 0
 

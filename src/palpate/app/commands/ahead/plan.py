@@ -6,10 +6,10 @@ from typing import Annotated
 import cv2
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_text, progress_bar, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.units import Modulus
 from palpate.bem import check_memory
 from palpate.errors import InputError
 from palpate.lab import choose_variant, planned_pictures
@@ -28,7 +28,7 @@ def plan(
     session: Path,
     /,
     *,
-    young_modulus: float,
+    young_modulus: Modulus,
     poisson_ratio: float = 0.3,
     matching_noise: float = MATCHING_NOISE,
     out: Path | None = None,
@@ -45,7 +45,7 @@ def plan(
         Folder of a session with a mesh, a rig, and probings with their forces; pictures need not
         be there yet.
     young_modulus
-        A guess of Young's modulus, Pa.
+        A guess of Young's modulus, Pa or with its unit: 50kPa.
     poisson_ratio
         A guess of Poisson's ratio.
     matching_noise
@@ -80,7 +80,7 @@ def plan(
             for name, picture in planned_pictures(given, variant=variant):
                 _save(folder / f"{name}.png", picture)
         print_notes([variant.why])
-    Console().print(_cameras(found), _probings(found, young_modulus, poisson_ratio))
+    print_tables(_cameras(found), _probings(found, young_modulus, poisson_ratio))
     print_text(f"Pictures in {target}")
     return 0
 

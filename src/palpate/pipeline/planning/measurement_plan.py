@@ -9,8 +9,9 @@ from jaxtyping import Bool, Float
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, cramer_rao_bound
 from palpate.geometry import bounding_diagonal, closest_points
-from palpate.pipeline.fit_session import make_object_model, session_observations
 from palpate.pipeline.measure_motion import SCALE_ERROR
+from palpate.pipeline.model import make_object_model
+from palpate.pipeline.observations import session_observations
 from palpate.progress import Progress, silent
 from palpate.records import (
     DisplacementField,
@@ -116,8 +117,8 @@ def plan_measurement(
     progress("integrals over the surface", 0.2)
     model = make_object_model(session)
     progress("what the probings tell", 0.7)
-    observed = session_observations(session, model)
     shear = 0.5 * young_modulus / (1.0 + poisson_ratio)
+    observed = session_observations(session, model, shear_modulus=shear)
     free = np.setdiff1d(
         np.arange(len(session.mesh.vertices)),
         session.mesh.triangles[session.held_triangles].ravel(),

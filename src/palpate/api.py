@@ -1,0 +1,263 @@
+"""What `import palpate` offers beside the rooms: a fit in one call, and what follows from it."""
+
+import html
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from palpate.bem import SurfaceSettings
+from palpate.errors import InputError
+from palpate.estimation import FitResult, FitSettings
+from palpate.figures import (
+    displacement_figure,
+    errors_figure,
+    likelihood_figure,
+    predictions_figure,
+    probings_figure,
+)
+from palpate.pipeline import (
+    PokedState,
+    fit_session,
+    poke_session,
+    tool_contact,
+    with_pictures_measured,
+)
+from palpate.progress import Progress, silent
+from palpate.records import (
+    FORCES,
+    LENGTHS,
+    Constant,
+    Estimate,
+    Quantity,
+    Session,
+    constant_row,
+    quantities,
+    quantity,
+    read_session,
+    record_inputs,
+    result_folder,
+    session_files,
+    verdict_text,
+)
+from palpate.report import REPORT_FILE, write_report, write_result_files
+
+_LABELS = {
+    "young_modulus": "Young's modulus",
+    "shear_modulus": "shear modulus",
+    "poisson_ratio": "Poisson's ratio",
+}
+_PICTURES = ("likelihood", "probings", "predictions", "errors")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """What a fit found, and what can be done with it.
+
+    Attributes
+    ----------
+    session : Session               that was fitted, with the displacements that were used
+    fitted : FitResult              all numbers: estimate, likelihood, predictions
+    cache : Path or None            folder that keeps the surface integrals
+    """
+
+    session: Session
+    fitted: FitResult
+    cache: Path | None = None
+
+    @property
+    def estimate(self) -> Estimate:
+        """The constants with their status and notes."""
+        return self.fitted.estimate
+
+    @property
+    def young_modulus(self) -> Constant:
+        """In pascals."""
+        return self.estimate.young_modulus
+
+    @property
+    def shear_modulus(self) -> Constant:
+        """In pascals."""
+        return self.estimate.shear_modulus
+
+    @property
+    def poisson_ratio(self) -> Constant:
+        """A number."""
+        return self.estimate.poisson_ratio
+
+    def plot(self, what: str = "likelihood") -> Figure:
+        """A picture, which a notebook shows.
+
+        Parameters
+        ----------
+        what : str                  "likelihood", "probings", "predictions", "errors", or the name
+                                    of a probing: measured against predicted on its surface
+
+        Returns
+        -------
+        Figure                      of matplotlib; `savefig` writes it to a file
+
+        Raises
+        ------
+        InputError                  there is no such picture
+        """
+        drawn: Figure | None = None
+        if what == "likelihood":
+            drawn = likelihood_figure(self.fitted)
+        elif what == "probings":
+            drawn = probings_figure(self.estimate)
+        elif what == "predictions":
+            drawn = predictions_figure(self.session, self.fitted)
+        elif what == "errors":
+            drawn = errors_figure(self.estimate)
+        else:
+            drawn = self._probing(what)
+        if drawn is None:
+            raise InputError(f"there is nothing to draw of {what!r} in this result")
+        return drawn
+
+    def _probing(self, name: str) -> Figure | None:
+        for probing in self.session.probings:
+            for found in self.fitted.probes:
+                if probing.name == found.name == name:
+                    held = self.session.held_triangles
+                    return displacement_figure(self.session.mesh, probing, found, held=held)
+        names = ", ".join((*_PICTURES, *(one.name for one in self.session.probings)))
+        raise InputError(f"there is no picture {name!r}; there are: {names}")
+
+    def poke(
+        self,
+        at: Sequence[Quantity],
+        force: Sequence[Quantity],
+        *,
+        radius: Quantity | None = None,
+    ) -> PokedState:
+        """Press a tool on the fitted object: how far it gives way.
+
+        Parameters
+        ----------
+        at : three numbers or texts     centre of the contact, metres or as ("12 mm", "0 mm", ...)
+        force : three numbers or texts  of the tool on the object, newtons or with a unit
+        radius : number or text         of the contact; None: that of the session's first probing
+
+        Returns
+        -------
+        PokedState
+
+        Raises
+        ------
+        InputError                      a bad unit, a contact off the surface or on the support
+        """
+        size = None if radius is None else quantity(radius, LENGTHS, "radius")
+        return poke_session(
+            self.session,
+            quantities(force, FORCES, "force"),
+            tool_contact(self.session, quantities(at, LENGTHS, "at"), size),
+            shear_modulus=self.shear_modulus.value,
+            poisson_ratio=self.poisson_ratio.value,
+            cache=self.cache,
+        )
+
+    def save(self, folder: Path | str, *, force: bool = False) -> Path:
+        """Write what `palpate fit` writes: estimate.json, residuals, pictures, the report.
+
+        Parameters
+        ----------
+        folder : path               appears whole or not at all
+        force : bool                write although something else is there, kept as NAME.old
+
+        Returns
+        -------
+        Path                        of the folder
+
+        Raises
+        ------
+        InputError                  the folder is something else, or cannot be written
+        """
+        with result_folder(folder, kind="fit", force=force) as new:
+            record_inputs(new, session_files(self.session.path))
+            write_result_files(new, self.session, self.fitted)
+            write_report(new, new / REPORT_FILE)
+        return Path(folder)
+
+    def report(self, file: Path | str) -> Path:
+        """Write the report: one HTML file that needs nothing else.
+
+        Parameters
+        ----------
+        file : path                 a file of that name is replaced
+
+        Returns
+        -------
+        Path                        of the file
+
+        Raises
+        ------
+        RecordError                 it cannot be written
+        """
+        with tempfile.TemporaryDirectory() as folder:
+            record_inputs(Path(folder), session_files(self.session.path))
+            write_result_files(Path(folder), self.session, self.fitted)
+            write_report(Path(folder), Path(file))
+        return Path(file)
+
+    def __repr__(self) -> str:
+        lines = [f"{self.session.name}: {verdict_text(self.estimate)}"]
+        for name, label in _LABELS.items():
+            lines.append(f"  {label:16} " + "  ".join(constant_row(self.estimate, name)))
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in (label, *texts)) + "</tr>"
+            for name, label in _LABELS.items()
+            for texts in [constant_row(self.estimate, name)]
+        )
+        head = "".join(f"<th>{one}</th>" for one in ("constant", "value", "95 % interval", "unit"))
+        name, verdict = html.escape(self.session.name), html.escape(verdict_text(self.estimate))
+        return f"<p><b>{name}</b>: {verdict}</p><table><tr>{head}</tr>{rows}</table>"
+
+
+def fit(
+    session: Session | Path | str,
+    *,
+    probe: Sequence[str] | None = None,
+    method: str = "reduced",
+    poisson_range: tuple[float, float] = (0.0, 0.4999),
+    cache: Path | str | None = None,
+    progress: Progress = silent,
+) -> Result:
+    """Estimate the elastic constants of a session's object.
+
+    Parameters
+    ----------
+    session : Session or path       a folder is read first
+    probe : sequence of str         use these probings only; of a folder
+    method : str                    "reduced", or "nelder-mead" on the full model
+    poisson_range : (float, float)  Poisson's ratios that are possible
+    cache : path or None            folder that keeps the surface integrals for the next time
+    progress : callable             told what is done (text) and how far it is (0 to 1)
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InputError                      bad input, as `palpate fit` says it
+    """
+    if isinstance(session, (str, os.PathLike)):
+        session = read_session(session, probes=None if probe is None else list(probe))
+    folder = None if cache is None else Path(cache)
+    measured = with_pictures_measured(session, progress=progress)
+    fitted = fit_session(
+        measured,
+        settings=FitSettings(method=method, poisson_range=poisson_range),
+        surface=SurfaceSettings(),
+        cache=folder,
+        progress=progress,
+    )
+    return Result(measured, fitted, folder)

@@ -1,0 +1,50 @@
+"""`palpate report`: a result folder in, its report out."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from palpate.app.terminal import print_text
+from palpate.errors import InputError
+from palpate.records import disk_errors
+from palpate.report import REPORT_FILE, checked_result, write_report
+
+
+def report(
+    result: Path,
+    /,
+    *,
+    out: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Make the report of a result again: one HTML file that needs nothing else.
+
+    `palpate fit` writes it along with its result, as report.html; this is for a copy elsewhere, or
+    for a result whose report was removed.
+
+    Parameters
+    ----------
+    result
+        Result folder of `palpate fit`.
+    out
+        The file. Default: the result folder's name followed by -report.html, in the current folder.
+    force
+        Replace a file of that name.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    checked_result(result)
+    target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
+    if target.exists() and not (force and target.is_file()):
+        raise InputError(
+            f"{target}: is there already; choose another name with --out"
+            + (", or give --force to replace it" if target.is_file() else "")
+        )
+    with disk_errors(target):
+        write_report(result, target)
+    print_text(f"Report in {target} ({target.stat().st_size / 1e6:.1f} MB)", wrapped=False)
+    return 0

@@ -1,0 +1,126 @@
+"""A table that fits any terminal: where columns have no room, they go on below."""
+
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, ConsoleOptions
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+# Headings are broken between words, so that columns are as narrow as what is in them, or this.
+_HEADING_WIDTH = 7
+# A cell that begins like this makes its column one of words, which are set to the left.
+_WORD = re.compile(r"(?!unknown|nan|inf|not determined)[A-Za-z\[]")
+# Words may go on in the next line, but not be squeezed to less, nor names to less than that.
+_WORDS_WIDTH, _NAMES_WIDTH = 16, 32
+# What stands beside every column, and at the end.
+_BESIDE, _FRAME = 2, 1
+
+
+class ShownTable(Table):
+    """A table of `terminal_table` that remembers its cells as they came.
+
+    Parameters
+    ----------
+    heading : str
+    names : sequence of str             of the columns; the first column holds names
+    cells : list of lists of str        rows
+    below : str                         a caption
+    total : bool                        the last row stands apart
+
+    Attributes
+    ----------
+    heading, names, cells, below        as given
+    """
+
+    def __init__(
+        self,
+        heading: str,
+        names: Sequence[str],
+        cells: list[list[str]],
+        below: str,
+        *,
+        total: bool = False,
+    ) -> None:
+        super().__init__(
+            title=escape(heading) or None, title_justify="left", caption=escape(below) or None,
+            caption_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+        )  # fmt: skip
+        self.heading, self.names, self.cells, self.below = heading, list(names), cells, below
+        self.total = total
+        for k, name in enumerate(names):
+            column = [row[k] for row in cells]
+            width = max(_HEADING_WIDTH, *map(len, column)) if column else _HEADING_WIDTH
+            self.add_column(
+                escape(textwrap.fill(name, width, break_long_words=False)),
+                justify="left" if self._has_words(k) else "right",
+                overflow="fold",
+                min_width=self._least(k),
+            )
+        for k, row in enumerate(cells):
+            if total and k == len(cells) - 1:
+                self.add_section()
+            self.add_row(*map(escape, row))
+
+    def _has_words(self, column: int) -> bool:
+        return column == 0 or any(_WORD.match(row[column]) for row in self.cells)
+
+    def _least(self, column: int) -> int:
+        """Width that breaks no number, no word, and no name of usual length."""
+        cells = [row[column] for row in self.cells]
+        head = min(_HEADING_WIDTH, max(map(len, self.names[column].split()), default=0))
+        whole = max(map(len, cells), default=0)
+        if column == 0:
+            return max(head, min(whole, _NAMES_WIDTH))
+        if not self._has_words(column):
+            return max(head, whole)
+        longest = max((len(word) for cell in cells for word in cell.split()), default=0)
+        return max(head, longest, min(whole, _WORDS_WIDTH))
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
+        """The table, or as many as it takes for each to be no wider than the terminal."""
+        parts = self._parts(options.max_width)
+        if len(parts) == 1:
+            yield from super().__rich_console__(console, options)
+            return
+        for number, part in enumerate(parts):
+            shown = [0, *part]
+            yield ShownTable(
+                self.heading if number == 0 else "",
+                [self.names[k] for k in shown],
+                [[row[k] for k in shown] for row in self.cells],
+                "",
+                total=self.total,
+            )
+        if self.below:
+            yield Text(self.below, style="table.caption")
+
+    def _parts(self, width: int) -> list[list[int]]:
+        """Columns beside that of the names, as many at a time as have room, in even parts."""
+        needed = [self._least(k) + _BESIDE for k in range(len(self.names))]
+        room = max(width - _FRAME - needed[0], 1)
+        every = range(1, len(self.names))
+        parts = _filled(every, needed, room)
+        # The least room that takes no more parts spreads the columns evenly.
+        while len(parts) > 1 and room > max(needed[1:]):
+            tighter = _filled(every, needed, room - 1)
+            if len(tighter) > len(parts):
+                break
+            parts, room = tighter, room - 1
+        return parts
+
+
+def _filled(columns: Sequence[int], needed: Sequence[int], room: int) -> list[list[int]]:
+    """Columns in parts, each filled as far as there is room."""
+    parts, used = [list[int]()], 0
+    for k in columns:
+        if parts[-1] and used + needed[k] > room:
+            parts.append([])
+            used = 0
+        parts[-1].append(k)
+        used += needed[k]
+    return parts

@@ -1,0 +1,272 @@
+"""Supports that give: springs under what is held (Winkler's foundation).
+
+The ground answers with the traction -k u, k the stiffness and u how far the surface moves against
+it. The displacements w of the held vertices become unknowns beside the others, x:
+
+    matrix(nu) x - columns(nu) w = right,        give * pressed x + w = right below,
+
+with give = G / (k traction_length), so that x and w are displacements times the shear modulus. All
+of it is linear in nu as the system of a rigid support is, which give = 0 brings back, and that
+system's factorisation solves this one: a small dense system for w is left. What a slightly softer
+support would change follows exactly, by solving once more.
+
+Source
+------
+Winkler, Die Lehre von der Elasticitaet und Festigkeit (1867), paragraph 195.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import lu_factor, lu_solve
+from scipy.sparse import csr_array
+
+from palpate.bem.integrals import LANES, integral_weights, traction_parts
+from palpate.bem.system.rollers import bases
+from palpate.bem.system.slope import SystemSlope
+from palpate.bem.system.system import BoundarySystem, FactorisedSystem, solve
+from palpate.geometry import triangle_areas
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Springs:
+    """Springs under the held vertices of a system, along the directions in which these are held.
+
+    Attributes
+    ----------
+    place : (3 v, e) sparse       displacement of all vertices per unit of each spring's
+    pressed : (e, k) sparse       mean traction over each from the unknowns of the system
+    share : (e, s) float          how much of each belongs to each of s supports
+    """
+
+    place: csr_array
+    pressed: csr_array
+    share: Float[np.ndarray, "e s"]
+
+    def give(self, each: Float[np.ndarray, " s"]) -> Float[np.ndarray, " e"]:
+        """How much every spring gives where the supports do; nothing where supports share it of
+        which one does not.
+
+        Parameters
+        ----------
+        each : (s,) float
+        """
+        return each @ self.changes(each)
+
+    def changes(self, each: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s e"]:
+        """Derivative of `give` with respect to that of each support.
+
+        Parameters
+        ----------
+        each : (s,) float
+        """
+        shared = self.share > 0.0
+        fixed = (shared.sum(axis=1) > 1) & (shared & (each == 0.0)).any(axis=1)
+        return np.where(fixed, 0.0, self.share.T)
+
+
+def make_springs(
+    system: BoundarySystem, supports: Sequence[Int[np.ndarray, " _"]], rigid: Int[np.ndarray, " r"]
+) -> Springs:
+    """Springs under some of the supports of a system.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    supports : sequence of s (_,) int     triangles of those that may give
+    rigid : (r,) int                      triangles of the others
+
+    Returns
+    -------
+    Springs                               none where a rigid support holds the vertex too
+    """
+    surface, unknowns = system.surface, system.unknowns
+    side_vertex = surface.sides.vertex[unknowns.held_sides]
+    count = len(surface.mesh.vertices)
+    weight = np.zeros((count, len(supports)))
+    area = triangle_areas(surface.mesh)
+    for k, triangles in enumerate(supports):
+        np.add.at(weight[:, k], surface.mesh.triangles[triangles], area[triangles, None])
+    weight[surface.mesh.triangles[rigid]] = 0.0
+    held = unknowns.held_vertices
+    basis = bases(unknowns.vertex_directions * (weight[held].sum(axis=1) > 0.0)[:, None, None])
+    # Of all held vertices to all vertices, three rows each.
+    rows = (3 * held[:, None] + np.arange(3)).ravel()
+    spread = csr_array(
+        (np.ones(rows.size), (rows, np.arange(rows.size))), shape=(3 * count, rows.size)
+    )
+    place = csr_array(spread @ basis)
+    by_column = place.tocsc()
+    vertex = by_column.indices[by_column.indptr[:-1]] // 3
+    return Springs(
+        place,
+        _mean_traction(system, place, side_vertex),
+        weight[vertex] / weight[vertex].sum(axis=1, keepdims=True),
+    )
+
+
+def _mean_traction(
+    system: BoundarySystem, place: csr_array, side_vertex: Int[np.ndarray, " s"]
+) -> csr_array:
+    """Traction over each spring: the mean of its vertex's sides by the area that belongs to each,
+    so that all of them together are the force on the support."""
+    held = np.flatnonzero(system.surface.held)
+    weight = integral_weights(system.surface, held)[system.unknowns.held_sides]
+    total = np.zeros(len(system.surface.mesh.vertices))
+    np.add.at(total, side_vertex, weight)
+    value = np.repeat(weight / total[side_vertex], 3)
+    first = 3 * system.unknowns.free_vertices.size
+    row = (3 * side_vertex[:, None] + np.arange(3)).ravel()
+    mean = csr_array(
+        (value, (row, first + np.arange(row.size))), shape=(place.shape[0], system.size)
+    )
+    return csr_array(place.T @ mean)
+
+
+def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray, "2 r e"]:
+    """What a displacement of each spring does to the equations of a system, or to those written at
+    other points of the same object.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    springs : Springs
+
+    Returns
+    -------
+    (2, r, e) float               constant and slope in nu, for a shear modulus of one pascal
+    """
+    blocks = system.traction_kernel
+    held = system.unknowns.held_vertices
+    rows = (3 * held[:, None] + np.arange(3)).ravel()
+    basis = springs.place[rows]
+    terms = np.zeros((2, 3 * blocks.n_rows + 3, basis.shape[1]))
+    for b, values in enumerate(blocks.values):
+        part = slice(b * LANES, min((b + 1) * LANES, blocks.n_rows))
+        fields = np.moveaxis(values[held][..., : part.stop - part.start], 1, 0)
+        scaled, constant = (
+            x.transpose(0, 3, 2, 1).reshape(-1, basis.shape[0]) @ basis
+            for x in traction_parts(fields)
+        )
+        shape = (3, part.stop - part.start, basis.shape[1])
+        equations = terms[:, :-3].reshape(2, 3, blocks.n_rows, -1)
+        equations[0, :, part] = -(scaled + constant).reshape(shape)
+        equations[1, :, part] = 2 * scaled.reshape(shape)
+    return terms
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpringFactors:
+    """What the system of an object on springs is solved with, however stiff they are.
+
+    Attributes
+    ----------
+    factorised : FactorisedSystem         of the same object on a rigid support
+    springs : Springs
+    columns : (2, r, e) float             `spring_columns`
+    answer : (k, e) float                 x per unit of each w alone
+    """
+
+    factorised: FactorisedSystem
+    springs: Springs
+    columns: Float[np.ndarray, "2 r e"]
+    answer: Float[np.ndarray, "k e"]
+
+
+def make_spring_factors(
+    factorised: FactorisedSystem, system: BoundarySystem, springs: Springs
+) -> SpringFactors:
+    """Solve for what each spring does alone.
+
+    Parameters
+    ----------
+    factorised : FactorisedSystem
+    system : BoundarySystem               that was factorised
+    springs : Springs
+
+    Returns
+    -------
+    SpringFactors
+    """
+    columns = spring_columns(system, springs)
+    constant, slope = columns
+    answer = solve(factorised, constant + factorised.poisson_ratio * slope)
+    return SpringFactors(factorised, springs, columns, answer)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpringSystem:
+    """The system of an object on springs at one Poisson's ratio, with what softer springs change.
+
+    Its vectors are 1 + d blocks one above the other: the unknowns x and w, then their derivatives
+    with respect to the give of each of d sets of springs.
+
+    Attributes
+    ----------
+    factors : SpringFactors
+    give : (e,) float                     G / (k traction_length); 0: rigid
+    changes : (d, e) float                derivative of it
+    """
+
+    factors: SpringFactors
+    give: Float[np.ndarray, " e"]
+    changes: Float[np.ndarray, "d e"]
+
+    def solve(self, right: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "n c"]:
+        """Solve for several right-hand sides.
+
+        Parameters
+        ----------
+        right : (r, c) float      blocks of the system's equations and of the springs'
+
+        Returns
+        -------
+        (n, c) float [m]
+        """
+        pressed, answer = self.factors.springs.pressed, self.factors.answer
+        count, give = self.give.size, self.give[:, None]
+        pair = lu_factor(np.eye(count) + give * (pressed @ answer))
+        solved: list[np.ndarray] = []
+        for k, block in enumerate(np.split(right, 1 + len(self.changes))):
+            rigid, below = solve(self.factors.factorised, block[:-count]), block[-count:]
+            if k:
+                below = below - self.changes[k - 1][:, None] * (pressed @ solved[0][:-count])
+            moved = lu_solve(pair, below - give * (pressed @ rigid))
+            solved.append(np.concatenate([rigid + answer @ moved, moved]))
+        return np.concatenate(solved)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpringSlope:
+    """Derivative of a spring system's matrix with respect to Poisson's ratio.
+
+    Attributes
+    ----------
+    slope : SystemSlope
+    columns : (r, e) float                slope of `spring_columns`
+    blocks : int                          1 + d, see `SpringSystem`
+    """
+
+    slope: SystemSlope
+    columns: Float[np.ndarray, "r e"]
+    blocks: int
+
+    def apply(self, unknowns: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "r c"]:
+        """Product with vectors of unknowns.
+
+        Parameters
+        ----------
+        unknowns : (n, c) float
+
+        Returns
+        -------
+        (r, c) float
+        """
+        count = self.columns.shape[1]
+        parts = []
+        for block in np.split(unknowns, self.blocks):
+            above, below = block[:-count], block[-count:]
+            parts += [self.slope.apply(above) - self.columns @ below, np.zeros_like(below)]
+        return np.concatenate(parts)

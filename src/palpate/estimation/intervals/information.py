@@ -1,0 +1,120 @@
+"""What probings tell before they are made: Fisher's information, and the bound that it sets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import InputError
+from palpate.estimation.intervals.sandwich import directions, projection
+from palpate.estimation.noise import Gaussian
+from palpate.estimation.observations import GROUP_COUNT, ProbeObservations, observed_rows_of
+from palpate.estimation.search import Misfit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Information:
+    """Fisher's information of each of some probings, for Gaussian noise of the claimed size.
+
+    Uncertain forces and the errors of one probing alone are eliminated, known to their claimed
+    uncertainty.
+
+    Attributes
+    ----------
+    each : (k, d, d) float          on nu, log G and the d - 2 errors that probings share, these in
+                                    prior standard deviations
+    poisson_ratio : float [-]       at which it is taken
+    shear_modulus : float [Pa]
+    """
+
+    each: Float[np.ndarray, "k d d"]
+    poisson_ratio: float
+    shear_modulus: float
+
+    def of(self, probings: Sequence[int]) -> Float[np.ndarray, "2 2"]:
+        """What some of the probings tell together of nu and log G, the shared errors eliminated."""
+        whole = self.each[list(probings)].sum(axis=0)
+        whole[2:, 2:] += np.eye(len(whole) - 2)
+        return whole[:2, :2] - whole[:2, 2:] @ np.linalg.solve(whole[2:, 2:], whole[2:, :2])
+
+    def bound(self, probings: Sequence[int]) -> dict[str, float]:
+        """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
+
+        Parameters
+        ----------
+        probings : sequence of int      numbers of those that are made
+
+        Returns
+        -------
+        constant's name -> float        nu [-], G and E [Pa]; infinite where not identifiable
+        """
+        information = self.of(probings)
+        covariance = np.linalg.pinv(information, hermitian=True)
+        young = 2 * self.shear_modulus * (1 + self.poisson_ratio)
+        bound = {}
+        for (name, turn), value in zip(
+            directions(self.poisson_ratio).items(), (1.0, self.shear_modulus, young), strict=True
+        ):
+            identifiable = np.allclose(information @ covariance @ turn, turn, atol=1e-6)
+            spread = float(np.sqrt(turn @ covariance @ turn)) if identifiable else np.inf
+            bound[name] = value * spread
+        return bound
+
+
+def fisher_information(
+    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
+) -> Information:
+    """Information of some probings at given constants.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  all with standard deviations
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]              > 0
+
+    Returns
+    -------
+    Information
+
+    Raises
+    ------
+    InputError                              a probing has no standard deviations
+    """
+    for probe in probes:
+        if probe.std is None:
+            raise InputError(
+                f"probing {probe.name!r} has no std; the bound needs the noise of every point"
+            )
+    rows = tuple(observed_rows_of(probe) for probe in probes)
+    misfit = Misfit(rows, np.ones(GROUP_COUNT), Gaussian())
+    shifts, errors = misfit.no_shifts(), np.zeros(len(misfit.shared))
+    scaled = misfit.scaled(poisson_ratio, shear_modulus, shifts)
+    each = []
+    for local in misfit.linearised(scaled, 0.0, shear_modulus, shifts, errors):
+        turn = projection(local, 1.0, 1.0)
+        each.append(local.design[:, : local.common].T @ local.design @ turn)
+    return Information(np.stack(each), poisson_ratio, shear_modulus)
+
+
+def cramer_rao_bound(
+    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
+) -> dict[str, float]:
+    """The smallest standard deviations that all of some probings together allow.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  all with standard deviations
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]              > 0
+
+    Returns
+    -------
+    constant's name -> float                as `Information.bound`
+
+    Raises
+    ------
+    InputError                              a probing has no standard deviations
+    """
+    found = fisher_information(probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus)
+    return found.bound(range(len(probes)))

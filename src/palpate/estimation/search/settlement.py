@@ -1,0 +1,51 @@
+"""What objects sink into springs, apart from the rest: it does not depend on their own modulus.
+
+Variable projection needs displacements in proportion to 1 / G. About a minimum the response of an
+object on springs of known stiffness is affine in G, R = A + C G, so its displacement R F / G is A
+times F / G and, as a known motion beside it, C F.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.estimation.observations import ObservedRows
+from palpate.estimation.responses import ResponseTable
+from palpate.estimation.search.scoring import Minimum
+
+
+def without_settlement(
+    rows: Sequence[ObservedRows], table: ResponseTable, minimum: Minimum
+) -> tuple[tuple[ObservedRows, ...], ResponseTable]:
+    """Probings and their responses with what they sink as one more known motion.
+
+    Parameters
+    ----------
+    rows : sequence of ObservedRows
+    table : ResponseTable               of these
+    minimum : Minimum                   at whose modulus and forces they sink
+
+    Returns
+    -------
+    (tuple of ObservedRows, ResponseTable)      the same where nothing gives
+    """
+    if all(row.settlement is None for row in rows):
+        return tuple(rows), table
+    parts = []
+    for row, response, local in zip(rows, table.response, minimum.probes, strict=True):
+        load = row.load(minimum.shear_modulus, local.shift)[:4]
+        alone = []
+        for nu, there in zip(table.poisson_ratio, response, strict=True):
+            settling = row.settling(float(nu), minimum.shear_modulus)
+            elastic, sunk = there.copy(), np.zeros(there.shape[1])
+            if settling is not None:
+                elastic[:4] -= settling[:, :4].T
+                sunk = settling[:, :4] @ load
+            alone.append(np.vstack([elastic, sunk]))
+        parts.append(np.stack(alone))
+    apart = tuple(
+        replace(row, motion=np.append(row.motion, 1.0), motion_std=np.append(row.motion_std, 0.0))
+        for row in rows
+    )
+    return apart, replace(table, response=tuple(parts))

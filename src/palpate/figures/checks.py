@@ -1,0 +1,114 @@
+"""Pictures that check an estimate: what the other probings foretell, what the errors came to."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from palpate.estimation import FitResult, ProbeFit
+from palpate.figures.displacement import OUTLIER_WEIGHT
+from palpate.figures.style import BLUE, GREY, INK, ORANGE, open_frame, styled
+from palpate.records import IMPOSSIBLE, SURPRISING, Estimate, Probing, Session
+
+# More dots than these hide each other.
+_MOST_DOTS = 4000
+# More errors than these, and only those are named that lie farthest off.
+_MOST_ERRORS = 16
+
+
+@styled
+def predictions_figure(session: Session, result: FitResult) -> Figure | None:
+    """Displacement of every point: measured, against what the other probings foretell.
+
+    Of what was measured the component along the predicted direction is drawn: noise makes every
+    length longer, and leaves that where it is. Outliers are left out.
+
+    Parameters
+    ----------
+    session : Session
+    result : FitResult              of that session
+
+    Returns
+    -------
+    Figure, or None where there is one probing only
+    """
+    by_name = {probing.name: probing for probing in session.probings}
+    pairs = [_pairs(by_name[one.name], one) for one in result.probes]
+    known = [pair for pair in pairs if pair is not None]
+    if not known:
+        return None
+    predicted, measured, used = np.concatenate(known, axis=1)
+    predicted, measured = 1e3 * predicted[used > 0.0], 1e3 * measured[used > 0.0]
+    step = max(1, len(measured) // _MOST_DOTS)
+    low = min(float(measured.min(initial=0.0)), 0.0)
+    figure = Figure(figsize=(4.6, 3.9))
+    axes = figure.add_axes((0.14, 0.12, 0.82, 0.78))
+    top = float(max(predicted.max(initial=0.0), measured.max(initial=0.0))) or 1.0
+    axes.plot([0.0, top], [0.0, top], color=INK, linewidth=0.8, label="equal")
+    axes.plot(
+        predicted[::step], measured[::step], "o", color=BLUE, markersize=2.2, alpha=0.55,
+        markeredgewidth=0, label="a point", zorder=3,
+    )  # fmt: skip
+    axes.set(
+        xlabel="predicted by the other probings (mm)", ylabel="measured along that direction (mm)"
+    )
+    axes.set(xlim=(0.0, 1.04 * top), ylim=(low - 0.02 * top, 1.04 * top))
+    figure.legend(loc="upper center", ncols=2)
+    open_frame(axes)
+    return figure
+
+
+def _pairs(probing: Probing, fit: ProbeFit) -> np.ndarray | None:
+    """Predicted lengths [m], what was measured along their directions, and whether it was used."""
+    field = probing.displacement
+    if field is None or fit.left_out_predicted is None:
+        return None
+    seen = np.isfinite(field.displacement).all(axis=1)
+    predicted, measured = fit.left_out_predicted[seen], field.displacement[seen]
+    length = np.linalg.norm(predicted, axis=1)
+    along = np.einsum("nk,nk->n", predicted, measured) / np.maximum(length, 1e-300)
+    return np.stack([length, along, fit.weight[seen].max(axis=1) >= OUTLIER_WEIGHT])
+
+
+@styled
+def errors_figure(estimate: Estimate) -> Figure | None:
+    """What was found of each error that points or probings share, in prior standard deviations.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    Figure, or None where no error was estimated
+    """
+    every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
+    every = [one for one in every if one.prior_std > 0.0]
+    if not every:
+        return None
+    farthest = sorted(every, key=lambda one: -abs(one.value) / one.prior_std)[:_MOST_ERRORS]
+    value = np.array([one.value / one.prior_std for one in farthest])
+    std = np.array([one.std / one.prior_std for one in farthest])
+    height = 0.85 + 0.2 * len(farthest)
+    figure = Figure(figsize=(7.0, height))
+    axes = figure.add_axes((0.41, 0.45 / height, 0.56, 1 - 0.8 / height))
+    rows = np.arange(len(farthest))
+    axes.axvspan(
+        -1.0, 1.0, color="#e6e8eb", linewidth=0, zorder=0, label="taken for possible, 1 sigma"
+    )
+    for limit in (SURPRISING, IMPOSSIBLE):
+        for side in (-limit, limit):
+            axes.axvline(side, color=ORANGE if limit == IMPOSSIBLE else GREY, linewidth=0.8,
+                         linestyle=(0, (2, 2)), zorder=1)  # fmt: skip
+    axes.errorbar(value, rows, xerr=std, fmt="o", color=BLUE, markersize=3.5, elinewidth=0.9,
+                  label="found, 1 sigma", zorder=3)  # fmt: skip
+    reach = max(SURPRISING + 0.4, float(np.abs(value).max() + std.max()) + 0.2)
+    axes.set(xlim=(-reach, reach), ylim=(len(farthest) - 0.4, -0.6))
+    axes.set_yticks(rows, [_short(one.name) for one in farthest], parse_math=False)
+    axes.set_xlabel("in the standard deviations that were taken for possible")
+    axes.tick_params(axis="y", length=0)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    figure.legend(loc="upper center", ncols=2)
+    return figure
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 54 else f"{name[:53]}\N{HORIZONTAL ELLIPSIS}"

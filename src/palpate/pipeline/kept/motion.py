@@ -1,0 +1,101 @@
+"""The motion that was measured in a session's pictures, kept in a result for the next fit."""
+
+import io
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.disk import write_bytes
+from palpate.errors import InputError, RecordError
+from palpate.files import read_bytes
+from palpate.geometry import closest_points
+from palpate.pipeline.measure_motion import SCALE_ERROR, motion_key
+from palpate.pipeline.object_pose import PoseChoice
+from palpate.records import DisplacementField, Session, folder_changes
+from palpate.vision import JointFlow
+
+MOTION_FILE = "motion.npz"
+MOTION_FORMAT = "palpate-motion/1"
+# How `palpate fit` measures.
+_HOW: tuple[JointFlow, PoseChoice] = JointFlow(), "auto"
+
+
+def keep_motion(folder: Path, given: Session, measured: Session) -> None:
+    """Write the displacements that pictures gave, with all that they rest on as one digest.
+
+    Parameters
+    ----------
+    folder : Path                   of the result
+    given : Session                 as it was read
+    measured : Session              the same, with the displacements
+
+    Raises
+    ------
+    InputError                      a file of the session cannot be read
+    RecordError                     the file cannot be written
+    """
+    content: dict[str, Any] = {
+        "format": np.array(MOTION_FORMAT),
+        "key": np.array(motion_key(given, *_HOW)),
+        "notes": np.array(measured.notes[len(given.notes) :], dtype=str),
+    }
+    for before, probing in zip(given.probings, measured.probings, strict=True):
+        field = probing.displacement
+        if before.displacement is None and field is not None and field.vertex is not None:
+            content[f"vertex {probing.name}"] = field.vertex
+            content[f"displacement {probing.name}"] = field.displacement
+            content[f"std {probing.name}"] = field.std
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **content)
+    write_bytes(folder / MOTION_FILE, packed.getvalue())
+
+
+def with_kept_motion(session: Session, folder: Path) -> Session | None:
+    """The session with the displacements that an earlier result keeps of its pictures.
+
+    Parameters
+    ----------
+    session : Session               as it was read
+    folder : Path                   of the earlier result; maybe not there
+
+    Returns
+    -------
+    Session or None                 None: nothing is kept, it was changed since, or the session's
+                                    files, its probings or Palpate itself are others now
+    """
+    path = folder / MOTION_FILE
+    try:
+        if not path.is_file() or MOTION_FILE in folder_changes(folder)[1]:
+            return None
+        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as kept:
+            found = [str(kept[name]) for name in ("format", "key")]
+            if found != [MOTION_FORMAT, motion_key(session, *_HOW)]:
+                return None
+            return _with_fields(session, {name: kept[name] for name in kept.files})
+    except (InputError, RecordError, OSError, ValueError, KeyError, zipfile.BadZipFile):
+        # What cannot be read is measured again.
+        return None
+
+
+def _with_fields(session: Session, kept: dict[str, np.ndarray]) -> Session:
+    probings = []
+    for probing in session.probings:
+        if probing.displacement is None and probing.images:
+            rows = kept[f"vertex {probing.name}"]
+            points = session.mesh.vertices[rows]
+            field = DisplacementField(
+                points=points,
+                displacement=kept[f"displacement {probing.name}"],
+                std=kept[f"std {probing.name}"],
+                vertex=rows,
+                surface=closest_points(session.mesh, points),
+                source=f"images of {probing.name}",
+                scale_error=SCALE_ERROR,
+            )
+            probing = replace(probing, displacement=field)
+        probings.append(probing)
+    notes = session.notes + tuple(str(note) for note in kept["notes"])
+    return replace(session, probings=tuple(probings), notes=notes)

@@ -1,0 +1,153 @@
+"""What a linear model leaves out of a session whose object was pressed far.
+
+The estimate is made with a linear model of measurements from which the difference between two
+solutions in finite elements was taken, one at finite strain and one linear, both under the same
+loads and with the constants found last (defect correction). What the elements themselves are off
+by cancels in the difference.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import csr_array
+
+from palpate.errors import InputError
+from palpate.geometry import mesh_quality
+from palpate.lab import (
+    held_nodes,
+    make_body,
+    make_solid,
+    pressure_load,
+    solve_finite,
+    solve_load,
+    surface_values,
+)
+from palpate.lab.bodies.tetrahedra import Solid
+from palpate.progress import Progress, silent
+from palpate.records import FIXED, PRESSURES, Probing, Session
+from palpate.shapes import Points
+
+# Elements away from the tools over the mean edge of the mesh, and under a tool over its radius.
+_COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
+# Neo-Hookean elements of a nearly incompressible material balance up to here.
+_LARGEST_RATIO = 0.495
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FiniteBody:
+    """A session's object in finite elements, with what loads it and where it was seen.
+
+    Attributes
+    ----------
+    solid : Solid
+    held : (n,) bool
+    loads : tuple of (n, 3) float [N]    one a probing
+    seen : tuple of sparse (p, n)        of each probing, from nodes to its points and, where the
+                                         tip's displacement was measured, to the contact point
+    """
+
+    solid: Solid
+    held: Bool[np.ndarray, " n"]
+    loads: tuple[Float[np.ndarray, "n 3"], ...]
+    seen: tuple[csr_array, ...]
+
+
+def make_finite_body(session: Session) -> FiniteBody:
+    """Fill a session's object with tetrahedra, smaller ones under its tools.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    FiniteBody
+
+    Raises
+    ------
+    InputError                      a support that moves or slides, a load that is no round patch;
+                                    scikit-fem is not installed
+    MeshError                       the surface cannot be filled
+    """
+    _require_fixed(session)
+    contacts = [probing.contact for probing in session.probings]
+    fine = [
+        (one.point, _FINE_REACH * one.radius, _FINE * one.radius)
+        for one in contacts
+        if one.radius is not None
+    ]
+    edge = _COARSE * mesh_quality(session.mesh).edge_mean
+    solid = make_solid(session.mesh, edge=edge, fine=fine)
+    loads, seen = [], []
+    for probing in session.probings:
+        share = pressure_load(
+            solid,
+            probing.contact.point,
+            float(probing.contact.radius or 0.0),
+            PRESSURES[probing.contact.profile],
+        )
+        loads.append(share[:, None] * probing.force)
+        seen.append(surface_values(solid, _places(probing)))
+    return FiniteBody(solid, held_nodes(solid, session.held_triangles), tuple(loads), tuple(seen))
+
+
+def strain_corrections(
+    body: FiniteBody,
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
+    progress: Progress = silent,
+) -> tuple[Points, ...]:
+    """Displacement at finite strain less that of the linear model, of every probing.
+
+    Parameters
+    ----------
+    body : FiniteBody
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu < 0.5; above 0.495 that of 0.495 is given
+    progress : callable
+
+    Returns
+    -------
+    tuple of (p, 3) float [m]       at its points, then at its contact point where that was measured
+
+    Raises
+    ------
+    NotConvergedError               no equilibrium at finite strain
+    """
+    elastic = make_body(
+        body.solid,
+        body.held,
+        shear_modulus=shear_modulus,
+        poisson_ratio=min(poisson_ratio, _LARGEST_RATIO),
+    )
+    found = []
+    for k, (load, seen) in enumerate(zip(body.loads, body.seen, strict=True)):
+        progress("finite strain", k / len(body.loads))
+        found.append(seen @ (solve_finite(elastic, load) - solve_load(elastic, load)))
+    return tuple(found)
+
+
+def _places(probing: Probing) -> Points:
+    """Points of a probing, and its contact point where the arm has told its displacement."""
+    field = probing.displacement
+    points = np.zeros((0, 3)) if field is None else field.surface.position
+    if probing.tip_displacement is None:
+        return points
+    return np.vstack([points, probing.contact.point])
+
+
+def _require_fixed(session: Session) -> None:
+    for number, support in enumerate(session.supports, start=1):
+        if support.motion != FIXED or support.directions is not None:
+            raise InputError(
+                f"finite strain: support {number} moves or slides; only supports that are fixed are"
+                " served: leave --strain finite out"
+            )
+    for probing in session.probings:
+        if probing.loads or probing.contact.radius is None:
+            raise InputError(
+                f"finite strain: probing '{probing.name}' has a load that is no round patch under a"
+                " tool; leave --strain finite out"
+            )

@@ -1,0 +1,144 @@
+"""What probings see of an object whose supports give, and how that depends on its modulus."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.bem import (
+    Springs,
+    SpringSystem,
+    factorise,
+    make_spring_factors,
+)
+from palpate.estimation import (
+    CENTRE,
+    FitMethod,
+    FitSettings,
+    ProbeRows,
+    Settlement,
+    SpringResponse,
+    SupportCompliance,
+    full_spring_responses,
+    make_spring_model,
+    reduced_spring_response,
+)
+from palpate.pipeline.model.giving_supports import (
+    compliances,
+    giving_supports,
+    weight_on_springs,
+)
+from palpate.pipeline.model.object_model import ObjectModel
+
+# Makes the responses of some rows for one shear modulus [Pa].
+SpringResponses = Callable[[float], list[SpringResponse]]
+
+
+def spring_responses(
+    model: ObjectModel, springs: Springs, rows: Sequence[ProbeRows], settings: FitSettings
+) -> SpringResponses:
+    """Responses of probings of an object on springs, from one factorisation for all materials.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    springs : Springs               of it
+    rows : sequence of ProbeRows
+    settings : FitSettings          method and range of Poisson's ratio
+
+    Returns
+    -------
+    function                        shear modulus [Pa] -> list of SpringResponse
+
+    Raises
+    ------
+    SingularSystemError             the support does not hold the object
+    """
+    system, each = model.system, compliances(model.session) / model.system.traction_length
+    known = _spring_load(model, springs)
+    changes, blocks = springs.changes(each), 1 + len(each)
+    if settings.method == FitMethod.NELDER_MEAD:
+
+        def exact(shear_modulus: float) -> list[SpringResponse]:
+            give = springs.give(shear_modulus * each)
+            right = model.right.on_springs(give, changes, known)
+
+            def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
+                factors = make_spring_factors(factorise(system, poisson_ratio), system, springs)
+                return SpringSystem(factors, give, changes).solve(right.at(poisson_ratio))
+
+            return full_spring_responses(solution, rows, blocks)
+
+        return exact
+    centre = make_spring_factors(factorise(system, CENTRE), system, springs)
+
+    def reduced(shear_modulus: float) -> list[SpringResponse]:
+        found = make_spring_model(
+            system, centre, model.right, springs.give(shear_modulus * each), changes,
+            known=known, poisson_range=settings.poisson_range,
+        )  # fmt: skip
+        return [reduced_spring_response(found, row, blocks) for row in rows]
+
+    return reduced
+
+
+def _spring_load(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "e c"] | None:
+    """What each column of the model presses on every spring beside the unknown traction [N/m]."""
+    if model.body is None:
+        return None
+    known = np.zeros((len(springs.share), model.right.terms.shape[2]))
+    # The traction column of the body force, which is the first of its two.
+    column = 3 * len(model.patches) + len(model.pressed)
+    known[:, column] = weight_on_springs(model.system, springs, model.body)
+    return known
+
+
+def settlement(
+    model: ObjectModel, response: SpringResponse, shear_modulus: float
+) -> Settlement | None:
+    """How a response depends on the modulus at which it was taken.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    response : SpringResponse
+    shear_modulus : float [Pa]      at which it was taken
+
+    Returns
+    -------
+    Settlement or None              None: no support has a stiffness
+    """
+    scale = shear_modulus / model.system.traction_length * compliances(model.session)
+    if not scale.any():
+        return None
+
+    def derivative(poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
+        parts = [
+            scale[k] * response.softening(poisson_ratio, int(k)) for k in np.flatnonzero(scale)
+        ]
+        return np.asarray(np.sum(parts, axis=0))
+
+    return Settlement(shear_modulus, derivative)
+
+
+def compliance_error(model: ObjectModel, response: SpringResponse) -> SupportCompliance | None:
+    """How much further than the session says its supports give, as an error with a prior.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    response : SpringResponse
+
+    Returns
+    -------
+    SupportCompliance or None       None: they give as the session says
+    """
+    std = model.session.errors.support_compliance
+    if std == 0.0:
+        return None
+    length = model.system.traction_length
+    return SupportCompliance(
+        tuple(k + 1 for k in giving_supports(model.session)),
+        std,
+        lambda poisson_ratio, k: response.softening(poisson_ratio, k) / length,
+    )

@@ -1,0 +1,60 @@
+"""Sessions whose contacts are as wide as their tools touch, for some elastic constants."""
+
+from dataclasses import replace
+
+from palpate.errors import InputError
+from palpate.probe import inward_push, surface_curvature, touch
+from palpate.records import Probing, Session
+
+
+def has_tools(session: Session) -> bool:
+    """Whether a contact's radius follows from its tool."""
+    return any(probing.contact.tool is not None for probing in session.probings)
+
+
+def touched_session(session: Session, *, shear_modulus: float, poisson_ratio: float) -> Session:
+    """The same session with the radius and the profile that each tool touches.
+
+    Parameters
+    ----------
+    session : Session
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu < 0.5
+
+    Returns
+    -------
+    Session                         contacts without a tool stay as they are
+
+    Raises
+    ------
+    InputError                      a tool that pulls, or that is buried
+    """
+
+    def touched(probing: Probing) -> Probing:
+        contact = probing.contact
+        if contact.tool is None:
+            return probing
+        try:
+            found = touch(
+                contact.tool,
+                surface_curvature(session.mesh, contact.point, contact.tool.radius),
+                inward_push(session.mesh, contact.point, probing.force),
+                shear_modulus=shear_modulus,
+                poisson_ratio=poisson_ratio,
+            )
+        except InputError as error:
+            raise InputError(f"probing '{probing.name}': {error}") from error
+        return replace(
+            probing, contact=replace(contact, radius=found.radius, profile=found.profile)
+        )
+
+    return replace(session, probings=tuple(touched(one) for one in session.probings))
+
+
+def largest_change(before: Session, after: Session) -> float:
+    """By how much the radius of a contact differs most, over itself [-]."""
+    changes = [0.0]
+    for one, other in zip(before.probings, after.probings, strict=True):
+        if one.contact.radius is not None and other.contact.radius is not None:
+            changes.append(abs(one.contact.radius / other.contact.radius - 1.0))
+    return max(changes)

@@ -1,0 +1,284 @@
+"""What the probings of a session saw, beside what its model says they should have seen."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_array
+
+from palpate.errors import InputError, NotConvergedError
+from palpate.estimation import (
+    Discretisation,
+    FitMethod,
+    FitSettings,
+    Nuisance,
+    ProbeObservations,
+    ProbeResponse,
+    SpringResponse,
+    best_constants_of,
+    full_responses,
+    make_reduced_model,
+    reduced_response,
+)
+from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal
+from palpate.pipeline.model import (
+    LEFT_OF_STEP,
+    ObjectModel,
+    free_std,
+    given_motion,
+    pose_changes,
+    probe_rows,
+    settlement,
+    shared_errors,
+    spring_responses,
+)
+from palpate.records import (
+    GIVEN,
+    DisplacementField,
+    Probing,
+    Session,
+)
+from palpate.shapes import Vertices
+
+# Where supports give: how often the modulus about which the model is taken is found anew, the
+# change of its logarithm that ends this (what it leaves is of its square), and the longest step.
+_SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
+
+
+def settled_observations(
+    session: Session,
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    coarser: Sequence[ProbeObservations] = (),
+    with_surface: bool = False,
+) -> list[ProbeObservations]:
+    """What each probing saw, with what the model says at the modulus that fits it best, where
+    supports give and the model depends on it.
+
+    Parameters
+    ----------
+    session : Session                     k probings, each with displacements
+    model : ObjectModel                   of this session
+    settings : FitSettings
+    coarser : sequence of k ProbeObservations, or none    the same on a coarser mesh: the error of
+                                          the mesh is added
+    with_surface : bool                   have the displacement of all vertices told along with the
+                                          estimate
+
+    Returns
+    -------
+    list of k ProbeObservations
+
+    Raises
+    ------
+    InputError, SingularSystemError, NotConvergedError    as `session_observations`; the springs
+                                          explain the motion alone, so no modulus fits best
+    """
+    make = session_observations_at(session, model, settings=settings, with_surface=with_surface)
+    stiffnesses = [one.stiffness for one in session.supports if one.stiffness is not None]
+    if not stiffnesses:
+        return _with_mesh_errors(make(1.0), coarser, 1.0)
+    length = bounding_diagonal(session.mesh)
+    modulus = min(stiffnesses) * length
+    if coarser and coarser[0].settlement is not None:
+        modulus = coarser[0].settlement.shear_modulus
+    for _ in range(_SETTLING_ROUNDS):
+        observations = _with_mesh_errors(make(modulus), coarser, modulus)
+        _, found = best_constants_of(observations, settings=settings)
+        step = float(np.log(found / modulus))
+        if abs(step) < _SETTLED:
+            return observations
+        modulus *= float(np.exp(np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)))
+    raise NotConvergedError(
+        f"the shear modulus did not settle (last {found:.3g} Pa): under supports of stiffness"
+        f" {min(stiffnesses):.3g} N/m^3 the object would hardly deform, or not at all; check the"
+        " stiffness and the forces, and measure points that move against each other"
+    )
+
+
+def _with_mesh_errors(
+    observations: Sequence[ProbeObservations],
+    coarser: Sequence[ProbeObservations],
+    shear_modulus: float,
+) -> list[ProbeObservations]:
+    """What was seen, with the error of the mesh that a coarser one shows, if there is one."""
+    if not coarser:
+        return list(observations)
+    found = []
+    for one, other in zip(observations, coarser, strict=True):
+        error = Discretisation(
+            LEFT_OF_STEP, partial(other.response_at, shear_modulus=shear_modulus)
+        )
+        found.append(replace(one, nuisances=(*one.nuisances, error)))
+    return found
+
+
+def session_observations(
+    session: Session,
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    shear_modulus: float = 1.0,
+) -> list[ProbeObservations]:
+    """What each probing saw, with what the model says it should have seen.
+
+    Parameters
+    ----------
+    session : Session                     k probings, each with displacements
+    model : ObjectModel                   of this session
+    settings : FitSettings                method and range of Poisson's ratio
+    shear_modulus : float [Pa]            about which the model is taken; it counts only where a
+                                          support has a stiffness
+
+    Returns
+    -------
+    list of k ProbeObservations
+
+    Raises
+    ------
+    InputError                            a probing without displacements
+    SingularSystemError                   the support does not hold the object
+    NotConvergedError                     the reduced model does not serve the range
+    """
+    return session_observations_at(session, model, settings=settings)(shear_modulus)
+
+
+def session_observations_at(
+    session: Session,
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    with_surface: bool = False,
+) -> Callable[[float], list[ProbeObservations]]:
+    """The same for any modulus, from one factorisation.
+
+    Parameters
+    ----------
+    session : Session
+    model : ObjectModel
+    settings : FitSettings
+    with_surface : bool                   with the displacement of all vertices
+
+    Returns
+    -------
+    function                              shear modulus [Pa] -> list of ProbeObservations
+    """
+    rows = [
+        probe_rows(model, k, _measured(probing).surface)
+        for k, probing in enumerate(session.probings)
+    ]
+    with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
+    if with_pose or with_surface:
+        every = _vertices(session.mesh)
+        rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
+    if model.springs is not None:
+        on_springs = spring_responses(model, model.springs, rows, settings)
+        return lambda modulus: _all_observations(session, model, on_springs(modulus), modulus)
+    if settings.method == FitMethod.NELDER_MEAD:
+        responses = full_responses(model.system, model.right, rows)
+    else:
+        reduced = make_reduced_model(
+            model.system, model.right, poisson_range=settings.poisson_range
+        )
+        responses = [reduced_response(reduced, row) for row in rows]
+    return lambda modulus: _all_observations(session, model, responses, modulus)
+
+
+def _all_observations(
+    session: Session,
+    model: ObjectModel,
+    responses: Sequence[ProbeResponse | SpringResponse],
+    shear_modulus: float,
+) -> list[ProbeObservations]:
+    """What each probing saw; behind the responses of its points may be those of all vertices."""
+    own = responses[: len(session.probings)]
+    vertices = responses[len(session.probings) :] or own
+    support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
+    changes: dict[bytes, list[csr_array]] = {}
+    observations = []
+    for k, (response, nodal) in enumerate(zip(own, vertices, strict=True)):
+        field = _measured(session.probings[k])
+        # Probings often have the same points.
+        key = field.surface.position.tobytes()
+        changes[key] = changes.get(key) or pose_changes(model, field.surface)
+        nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
+        seen = _observations(session, model, k, response, support, nuisances)
+        seen = replace(seen, vertices=None if nodal is response else nodal)
+        if isinstance(response, SpringResponse):
+            seen = replace(seen, settlement=settlement(model, response, shear_modulus))
+        observations.append(seen)
+    return observations
+
+
+def _vertices(mesh: TriangleMesh) -> SurfacePoints:
+    """All vertices as points of the surface."""
+    corner = np.zeros(len(mesh.vertices), dtype=np.int64)
+    corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
+    triangle, place = np.divmod(corner, 3)
+    return SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
+
+
+def _observations(
+    session: Session,
+    model: ObjectModel,
+    index: int,
+    response: ProbeResponse | SpringResponse,
+    support: Vertices,
+    nuisances: tuple[Nuisance, ...],
+) -> ProbeObservations:
+    probing = session.probings[index]
+    field = _measured(probing)
+    motion, motion_std = _motions(session, model, index)
+    force_std = probing.force_std
+    if force_std is None:
+        length = float(np.linalg.norm(probing.force))
+        force_std = np.full(3, session.errors.force * length)
+    return ProbeObservations(
+        name=probing.name,
+        position=field.points,
+        displacement=field.displacement,
+        std=field.std,
+        force=probing.force,
+        force_std=force_std,
+        tip_displacement=probing.tip_displacement,
+        tip_displacement_std=probing.tip_displacement_std,
+        response=response,
+        landmarks={"the contact": probing.contact.point[None], "the support": support},
+        motion=motion,
+        motion_std=motion_std,
+        nuisances=nuisances,
+    )
+
+
+def _motions(
+    session: Session, model: ObjectModel, index: int
+) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
+    """What is known before about the motions of the supports, and how well."""
+    value, std = [], []
+    for support in model.supports:
+        if support.motion == GIVEN:
+            given = given_motion(session, session.probings[index], support)
+            value.append(given.value)
+            std.append(given.std)
+        else:
+            value.append(np.zeros(6))
+            std.append(free_std(session.mesh))
+    strains = np.ones(int(model.gives_motions))
+    left = [j for j in range(6 * len(value) + strains.size) if j not in model.lifts(index)]
+    return (
+        np.concatenate([*value, strains])[left],
+        np.concatenate([*std, 0.0 * strains])[left],
+    )
+
+
+def _measured(probing: Probing) -> DisplacementField:
+    """The displacements of a probing, which must be there."""
+    if probing.displacement is None:
+        raise InputError(
+            f"probing '{probing.name}' has no measured displacement and no images; give one of"
+            " them, or leave it out with --probe"
+        )
+    return probing.displacement

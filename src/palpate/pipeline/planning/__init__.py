@@ -1,0 +1,18 @@
+"""What to measure, and what to expect of it, before it is measured.
+
+Purpose    : the precision of probings that are still to be made, and where the next ones tell most.
+Takes      : a `Session`, with a guess of its constants or with measurements.
+Gives      : `MeasurementPlan`, `NextProbings`.
+Depends on : `pipeline`'s model and observations, `estimation`, `vision`, `records`, `geometry`.
+Read first : `measurement_plan.py`, then `next_probings.py`.
+"""
+
+from palpate.pipeline.planning.measurement_plan import (
+    MATCHING_NOISE as MATCHING_NOISE,
+    MeasurementPlan as MeasurementPlan,
+    plan_measurement as plan_measurement,
+)
+from palpate.pipeline.planning.next_probings import (
+    NextProbings as NextProbings,
+    plan_next as plan_next,
+)

@@ -1,0 +1,243 @@
+"""Where to push next: the places that tell most, together with what is measured already."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from palpate.errors import InputError
+from palpate.estimation import FitSettings, Information, fisher_information
+from palpate.geometry import (
+    TriangleMesh,
+    closest_points,
+    split_sides,
+    unit_normals,
+    vertex_normals,
+)
+from palpate.pipeline.fit_session import fit_session
+from palpate.pipeline.model import make_object_model, resolved_session
+from palpate.pipeline.observations import session_observations
+from palpate.progress import Progress, part_of, silent
+from palpate.records import DisplacementField, Probing, Session, require_probings
+from palpate.shapes import Points
+
+# Places that are compared.
+_CANDIDATES = 40
+# Radii of the contact that its centre keeps from creases and from what is held.
+_CLEARANCE = 1.3
+# A tool comes along the surface's normal; its shaft is so many contact radii wide, and starts so
+# many above the surface. It does not come from where the support is.
+_SHAFT_RADII, _SHAFT_STARTS, _FROM_BELOW = 1.5, 1.0, 0.3
+# Within so many contact radii the tool hides the surface.
+_HIDDEN_RADII = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NextProbings:
+    """Places for further probings, and what they promise.
+
+    Attributes
+    ----------
+    session : Session               what there is
+    force : float [N]               of every further probing, along the inward normal
+    radius : float [m]              of its contact
+    point : (c, 3) float [m]        places that a tool can reach
+    inward : (c, 3) float [-]
+    now : name -> float             standard deviations of what is measured
+    alone : tuple of name -> float  with one of the places besides
+    chosen : tuple of int           the best, in their order
+    after : tuple of name -> float  with each of these, and those before it
+    information : Information       of the session's probings, then of the places
+    """
+
+    session: Session
+    force: float
+    radius: float
+    point: Points
+    inward: Points
+    now: dict[str, float]
+    alone: tuple[dict[str, float], ...]
+    chosen: tuple[int, ...]
+    after: tuple[dict[str, float], ...]
+    information: Information
+
+
+def plan_next(
+    session: Session,
+    *,
+    count: int = 3,
+    settings: FitSettings = FitSettings(),
+    progress: Progress = silent,
+) -> NextProbings:
+    """Find the places whose probings tell most, one after the other (D-optimal, greedily).
+
+    A further probing is like the first: its contact, its points less those that the tool hides,
+    their standard deviations; its force is the median of the session's.
+
+    Parameters
+    ----------
+    session : Session               measured probings, one at least, under a round patch
+    count : int                     how many to choose, at least 1
+    settings : FitSettings          of the fit that finds the constants
+    progress : callable
+
+    Returns
+    -------
+    NextProbings
+
+    Raises
+    ------
+    InputError                      a count below 1; no round patch; no place is left
+
+    Source
+    ------
+    Fedorov, Theory of Optimal Experiments (1972).
+    """
+    require_probings(session)
+    first = session.probings[0]
+    radius = first.contact.radius
+    if count < 1:
+        raise InputError(f"count is {count}; must be at least 1")
+    if radius is None or first.displacement is None:
+        raise InputError(
+            f"probing '{first.name}' has no contact radius or no displacement: further probings"
+            " are planned like the first one; put one first that has both"
+        )
+    progress("the constants", 0.0)
+    fitted = fit_session(session, settings=settings, progress=part_of(progress, 0.0, 0.4))
+    estimate = fitted.estimate
+    given = [
+        _with_std(one, seen.rms_residual)
+        for one, seen in zip(session.probings, estimate.probes, strict=True)
+    ]
+    force = float(np.median([np.linalg.norm(one.force) for one in given]))
+    point, inward = _reachable(session, radius)
+    if not len(point):
+        raise InputError("no place of the surface is left for a further probing of this radius")
+    further = [
+        _like(given[0], session.mesh, place, force * direction, f"further {k}")
+        for k, (place, direction) in enumerate(zip(point, inward, strict=True))
+    ]
+    whole = resolved_session(replace(session, probings=(*given, *further)))
+    progress("what every place tells", 0.4)
+    observed = session_observations(whole, make_object_model(whole), settings=settings)
+    information = fisher_information(
+        observed,
+        poisson_ratio=estimate.poisson_ratio.value,
+        shear_modulus=estimate.shear_modulus.value,
+    )
+    made = list(range(len(given)))
+    chosen = _greedy(information, made, len(point), min(count, len(point)))
+    progress("done", 1.0)
+    ends = [made + [len(made) + k for k in chosen[: n + 1]] for n in range(len(chosen))]
+    return NextProbings(
+        session, force, radius, point, inward,
+        now=information.bound(made),
+        alone=tuple(information.bound([*made, len(made) + k]) for k in range(len(point))),
+        chosen=tuple(chosen),
+        after=tuple(information.bound(one) for one in ends),
+        information=information,
+    )  # fmt: skip
+
+
+def _greedy(information: Information, made: list[int], places: int, count: int) -> list[int]:
+    """Places that raise the determinant of the information most, one after the other."""
+    chosen: list[int] = []
+    for _ in range(count):
+        left = [k for k in range(places) if k not in chosen]
+        had = made + [len(made) + k for k in chosen]
+        gain = [np.linalg.det(information.of([*had, len(made) + k])) for k in left]
+        chosen.append(left[int(np.argmax(gain))])
+    return chosen
+
+
+def _with_std(probing: Probing, rms: float) -> Probing:
+    """A probing whose points have a standard deviation; where none is given, its residuals'."""
+    field = probing.displacement
+    if field is None or field.std is not None:
+        return probing
+    return replace(probing, displacement=replace(field, std=np.full_like(field.displacement, rms)))
+
+
+def _like(
+    first: Probing, mesh: TriangleMesh, place: np.ndarray, force: np.ndarray, name: str
+) -> Probing:
+    """A probing like the first, at another place."""
+    field, contact = first.displacement, first.contact
+    if field is None or field.std is None:
+        raise InputError(f"probing '{first.name}' has no displacement")
+    away = np.linalg.norm(field.points - place, axis=1)
+    seen = away > _HIDDEN_RADII * (contact.radius or 0.0)
+    seen &= np.isfinite(field.displacement).any(axis=1)
+    points = field.points[seen]
+    nothing = np.where(np.isfinite(field.displacement[seen]), 0.0, np.nan)
+    planned = DisplacementField(
+        points, nothing, field.std[seen], None, closest_points(mesh, points), "plan",
+        scale_error=field.scale_error,
+    )  # fmt: skip
+    force_std = first.force_std
+    if force_std is not None:
+        force_std = np.full(3, np.linalg.norm(force_std) / np.sqrt(3.0))
+    return Probing(name, replace(contact, point=place), force, force_std, None, None, planned, None)
+
+
+def _reachable(session: Session, radius: float) -> tuple[Points, Points]:
+    """Places, spread evenly, at which a tool can press, and the inward normals there."""
+    mesh = session.mesh
+    normals = vertex_normals(mesh.vertices, mesh.triangles)
+    free = _far_from_edges(session, radius) & ~_from_the_support(session, normals)
+    taken = np.array([one.contact.point for one in session.probings])
+    free &= cKDTree(taken).query(mesh.vertices)[0] > radius
+    vertices = _spread(mesh.vertices, np.flatnonzero(free), taken, 3 * _CANDIDATES)
+    open_way = [k for k in vertices if _shaft_is_free(mesh, mesh.vertices[k], normals[k], radius)]
+    chosen = np.array(open_way[:_CANDIDATES], dtype=np.int64)
+    return mesh.vertices[chosen], -normals[chosen]
+
+
+def _far_from_edges(session: Session, radius: float) -> Bool[np.ndarray, " v"]:
+    """Vertices that keep clear of creases, rims and what is held."""
+    mesh = session.mesh
+    held = np.zeros(len(mesh.triangles), dtype=np.int64)
+    held[session.held_triangles] = 1
+    sides = split_sides(mesh, held)
+    corner = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2)
+    ends = corner[sides.cut[sides.edge]]
+    free = np.ones(len(mesh.vertices), dtype=bool)
+    if len(ends):
+        along = np.linspace(0.0, 1.0, 9)[:, None, None]
+        line = mesh.vertices[ends[:, 0]] * (1 - along) + mesh.vertices[ends[:, 1]] * along
+        free = cKDTree(line.reshape(-1, 3)).query(mesh.vertices)[0] > _CLEARANCE * radius
+    free[np.unique(mesh.triangles[session.held_triangles])] = False
+    return free
+
+
+def _from_the_support(session: Session, normals: Points) -> Bool[np.ndarray, " v"]:
+    """Vertices that look the way the support does: what holds the object is in the tool's way."""
+    outward = unit_normals(session.mesh)[session.held_triangles].mean(axis=0)
+    return normals @ outward > _FROM_BELOW
+
+
+def _shaft_is_free(
+    mesh: TriangleMesh, place: np.ndarray, outward: np.ndarray, radius: float
+) -> bool:
+    """Whether no part of the object lies where the tool's shaft would be."""
+    offset = mesh.vertices[mesh.triangles].mean(axis=1) - place
+    along = offset @ outward
+    beside = np.linalg.norm(offset - along[:, None] * outward, axis=1)
+    return not bool(((along > _SHAFT_STARTS * radius) & (beside < _SHAFT_RADII * radius)).any())
+
+
+def _spread(
+    vertices: Points, free: Int[np.ndarray, " f"], taken: Float[np.ndarray, "p 3"], count: int
+) -> list[int]:
+    """Some of the vertices, each the farthest from those before it and from what is taken."""
+    if not len(free):
+        return []
+    gap = cKDTree(taken).query(vertices[free])[0]
+    chosen = []
+    for _ in range(min(count, len(free))):
+        k = int(gap.argmax())
+        chosen.append(int(free[k]))
+        gap = np.minimum(gap, np.linalg.norm(vertices[free] - vertices[free[k]], axis=1))
+    return chosen

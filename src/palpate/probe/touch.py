@@ -1,0 +1,141 @@
+"""How large a circle a rigid tool touches, from its shape, its force and the elastic constants.
+
+Nobody knows the touched circle, everybody knows the tool. Around the contact the object is taken as
+a half space that is curved as its surface is there; the sphere's shape is exact.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from palpate.errors import InputError
+from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_normals
+from palpate.records import FLAT, STICKS, Tool
+from palpate.shapes import Vector3
+
+# Vertices within so many mean edges, and within so many radii of the tool, tell the curvature.
+_EDGES, _RADII = 2.5, 1.0
+# Coefficients of a quadratic surface, and of the fourth power that a ball has beside it.
+_FEWEST = 7
+# Of a sphere's radius; a circle that is nearly as large is no touch but a plunge.
+_LARGEST = 0.98
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """What a tool touches.
+
+    Attributes
+    ----------
+    radius : float [m]              of the touched circle
+    profile : str                   of the pressure over it
+    """
+
+    radius: float
+    profile: str
+
+
+def touch(
+    tool: Tool, curvature: float, push: float, *, shear_modulus: float, poisson_ratio: float
+) -> Touch:
+    """The circle that a tool touches on a curved half space.
+
+    Parameters
+    ----------
+    tool : Tool
+    curvature : float [1/m]         mean curvature of the surface, > 0 where it is convex
+    push : float [N]                force of the tool on the object along the inward normal, > 0
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu < 0.5
+
+    Returns
+    -------
+    Touch
+
+    Raises
+    ------
+    InputError                      the tool pulls; a sphere goes in by most of its radius
+
+    Source
+    ------
+    Sneddon, Int. J. Eng. Sci. 3 (1965) 47, for any smooth profile. A surface that sticks is stiffer
+    by a factor that is exact for a flat face (Mossakovskii 1954; Spence, Proc. R. Soc. A 305 (1968)
+    55) and within 2 % for a sphere.
+    """
+    if not push > 0.0:
+        raise InputError(
+            f"the tool pulls with {-push:.3g} N: its force must point into the object; check the"
+            " force's sign and frame"
+        )
+    reduced = 2.0 * shear_modulus / (1.0 - poisson_ratio)
+    if tool.friction == STICKS:
+        reduced *= _stiffer_when_stuck(poisson_ratio)
+    if tool.shape == FLAT:
+        rounded = (0.75 * push / (reduced * curvature)) ** (1 / 3) if curvature > 0.0 else np.inf
+        if rounded < tool.radius:
+            return Touch(rounded, "hertz")
+        return Touch(tool.radius, "flat")
+
+    def excess(share: float) -> float:
+        return reduced * _sphere_push(tool.radius, curvature, share * tool.radius) - push
+
+    if excess(_LARGEST) < 0.0:
+        raise InputError(
+            f"a force of {push:.3g} N would bury a sphere of {1e3 * tool.radius:.3g} mm in a"
+            f" material of G = {shear_modulus:.3g} Pa; check the tool's radius and the force"
+        )
+    return Touch(tool.radius * float(brentq(excess, 1e-6, _LARGEST, xtol=1e-9)), "hertz")
+
+
+def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> float:
+    """Mean curvature of the smooth surface around a point.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             outward
+    point : (3,) float [m]          on the surface or close to it
+    radius : float [m]              of the tool
+
+    Returns
+    -------
+    float [1/m]                     > 0 where it is convex; 0 where there are too few vertices to
+                                    tell
+    """
+    place = closest_points(mesh, point[None])
+    normals = unit_normals(mesh)
+    normal = normals[place.triangle[0]]
+    corner = mesh.vertices[mesh.triangles]
+    edge = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
+    level = normals @ normal > np.cos(CREASE_ANGLE)
+    vertices = mesh.vertices[np.unique(mesh.triangles[level])]
+    offset = vertices - place.position[0]
+    reach = max(_EDGES * edge, _RADII * radius)
+    near = np.linalg.norm(offset, axis=1) < reach
+    if near.sum() < _FEWEST:
+        return 0.0
+    frame = np.linalg.svd(normal[None])[2]
+    x, y = (offset[near] @ frame[1:].T).T / reach
+    height = offset[near] @ normal
+    terms = [np.ones_like(x), x, y, x**2, x * y, y**2, (x**2 + y**2) ** 2]
+    found = np.linalg.lstsq(np.stack(terms, axis=1), height, rcond=None)[0]
+    return -float(found[3] + found[5]) / reach**2
+
+
+def inward_push(mesh: TriangleMesh, point: Vector3, force: Float[np.ndarray, "3"]) -> float:
+    """Component of a force along the inward normal of the surface at a point [N]."""
+    triangle = closest_points(mesh, point[None]).triangle[0]
+    return -float(unit_normals(mesh)[triangle] @ force)
+
+
+def _sphere_push(sphere: float, curvature: float, radius: float) -> float:
+    """Force over the reduced modulus E / (1 - nu^2) for a touched circle of some radius [m^2]."""
+    log = np.log((sphere + radius) / (sphere - radius))
+    own = 0.5 * (radius**2 + sphere**2) * log - radius * sphere
+    return float(own + 4.0 / 3.0 * curvature * radius**3)
+
+
+def _stiffer_when_stuck(poisson_ratio: float) -> float:
+    loose = 1.0 - 2.0 * poisson_ratio
+    return float((1.0 - poisson_ratio) * np.log(3.0 - 4.0 * poisson_ratio) / loose)

@@ -1,0 +1,65 @@
+"""Numbers with their units, as people write them: "50 kPa", "3mm", "0.3 psi"."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.shapes import Vector3
+
+# SI units in one of each; the first is the one that a plain number is in.
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
+MODULI = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "psi": 6894.757293168361, "N/mm^2": 1e6}
+_ANOTHER = {"\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um", "N/mm2": "N/mm^2"}
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
+
+Quantity = float | int | str
+
+
+def quantity(value: Quantity, units: Mapping[str, float], name: str = "the number") -> float:
+    """A number in SI units, of a text with its unit or of a plain number, which is in SI units.
+
+    Parameters
+    ----------
+    value : float or str
+    units : unit -> what one of it is in SI units       `LENGTHS`, `FORCES` or `MODULI`
+    name : str                      of the number, for messages
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputError                      no number, another unit, not finite
+    """
+    found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if found:
+        unit = _ANOTHER.get(found[2], found[2]) or next(iter(units))
+        if unit in units:
+            return float(found[1]) * units[unit]
+    elif not isinstance(value, str) and math.isfinite(float(value)):
+        return float(value)
+    known = ", ".join(units)
+    raise InputError(f"{name} is {value!r}; must be a number, with one of these units: {known}")
+
+
+def quantities(value: Sequence[Quantity], units: Mapping[str, float], name: str) -> Vector3:
+    """Three numbers in SI units, each as `quantity` takes it.
+
+    Parameters
+    ----------
+    value : three float or str
+    units : unit -> what one of it is in SI units
+    name : str                      of the vector, for messages
+
+    Raises
+    ------
+    InputError                      not three, or as `quantity`
+    """
+    if isinstance(value, str) or len(value) != 3:
+        raise InputError(f"{name} is {value!r}; must be three numbers: x, y, z")
+    return np.array([quantity(one, units, name) for one in value])

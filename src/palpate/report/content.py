@@ -1,0 +1,278 @@
+"""What a report says, as rows of texts."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.pipeline import FittedSurface
+from palpate.records import (
+    ErrorEstimate,
+    Estimate,
+    ProbeEstimate,
+    Status,
+    constant_row,
+    constant_text,
+    error_texts,
+    modulus_unit,
+    read_text,
+    verdict_text,
+)
+from palpate.shapes import Points
+
+_LABELS = {
+    "young_modulus": ("Young's modulus", "E"),
+    "shear_modulus": ("Shear modulus", "G"),
+    "poisson_ratio": ("Poisson's ratio", "\N{GREEK SMALL LETTER NU}"),
+}
+_WORDS = {
+    Status.OK: "Determined",
+    Status.MODEL_CONTRADICTED: "Not to be trusted",
+    Status.NOT_CONVERGED: "No estimate",
+    Status.NOTHING_IDENTIFIABLE: "Not determined",
+}
+# Of the settings of an estimate: what a person repeats it with, and what has a place of its own.
+_ELSEWHERE = ("versions", "command")
+_STAGES = {
+    "reading_and_motion": "reading, and motion in the pictures",
+    "given_mesh": "model of the given mesh",
+    "assembly": "integrals over the graded mesh",
+    "factorisation": "factorisation and reduced model",
+    "fit": "search and intervals",
+    "total": "all, until the pictures were drawn",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The head of a report.
+
+    Attributes
+    ----------
+    word : str                      "Determined", "Partly determined", ...
+    sentence : str
+    cure : str                      what to do; empty where there is nothing to do
+    good : bool
+    """
+
+    word: str
+    sentence: str
+    cure: str
+    good: bool
+
+
+def verdict(estimate: Estimate) -> Verdict:
+    """What an estimate comes to.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    status = estimate.status
+    cure = status.cure[:1].upper() + status.cure[1:] + "." if status.cure else ""
+    word = _WORDS.get(status, "Partly determined")
+    # A unit stays with its number.
+    sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
+    return Verdict(word, sentence, cure, status is Status.OK)
+
+
+def constant_rows(estimate: Estimate) -> list[dict[str, str]]:
+    """The constants with their intervals.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    rows = []
+    for name, (label, symbol) in _LABELS.items():
+        value, interval, unit = constant_row(estimate, name)
+        rows.append(
+            {"label": label, "symbol": symbol, "value": value, "interval": interval, "unit": unit}
+        )
+    return rows
+
+
+def probing_rows(estimate: Estimate) -> list[list[str]]:
+    """Each probing alone; moduli in the unit of the joint Young's modulus, lengths in mm.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    return [
+        [
+            probe.name,
+            *(_alone(estimate, probe, name) for name in _LABELS),
+            str(probe.observed),
+            _millimetres(probe.rms_residual),
+        ]
+        for probe in estimate.probes
+    ]
+
+
+def _alone(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
+    factor = 1.0
+    if name != "poisson_ratio":
+        factor, _ = modulus_unit(estimate.young_modulus.value)
+    # What all together do not determine, none does.
+    if not probe.identifiable.get(name, estimate.identifiable[name]):
+        return "\N{EN DASH}"
+    return constant_text(getattr(probe, name), factor=factor)
+
+
+def prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str]]:
+    """How well the other probings foretell each one; lengths in mm.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    surface : FittedSurface
+    """
+    rows = []
+    measured = {probing.name: probing for probing in surface.probings}
+    for probe in estimate.probes:
+        if probe.prediction_error is None or probe.name not in measured:
+            continue
+        typical = _rms(measured[probe.name].displacement)
+        seen = measured[probe.name]
+        noise = _rms(np.where(np.isfinite(seen.displacement), seen.sigma, np.nan))
+        over = probe.prediction_error / noise if noise > 0.0 else math.nan
+        rows.append(
+            [
+                probe.name, _millimetres(typical), _millimetres(probe.prediction_error),
+                _millimetres(noise), f"{over:.2f}" if math.isfinite(over) else "\N{EN DASH}",
+            ]
+        )  # fmt: skip
+    return rows
+
+
+def _rms(vectors: Points) -> float:
+    """Root mean square length of those vectors that are known; NaN where there is none."""
+    known = np.isfinite(vectors).all(axis=1)
+    return float(np.sqrt((vectors[known] ** 2).sum(axis=1).mean())) if known.any() else math.nan
+
+
+def error_rows(estimate: Estimate) -> list[list[str]]:
+    """Errors that points or probings share: taken for possible, found, and by how many sigmas.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    return [_error_row(one) for one in every_error(estimate)]
+
+
+def every_error(estimate: Estimate) -> list[ErrorEstimate]:
+    """Errors of the session, then those of its probings.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    return [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
+
+
+def _error_row(error: ErrorEstimate) -> list[str]:
+    value, std, prior = error_texts(error)
+    return [
+        error.name, f"\N{PLUS-MINUS SIGN} {prior}", f"{value} \N{PLUS-MINUS SIGN} {std}",
+        f"{error.value / error.prior_std:+.1f}" if error.prior_std else "\N{EN DASH}",
+    ]  # fmt: skip
+
+
+def rejection_rows(estimate: Estimate) -> list[list[str]]:
+    """Points of each probing: looked at, not measured, left aside by the robust estimate.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    rows = []
+    for probe in estimate.probes:
+        every = probe.observed + probe.missing
+        rows.append(
+            [
+                probe.name, str(every), _counted(probe.missing, every),
+                _counted(probe.rejected, every), str(probe.observed - probe.rejected),
+            ]
+        )  # fmt: skip
+    return rows
+
+
+def _counted(count: int, every: int) -> str:
+    return f"{count} ({100 * count / every:.0f} %)" if every else "0"
+
+
+def second_rows(estimate: Estimate) -> list[list[str]]:
+    """Wall time of every stage [s].
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    return [
+        [_STAGES.get(name, name.replace("_", " ")), f"{seconds:.1f} s"]
+        for name, seconds in estimate.seconds.items()
+    ]
+
+
+def setting_rows(estimate: Estimate) -> dict[str, Any]:
+    """What the estimate was made with: `command`, `versions` and all other settings by name.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    settings = estimate.settings
+    return {
+        "command": settings.get("command", ""),
+        "versions": list(settings.get("versions", {}).items()),
+        "others": [
+            [name.replace("_", " "), _setting(value)]
+            for name, value in settings.items()
+            if name not in _ELSEWHERE
+        ],
+    }
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} = {_setting(item)}" for key, item in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_setting, value)) or "none"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def input_rows(folder: Path) -> list[list[str]]:
+    """Files that a result was made from, with their SHA-256 sums.
+
+    Parameters
+    ----------
+    folder : Path                   of the result
+
+    Raises
+    ------
+    RecordError                     the list of inputs cannot be read
+    """
+    path = folder / "inputs.txt"
+    lines = read_text(path).splitlines() if path.is_file() else []
+    pairs = [line.partition("  ") for line in lines if line and not line.startswith("#")]
+    return [[Path(name).name, digest] for digest, _, name in pairs]
+
+
+def unit_of_moduli(estimate: Estimate) -> str:
+    """Unit of the moduli in `probing_rows`.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    return modulus_unit(estimate.young_modulus.value)[1]
+
+
+def _millimetres(metres: float | None) -> str:
+    known = metres is not None and math.isfinite(metres)
+    return f"{1e3 * metres:.3g}" if known and metres is not None else "\N{EN DASH}"

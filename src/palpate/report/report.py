@@ -1,0 +1,184 @@
+"""A result folder's report: its files put together in one page."""
+
+import base64
+import io
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from PIL import Image
+
+from palpate.disk import write_bytes
+from palpate.errors import RecordError
+from palpate.estimation import FitResult
+from palpate.figures import write_plots
+from palpate.files import read_bytes
+from palpate.pipeline import (
+    FittedSurface,
+    read_fitted_surface,
+    write_fitted_surface,
+    write_residuals,
+)
+from palpate.records import (
+    Estimate,
+    Session,
+    folder_changes,
+    read_estimate,
+    read_text,
+    write_estimate,
+)
+from palpate.report.content import (
+    constant_rows,
+    error_rows,
+    input_rows,
+    prediction_rows,
+    probing_rows,
+    rejection_rows,
+    second_rows,
+    setting_rows,
+    unit_of_moduli,
+    verdict,
+)
+from palpate.report.scene import scene
+
+REPORT_FILE = "report.html"
+_TEMPLATES = resources.files("palpate.report") / "templates"
+# Pictures that a report shows whole, with what they show.
+_DRAWINGS = {
+    "likelihood": "Pairs of Poisson's ratio and shear modulus that the data allow",
+    "probings": "The constants as each probing alone gives them",
+    "predictions": "Displacements predicted by the other probings against measured ones",
+    "errors": "What the data say about the errors that were taken for possible",
+}
+# What pictures of the probings may take [bytes of base64]; at first in good quality.
+_MOST_BYTES, _QUALITY = 1_800_000, 82
+
+
+def write_report(folder: Path, target: Path) -> None:
+    """Write the report of a result.
+
+    Parameters
+    ----------
+    folder : Path                   of a result of `palpate fit`
+    target : Path                   the page; a file of that name is replaced
+
+    Raises
+    ------
+    RecordError                     a file of the result is not there or cannot be read, or the page
+                                    cannot be written
+    """
+    estimate = read_estimate(folder / "estimate.json")
+    surface = read_fitted_surface(folder)
+    environment = Environment(
+        loader=PackageLoader("palpate.report"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    page = environment.get_template("page.html").render(_content(folder, estimate, surface))
+    write_bytes(target, page.encode())
+
+
+def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[str, Any]:
+    """Everything that the page names."""
+    shown = scene(surface)
+    pictures, missing = _pictures(folder, [probing.name for probing in surface.probings])
+    return {
+        "name": surface.name,
+        "verdict": verdict(estimate),
+        "constants": constant_rows(estimate),
+        "probings": probing_rows(estimate),
+        "predictions": prediction_rows(estimate, surface),
+        "errors": error_rows(estimate),
+        "rejected": rejection_rows(estimate),
+        "notes": estimate.notes,
+        "seconds": second_rows(estimate),
+        "settings": setting_rows(estimate),
+        "inputs": input_rows(folder),
+        "log": read_text(folder / "log.txt") if (folder / "log.txt").is_file() else "",
+        "drawings": {name: _drawing(folder / f"{name}.svg") for name in _DRAWINGS},
+        "drawn": _DRAWINGS,
+        "pictures": pictures,
+        "missing": missing,
+        "scene": json.dumps(shown, separators=(",", ":")).replace("</", "<\\/"),
+        "shown": [one["name"] for one in shown["probings"]],
+        "left_out": shown["left_out"],
+        "unit": unit_of_moduli(estimate),
+        "style": _style(shown["colours"]),
+        "script": (_TEMPLATES / "viewer.js").read_text(encoding="utf-8"),
+    }
+
+
+def _style(colours: list[str]) -> str:
+    """The style sheet, its colour bars as bands."""
+    text = (_TEMPLATES / "style.css").read_text(encoding="utf-8")
+    share = 100 / len(colours)
+    bands = (f"{c} {share * k:g}% {share * (k + 1):g}%" for k, c in enumerate(colours))
+    return text.replace("{{ bands }}", ", ".join(bands))
+
+
+def _drawing(path: Path) -> str:
+    """A drawing as the address of itself; empty where it is not there."""
+    if not path.is_file():
+        return ""
+    return "data:image/svg+xml;base64," + base64.b64encode(read_bytes(path)).decode()
+
+
+def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
+    """Pictures of the probings as addresses of themselves, and how many there is no room for."""
+    found: dict[str, str] = {}
+    size = 0
+    files = sorted((folder / "displacement").glob("*.png"))
+    for number, file in enumerate(files):
+        packed = io.BytesIO()
+        with Image.open(io.BytesIO(read_bytes(file))) as picture:
+            picture.convert("RGB").save(packed, "WEBP", quality=_QUALITY, method=4)
+        text = base64.b64encode(packed.getvalue()).decode()
+        size += len(text)
+        if size > _MOST_BYTES:
+            return found, len(files) - number
+        found[file.stem] = "data:image/webp;base64," + text
+    return found, 0
+
+
+def write_result_files(folder: Path, session: Session, result: FitResult) -> None:
+    """Write all that a report is made of: estimate.json, residuals, surface.npz, pictures.
+
+    Parameters
+    ----------
+    folder : Path                   of the result
+    session : Session               that was fitted
+    result : FitResult
+
+    Raises
+    ------
+    OSError, RecordError            a file cannot be written
+    """
+    write_estimate(folder / "estimate.json", result.estimate)
+    write_residuals(folder, session, result)
+    write_fitted_surface(folder, session, result)
+    write_plots(folder, session, result)
+
+
+def checked_result(folder: Path) -> None:
+    """Refuse what is no unchanged result of `palpate fit`.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Raises
+    ------
+    RecordError                     it is something else, or was changed or half copied
+    """
+    kind, changed, _ = folder_changes(folder)
+    if kind != "fit":
+        what = f"a result of `palpate {kind}`" if kind else "no result of this version of Palpate"
+        raise RecordError(f"{folder}: is {what}; a report needs one of `palpate fit`")
+    wrong = {name: how for name, how in changed.items() if name != REPORT_FILE}
+    if wrong:
+        name, how = next(iter(wrong.items()))
+        raise RecordError(
+            f"{folder}: is not as it was written ({name}: {how}), perhaps half copied; copy it"
+            " again, or fit the session again"
+        )

@@ -1,0 +1,125 @@
+"""What the view that turns shows, small enough to be written into a page."""
+
+import base64
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import to_hex
+
+from palpate.figures import MOST_SIGMAS, OUTLIER_WEIGHT, best_direction
+from palpate.geometry import TriangleMesh, closest_points, unit_normals
+from palpate.pipeline import FittedProbing, FittedSurface
+from palpate.shapes import Points, PointScalars, Vector3
+
+# What a page of 5 MB leaves for the view [bytes of base64].
+_MOST_BYTES = 2_200_000
+# Lengths are whole numbers of a unit: this many, and one that stands for "not known".
+_STEPS, _UNKNOWN = 32767, -32768
+_BANDS = 10
+
+
+def scene(surface: FittedSurface) -> dict[str, Any]:
+    """The view of a fitted object as JSON holds it; lengths in mm.
+
+    Parameters
+    ----------
+    surface : FittedSurface
+
+    Returns
+    -------
+    dict                            probings that the page has no room for are left out, their
+                                    number is under `left_out`
+    """
+    centre = 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
+    vertices = 1e3 * (surface.vertices - centre)
+    held = np.zeros(len(surface.triangles), dtype=np.uint8)
+    held[surface.held] = 1
+    mesh = TriangleMesh(surface.vertices, surface.triangles)
+    direction = _direction(surface, mesh)
+    found: dict[str, Any] = {
+        "radius": float(np.linalg.norm(vertices, axis=1).max()),
+        "azimuth": float(np.arctan2(direction[1], direction[0])),
+        "elevation": float(np.arcsin(direction[2])),
+        "most_sigmas": MOST_SIGMAS,
+        "colours": [to_hex(c) for c in mpl.colormaps["viridis"](np.linspace(0.0, 1.0, _BANDS))],
+        "vertices": _packed(vertices),
+        "triangles": _text(surface.triangles.astype("<u4")),
+        "held": _text(held),
+        "probings": [],
+    }
+    size = sum(_size(value) for value in found.values())
+    for probing in surface.probings:
+        shown = _probing(probing, centre, mesh)
+        size += sum(_size(value) for value in shown.values())
+        if size > _MOST_BYTES and found["probings"]:
+            break
+        found["probings"].append(shown)
+    return found | {"left_out": len(surface.probings) - len(found["probings"])}
+
+
+def in_sigmas(probing: FittedProbing) -> PointScalars:
+    """Length of every point's residual over its standard deviation; NaN where not measured.
+
+    The square root of the mean over the components of squared residuals over sigmas: 1 on average
+    where the model and the noise levels are right.
+
+    Parameters
+    ----------
+    probing : FittedProbing
+    """
+    scaled = (probing.displacement - probing.predicted) / probing.sigma
+    return np.sqrt(np.mean(scaled**2, axis=1))
+
+
+def _direction(surface: FittedSurface, mesh: TriangleMesh) -> Vector3:
+    """Toward the viewer, so that most points of the first probing are seen."""
+    normals, first = unit_normals(mesh), surface.probings[0]
+    seen = np.isfinite(first.displacement).all(axis=1)
+    places = closest_points(mesh, np.vstack([first.contact, first.points[seen]])).triangle
+    return best_direction(normals[places[1:]], normals[places[0]])
+
+
+def _probing(probing: FittedProbing, centre: Vector3, mesh: TriangleMesh) -> dict[str, Any]:
+    """One probing without what was not measured and without outliers."""
+    seen = np.isfinite(probing.displacement).all(axis=1)
+    used = seen & (probing.weight.max(axis=1) >= OUTLIER_WEIGHT)
+    seen, surface = used if used.any() else seen, probing.surface
+    places = closest_points(mesh, probing.points[seen]).triangle
+    length = 1e3 * np.linalg.norm(probing.displacement[seen], axis=1)
+    return {
+        "name": probing.name,
+        # The end of the scale of colours [mm].
+        "top": max(float(np.quantile(length, 0.99)), 1e-6) if seen.any() else 1.0,
+        "force": probing.force.tolist(),
+        "contact": (1e3 * (probing.contact - centre)).tolist(),
+        "rows": (np.flatnonzero(seen) + 1).tolist(),
+        "points": _packed(1e3 * (probing.points[seen] - centre)),
+        "normals": _packed(unit_normals(mesh)[places]),
+        "measured": _packed(1e3 * probing.displacement[seen]),
+        "predicted": _packed(1e3 * probing.predicted[seen]),
+        "sigmas": _packed(in_sigmas(probing)[seen]),
+        "surface": None if surface is None else _packed(1e3 * surface),
+    }
+
+
+def _packed(values: Points | PointScalars) -> dict[str, Any]:
+    """Numbers as 16 bits each, with their unit: to one part in 65 000 of the largest."""
+    known = np.isfinite(values)
+    largest = float(np.abs(values[known]).max()) if known.any() else 0.0
+    unit = max(largest, 1e-12) / _STEPS
+    whole = np.where(known, np.rint(np.where(known, values, 0.0) / unit), _UNKNOWN)
+    return {"unit": unit, "data": _text(whole.astype("<i2"))}
+
+
+def _text(array: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
+
+
+def _size(value: Any) -> int:
+    """Bytes of a part of the scene, about."""
+    if isinstance(value, dict):
+        return len(value["data"])
+    return (
+        len(value) if isinstance(value, str) else 8 * len(value) if isinstance(value, list) else 0
+    )

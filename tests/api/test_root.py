@@ -1,0 +1,85 @@
+"""`import palpate`: few names, loaded late; objects that print themselves in a line or a few."""
+
+import subprocess
+import sys
+
+import pytest
+from estimate_samples import sample_result
+from matplotlib.figure import Figure
+
+import palpate
+from palpate.api import Result
+from palpate.errors import InputError
+
+
+@pytest.fixture
+def result(cube_session):
+    session = palpate.read_session(cube_session)
+    return Result(session, sample_result(session))
+
+
+def test_the_root_has_few_names_and_all_of_them_are_there():
+    names = dir(palpate)
+    assert {"read_session", "fit", "Result", "Session", "read_estimate"} <= set(names)
+    assert len(names) <= 30
+    assert all(getattr(palpate, name) is not None for name in names)
+
+
+def test_a_name_that_is_not_there_is_an_error():
+    with pytest.raises(AttributeError, match="no attribute 'colour'"):
+        palpate.colour  # noqa: B018
+
+
+def test_importing_the_root_loads_nothing():
+    script = (
+        "import sys, palpate; dir(palpate);"
+        "sys.exit(', '.join({'numpy', 'scipy', 'matplotlib', 'numba'} & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_objects_print_themselves_in_a_few_lines(result):
+    session = result.session
+    for one in (session, session.mesh, session.probings[0], session.probings[0].displacement,
+                result, result.estimate, result.fitted):  # fmt: skip
+        text = repr(one)
+        assert 20 < len(text) < 600, type(one)
+        assert text.count("\n") <= 4
+    assert "1 probings (n01)" in repr(session)
+    assert "169 points, 168 measured" in repr(session.probings[0])
+    assert "60.0 ± 1.2  57.6 to 62.4  kPa" in repr(result)
+
+
+def test_a_notebook_shows_a_table(result):
+    shown = result._repr_html_()
+    assert shown.count("<tr>") == 4
+    assert "<td>60.0 ± 1.2</td>" in shown
+    assert "<b>a [bold] cube</b>" in shown
+
+
+@pytest.mark.parametrize("what", ["likelihood", "probings", "n01"])
+def test_a_result_draws_itself(result, what):
+    assert isinstance(result.plot(what), Figure)
+
+
+def test_what_cannot_be_drawn_is_said(result):
+    with pytest.raises(InputError, match=r"there is no picture 'n02'; there are: likelihood.*n01"):
+        result.plot("n02")
+    with pytest.raises(InputError, match="nothing to draw of 'predictions'"):
+        result.plot("predictions")
+
+
+def test_a_report_is_one_file(result, tmp_path):
+    file = result.report(tmp_path / "cube.html")
+    assert "All three constants are determined" in file.read_text(encoding="utf-8")
+    assert {path.name for path in tmp_path.iterdir()} == {"cube", "cube.html"}
+
+
+def test_pokes_take_units(result):
+    in_metres = result.poke((0.02, 0.02, 0.04), (0.0, 0.0, -1.0), radius=0.006)
+    as_text = result.poke(("20 mm", "2cm", "40mm"), (0, 0, "-1000 mN"), radius="6 mm")
+    assert as_text.displacement == pytest.approx(in_metres.displacement, rel=1e-12)
+    assert in_metres.displacement[2] < 0.0
+    with pytest.raises(InputError, match=r"at is '20 miles'; must be a number.*mm"):
+        result.poke(("20 miles", 0, 0), (0, 0, -1))

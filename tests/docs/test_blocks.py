@@ -1,0 +1,112 @@
+"""What the documents tell a reader to type or paste is run as it stands.
+
+Commands of all pages are parsed, and tables read, by the tests of the house; here run the pages
+that need no data of the reader's own.
+"""
+
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from palpate.app.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def blocks(page, kind):
+    """Code blocks of a page."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return re.findall(rf"```{kind}\n(.*?)```", text, flags=re.DOTALL)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "90")
+    return tmp_path
+
+
+def commands(text):
+    """The `palpate` lines of a shell block, without the program's name and comments."""
+    for line in text.splitlines():
+        line = line.partition(" #")[0].strip()
+        if line:
+            assert line.startswith("palpate ")
+            yield shlex.split(line)[1:]
+
+
+def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
+    page = "docs/howto/first_session.md"
+    (script,) = blocks(page, "python")
+    exec(script, {})
+    session, _ = blocks(page, "toml")
+    (rows,) = blocks(page, "csv")
+    (here / "foam_block" / "session.toml").write_text(session, encoding="utf-8")
+    (here / "foam_block" / "top.csv").write_text(rows, encoding="utf-8")
+    (shell,) = blocks(page, "sh")
+    for words in commands(shell):
+        assert main(words) == 0, words
+    shown = " ".join(capsys.readouterr().out.split())
+    (promised,) = blocks(page, "text")
+    for line in promised.splitlines():
+        # The last digits of a table may differ from machine to machine.
+        for word in line.split():
+            if not any(letter.isdigit() for letter in word):
+                assert word in shown
+    found = json.loads((here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8"))
+    # The block's own 50 kPa and 0.3: within the printed 95 % interval, as the page says.
+    for name, truth in (("young_modulus", 50e3), ("poisson_ratio", 0.3)):
+        low, high = found[name]["ci95"]
+        assert low < truth < high
+        # Less than a tenth wide: the session is no bad example.
+        assert high - low < 0.1 * truth
+    assert (here / "foam_block-result" / "report.html").exists()
+
+
+def test_one_measured_point_is_named_as_the_cause(here, capsys):
+    page = "docs/howto/first_session.md"
+    (script,) = blocks(page, "python")
+    exec(script.replace("7.5", "15"), {})
+    session, _ = blocks(page, "toml")
+    (rows,) = blocks(page, "csv")
+    head, first, *_ = rows.splitlines()
+    (here / "foam_block" / "session.toml").write_text(session, encoding="utf-8")
+    (here / "foam_block" / "top.csv").write_text(f"{head}\n{first}\n", encoding="utf-8")
+    assert main(["fit", "foam_block"]) == 3
+    assert "One point was measured in all" in " ".join(capsys.readouterr().out.split())
+
+
+def test_what_the_readme_does_in_python_runs(here, capsys):
+    # A coarse block in the place of the half ball, whose six probings take ten times as long.
+    page = "docs/howto/first_session.md"
+    (make,) = blocks(page, "python")
+    corners = "[[0, 0, 0], [60, 60, 40]]"
+    assert corners in make
+    exec(make.replace(corners, "[[-30, -30, -10], [30, 30, 30]]").replace("7.5", "15"), {})
+    session, _ = blocks(page, "toml")
+    moved = {"[0, 0, 0]": "[0, 0, -10]", "[24.0, 30.0, 40.0]": "[0, 0, 30]", '"top"': '"p4"'}
+    for before, after in moved.items():
+        assert before in session
+        session = session.replace(before, after)
+    folder = here / "examples" / "half_ball"
+    shutil.copytree(here / "foam_block", folder)
+    (folder / "session.toml").write_text(session, encoding="utf-8")
+    (rows,) = blocks(page, "csv")
+    head, *lines = rows.splitlines()
+    points = [
+        ",".join([f"{float(x) - 30}" for x in line.split(",")[:2]] + line.split(",")[2:])
+        for line in lines
+        if line.split(",")[2] == "40.0"
+    ]
+    text = "\n".join([head, *(line.replace("40.0", "30.0") for line in points), ""])
+    (folder / "top.csv").write_text(text, encoding="utf-8")
+    (script,) = blocks("README.md", "python")
+    exec(script, {})
+    shown = capsys.readouterr().out
+    assert "Young's modulus" in shown
+    assert "PokedState: the contact moves by (" in shown
+    assert {"half_ball.html", "p4.png"} <= {path.name for path in here.iterdir()}

@@ -1,0 +1,48 @@
+"""The cube's session with pictures in the place of its displacements, and what they gave."""
+
+from dataclasses import replace
+
+import numpy as np
+from flow_samples import rig
+
+from palpate.geometry import closest_points
+from palpate.records import DisplacementField, read_session, write_rig
+
+
+def with_pictures(folder):
+    """The session's folder, its probing with (empty) pictures and a rig."""
+    file = folder / "session.toml"
+    text = file.read_text(encoding="utf-8").replace(
+        'displacement = "n01.csv"',
+        'images = { rest = "rest_{camera}.png", loaded = ["loaded_{camera}.png"] }',
+    )
+    head, probe = text.split("[[probe]]")
+    file.write_text(f'{head}[rig]\ncameras = "rig.toml"\n[[probe]]{probe}', encoding="utf-8")
+    write_rig(folder / "rig.toml", rig())
+    for name in ("rest_c0", "rest_c1", "loaded_c0", "loaded_c1"):
+        (folder / f"{name}.png").write_bytes(name.encode())
+    return folder
+
+
+def measured(session):
+    """The session with displacements of its upper vertices, one of them lost, and a note."""
+    (probing,) = session.probings
+    rows = np.flatnonzero(session.mesh.vertices[:, 2] > 0.035)
+    points = session.mesh.vertices[rows]
+    moved = 1e-4 * np.random.default_rng(2).normal(size=points.shape)
+    moved[3] = np.nan
+    field = DisplacementField(
+        points=points, displacement=moved, std=np.full(points.shape, 2e-6), vertex=rows,
+        surface=closest_points(session.mesh, points), source="images of n01", scale_error=0.007,
+    )  # fmt: skip
+    return replace(
+        session,
+        probings=(replace(probing, displacement=field),),
+        notes=(*session.notes, "the pictures are dark"),
+    )
+
+
+def given_and_measured(folder):
+    """Both sessions."""
+    session = read_session(with_pictures(folder))
+    return session, measured(session)

@@ -1,0 +1,82 @@
+"""Contacts whose radius nobody knows: a session that names its tool tells as much as one that knows
+the circle that the tool touches."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.errors import PalpateError
+from palpate.geometry import closest_points
+from palpate.pipeline import (
+    fit_session,
+    graded_session,
+    make_object_model,
+    resolved_session,
+    session_observations,
+)
+from palpate.probe import touch
+from palpate.records import EXACT, SPHERE, Contact, DisplacementField, Probing, Session, Tool
+
+SHEAR, NU, BALL = 2e4, 0.3, 6e-3
+PLACE, PUSH = np.array([0.021, 0.019, 0.04]), 0.34
+
+
+def _session(contact: Contact, push: float = PUSH) -> Session:
+    """A glued cube of 4 cm, pressed from above, seen on its free faces."""
+    mesh = box((0.04, 0.04, 0.04), 5)
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    points = mesh.vertices[mesh.vertices[:, 2] > 1e-6]
+    field = DisplacementField(
+        points, np.zeros_like(points), None, None, closest_points(mesh, points), ""
+    )
+    force = np.array([0.0, 0.0, -push])
+    probing = Probing("n", contact, force, np.full(3, 1e-3), None, None, field, None)
+    return Session("cube", Path("cube"), mesh, held, (probing,), None, None, None, (), errors=EXACT)
+
+
+@pytest.fixture(scope="module")
+def measured() -> Session:
+    """What a circle of Sneddon's radius moves."""
+    circle = touch(Tool(SPHERE, BALL), 0.0, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
+    session = _session(Contact(PLACE, circle.radius, circle.profile))
+    graded = graded_session(resolved_session(session))
+    (seen,) = session_observations(graded, make_object_model(graded))
+    (probing,) = session.probings
+    moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / SHEAR).reshape(-1, 3)
+    field = replace(probing.displacement, displacement=moved[: len(seen.position)])
+    return replace(session, probings=(replace(probing, displacement=field),))
+
+
+def _named(measured: Session, tool: Tool) -> Session:
+    (probing,) = measured.probings
+    return replace(measured, probings=(replace(probing, contact=tool.contact(PLACE)),))
+
+
+def test_the_circle_is_found(measured: Session) -> None:
+    estimate = fit_session(_named(measured, Tool(SPHERE, BALL))).estimate
+    # Radii count as settled at 1 %, which moves the constants by a tenth of that, and the mesh that
+    # finds them is the coarser one.
+    assert estimate.young_modulus.value == pytest.approx(2 * SHEAR * (1 + NU), rel=2e-3)
+    assert estimate.poisson_ratio.value == pytest.approx(NU, abs=1e-3)
+    (note,) = [note for note in estimate.notes if "touches" in note]
+    radius = float(note.split("touches: ")[1].split(" mm")[0])
+    (known,) = measured.probings
+    assert radius == pytest.approx(1e3 * known.contact.radius, rel=0.01)
+
+
+def test_a_wrong_circle_counts(measured: Session) -> None:
+    """With a circle nearly as wide as the ball, told as if it were known, the constants are off."""
+    (probing,) = measured.probings
+    wrong = Contact(PLACE, 0.9 * BALL, "hertz")
+    estimate = fit_session(replace(measured, probings=(replace(probing, contact=wrong),))).estimate
+    assert abs(estimate.young_modulus.value / (2 * SHEAR * (1 + NU)) - 1) > 5e-3
+
+
+def test_a_buried_ball_is_refused(measured: Session) -> None:
+    with pytest.raises(
+        PalpateError, match=r"probing 'n': a force of .* would bury a sphere of 1 mm"
+    ):
+        fit_session(_named(measured, Tool(SPHERE, 1e-3)))

@@ -1,0 +1,96 @@
+"""Circles that tools touch: closed forms, limits, and surfaces of known curvature."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from surfaces import box, sphere
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh
+from palpate.probe import inward_push, surface_curvature, touch
+from palpate.records import FLAT, SPHERE, STICKS, Tool
+
+SHEAR, NU = 2e4, 0.3
+REDUCED = 2.0 * SHEAR / (1.0 - NU)
+
+
+def _radius(tool: Tool, curvature: float, push: float, nu: float = NU) -> float:
+    return touch(tool, curvature, push, shear_modulus=SHEAR, poisson_ratio=nu).radius
+
+
+@pytest.mark.parametrize("curvature", [0.0, 20.0, -50.0])
+def test_a_light_touch_is_hertzian(curvature: float) -> None:
+    tool, push = Tool(SPHERE, 5e-3), 1e-4
+    relative = 1.0 / tool.radius + curvature
+    hertz = (0.75 * push / (REDUCED * relative)) ** (1 / 3)
+    # A sphere is a paraboloid but for (a / R)^2 = 1e-3.
+    assert _radius(tool, curvature, push) == pytest.approx(hertz, rel=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_deep_touch_is_sneddon_s(share: float) -> None:
+    """Against his integral over the sphere's own slope."""
+    ball, curvature = 4e-3, 15.0
+    circle = share * ball
+
+    def integrand(angle: float) -> float:
+        r = circle * np.sin(angle)
+        return r**2 * (r / np.sqrt(ball**2 - r**2) + curvature * r)
+
+    push = 2.0 * REDUCED * quad(integrand, 0.0, 0.5 * np.pi)[0]
+    assert _radius(Tool(SPHERE, ball), curvature, push) == pytest.approx(circle, rel=1e-6)
+
+
+def test_a_surface_that_sticks_is_touched_less() -> None:
+    """By ln 3 at nu = 0, not at all when nothing changes its volume."""
+    push, ball = 1e-4, 5e-3
+    for nu, stiffer in ((0.0, np.log(3.0)), (0.4999, 1.0)):
+        free = _radius(Tool(SPHERE, ball), 0.0, push, nu)
+        stuck = _radius(Tool(SPHERE, ball, STICKS), 0.0, push, nu)
+        assert (free / stuck) ** 3 == pytest.approx(stiffer, rel=1e-3)
+
+
+def test_a_flat_face_touches_all_of_itself_or_less() -> None:
+    tool = Tool(FLAT, 4e-3)
+    found = touch(tool, 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
+    assert (found.radius, found.profile) == (4e-3, "flat")
+    # A ball of 20 mm under a light push is not flattened as far.
+    found = touch(tool, 50.0, 1e-3, shear_modulus=SHEAR, poisson_ratio=NU)
+    assert found.profile == "hertz"
+    assert found.radius == pytest.approx((0.75 * 1e-3 / (REDUCED * 50.0)) ** (1 / 3))
+
+
+def test_curvature_is_that_of_the_surface() -> None:
+    ball = TriangleMesh(0.03 * sphere(3).vertices, sphere(3).triangles)
+    top = np.array([0.0, 0.0, 0.03])
+    # Heights are taken along the normal of a facet, 5 degrees off: a few per cent.
+    assert surface_curvature(ball, top, 3e-3) == pytest.approx(1 / 0.03, rel=0.05)
+    block = box((0.05, 0.05, 0.05), 5)
+    assert surface_curvature(block, np.array([0.025, 0.025, 0.05]), 5e-3) == pytest.approx(
+        0, abs=1e-9
+    )
+    # Beside an edge the other face does not count.
+    assert surface_curvature(block, np.array([0.048, 0.025, 0.05]), 5e-3) == pytest.approx(
+        0, abs=1e-9
+    )
+
+
+def test_what_cannot_be() -> None:
+    ball = Tool(SPHERE, 3e-3)
+    with pytest.raises(InputError, match="pulls"):
+        touch(ball, 0.0, -0.1, shear_modulus=SHEAR, poisson_ratio=NU)
+    with pytest.raises(InputError, match="bury a sphere of 3 mm"):
+        touch(ball, 0.0, 50.0, shear_modulus=SHEAR, poisson_ratio=NU)
+    block = box((0.05, 0.05, 0.05), 5)
+    push = inward_push(block, np.array([0.02, 0.02, 0.05]), np.array([0.3, 0.0, -1.2]))
+    assert push == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [({"shape": "wedge"}, "wedge"), ({"radius": 0.0}, "positive"), ({"friction": "glue"}, "glue")],
+)
+def test_tools_that_there_are_not(change: dict[str, object], text: str) -> None:
+    given = {"shape": SPHERE, "radius": 3e-3, "friction": STICKS} | change
+    with pytest.raises(InputError, match=text):
+        Tool(**given)

@@ -1,0 +1,202 @@
+"""The report as a reader's browser has it: whole in itself, true to the result, escaped."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from estimate_samples import constants, sample_result
+
+from palpate.api import Result
+from palpate.errors import RecordError
+from palpate.pipeline import read_fitted_surface
+from palpate.records import Status, read_session
+from palpate.report import checked_result, write_report
+from palpate.report.scene import scene
+
+
+class Page(HTMLParser):
+    """Addresses, texts and the data of a page."""
+
+    def __init__(self, file):
+        super().__init__()
+        self.addresses, self.texts, self.scripts, self.styles, self.tags = [], [], [], [], []
+        self.within = ""
+        self.feed(file.read_text(encoding="utf-8"))
+        self.text = " ".join(" ".join(self.texts).split())
+
+    def handle_starttag(self, tag, attrs):
+        self.within = tag
+        self.tags.append(tag)
+        self.addresses += [
+            value for key, value in attrs if key in ("src", "href", "data", "srcset")
+        ]
+
+    def handle_endtag(self, tag):
+        self.within = ""
+
+    def handle_data(self, data):
+        {"script": self.scripts, "style": self.styles}.get(self.within, self.texts).append(data)
+
+
+def page_of(folder):
+    return Page(folder / "report.html")
+
+
+def unpacked(packed, width=3):
+    numbers = np.frombuffer(base64.b64decode(packed["data"]), "<i2").astype(float)
+    numbers[numbers == -32768] = np.nan
+    return (numbers * packed["unit"]).reshape(-1, width) if width > 1 else numbers * packed["unit"]
+
+
+def test_nothing_is_asked_of_another_host(saved):
+    page = page_of(saved)
+    assert page.addresses
+    assert [one for one in page.addresses if not one.startswith("data:")] == []
+    style = "".join(page.styles)
+    assert "url(" not in style
+    assert "@import" not in style
+    script = page.scripts[-1]
+    for word in ("fetch", "XMLHttpRequest", "import(", "WebSocket", "http:", "https:", "eval("):
+        assert word not in script
+    assert not {"link", "iframe", "object", "embed"} & set(page.tags) - {"link"}
+
+
+def test_the_verdict_comes_first_and_all_parts_are_there(saved):
+    page = page_of(saved)
+    parts = [
+        "Determined", "All three constants are determined", "Measured and simulated",
+        "Each probing alone", "Likelihood", "Errors that" , "What was left aside", "To repeat it",
+    ]  # fmt: skip
+    places = [page.text.find(part) for part in parts if part != "Errors that"]
+    assert -1 not in places
+    assert places == sorted(places)
+    # The sample's E of 60 kPa, 4 % on either side, and its points: 20 of 21 measured.
+    assert "60.0 ± 1.2 kPa" in page.text
+    assert "57.6 to 62.4" in page.text
+    assert "1 (5 %)" in page.text
+
+
+def test_what_repeats_it_is_there(saved):
+    text = page_of(saved).text
+    for line in (saved / "inputs.txt").read_text(encoding="utf-8").splitlines():
+        assert line.split()[0] in text
+    assert "session.toml" in text
+
+
+def test_a_constant_that_is_not_determined_has_no_number(tmp_path, session):
+    result = sample_result(session)
+    lost = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
+    estimate = replace(
+        result.estimate, status=Status.POISSON_RATIO_NOT_IDENTIFIABLE, identifiable=lost,
+        poisson_ratio=replace(constants()["poisson_ratio"], ci95=(0.0, 0.5)),
+    )  # fmt: skip
+    folder = Result(session, replace(result, estimate=estimate)).save(tmp_path / "lost")
+    text = page_of(folder).text
+    assert "Partly determined Poisson's ratio is not determined by the data." in text
+    assert "not determined possible: 0.0" in text
+    assert "What to do. Observe displacement vectors" in text
+    assert "0.3000" not in text
+
+
+def test_the_view_holds_what_was_measured_and_predicted(saved, session):
+    shown = json.loads(page_of(saved).scripts[0])
+    (one,) = shown["probings"]
+    mesh, field = session.mesh, session.probings[0].displacement
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    seen = np.isfinite(field.displacement).all(axis=1)
+    # Half a step of 1 / 32767 of the largest component [mm].
+    exact = {"atol": 0.5 * 40.0 / 32767}
+    np.testing.assert_allclose(unpacked(shown["vertices"]), 1e3 * (mesh.vertices - middle), **exact)
+    np.testing.assert_allclose(
+        unpacked(one["points"]), 1e3 * (field.points[seen] - middle), **exact
+    )
+    np.testing.assert_allclose(unpacked(one["measured"]), 1e3 * field.displacement[seen], **exact)
+    np.testing.assert_allclose(
+        unpacked(one["predicted"]), 0.5e3 * field.displacement[seen], **exact
+    )
+    triangles = np.frombuffer(base64.b64decode(shown["triangles"]), "<u4").reshape(-1, 3)
+    np.testing.assert_array_equal(triangles, mesh.triangles)
+    held = np.frombuffer(base64.b64decode(shown["held"]), np.uint8)
+    np.testing.assert_array_equal(np.flatnonzero(held), session.held_triangles)
+    # Rows as a person counts them; the first was not measured.
+    assert one["rows"][0] == 2
+    assert one["force"] == [0.0, 0.0, -1.2]
+
+
+def test_residuals_are_in_sigmas(tmp_path, session):
+    result = sample_result(session)
+    sigma = np.full_like(result.probes[0].predicted, 5e-5)
+    fits = (replace(result.probes[0], sigma=sigma),)
+    folder = Result(session, replace(result, probes=fits)).save(tmp_path / "sigmas")
+    (one,) = json.loads(page_of(folder).scripts[0])["probings"]
+    # Left over is half of (0.3, 0, -0.4) mm: 3, 0 and -4 sigmas, their rms over three components.
+    np.testing.assert_allclose(unpacked(one["sigmas"], 1), np.sqrt(25 / 3), rtol=1e-4)
+
+
+def test_names_are_no_markup(tmp_path, cube_session):
+    evil = "</script><b>&amp;"
+    file = cube_session / "session.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace("a [bold] cube", evil))
+    session = read_session(cube_session)
+    folder = Result(session, sample_result(session)).save(tmp_path / "evil")
+    page = page_of(folder)
+    assert evil in page.text
+    assert "b" not in page.tags
+    assert len(page.scripts) == 2
+
+
+def test_many_large_probings_stay_below_five_megabytes(saved):
+    surface = read_fitted_surface(saved)
+    (one,) = surface.probings
+    rows = np.arange(4000) % len(one.points)
+    large = replace(
+        one, points=one.points[rows], displacement=one.displacement[rows],
+        predicted=one.predicted[rows], sigma=one.sigma[rows], weight=one.weight[rows],
+    )  # fmt: skip
+    shown = scene(replace(surface, probings=(large,) * 60))
+    assert len(json.dumps(shown)) < 2.5e6
+    # What there is no room for is counted.
+    assert 0 < shown["left_out"] == 60 - len(shown["probings"])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda folder: (folder / "surface.npz").unlink(), r"surface.npz: missing.*half copied"),
+        (
+            lambda folder: (folder / "estimate.json").write_text("{}"),
+            r"estimate.json: changed.*half copied",
+        ),
+        (lambda folder: (folder / "contents.txt").unlink(), "no result of this version"),
+    ],
+)
+def test_a_result_that_is_not_whole_is_refused(saved, spoil, message):
+    spoil(saved)
+    with pytest.raises(RecordError, match=message):
+        checked_result(saved)
+
+
+def test_a_damaged_surface_is_one_message(saved, tmp_path):
+    file = saved / "surface.npz"
+    file.write_bytes(file.read_bytes()[:300])
+    with pytest.raises(RecordError, match=r"surface.npz: is damaged"):
+        write_report(saved, tmp_path / "report.html")
+
+
+def test_the_report_is_made_again_from_the_folder_alone(saved, tmp_path):
+    write_report(saved, tmp_path / "again.html")
+    assert (tmp_path / "again.html").read_bytes() == (saved / "report.html").read_bytes()
+
+
+def test_pictures_are_drawings_of_the_result(saved):
+    found = re.findall(
+        r'src="data:image/(svg\+xml|webp);base64,([^"]+)"',
+        (saved / "report.html").read_text(encoding="utf-8"),
+    )
+    assert [kind for kind, _ in found] == ["svg+xml", "svg+xml", "webp"]
+    assert base64.b64decode(found[0][1]) == (saved / "probings.svg").read_bytes()
+    assert base64.b64decode(found[2][1]).startswith(b"RIFF")
