@@ -24,6 +24,7 @@ from palpate.pipeline.model import (
     compliances,
     graded_session,
     held_directions,
+    resolved_session,
     session_springs,
     sliding_motion,
     surface_load,
