@@ -174,6 +174,11 @@ def make_estimated_object(
             f"the session gives no density: {USUAL_DENSITY:g} kg/m^3 was written; it changes"
             " motion, not where the object comes to rest"
         )
+    if any(one.stiffness is not None or one.directions is not None for one in session.supports):
+        notes.append(
+            "a support gives (stiffness) or slides (directions): its nodes were written as held in"
+            " all directions, so the simulator's object is stiffer than Palpate's"
+        )
     push = None
     if probing.contact.profile == RIGID:
         notes.append(
