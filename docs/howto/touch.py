@@ -56,8 +56,9 @@ def walk(green: GreenFunctions, top: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def draw_surface(axes: Axes, mesh: TriangleMesh, moved: np.ndarray, *, lines: bool = True) -> None:
     """The surface seen from the side, moved, coloured by how far."""
     view = make_view(TriangleMesh(mesh.vertices + moved, mesh.triangles), VIEW)
-    where = 1e3 * projected(view, mesh.vertices + moved)[mesh.triangles]
-    normal = np.cross(where[:, 1] - where[:, 0], where[:, 2] - where[:, 0])
+    where = 1e3 * projected(view, mesh.vertices + moved)[mesh.triangles][:, :, :2]
+    (ax, ay), (bx, by) = (where[:, k].T - where[:, 0].T for k in (1, 2))
+    normal = ax * by - ay * bx
     depth = (mesh.vertices[mesh.triangles].mean(axis=1)) @ VIEW
     order = np.argsort(depth)
     order = order[normal[order] > 0.0]
@@ -96,7 +97,7 @@ def draw_touch(session: Session, green: GreenFunctions) -> Figure:
     draw_surface(right, session.mesh, moved)
     view = make_view(session.mesh, VIEW)
     middle = projected(view, top + np.array([DRAG, 0.0, RADIUS - PRESS]))
-    right.add_patch(Circle(1e3 * middle, 1e3 * RADIUS, fill=False, ec=INK, lw=0.8))
+    right.add_patch(Circle(1e3 * middle[:2], 1e3 * RADIUS, fill=False, ec=INK, lw=0.8))
     right.autoscale_view()
     right.set_title("at the end: the ball, and the surface under it")
     return figure

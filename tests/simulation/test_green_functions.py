@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from cube_green import NU, SHEAR, TOP
 from estimate_samples import sample_result
+from surfaces import box
 
 from palpate.errors import InputError, RecordError
 from palpate.pipeline import poke_session
 from palpate.records import Contact
 from palpate.simulation import (
+    GreenFunctions,
     Material,
     displacement_under,
     estimated_material,
@@ -83,6 +85,35 @@ def test_spoilt_files_are_refused(tmp_path, green):
         read_green_functions(path)
     with pytest.raises(RecordError, match="No such file"):
         read_green_functions(tmp_path / "none.npz")
+
+
+def test_a_file_with_any_other_byte_is_refused_or_reads_the_same(tmp_path):
+    """A small one: two nodes of a cube."""
+    mesh = box(size=(0.04, 0.04, 0.04), cells=2)
+    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] == 0.0).all(axis=1))
+    nodes = np.flatnonzero(mesh.vertices[:, 2] == 0.04)[:2]
+    square = 1e-3 * np.eye(6).reshape(2, 3, 2, 3)
+    surface = np.ones((2, 3, len(mesh.vertices), 3))
+    small = GreenFunctions(
+        "small", mesh, held, nodes, square, surface, square, exact_material(SHEAR, NU), 0.01
+    )
+    path = tmp_path / "small.npz"
+    write_green_functions(path, small)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(4)
+    refused = 0
+    for place in rng.integers(0, len(whole), 300):
+        broken = bytearray(whole)
+        broken[place] ^= 1 << rng.integers(8)
+        path.write_bytes(broken)
+        try:
+            again = read_green_functions(path)
+        except RecordError:
+            refused += 1
+        else:
+            np.testing.assert_array_equal(again.surface, small.surface)
+    # Few bytes of an archive mean nothing: times, attributes, spare room.
+    assert refused > 200
 
 
 def test_held_and_unknown_vertices_are_refused(session):

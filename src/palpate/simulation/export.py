@@ -16,10 +16,11 @@ from palpate.records import (
     verify_result,
     write_text,
 )
-from palpate.simulation.formats import FORMATS, Format
+from palpate.simulation.formats import FORMATS
 from palpate.simulation.material import Material, estimated_material
 from palpate.simulation.solid_model import (
     EstimatedObject,
+    Format,
     SolidModel,
     make_estimated_object,
     make_solid_model,

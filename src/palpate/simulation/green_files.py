@@ -19,6 +19,7 @@ forces and proportional to 1 / shear modulus.
 
 import hashlib
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,12 @@ _ARRAYS = ("held_triangles", "nodes", "compliance", "surface", "slope", "asymmet
 _KEYS = {
     "format", "name", "vertices", "triangles", "constants", "covariance", "sha256", *_ARRAYS,
 }  # fmt: skip
+
+# What the reader of NPZ files says of damaged ones.
+_DAMAGED = (
+    OSError, ValueError, TypeError, EOFError, KeyError, OverflowError, RuntimeError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 
 def write_green_functions(path: Path, green: GreenFunctions) -> None:
@@ -86,7 +93,7 @@ def read_green_functions(path: Path | str) -> GreenFunctions:
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         raise RecordError(
             f"{path}: is no NPZ file, or only a part of one; make it again with"
             " `palpate export RESULT --to npz`"

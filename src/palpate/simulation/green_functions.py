@@ -126,7 +126,7 @@ def make_green_functions(
     Raises
     ------
     InputError                          constants that are not known, nodes that are not free, a
-                                        table that is too large, an object that slides
+                                        table that is too large, supports that slide or give
     SingularSystemError                 the support does not hold the object
     """
     say = progress or silent
@@ -135,6 +135,11 @@ def make_green_functions(
         raise InputError(
             f"{session.path}: a support holds some directions only (rollers); Green's functions are"
             " made of objects whose supports hold all directions"
+        )
+    if any(one.stiffness is not None for one in session.supports):
+        raise InputError(
+            f"{session.path}: a support gives (stiffness); Green's functions are made of objects on"
+            " rigid supports: leave its stiffness out if it hardly gives"
         )
     chosen = free_nodes(session) if nodes is None else np.unique(nodes)
     check_nodes(session.mesh, session.held_triangles, chosen)

@@ -1,5 +1,6 @@
 """An estimated object as simulators take it: constants, one push, and tetrahedra where wanted."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,6 +35,26 @@ _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 # The middles of a ten-node tetrahedron: inner diagonals, and the ring around each; its corners.
 _DIAGONALS = np.array([[4, 9, 5, 6, 7, 8], [5, 7, 4, 6, 9, 8], [6, 8, 4, 5, 9, 7]])
 _CORNERS = np.array([[0, 4, 6, 7], [1, 5, 4, 8], [2, 6, 5, 9], [3, 8, 7, 9]])
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """How an object is written for a simulator.
+
+    Attributes
+    ----------
+    title : str                     the simulator's name
+    poisson : (float, float)        Poisson's ratios that it takes
+    run : str                       what to do with the files
+    of_solid : callable or None     (folder, SolidModel): writes tetrahedra
+    of_surface : callable or None   (folder, EstimatedObject): writes the surface; one of the two
+    """
+
+    title: str
+    poisson: tuple[float, float]
+    run: str
+    of_solid: "Callable[[Path, SolidModel], None] | None" = None
+    of_surface: "Callable[[Path, EstimatedObject], None] | None" = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +173,11 @@ def make_estimated_object(
         notes.append(
             f"the session gives no density: {USUAL_DENSITY:g} kg/m^3 was written; it changes"
             " motion, not where the object comes to rest"
+        )
+    if any(one.stiffness is not None or one.directions is not None for one in session.supports):
+        notes.append(
+            "a support gives (stiffness) or slides (directions): its nodes were written as held in"
+            " all directions, so the simulator's object is stiffer than Palpate's"
         )
     push = None
     if probing.contact.profile == RIGID:

@@ -7,4 +7,4 @@ Depends on : `records`, `geometry`.
 Read first : `registry.py`, then `calculix.py`.
 """
 
-from palpate.simulation.formats.registry import FORMATS as FORMATS, Format as Format
+from palpate.simulation.formats.registry import FORMATS as FORMATS

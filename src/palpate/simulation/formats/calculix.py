@@ -6,10 +6,10 @@ import numpy as np
 
 from palpate.records import write_text
 from palpate.simulation.format_texts import REPLAY, numbered_lines, replay_json
-from palpate.simulation.solid_model import SolidModel
+from palpate.simulation.solid_model import Format, SolidModel
 
-POISSON = (-0.999, 0.499)
-RUN = (
+_POISSON = (-0.999, 0.499)
+_RUN = (
     "ccx model (Abaqus: abaqus job=model): equilibrium under the push; model.dat has the"
     " displacement of the nodes around its point, replay.json their shares."
 )
@@ -64,3 +64,6 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
         ]
         write_text(folder / REPLAY, replay_json(model, model.load))
     write_text(folder / "model.inp", "\n".join(lines) + "\n")
+
+
+CALCULIX = Format("CalculiX", _POISSON, _RUN, of_solid=write_calculix)

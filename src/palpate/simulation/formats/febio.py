@@ -11,10 +11,10 @@ import numpy as np
 
 from palpate.records import write_text
 from palpate.simulation.format_texts import REPLAY, replay_json
-from palpate.simulation.solid_model import SolidModel
+from palpate.simulation.solid_model import Format, SolidModel
 
-POISSON = (-0.999, 0.499)
-RUN = (
+_POISSON = (-0.999, 0.499)
+_RUN = (
     "febio4 -i model.feb: equilibrium under the push; displacement.csv has the displacement of"
     " every node. FEBio's isotropic elastic material (Saint Venant and Kirchhoff) gives way under"
     " large compression: scale the forces down where the push is deep."
@@ -95,7 +95,9 @@ def write_febio(folder: Path, model: SolidModel) -> None:
         write_text(folder / REPLAY, replay_json(model, model.load))
 
 
-def _row(tag: str, number: int, values: list[float], form: str, *, key: str = "id") -> str:
+def _row(
+    tag: str, number: int, values: list[float] | list[int], form: str, *, key: str = "id"
+) -> str:
     """One node, element or value with its number."""
     inside = ",".join(format(value, form) for value in values)
     return f'      <{tag} {key}="{number}">{inside}</{tag}>'
@@ -130,3 +132,6 @@ def _loads(any_load: bool) -> list[str]:
         "    </nodal_load>",
         "  </Loads>",
     ]
+
+
+FEBIO = Format("FEBio", _POISSON, _RUN, of_solid=write_febio)

@@ -4,10 +4,10 @@ from pathlib import Path
 
 from palpate.records import write_text
 from palpate.simulation.formats.obj import write_obj
-from palpate.simulation.solid_model import EstimatedObject
+from palpate.simulation.solid_model import EstimatedObject, Format
 
-POISSON = (0.0, 0.495)
-RUN = "python scene.py, where Genesis is installed: it fills the surface itself."
+_POISSON = (0.0, 0.495)
+_RUN = "python scene.py, where Genesis is installed: it fills the surface itself."
 _TEXT = '''"""The object in Genesis; made by Palpate, see README.txt. The support is not written."""
 
 import genesis as gs
@@ -42,3 +42,6 @@ def write_genesis(folder: Path, body: EstimatedObject) -> None:
         young=material.young_modulus, poisson=material.poisson_ratio, density=body.density
     )
     write_text(folder / "scene.py", text)
+
+
+GENESIS = Format("Genesis", _POISSON, _RUN, of_surface=write_genesis)

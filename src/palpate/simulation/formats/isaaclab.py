@@ -4,10 +4,10 @@ from pathlib import Path
 
 from palpate.records import write_text
 from palpate.simulation.formats.obj import write_obj
-from palpate.simulation.solid_model import EstimatedObject
+from palpate.simulation.solid_model import EstimatedObject, Format
 
-POISSON = (0.0, 0.495)
-RUN = "import body.py in a task of Isaac Lab: PhysX fills the surface itself."
+_POISSON = (0.0, 0.495)
+_RUN = "import body.py in a task of Isaac Lab: PhysX fills the surface itself."
 _TEXT = '''"""The object's material for Isaac Lab; made by Palpate, see README.txt."""
 
 from isaaclab_physx.sim.spawners.materials import PhysxDeformableBodyMaterialCfg
@@ -39,3 +39,6 @@ def write_isaaclab(folder: Path, body: EstimatedObject) -> None:
         young=material.young_modulus, poisson=material.poisson_ratio, density=body.density
     )
     write_text(folder / "body.py", text)
+
+
+ISAACLAB = Format("Isaac Lab", _POISSON, _RUN, of_surface=write_isaaclab)

@@ -7,10 +7,10 @@ import numpy as np
 from palpate.geometry import enclosed_volume
 from palpate.records import write_text
 from palpate.simulation.format_texts import REPLAY, number_text, replay_json
-from palpate.simulation.solid_model import SolidModel
+from palpate.simulation.solid_model import Format, SolidModel
 
-POISSON = (0.0, 0.495)
-RUN = (
+_POISSON = (0.0, 0.495)
+_RUN = (
     "python replay.py [SHARE] repeats SHARE of the push (usually 0.02) and prints where its point"
     " comes to rest, over SHARE. MuJoCo's material (Saint Venant and Kirchhoff) gives way under"
     " large compression; a small share stays where the estimate holds. Written for MuJoCo 4; in"
@@ -85,3 +85,6 @@ def write_mujoco(folder: Path, model: SolidModel) -> None:
     if body.push is not None:
         write_text(folder / REPLAY, replay_json(model, model.linear_load))
         write_text(folder / "replay.py", _REPLAY)
+
+
+MUJOCO = Format("MuJoCo", _POISSON, _RUN, of_solid=write_mujoco)

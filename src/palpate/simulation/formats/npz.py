@@ -6,10 +6,10 @@ import numpy as np
 
 from palpate.simulation.green_files import write_green_functions
 from palpate.simulation.green_functions import make_green_functions, nearest_nodes
-from palpate.simulation.solid_model import EstimatedObject
+from palpate.simulation.solid_model import EstimatedObject, Format
 
-POISSON = (-0.999, 0.5)
-RUN = (
+_POISSON = (-0.999, 0.5)
+_RUN = (
     "palpate.simulation.read_green_functions('green.npz'), or any reader of NPZ: its arrays are"
     " explained in docs/howto/simulate.md."
 )
@@ -34,3 +34,6 @@ def write_npz(folder: Path, body: EstimatedObject) -> None:
     nodes = nearest_nodes(session, contacts, _NODES)
     green = make_green_functions(session, body.material, nodes=nodes)
     write_green_functions(folder / "green.npz", green)
+
+
+NPZ = Format("NPZ", _POISSON, _RUN, of_surface=write_npz)

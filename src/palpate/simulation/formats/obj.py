@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from palpate.geometry import write_mesh
-from palpate.simulation.solid_model import EstimatedObject
+from palpate.simulation.solid_model import EstimatedObject, Format
 
-POISSON = (-0.999, 0.5)
-RUN = "surface.obj is the surface in metres; constants and the push are in palpate.json."
+_POISSON = (-0.999, 0.5)
+_RUN = "surface.obj is the surface in metres; constants and the push are in palpate.json."
 SURFACE = "surface.obj"
 
 
@@ -23,3 +23,6 @@ def write_obj(folder: Path, body: EstimatedObject) -> None:
     MeshError                       the file cannot be written
     """
     write_mesh(folder / SURFACE, body.session.mesh)
+
+
+OBJ = Format("OBJ", _POISSON, _RUN, of_surface=write_obj)

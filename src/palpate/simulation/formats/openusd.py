@@ -13,10 +13,10 @@ from jaxtyping import Shaped
 
 from palpate.records import write_text
 from palpate.simulation.format_texts import REPLAY, replay_json
-from palpate.simulation.solid_model import SolidModel
+from palpate.simulation.solid_model import Format, SolidModel
 
-POISSON = (0.0, 0.495)
-RUN = (
+_POISSON = (0.0, 0.495)
+_RUN = (
     "any OpenUSD reader from 24.03 on opens model.usda; the prim variable `held` marks nodes that"
     " do not move, which a simulator has to be told."
 )
@@ -92,3 +92,6 @@ def _tuples(rows: Shaped[np.ndarray, "n k"]) -> str:
     return ", ".join(
         "(" + ", ".join(format(value, form) for value in row) + ")" for row in rows.tolist()
     )
+
+
+OPENUSD = Format("OpenUSD", _POISSON, _RUN, of_solid=write_openusd)

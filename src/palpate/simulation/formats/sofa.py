@@ -13,10 +13,10 @@ import numpy as np
 from palpate.geometry import enclosed_volume
 from palpate.records import write_text
 from palpate.simulation.format_texts import REPLAY, number_text, replay_json
-from palpate.simulation.solid_model import SolidModel
+from palpate.simulation.solid_model import Format, SolidModel
 
-POISSON = (0.0, 0.495)
-RUN = (
+_POISSON = (0.0, 0.495)
+_RUN = (
     "runSofa model.scn: the object comes to rest under the push; replay.json has the nodes around"
     " its point and their shares."
 )
@@ -77,3 +77,6 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
         push=push,
     )
     write_text(folder / "model.scn", text)
+
+
+SOFA = Format("SOFA", _POISSON, _RUN, of_solid=write_sofa)

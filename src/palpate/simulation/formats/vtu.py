@@ -12,10 +12,10 @@ import numpy as np
 
 from palpate.records import write_text
 from palpate.simulation.format_texts import REPLAY, number_text, replay_json
-from palpate.simulation.solid_model import SolidModel
+from palpate.simulation.solid_model import Format, SolidModel
 
-POISSON = (-0.999, 0.5)
-RUN = "ParaView or meshio open model.vtu; constants are in palpate.json."
+_POISSON = (-0.999, 0.5)
+_RUN = "ParaView or meshio open model.vtu; constants are in palpate.json."
 _QUADRATIC_TETRAHEDRON = 24
 
 
@@ -66,3 +66,6 @@ def _array(name: str, kind: str, values: np.ndarray, components: int) -> Iterabl
     )
     yield number_text(values)
     yield "</DataArray>"
+
+
+VTU = Format("VTU", _POISSON, _RUN, of_solid=write_vtu)
