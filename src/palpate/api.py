@@ -44,6 +44,7 @@ from palpate.records import (
     verdict_text,
 )
 from palpate.report import REPORT_FILE, write_report, write_result_files
+from palpate.simulation import FORMATS, FitSource, export_fit
 
 _LABELS = {
     "young_modulus": "Young's modulus",
@@ -181,6 +182,35 @@ class Result:
             record_inputs(new, session_files(self.session.path))
             write_result_files(new, self.session, self.fitted)
             write_report(new, new / REPORT_FILE)
+        return Path(folder)
+
+    def export(
+        self, folder: Path | str, to: str, *, probe: str | None = None, force: bool = False
+    ) -> Path:
+        """Write the fitted object for a simulator, as `palpate export` does.
+
+        Parameters
+        ----------
+        folder : path               appears whole or not at all
+        to : str                    "mujoco", "calculix", "obj", ...: what `palpate export` knows
+        probe : str or None         probing that is written along; None: the first
+        force : bool                write although something else is there, kept as NAME.old
+
+        Returns
+        -------
+        Path                        of the folder
+
+        Raises
+        ------
+        InputError                  an unknown simulator, or one that does not take the constants;
+                                    the folder is something else, or cannot be written
+        """
+        if to not in FORMATS:
+            raise InputError(f"there is no simulator {to!r}; there are: {', '.join(FORMATS)}")
+        with result_folder(folder, kind="export", force=force) as new:
+            record_inputs(new, session_files(self.session.path))
+            source = FitSource(self.session, self.estimate, ())
+            export_fit(new, source, to, probe=probe, cache=self.cache)
         return Path(folder)
 
     def report(self, file: Path | str) -> Path:

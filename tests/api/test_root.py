@@ -77,6 +77,14 @@ def test_a_report_is_one_file(result, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"cube", "cube.html"}
 
 
+def test_a_result_is_exported(result, tmp_path):
+    folder = result.export(tmp_path / "obj", "obj")
+    assert {"README.txt", "palpate.json"} <= {path.name for path in folder.iterdir()}
+    with pytest.raises(InputError, match=r"no simulator 'blender'; there are: .*mujoco"):
+        result.export(tmp_path / "other", "blender")
+    assert not (tmp_path / "other").exists()
+
+
 def test_pokes_take_units(result):
     in_metres = result.poke((0.02, 0.02, 0.04), (0.0, 0.0, -1.0), radius=0.006)
     as_text = result.poke(("20 mm", "2cm", "40mm"), (0, 0, "-1000 mN"), radius="6 mm")
