@@ -44,6 +44,7 @@ from palpate.records import (
     verdict_text,
 )
 from palpate.report import REPORT_FILE, write_report, write_result_files
+from palpate.simulation import FitSource, export_fit
 
 _LABELS = {
     "young_modulus": "Young's modulus",
@@ -181,6 +182,31 @@ class Result:
             record_inputs(new, session_files(self.session.path))
             write_result_files(new, self.session, self.fitted)
             write_report(new, new / REPORT_FILE)
+        return Path(folder)
+
+    def export(self, to: str, folder: Path | str, *, force: bool = False) -> Path:
+        """Write the fitted object for a simulator, as `palpate export` does.
+
+        Parameters
+        ----------
+        to : str                    "mujoco", "calculix", "febio", "sofa", "openusd", "vtu", "obj",
+                                    "genesis", "isaaclab" or "npz"
+        folder : path               appears whole or not at all
+        force : bool                write although something else is there, kept as NAME.old
+
+        Returns
+        -------
+        Path                        of the folder
+
+        Raises
+        ------
+        InputError                  an unknown simulator, a material outside its range; the folder
+                                    is something else, or cannot be written
+        """
+        with result_folder(folder, kind="export", force=force) as new:
+            record_inputs(new, session_files(self.session.path))
+            source = FitSource(self.session, self.estimate, ())
+            export_fit(new, source, to, cache=self.cache)
         return Path(folder)
 
     def report(self, file: Path | str) -> Path:
