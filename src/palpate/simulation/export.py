@@ -156,10 +156,13 @@ def export_fit(
 
     Raises
     ------
-    InputError                      a material outside the simulator's range, no such probing
+    InputError                      an unknown simulator, a material outside its range, no such
+                                    probing
     MeshError                       walls thinner than the tetrahedra
     """
     say = progress or silent
+    if to not in FORMATS:
+        raise InputError(f"there is no simulator '{to}'; there are: {', '.join(FORMATS)}")
     form = FORMATS[to]
     material, changed = written_material(form, estimated_material(source.estimate))
     say("the push in the boundary element model", 0.1)
