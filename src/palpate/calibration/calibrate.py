@@ -12,7 +12,8 @@ from palpate.calibration.sightings import Sightings
 from palpate.calibration.start import start_bundle
 from palpate.calibration.targets import Target
 from palpate.errors import CalibrationError
-from palpate.records import Camera, camera_matrix
+from palpate.records import Camera, RigCovariance, camera_matrix
+from palpate.vision import calibration_numbers
 
 # A view that leaves more than this many times what views usually leave shows something else than
 # the same flat board at one instant.
@@ -97,6 +98,25 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
         corners,
         adjusted,
         tuple(notes),
+    )
+
+
+def known_rig(calibration: Calibration) -> RigCovariance:
+    """The numbers of a calibration with their covariance.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    RigCovariance
+    """
+    return RigCovariance(
+        calibration.names,
+        calibration_numbers(calibration.cameras, calibration.names),
+        calibration.covariance,
+        "calibration",
     )
 
 

@@ -7,11 +7,9 @@ import cv2
 import numpy as np
 import yaml
 
-from palpate.calibration.calibrate import Calibration
+from palpate.calibration.calibrate import Calibration, known_rig
 from palpate.errors import RecordError
-from palpate.records import Camera, Rig, write_rig, write_text
-
-COVARIANCE_FORMAT = "palpate-rig-covariance/1"
+from palpate.records import Camera, Rig, write_rig, write_rig_covariance, write_text
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
@@ -30,13 +28,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
         write_rig(folder / "rig.toml", Rig(calibration.cameras, 0, str(folder)))
         _write_kalibr(folder / "kalibr.yaml", calibration.cameras)
     _write_opencv(folder / "opencv.yml", calibration.cameras)
-    np.savez_compressed(
-        folder / "rig_covariance.npz",
-        format=np.array(COVARIANCE_FORMAT),
-        names=np.array(calibration.names),
-        covariance=calibration.covariance,
-        corner_noise=calibration.adjusted.noise,
-    )
+    write_rig_covariance(folder, known_rig(calibration), calibration.adjusted.noise)
 
 
 def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:

@@ -23,6 +23,7 @@ from palpate.estimation.nuisance import (
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     Pose as Pose,
+    SpaceStretch as SpaceStretch,
 )
 from palpate.estimation.observations import (
     ProbeObservations as ProbeObservations,

@@ -21,12 +21,14 @@ from palpate.estimation import (
     ProbeFit,
     ProbeObservations,
     ProbeResponse,
+    SpaceStretch,
     fit,
     full_responses,
     make_reduced_model,
     reduced_response,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh
+from palpate.pipeline.calibrated_space import calibration_strains
 from palpate.pipeline.model import (
     LEFT_OF_STEP,
     ObjectModel,
@@ -86,6 +88,7 @@ def fit_session(
     """
     start = time.perf_counter()
     require_probings(session)
+    strains = calibration_strains(session)
     progress("the given mesh", 0.0)
     # First, and gone before the graded one takes its memory.
     plain = replace(session, errors=EXACT)
@@ -99,7 +102,7 @@ def fit_session(
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
     observations = session_observations(graded, model, settings=settings)
-    observations = _with_mesh_errors(observations, coarser)
+    observations = _with_stretch(_with_mesh_errors(observations, coarser), strains)
     factorised = time.perf_counter()
     result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
     progress("done", 1.0)
@@ -124,6 +127,7 @@ def fit_session(
             "surface": asdict(surface),
             "errors": asdict(session.errors),
             "vertices": [len(one.mesh.vertices) for one in (session, graded)],
+            "lengths": _known_lengths(session, strains),
             "assumed_forces": [one.name for one in session.probings if one.force_std is None],
         },
     )
@@ -138,6 +142,29 @@ def _with_mesh_errors(
         replace(one, nuisances=(*one.nuisances, Discretisation(LEFT_OF_STEP, other.response.value)))
         for one, other in zip(observations, coarser, strict=True)
     ]
+
+
+def _with_stretch(
+    observations: Sequence[ProbeObservations], strains: Float[np.ndarray, "m 3 3"] | None
+) -> list[ProbeObservations]:
+    """What was seen, with what the calibration of the cameras leaves open."""
+    if strains is None:
+        return list(observations)
+    return [
+        replace(one, nuisances=(*one.nuisances, SpaceStretch(strains, len(one.position))))
+        for one in observations
+    ]
+
+
+def _known_lengths(
+    session: Session, strains: Float[np.ndarray, "m 3 3"] | None
+) -> dict[str, object]:
+    """Where the error of lengths comes from, and how large it is along x, y and z."""
+    if strains is None:
+        return {"source": "[errors] length_scale", "std": [session.errors.length_scale] * 3}
+    along = np.linalg.norm(np.einsum("mii->mi", strains), axis=0)
+    total = np.hypot(along, session.errors.length_scale)
+    return {"source": "rig_covariance.npz", "std": total.tolist()}
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

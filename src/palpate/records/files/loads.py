@@ -175,7 +175,8 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
         if "traction" in contact.values:
             contact.choice("traction", (UNIFORM,))
         return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
-    contact.check_keys(("point", "radius", "profile"))
+    # How well the point is known stands with the other errors: `read_error_priors`.
+    contact.check_keys(("point", "point_std", "radius", "profile"))
     radius = contact.optional("radius", contact.number)
     return Contact(
         point=metres * contact.vector("point"),
