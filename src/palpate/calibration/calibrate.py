@@ -120,6 +120,40 @@ def known_rig(calibration: Calibration) -> RigCovariance:
     )
 
 
+def board_frame(
+    calibration: Calibration, targets: Sequence[Target], view: str
+) -> Float[np.ndarray, "4 4"]:
+    """A frame on the board of one view: its middle, x along its rows, z up from the print.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    targets : sequence of Target    that it was made with
+    view : str                      name of the view
+
+    Returns
+    -------
+    (4, 4) float [m]                x_first camera = T x_frame
+
+    Raises
+    ------
+    CalibrationError                no such view, or it was left out
+    """
+    found = calibration.found
+    if view not in found.views:
+        raise CalibrationError(
+            f"there is no view '{view}' among those that were used: {', '.join(found.views)}; give"
+            " another to --table"
+        )
+    number = found.views.index(view)
+    pose = calibration.adjusted.bundle.view[number]
+    # Most targets have y down, so that their z leads away from who looks at them.
+    away = np.sign(pose[:3, 2] @ pose[:3, 3])
+    T_board_frame = np.diag([1.0, -away, -away, 1.0])
+    T_board_frame[:3, 3] = targets[found.targets[number]].points.mean(axis=0)
+    return pose @ T_board_frame
+
+
 def view_rms(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarray, " v"]:
     """What the adjustment leaves in every view, in units of the noise of its cameras.
 

@@ -25,5 +25,5 @@ from palpate.lab.bodies.specimens import (
     half_ball as half_ball,
     rod as rod,
 )
-from palpate.lab.bodies.tetrahedra import make_solid as make_solid
+from palpate.lab.bodies.tetrahedra import Solid as Solid, make_solid as make_solid
 from palpate.lab.bodies.tips import TIPS as TIPS, Punch as Punch, Tip as Tip, TipName as TipName
