@@ -44,7 +44,13 @@ _FINE, _SEEN = 4000, 1200
 _HEIGHT = {"half-ball": 0.0, "toy": 0.025}
 # Triangles of a scan's foot lie this near to the plane that it was closed with.
 _FOOT = 1e-4
-_TOWARD = [[0.05, 0.08, 1.0], [0.7, 0.1, 0.7], [-0.5, 0.6, 0.7], [-0.4, -0.7, 0.6], [0.6, -0.6, 0.6]]
+_TOWARD = [
+    [0.05, 0.08, 1.0],
+    [0.7, 0.1, 0.7],
+    [-0.5, 0.6, 0.7],
+    [-0.4, -0.7, 0.6],
+    [0.6, -0.6, 0.6],
+]
 _NOISE = 0.01
 
 
@@ -67,7 +73,9 @@ class Pressed:
 
 def support_of(shape: str, on_foot: bool) -> Plane:
     """The plane on which the object is held."""
-    return Plane(np.array([0.0, 0.0, 0.0 if on_foot else _HEIGHT[shape]]), np.array([0.0, 0.0, 1.0]))
+    return Plane(
+        np.array([0.0, 0.0, 0.0 if on_foot else _HEIGHT[shape]]), np.array([0.0, 0.0, 1.0])
+    )
 
 
 def true_mesh(shape: str, vertices: int, support: Plane) -> TriangleMesh:
@@ -112,7 +120,6 @@ def scanned(folder: Path, file: Path, shape: str, vertices: int, support: Plane)
     if not file.exists():
         scan = read_scan(turntable(folder, shape) / "scan.toml")
         made = scan_surface(scan.views, vertices=vertices, support=support)
-        print(f"  of the rim of the foot {100 * made.guessed_rim:.0f} % is guessed")
         write_mesh(file, made.mesh)
     return read_mesh(file)
 

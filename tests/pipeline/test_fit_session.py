@@ -193,11 +193,11 @@ def test_an_error_of_scale_is_the_larger_of_priors_and_pictures(session: Session
 
 def _with_rig(session: Session, folder: Path, base_std: float) -> Session:
     """Seen by two parallel cameras whose distance alone is uncertain, relative to it."""
-    matrix = np.array([[2000.0, 0.0, 320.0], [0.0, 2000.0, 240.0], [0.0, 0.0, 1.0]])
+    matrix = np.array([[2000.0, 0.0, 1000.0], [0.0, 2000.0, 240.0], [0.0, 0.0, 1.0]])
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, 2, 3], poses[1, 0, 3] = 0.4, -0.1
     cameras = [
-        Camera(name, (640, 480), matrix, np.zeros(5), pose)
+        Camera(name, (2000, 480), matrix, np.zeros(5), pose)
         for name, pose in zip(("left", "right"), poses, strict=True)
     ]
     write_rig(folder / "rig.toml", Rig(tuple(cameras), 0, "pair"))

@@ -188,8 +188,8 @@ def length_sigma(calibration: Calibration) -> float:
     strains = space_strains(
         Rig(calibration.cameras, 0, "calibration"),
         known_rig(calibration),
-        points.min(axis=0),
-        points.max(axis=0),
+        points,
     )
-    # A length that is as long along every axis changes by the mean of the three.
-    return float(np.linalg.norm(np.einsum("mii->m", strains) / 3.0))
+    # How the size of all boards together changes, the root of their variance.
+    spread = np.cov(points.T)
+    return float(np.linalg.norm(np.einsum("ij,mij->m", spread, strains)) / np.trace(spread))

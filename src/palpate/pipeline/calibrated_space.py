@@ -27,10 +27,4 @@ def calibration_strains(session: Session) -> Float[np.ndarray, "m 3 3"] | None:
     file = None if session.rig is None else covariance_file(session.rig)
     if session.rig is None or file is None:
         return None
-    vertices = session.mesh.vertices
-    return space_strains(
-        read_rig(session.rig),
-        read_rig_covariance(file),
-        vertices.min(axis=0),
-        vertices.max(axis=0),
-    )
+    return space_strains(read_rig(session.rig), read_rig_covariance(file), session.mesh.vertices)

@@ -31,9 +31,9 @@ from palpate.records.estimate import (
 )
 from palpate.records.files import (
     SESSION_FORMAT as SESSION_FORMAT,
-    covariance_file as covariance_file,
     Finding as Finding,
     ImportItem as ImportItem,
+    covariance_file as covariance_file,
     default_folder as default_folder,
     displacement_line as displacement_line,
     file_stem as file_stem,

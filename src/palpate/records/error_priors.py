@@ -79,7 +79,7 @@ def _check_range(name: str, value: float, limit: float) -> None:
         )
 
 
-EXACT = ErrorPriors(*[0.0] * (len(fields(ErrorPriors)) - 1))
+EXACT = ErrorPriors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def read_error_priors(

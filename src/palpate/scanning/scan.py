@@ -45,8 +45,6 @@ class ScannedSurface:
                                     points' scatter; without the errors that all points of a view
                                     share; NaN at creases, on the support and where it is guessed
     guessed : (m,) bool             triangles that no view shows
-    guessed_rim : float             share of the line where the surface leaves its support beside
-                                    which no view shows it; 0 without a support
     agreements : tuple of Agreement a view each
     views : tuple of View           in the object's frame
     distance : (float, float) [m]   of the points from the mesh: median, 95 %
@@ -57,7 +55,6 @@ class ScannedSurface:
     mesh: TriangleMesh
     sigma: Float[np.ndarray, " v"]
     guessed: Bool[np.ndarray, " m"]
-    guessed_rim: float
     agreements: tuple[Agreement, ...]
     views: tuple[View, ...]
     distance: tuple[float, float]
@@ -116,12 +113,10 @@ def scan_surface(
     result = fitted(even, points, normals, sigma, view=number, fixed=fixed)
     mesh = checked_mesh(result.mesh)[0]
     gap = distances(points, mesh)
-    guessed = _guessed(mesh, points)
     return ScannedSurface(
         mesh=mesh,
         sigma=result.sigma,
-        guessed=guessed,
-        guessed_rim=0.0 if support is None else _guessed_rim(mesh, guessed, support),
+        guessed=_guessed(mesh, points),
         agreements=found,
         views=tuple(views),
         distance=(float(np.median(gap)), float(np.quantile(gap, 0.95))),
@@ -137,19 +132,6 @@ def _guessed(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " m"]:
     # Of equal-sided triangles, the edge is 1.52 times the root of the area.
     edge = 1.52 * np.sqrt(triangle_areas(mesh))
     return gap > np.maximum(_NEAR_EDGE * edge, _NEAR_SIZE * bounding_diagonal(mesh))
-
-
-def _guessed_rim(mesh: TriangleMesh, guessed: Bool[np.ndarray, " m"], support: Plane) -> float:
-    """Share of the rim of the foot, by length, whose triangle above the support is guessed."""
-    high = abs(support.heights(mesh.vertices)) > 1e-4 * bounding_diagonal(mesh)
-    foot = ~high[mesh.triangles].any(axis=1)
-    on_rim = np.zeros(len(mesh.vertices), dtype=bool)
-    on_rim[mesh.triangles[foot]] = True
-    sides = mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]][~foot]
-    rim = on_rim[sides].all(axis=2)
-    length = np.linalg.norm(np.diff(mesh.vertices[sides], axis=2)[:, :, 0], axis=-1) * rim
-    total = float(length.sum())
-    return float((length * guessed[~foot, None]).sum()) / total if total else 0.0
 
 
 def _check_closed(skin: TriangleMesh, points: Points, support: Plane | None) -> None:
@@ -195,7 +177,6 @@ def write_scanned(folder: Path, surface: ScannedSurface) -> None:
         "views": [asdict(one) for one in surface.agreements],
         "distance": {"median": surface.distance[0], "percentile_95": surface.distance[1]},
         "volume_std": surface.volume_std,
-        "guessed_rim": surface.guessed_rim,
         "guessed_triangles": np.flatnonzero(surface.guessed),
         "quality": asdict(surface.quality),
     }

@@ -35,8 +35,6 @@ from palpate.scanning import (
 _MOST_TRIANGLES = 2_000_000
 # Beyond, a file in millimetres was taken for one in metres [m].
 _LARGE = 3.0
-# Share of the rim of a foot that may be guessed without a word.
-_MUCH_GUESSED = 0.2
 _Unit = Literal["m", "cm", "mm", "um", "in"]
 
 
@@ -155,21 +153,8 @@ def scan(
     console = Console()
     console.print(_views_table(made))
     console.print(_scan_table(made))
-    print_notes(_rim_notes(made))
     print_text(f"Result in {place}")
     return 0
-
-
-def _rim_notes(made: ScannedSurface) -> list[str]:
-    """What a foot that nobody saw means for the constants."""
-    if made.guessed_rim < _MUCH_GUESSED:
-        return []
-    return [
-        f"no view shows {100.0 * made.guessed_rim:.0f} % of the line where the object leaves its"
-        " support; it is closed straight down there. If it is narrower below than where it was last"
-        " seen, its foot is too large, and an object that stands on it sways less than the true one:"
-        " scan from lower, or hold it up to a height that was seen and say so as support"
-    ]
 
 
 def _views_table(made: ScannedSurface) -> Table:

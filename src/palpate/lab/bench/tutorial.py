@@ -218,9 +218,7 @@ def _write_films(
     return solved
 
 
-def _write_truth(
-    folder: Path, rig: Rig, config: LabConfig, solved: Sequence[SolvedPress]
-) -> None:
+def _write_truth(folder: Path, rig: Rig, config: LabConfig, solved: Sequence[SolvedPress]) -> None:
     """What nobody at the bench knows."""
     place = folder / "truth"
     place.mkdir()

@@ -29,7 +29,9 @@ def covariance_file(rig: Path) -> Path | None:
     return path if is_file(path) else None
 
 
-def write_rig_covariance(folder: Path, known: RigCovariance, corner_noise: Float[np.ndarray, " c"]) -> None:
+def write_rig_covariance(
+    folder: Path, known: RigCovariance, corner_noise: Float[np.ndarray, " c"]
+) -> None:
     """Write `rig_covariance.npz`.
 
     Parameters
@@ -65,10 +67,12 @@ def read_rig_covariance(path: Path) -> RigCovariance:
     CalibrationError                contradictory
     """
     content = read_bytes(path)
-    with damage(path, _CURE, what="cannot be read as the covariance of a rig"):
-        with np.load(BytesIO(content), allow_pickle=False) as stored:
-            form = str(stored["format"])
-            if form != COVARIANCE_FORMAT:
-                raise ValueError(f"its format is {form!r}, not '{COVARIANCE_FORMAT}'")
-            names = tuple(map(str, stored["names"].tolist()))
-            return RigCovariance(names, stored["value"], stored["covariance"], str(path))
+    with (
+        damage(path, _CURE, what="cannot be read as the covariance of a rig"),
+        np.load(BytesIO(content), allow_pickle=False) as stored,
+    ):
+        form = str(stored["format"])
+        if form != COVARIANCE_FORMAT:
+            raise ValueError(f"its format is {form!r}, not '{COVARIANCE_FORMAT}'")
+        names = tuple(map(str, stored["names"].tolist()))
+        return RigCovariance(names, stored["value"], stored["covariance"], str(path))

@@ -1,4 +1,4 @@
-"""What errors of a calibration do to lengths: space as the cameras see it, stretched and sheared."""
+"""What errors of a calibration do to lengths: space as cameras see it, stretched and sheared."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.errors import CalibrationError, quoted
 from palpate.records import Camera, Rig, RigCovariance
-from palpate.shapes import Points, Vector3
+from palpate.shapes import Points
 from palpate.vision.cameras.projection import project
 from palpate.vision.cameras.triangulation import triangulate
 
@@ -17,17 +17,17 @@ _LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 # Where the first four of them stand in the matrix of a camera.
 _INNER = np.array([0, 1, 0, 1]), np.array([0, 1, 2, 2])
 _POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
-# Lattice over which space is looked at, points along each axis.
-_LATTICE = 4
+# Points that space is looked at, around those that are given; how far around, of their extent.
+_MAX_POINTS, _AROUND = 100, 0.05
+# Fewer say nothing.
+_FEWEST = 12
 # A step of so many standard deviations both ways: what follows is linear in it.
 _STEP = 0.5
 # Strains that add less than this to the variance of the largest are left out.
 _LEAST_VARIANCE = 1e-3
 
 
-def calibration_numbers(
-    cameras: Sequence[Camera], names: Sequence[str]
-) -> Float[np.ndarray, " p"]:
+def calibration_numbers(cameras: Sequence[Camera], names: Sequence[str]) -> Float[np.ndarray, " p"]:
     """Numbers of cameras by the names that a covariance gives them (`RigCovariance.names`).
 
     Parameters
@@ -46,7 +46,7 @@ def calibration_numbers(
     """
     by_name = {camera.name: camera for camera in cameras}
     first = _first(cameras, names)
-    found = {}
+    found: dict[str, float] = {}
     for name, camera in by_name.items():
         lens = (*camera.matrix[_INNER], *camera.distortion[:5])
         found |= zip((f"{name}.{term}" for term in _LENS), lens, strict=True)
@@ -62,20 +62,19 @@ def calibration_numbers(
     return np.array([found[name] for name in names])
 
 
-def space_strains(
-    rig: Rig, known: RigCovariance, low: Vector3, high: Vector3
-) -> Float[np.ndarray, "m 3 3"]:
-    """Strains of what cameras measure in a box, by the errors of their calibration.
+def space_strains(rig: Rig, known: RigCovariance, points: Points) -> Float[np.ndarray, "m 3 3"]:
+    """Strains of what cameras measure around some points, by the errors of their calibration.
 
-    A point that cameras triangulate lies beside the true one; what differs between points of the
-    box changes displacements. Its mean over the box counts. A common turn is left out: a surface
-    that was measured with the same cameras, or registered to what they see, is turned alike.
+    A point that cameras triangulate lies beside the true one; what differs between points changes
+    displacements. Its mean over all that two cameras have in their pictures counts. A common turn
+    is left out: a surface that was measured with the same cameras, or registered to what they see,
+    is turned alike.
 
     Parameters
     ----------
     rig : Rig                       object frame
     known : RigCovariance           of the same cameras
-    low, high : (3,) float [m]      corners of the box
+    points : (n, 3) float [m]       of a surface, seen or not
 
     Returns
     -------
@@ -84,10 +83,11 @@ def space_strains(
 
     Raises
     ------
-    CalibrationError                the covariance is of other cameras
+    CalibrationError                the covariance is of other cameras; two cameras do not see the
+                                    points
     """
     _check_same(rig, known)
-    points = _lattice(low, high)
+    points = _cloud(rig, points)
     pixels = np.stack([project(camera, points) for camera in rig.cameras])
     offsets = points - points.mean(axis=0)
     inverse = np.linalg.pinv(offsets)
@@ -108,12 +108,27 @@ def space_strains(
     return (size[keep, None] * strain[keep]).reshape(-1, 3, 3)
 
 
-def _lattice(low: Vector3, high: Vector3) -> Points:
-    """Points through a box, which is no thinner than a fifth of its longest side."""
-    middle, size = 0.5 * (low + high), high - low
-    half = 0.5 * np.maximum(size, 0.2 * size.max())
-    along = [np.linspace(m - h, m + h, _LATTICE) for m, h in zip(middle, half, strict=True)]
-    return np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 3)
+def _cloud(rig: Rig, points: Points) -> Float[np.ndarray, "m 3"]:
+    """Points that two cameras see, and some around each, lest a flat surface leave its normal
+    open."""
+    points = points[:: max(len(points) // _MAX_POINTS, 1)]
+    reach = _AROUND * float(np.ptp(points, axis=0).max())
+    around = reach * np.concatenate([np.eye(3), -np.eye(3)])
+    points = (points[:, None] + around).reshape(-1, 3)
+    count = np.zeros(len(points), dtype=np.int64)
+    for camera in rig.cameras:
+        pixel = project(camera, points)
+        # Beyond the picture nothing holds the lens.
+        end = np.array(camera.size or (np.inf, np.inf)) - 1.0
+        with np.errstate(invalid="ignore"):
+            count += ((pixel >= 0.0) & (pixel <= end)).all(axis=1)
+    seen = count >= 2
+    if seen.sum() < _FEWEST:
+        raise CalibrationError(
+            f"{rig.source}: two cameras together see {int(seen.sum())} of {len(points)} points on"
+            " and about the object; check its pose, and the length units of rig and mesh"
+        )
+    return points[seen]
 
 
 def _first(cameras: Sequence[Camera], names: Sequence[str]) -> Camera:
