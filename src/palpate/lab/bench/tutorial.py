@@ -100,7 +100,9 @@ def make_tutorial(
     rig = make_head(config.head, config.specimen.mesh)
     _write_boards(folder / "boards", rig, board, config, size, part_of(progress, 0.0, 0.15))
     _write_turntable(folder / "turntable", rig, config, size, variant, part_of(progress, 0.15, 0.4))
-    solved = _write_films(folder / "presses", rig, config, size, variant, part_of(progress, 0.4, 1))
+    solved = _write_films(
+        folder / "presses", rig, config, size, variant, part_of(progress, 0.4, 1.0)
+    )
     _write_truth(folder, rig, config, solved)
 
 
