@@ -21,13 +21,7 @@ import cv2
 import numpy as np
 import tomlkit
 
-from benchmarks.press_videos import (
-    APPROACH,
-    CLOCK_OFFSET,
-    FRAME_RATE,
-    HOLD,
-    RAMP,
-)
+from benchmarks.press_videos import FILM
 from palpate.lab import built_in, read_lab_config
 from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
 from palpate.recording import (
@@ -40,7 +34,7 @@ from palpate.recording import (
 from palpate.records import SESSION_FORMAT, read_session, write_text
 
 # Before the tool comes [s]: when a person takes the picture and the readings at rest.
-_BEFORE = APPROACH + 0.6
+_BEFORE = FILM.approach + 0.6
 
 
 def hand_sorted(folder: Path, out: Path) -> None:
@@ -50,10 +44,10 @@ def hand_sorted(folder: Path, out: Path) -> None:
     recording = read_recording(folder)
     with np.load(folder / "truth.npz") as stored:
         truth = dict(stored)
-    loaded = truth["begin"] + RAMP + HOLD / 2.0
+    loaded = truth["begin"] + FILM.ramp + FILM.hold / 2.0
     wanted = [truth["begin"][0] - _BEFORE, *loaded]
     names = ["rest", *(f"n{k + 1:02d}" for k in range(len(loaded)))]
-    numbers = [round((when - CLOCK_OFFSET) * FRAME_RATE) for when in wanted]
+    numbers = [round((when - FILM.clock_offset) * FILM.frame_rate) for when in wanted]
     for footage in recording.footage:
         capture = cv2.VideoCapture(str(footage.video))
         number = 0
@@ -93,10 +87,10 @@ def report_presses(folder: Path, recording: Recording, found: Recorded) -> None:
     """What was found, against what was true."""
     with np.load(folder / "truth.npz") as stored:
         truth = dict(stored)
-    told = tuple(replace(one, offset=CLOCK_OFFSET) for one in recording.footage)
+    told = tuple(replace(one, offset=FILM.clock_offset) for one in recording.footage)
     known = find_presses(replace(recording, footage=told))
     held = [
-        (b + RAMP <= p.reading.begin) and (p.reading.end <= b + RAMP + HOLD)
+        (b + FILM.ramp <= p.reading.begin) and (p.reading.end <= b + FILM.ramp + FILM.hold)
         for p in found.presses
         for b in (truth["begin"][p.number - 1],)
     ]
@@ -111,7 +105,7 @@ def report_presses(folder: Path, recording: Recording, found: Recorded) -> None:
     print(f"presses found                 {len(found.presses)} of {len(truth['begin'])}")
     print(f"plateaus within the holds     {sum(held)}")
     for clock in found.clocks:
-        off = 1e3 * (clock.offset - CLOCK_OFFSET)
+        off = 1e3 * (clock.offset - FILM.clock_offset)
         print(f"clock of {clock.camera}, off by          {off:+.2f} ms, claimed"
               f" {1e3 * clock.std:.2f}; correlation {clock.correlation:.2f}")  # fmt: skip
     print(f"force, off by                 {100 * max(errors):.3f} % at most, rms"

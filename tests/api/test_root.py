@@ -92,11 +92,3 @@ def test_pokes_take_units(result):
     assert in_metres.displacement[2] < 0.0
     with pytest.raises(InputError, match=r"at is '20 miles'; must be a number.*mm"):
         result.poke(("20 miles", 0, 0), (0, 0, -1))
-
-
-def test_a_result_goes_to_a_simulator(result, tmp_path):
-    folder = result.export("obj", tmp_path / "ball")
-    assert {"surface.obj", "palpate.json", "README.txt"} < {path.name for path in folder.iterdir()}
-    with pytest.raises(InputError, match="no simulator 'blender'; there are: mujoco"):
-        result.export("blender", tmp_path / "other")
-    assert not (tmp_path / "other").exists()

@@ -15,6 +15,7 @@ from palpate.calibration import (
     Chessboard,
     Circles,
     Sightings,
+    board_frame,
     calibrate,
     camera_quality,
     length_check,
@@ -86,6 +87,22 @@ def test_charuco_from_pictures_to_rig(
             again.cameras[1].T_camera_object, rig.cameras[1].T_camera_object, atol=1e-12
         )
         np.testing.assert_allclose(again.cameras[0].matrix, rig.cameras[0].matrix, rtol=1e-12)
+
+
+def test_the_board_on_the_table_is_the_frame() -> None:
+    """Its corners lie on z = 0 about the origin, and the cameras above it."""
+    found, board, _ = _synthetic(3, cameras=2)
+    result = calibrate(found, [board])
+    frame = board_frame(result, [board], found.views[4])
+    corners = board.points - board.points.mean(axis=0)
+    seen = result.adjusted.bundle.view[4]
+    there = (corners + board.points.mean(axis=0)) @ seen[:3, :3].T + seen[:3, 3]
+    back = (there - frame[:3, 3]) @ frame[:3, :3]
+    # x along the rows, y against the direction in which rows are counted, z up.
+    np.testing.assert_allclose(back, corners * [1.0, -1.0, 1.0], atol=1e-12)
+    assert np.linalg.inv(frame)[2, 3] > 0.1
+    with pytest.raises(CalibrationError, match="no view 'table' among those that were used"):
+        board_frame(result, [board], "table")
 
 
 @pytest.mark.parametrize(

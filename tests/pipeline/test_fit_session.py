@@ -21,11 +21,16 @@ from palpate.pipeline import (
 )
 from palpate.records import (
     EXACT,
+    Camera,
     Contact,
     DisplacementField,
     Probing,
+    Rig,
+    RigCovariance,
     Session,
     Status,
+    write_rig,
+    write_rig_covariance,
 )
 
 SHEAR, NU, NOISE = 2e4, 0.3, 2e-5
@@ -185,6 +190,68 @@ def test_an_error_of_scale_is_the_larger_of_priors_and_pictures(session: Session
         assert scales == [expected] * 3
         # A scale along one axis of three moves the moduli by about half of it.
         assert found.shear_modulus.std / found.shear_modulus.value > 0.3 * expected
+
+
+def _with_rig(session: Session, folder: Path, base_std: float) -> Session:
+    """Seen by two parallel cameras whose distance alone is uncertain, relative to it."""
+    matrix = np.array([[2000.0, 0.0, 1000.0], [0.0, 2000.0, 240.0], [0.0, 0.0, 1.0]])
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 2, 3], poses[1, 0, 3] = 0.4, -0.1
+    cameras = [
+        Camera(name, (2000, 480), matrix, np.zeros(5), pose)
+        for name, pose in zip(("left", "right"), poses, strict=True)
+    ]
+    write_rig(folder / "rig.toml", Rig(tuple(cameras), 0, "pair"))
+    known = RigCovariance(
+        ("left.fx", "right.tx"), np.array([2000.0, -0.1]), np.diag([0.0, (0.1 * base_std) ** 2]), ""
+    )
+    write_rig_covariance(folder, known, np.full(2, 0.1))
+    return replace(session, rig=folder / "rig.toml")
+
+
+def test_what_the_calibration_leaves_open_is_in_the_interval(
+    session: Session, tmp_path: Path
+) -> None:
+    """Displacements that are all longer by a share mean a modulus that is lower by it."""
+    two = replace(session, probings=session.probings[:2], errors=EXACT)
+    probings = tuple(
+        replace(one, tip_displacement=None, tip_displacement_std=None) for one in two.probings
+    )
+    without = fit_session(replace(two, probings=probings)).estimate
+    seen = _with_rig(two, tmp_path, 0.02)
+    found = fit_session(replace(seen, probings=probings)).estimate
+    for name in ("shear_modulus", "young_modulus"):
+        one, other = getattr(without, name), getattr(found, name)
+        expected = np.hypot(one.std / one.value, 0.02)
+        # The triangulated points are those of second-order differences; the intervals' quantiles.
+        assert other.std / other.value == pytest.approx(expected, rel=0.02)
+    (error,) = [one for one in found.errors if "calibration" in one.name]
+    # As large along each of the three axes.
+    assert error.prior_std == pytest.approx(0.02 * np.sqrt(3.0), rel=1e-3)
+    assert found.settings["lengths"]["std"] == pytest.approx([0.02] * 3, rel=1e-3)
+    # An arm that measured the tip is another scale, and the fit believes the better one.
+    better = fit_session(seen).estimate.shear_modulus
+    assert better.std / better.value < 0.8 * 0.02
+
+
+def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
+    errors = replace(EXACT, contact_point=4e-4, contact_points={"a": 1e-4})
+    first, second = session_observations(
+        (only := replace(still, probings=still.probings[:2], errors=errors)),
+        make_object_model(only),
+    )
+    for seen, std in ((first, 1e-4), (second, 4e-4)):
+        assert [one.std for one in seen.nuisances[-1].parameters] == [std, std]
+    same = replace(only, errors=replace(errors, contact_points={}))
+    (usual, _) = session_observations(same, make_object_model(same))
+    rows = np.arange(len(first.response.value(NU)))
+    columns = [
+        one.nuisances[-1].columns(rows, one.response.value(NU), _unit_load(only), NU)
+        for one in (first, usual)
+    ]
+    # Linear in the shift, but for the curvature of the displacement over 0.4 mm.
+    slope = (columns[0] * columns[1]).sum() / np.square(columns[1]).sum()
+    assert slope == pytest.approx(0.25, rel=0.02)
 
 
 def _unit_load(session: Session) -> np.ndarray:

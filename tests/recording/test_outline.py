@@ -43,6 +43,25 @@ def test_a_recording_needs_its_axes_only(bench: Path, tmp_path: Path) -> None:
     assert _said(folder / "recording.toml")["contact"]["poses"] == "poses.csv"
 
 
+def test_mesh_and_rig_may_lie_elsewhere(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, made = tmp_path / "presses", tmp_path / "made"
+    shutil.copytree(bench, folder)
+    made.mkdir()
+    (folder / "recording.toml").unlink()
+    for name in ("mesh.ply", "rig.toml"):
+        (folder / name).rename(made / name)
+    words = ["init", str(folder), "--radius", "0.004", "--rig", str(made)]
+    assert main([*words, "--mesh", str(tmp_path / "none.ply")]) == 2
+    assert "none.ply: no such file, nor is it in" in capsys.readouterr().err
+    assert main([*words, "--mesh", str(made / "mesh.ply")]) == 0
+    text = (folder / "recording.toml").read_text()
+    assert 'mesh = "../made/mesh.ply"' in text
+    assert 'cameras = "../made/rig.toml"' in text
+    assert read_recording(folder).rig.cameras
+
+
 def test_displacements_become_probings(tmp_path: Path) -> None:
     mesh = box(size=(40.0, 40.0, 40.0), cells=3)
     write_mesh(tmp_path / "cube.stl", mesh)

@@ -63,6 +63,38 @@ def test_what_cannot_be_is_refused(tmp_path, line, message):
 
 
 def test_exact_is_nothing_at_all():
-    assert all(getattr(EXACT, name) == 0.0 for name in ErrorPriors.__slots__)
+    assert EXACT.contact_std("any") == 0.0 == len(EXACT.contact_points)
+    numbers = [name for name in ErrorPriors.__slots__ if name != "contact_points"]
+    assert all(getattr(EXACT, name) == 0.0 for name in numbers)
     with pytest.raises(InputError, match="contact point is 2; must be at least 0"):
         ErrorPriors(contact_point=2.0)
+
+
+_PROBES = """
+[[probe]]
+name = "a"
+contact = { point = [0, 0, 1], point_std = %s }
+[[probe]]
+name = "b"
+contact = { point = [0, 0, 1] }
+"""
+
+
+def test_a_contact_may_be_known_otherwise_than_the_others(tmp_path):
+    found = _read(tmp_path, '[errors]\ncontact_point = "1 mm"\n' + _PROBES % 0.25)
+    # In the session's unit, here mm.
+    assert found.contact_std("a") == pytest.approx(0.25e-3, rel=1e-12)
+    assert found.contact_std("b") == 1e-3
+    assert _read(tmp_path, _PROBES % '"0.3 cm"').contact_std("a") == pytest.approx(3e-3, rel=1e-12)
+    with pytest.raises(RecordError, match=r"'a' contact point_std: is 'x'; must be a number"):
+        _read(tmp_path, _PROBES % '"x"')
+    with pytest.raises(RecordError, match=r"session.toml.*contact point of 'a' is -0.001"):
+        _read(tmp_path, _PROBES % -1)
+
+
+def test_a_calibrated_rig_replaces_the_default_of_lengths_only(tmp_path):
+    file = tmp_path / "session.toml"
+    for text, expected in (("", 0.0), ("[errors]\nlength_scale = 0.001\n", 1e-3)):
+        file.write_text(text)
+        found = read_error_priors(read_toml(file), metres_per_unit=1.0, calibrated=True)
+        assert found == ErrorPriors(length_scale=expected)

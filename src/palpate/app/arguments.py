@@ -83,6 +83,10 @@ _GROUPS = {
                 "lab:lab",
                 "Measure a virtual specimen: pictures, forces and the truth as a session.",
             ),
+            "tutorial": (
+                "door.tutorial:tutorial",
+                "Record boards, a turntable and presses of an unknown object, for the tutorial.",
+            ),
             "plan": (
                 "ahead.plan:plan",
                 "Say what the cameras of a session will see, and what precision to expect of it.",

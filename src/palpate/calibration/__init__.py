@@ -10,6 +10,7 @@ Read first : `targets.py`, then `calibrate.py` and `adjustment.py`.
 from palpate.calibration.adjustment import Adjusted as Adjusted, Corners as Corners
 from palpate.calibration.calibrate import (
     Calibration as Calibration,
+    board_frame as board_frame,
     calibrate as calibrate,
     view_rms as view_rms,
 )

@@ -12,7 +12,8 @@ from palpate.calibration.sightings import Sightings
 from palpate.calibration.start import start_bundle
 from palpate.calibration.targets import Target
 from palpate.errors import CalibrationError
-from palpate.records import Camera, camera_matrix
+from palpate.records import Camera, RigCovariance, camera_matrix
+from palpate.vision import calibration_numbers
 
 # A view that leaves more than this many times what views usually leave shows something else than
 # the same flat board at one instant.
@@ -98,6 +99,59 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
         adjusted,
         tuple(notes),
     )
+
+
+def known_rig(calibration: Calibration) -> RigCovariance:
+    """The numbers of a calibration with their covariance.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    RigCovariance
+    """
+    return RigCovariance(
+        calibration.names,
+        calibration_numbers(calibration.cameras, calibration.names),
+        calibration.covariance,
+        "calibration",
+    )
+
+
+def board_frame(
+    calibration: Calibration, targets: Sequence[Target], view: str
+) -> Float[np.ndarray, "4 4"]:
+    """A frame on the board of one view: its middle, x along its rows, z up from the print.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    targets : sequence of Target    that it was made with
+    view : str                      name of the view
+
+    Returns
+    -------
+    (4, 4) float [m]                x_first camera = T x_frame
+
+    Raises
+    ------
+    CalibrationError                no such view, or it was left out
+    """
+    found = calibration.found
+    if view not in found.views:
+        raise CalibrationError(
+            f"there is no view '{view}' among those that were used: {', '.join(found.views)}; give"
+            " another to --table"
+        )
+    number = found.views.index(view)
+    pose = calibration.adjusted.bundle.view[number]
+    # Most targets have y down, so that their z leads away from who looks at them.
+    away = np.sign(pose[:3, 2] @ pose[:3, 3])
+    T_board_frame = np.diag([1.0, -away, -away, 1.0])
+    T_board_frame[:3, 3] = targets[found.targets[number]].points.mean(axis=0)
+    return pose @ T_board_frame
 
 
 def view_rms(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarray, " v"]:

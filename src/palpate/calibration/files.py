@@ -1,42 +1,45 @@
 """A calibration as files: rig.toml, its covariance, and the formats of OpenCV and Kalibr."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import yaml
+from jaxtyping import Float
 
-from palpate.calibration.calibrate import Calibration
+from palpate.calibration.calibrate import Calibration, known_rig
 from palpate.errors import RecordError
-from palpate.records import Camera, Rig, write_rig, write_text
-
-COVARIANCE_FORMAT = "palpate-rig-covariance/1"
+from palpate.records import Camera, Rig, write_rig, write_rig_covariance, write_text
 
 
-def write_calibration(folder: Path, calibration: Calibration) -> None:
+def write_calibration(
+    folder: Path, calibration: Calibration, *, frame: Float[np.ndarray, "4 4"] | None = None
+) -> None:
     """Write rig.toml, rig_covariance.npz, opencv.yml and kalibr.yaml.
 
     Parameters
     ----------
     folder : Path                   exists
     calibration : Calibration
+    frame : (4, 4) float [m] or None    from the rig's frame to that of the first camera; None: they
+                                    are the same
 
     Raises
     ------
     RecordError                     a file cannot be written
     """
-    if len(calibration.cameras) > 1:
-        write_rig(folder / "rig.toml", Rig(calibration.cameras, 0, str(folder)))
-        _write_kalibr(folder / "kalibr.yaml", calibration.cameras)
-    _write_opencv(folder / "opencv.yml", calibration.cameras)
-    np.savez_compressed(
-        folder / "rig_covariance.npz",
-        format=np.array(COVARIANCE_FORMAT),
-        names=np.array(calibration.names),
-        covariance=calibration.covariance,
-        corner_noise=calibration.adjusted.noise,
-    )
+    cameras = calibration.cameras
+    if frame is not None:
+        cameras = tuple(
+            replace(camera, T_camera_object=camera.T_camera_object @ frame) for camera in cameras
+        )
+    if len(cameras) > 1:
+        write_rig(folder / "rig.toml", Rig(cameras, 0, str(folder)))
+        _write_kalibr(folder / "kalibr.yaml", cameras)
+    _write_opencv(folder / "opencv.yml", cameras)
+    write_rig_covariance(folder, known_rig(calibration), calibration.adjusted.noise)
 
 
 def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:

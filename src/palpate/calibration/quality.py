@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.calibration.adjustment import Corners, adjust, moved
-from palpate.calibration.calibrate import Calibration, cameras_of, without_views
+from palpate.calibration.adjustment import Corners, adjust
+from palpate.calibration.calibrate import Calibration, cameras_of, known_rig, without_views
 from palpate.errors import CalibrationError
 from palpate.records import Rig
-from palpate.vision import project, triangulate
+from palpate.vision import space_strains, triangulate
 
 # A picture is divided into so many regions each way.
 REGIONS = 3
@@ -18,10 +18,6 @@ _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "centre", "right")
 _MIN_CORNERS, _MIN_TILT = 10, np.deg2rad(12.0)
 # One view in so many is kept out to check lengths with.
 _FOLD = 4
-# Step along each direction of the covariance, in standard deviations: lengths are linear in it.
-_STEP = 0.1
-# Points that are enough to know a scale from.
-_MAX_POINTS = 300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,16 +185,11 @@ def length_sigma(calibration: Calibration) -> float:
     corners, bundle = calibration.corners, calibration.adjusted.bundle
     pose = bundle.view[corners.view]
     points = np.einsum("mij,mj->mi", pose[:, :3, :3], corners.point) + pose[:, :3, 3]
-    points = points[:: max(len(points) // _MAX_POINTS, 1)]
-    pixels = np.stack([project(camera, points) for camera in calibration.cameras])
-
-    def size(step: Float[np.ndarray, " p"]) -> float:
-        whole = np.concatenate([step, np.zeros(6 * len(bundle.view))])
-        rig = Rig(cameras_of(calibration.found, moved(bundle, whole)), 0, "calibration")
-        place = triangulate(rig, pixels, 1.0).point
-        return float(np.sqrt(np.nanvar(place, axis=0).sum()))
-
-    values, vectors = np.linalg.eigh(calibration.covariance)
-    steps = _STEP * np.sqrt(np.maximum(values, 0.0)) * vectors
-    true = size(np.zeros(len(values)))
-    return float(np.linalg.norm([(size(step) / true - 1.0) / _STEP for step in steps.T]))
+    strains = space_strains(
+        Rig(calibration.cameras, 0, "calibration"),
+        known_rig(calibration),
+        points,
+    )
+    # How the size of all boards together changes, the root of their variance.
+    spread = np.cov(points.T)
+    return float(np.linalg.norm(np.einsum("ij,mij->m", spread, strains)) / np.trace(spread))

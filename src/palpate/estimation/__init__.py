@@ -30,6 +30,7 @@ from palpate.estimation.nuisance import (
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     Pose as Pose,
+    SpaceStretch as SpaceStretch,
     SupportCompliance as SupportCompliance,
 )
 from palpate.estimation.observations import (

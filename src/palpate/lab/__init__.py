@@ -9,9 +9,19 @@ Read first : `config.py`, `bench/facility.py`, then `bodies/contact.py`, `pictur
 """
 
 from palpate.lab.bench import (
+    Film as Film,
+    Print as Print,
+    SolvedPress as SolvedPress,
+    TutorialSize as TutorialSize,
+    film_frames as film_frames,
+    gauge_readings as gauge_readings,
     make_session as make_session,
     make_sessions as make_sessions,
+    make_tutorial as make_tutorial,
     planned_pictures as planned_pictures,
+    rest_pictures as rest_pictures,
+    solve_press as solve_press,
+    write_film as write_film,
 )
 from palpate.lab.bodies import (
     SHAPES as SHAPES,

@@ -4,7 +4,7 @@ Purpose    : measure the motion of a session's object from its pictures, estimat
              poke it.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model between them, and the files that hold them.
-Depends on : `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
+Depends on : `lab`, `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
 Read first : `measure_motion.py`, then `fit_session.py`.
 """
 

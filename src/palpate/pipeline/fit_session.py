@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from palpate.bem import SurfaceSettings
 from palpate.errors import NotConvergedError
@@ -15,8 +16,11 @@ from palpate.estimation import (
     FitResult,
     FitSettings,
     ProbeFit,
+    ProbeObservations,
+    SpaceStretch,
     fit,
 )
+from palpate.pipeline.calibrated_space import calibration_strains
 from palpate.pipeline.model import (
     ObjectModel,
     fit_at_finite_strain,
@@ -99,14 +103,13 @@ def fit_session(
     observations = settled_observations(
         graded, model, settings=settings, coarser=coarser, with_surface=True
     )
+    strains = calibration_strains(session)
+    observations = _with_stretch(observations, strains)
     factorised = time.perf_counter()
-    last = part_of(progress, _FIT_STARTS, 1.0)
-    result = fit(observations, settings=settings, progress=last)
+    result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
     if finite_strain:
-        result = fit_at_finite_strain(
-            resolved, observations, result, settings=settings, progress=last
-        )
-    progress("done", 1.0)
+        body = resolved, observations, result
+        result = fit_at_finite_strain(*body, settings=settings, progress=progress)
     seconds = {
         "given_mesh": compared - start,
         "assembly": assembled - compared,
@@ -114,6 +117,7 @@ def fit_session(
         **result.estimate.seconds,
         "total": time.perf_counter() - start,
     }
+    progress("done", 1.0)
     probes = _probe_estimates(model, result)
     estimate = replace(
         result.estimate,
@@ -124,6 +128,7 @@ def fit_session(
             **result.estimate.settings,
             "surface": asdict(surface),
             "finite_strain": finite_strain,
+            "lengths": _known_lengths(session, strains),
             **_described(session, resolved, graded),
         },
     )
@@ -172,6 +177,29 @@ def _with_touched_circles(
         f"the circles that the tools touch still change after {_MOST_TOUCHES} fits: the force and"
         " the displacements do not belong together; check tool_radius and the unit of the force"
     )
+
+
+def _with_stretch(
+    observations: Sequence[ProbeObservations], strains: Float[np.ndarray, "m 3 3"] | None
+) -> list[ProbeObservations]:
+    """What was seen, with what the calibration of the cameras leaves open."""
+    if strains is None:
+        return list(observations)
+    return [
+        replace(one, nuisances=(*one.nuisances, SpaceStretch(strains, len(one.position))))
+        for one in observations
+    ]
+
+
+def _known_lengths(
+    session: Session, strains: Float[np.ndarray, "m 3 3"] | None
+) -> dict[str, object]:
+    """Where the error of lengths comes from, and how large it is along x, y and z."""
+    if strains is None:
+        return {"source": "[errors] length_scale", "std": [session.errors.length_scale] * 3}
+    along = np.linalg.norm(np.einsum("mii->mi", strains), axis=0)
+    total = np.hypot(along, session.errors.length_scale)
+    return {"source": "rig_covariance.npz", "std": total.tolist()}
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

@@ -188,7 +188,10 @@ def _local(value: Any, names: set[str]) -> Any:
 def _probe(recording: Recording, placed: PlacedPress) -> dict[str, Any]:
     """The table of one probing."""
     unit, press, places = recording.metres_per_unit, placed.press, recording.places
-    contact: dict[str, Any] = {"point": (placed.point / unit).tolist(), **places.patch}
+    contact: dict[str, Any] = {"point": (placed.point / unit).tolist()}
+    if np.isfinite(placed.point_std):
+        contact["point_std"] = placed.point_std / unit
+    contact |= places.patch
     if places.radii is not None:
         contact["radius"] = places.radii[press.number - 1]
     table: dict[str, Any] = {

@@ -39,6 +39,7 @@ from palpate.records.files import (
     SESSION_FORMAT as SESSION_FORMAT,
     Finding as Finding,
     ImportItem as ImportItem,
+    covariance_file as covariance_file,
     default_folder as default_folder,
     disk_errors as disk_errors,
     displacement_line as displacement_line,
@@ -52,6 +53,7 @@ from palpate.records.files import (
     read_estimate as read_estimate,
     read_import_pose as read_import_pose,
     read_rig as read_rig,
+    read_rig_covariance as read_rig_covariance,
     read_session as read_session,
     read_support as read_support,
     read_supports as read_supports,
@@ -65,6 +67,7 @@ from palpate.records.files import (
     write_displacement as write_displacement,
     write_estimate as write_estimate,
     write_rig as write_rig,
+    write_rig_covariance as write_rig_covariance,
 )
 from palpate.records.measured_points import (
     ImportedField as ImportedField,
@@ -110,6 +113,7 @@ from palpate.records.rig import (
     Camera as Camera,
     PictureTracks as PictureTracks,
     Rig as Rig,
+    RigCovariance as RigCovariance,
     camera_centre as camera_centre,
     picture_size as picture_size,
 )

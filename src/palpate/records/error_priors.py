@@ -1,7 +1,8 @@
 """How well a laboratory knows what its points and its probings share."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,8 @@ class ErrorPriors:
     length_scale : float [-]        of measured displacements, along each axis
     support_compliance : float [m/Pa]    how much further than the session says each support gives:
                                     displacement over traction
+    contact_points : mapping        name of a probing whose contact is known otherwise -> its own
+                                    `contact_point` [m]
 
     Raises
     ------
@@ -55,6 +58,7 @@ class ErrorPriors:
     pose_rotation: float = float(np.radians(0.2))
     length_scale: float = 0.002
     support_compliance: float = 0.0
+    contact_points: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         largest = {
@@ -64,25 +68,40 @@ class ErrorPriors:
             "pose_translation": _LARGEST_LENGTH,
             "support_compliance": _LARGEST_COMPLIANCE,
         }
-        for field in fields(self):
-            value, limit = getattr(self, field.name), largest.get(field.name, _LARGEST_SHARE)
-            if not 0.0 <= value <= limit:
-                raise InputError(
-                    f"the standard deviation of {field.name.replace('_', ' ')} is {value:g}; must"
-                    f" be at least 0 (exact) and at most {limit:g} in SI units"
-                )
+        for one in fields(self):
+            if one.name != "contact_points":
+                limit = largest.get(one.name, _LARGEST_SHARE)
+                _check_range(one.name.replace("_", " "), getattr(self, one.name), limit)
+        for name, std in self.contact_points.items():
+            _check_range(f"the contact point of '{name}'", std, _LARGEST_LENGTH)
+
+    def contact_std(self, name: str) -> float:
+        """Of the contact point of one probing, along each tangent [m]."""
+        return self.contact_points.get(name, self.contact_point)
 
 
-EXACT = ErrorPriors(*[0.0] * len(fields(ErrorPriors)))
+def _check_range(name: str, value: float, limit: float) -> None:
+    if not 0.0 <= value <= limit:
+        raise InputError(
+            f"the standard deviation of {name} is {value:g}; must be at least 0 (exact) and at most"
+            f" {limit:g} in SI units"
+        )
 
 
-def read_error_priors(root: TomlTable, *, metres_per_unit: float) -> ErrorPriors:
+EXACT = ErrorPriors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def read_error_priors(
+    root: TomlTable, *, metres_per_unit: float, calibrated: bool = False
+) -> ErrorPriors:
     """Priors of a session; those that it does not name have their defaults.
 
     Parameters
     ----------
     root : TomlTable                of the session
     metres_per_unit : float         of lengths that are written without a unit
+    calibrated : bool               there is a covariance of the rig: lengths have no other error
+                                    unless the session names one
 
     Returns
     -------
@@ -92,13 +111,16 @@ def read_error_priors(root: TomlTable, *, metres_per_unit: float) -> ErrorPriors
     ------
     RecordError                     an unknown key, no number, an unknown unit, beyond its range
     """
+    found: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
+    found["contact_points"] = _contact_points(root, metres_per_unit)
     table = root.optional("errors", root.table)
     if table is None:
-        return ErrorPriors()
+        with root.blamed():
+            return ErrorPriors(**found)
     table.check_keys(
         (*_SHARE_KEYS, "force_direction", "contact_point", "pose", "support_compliance")
     )
-    found = {key: table.quantity(key, _SHARES, 1.0) for key in _SHARE_KEYS if key in table.values}
+    found |= {key: table.quantity(key, _SHARES, 1.0) for key in _SHARE_KEYS if key in table.values}
     if "force_direction" in table.values:
         found["force_direction"] = table.quantity("force_direction", _ANGLES)
     if "contact_point" in table.values:
@@ -108,6 +130,18 @@ def read_error_priors(root: TomlTable, *, metres_per_unit: float) -> ErrorPriors
     found |= _pose(table, metres_per_unit)
     with table.blamed():
         return ErrorPriors(**found)
+
+
+def _contact_points(root: TomlTable, metres_per_unit: float) -> dict[str, float]:
+    """What single probings say about their own contact."""
+    found = {}
+    for probe in root.optional("probe", root.tables) or ():
+        contact = probe.values.get("contact")
+        if isinstance(contact, dict) and "point_std" in contact:
+            name = probe.text("name")
+            table = TomlTable(root.file, f"[[probe]] '{name}' contact", contact)
+            found[name] = table.quantity("point_std", LENGTH_UNITS, metres_per_unit)
+    return found
 
 
 def _pose(table: TomlTable, metres_per_unit: float) -> Mapping[str, float]:

@@ -91,6 +91,45 @@ class Rig:
             )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RigCovariance:
+    """What a calibration knows of its cameras, and how well.
+
+    Parameters
+    ----------
+    names : tuple of p str          "CAMERA.TERM": lens terms fx fy cx cy k1 k2 p1 p2 k3 of every
+                                    camera; rx ry rz [rad] and tx ty tz [m] of every camera but the
+                                    first, of its pose with respect to the first
+    value : (p,) float              the numbers themselves; the pose as turn (axis times angle) and
+                                    shift that take points of the first camera's frame to its own
+    covariance : (p, p) float       of a step of each number; a turn comes after that of the pose
+    source : str                    file it came from, for messages
+
+    Raises
+    ------
+    CalibrationError                shapes that do not fit; variances that are negative
+    """
+
+    names: tuple[str, ...]
+    value: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    source: str
+
+    def __post_init__(self) -> None:
+        size = len(self.names)
+        for name, shape in (("value", (size,)), ("covariance", (size, size))):
+            found = fixed_array(getattr(self, name), name=name, shape=shape)
+            object.__setattr__(self, name, found)
+        largest = float(np.abs(self.covariance).max(initial=0.0))
+        if np.any(np.abs(self.covariance - self.covariance.T) > 1e-9 * largest) or np.any(
+            np.diag(self.covariance) < 0.0
+        ):
+            raise CalibrationError(
+                f"{self.source}: the covariance is not symmetric, or a variance is negative;"
+                " calibrate again"
+            )
+
+
 def _check_matrix(name: str, matrix: Matrix3) -> None:
     if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
         raise CalibrationError(

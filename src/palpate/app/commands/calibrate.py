@@ -15,6 +15,7 @@ from palpate.calibration import (
     Chessboard,
     Circles,
     Target,
+    board_frame,
     calibrate as calibrate_cameras,
     camera_quality,
     find_boards,
@@ -45,6 +46,7 @@ def calibrate(
     gap: str | None = None,
     dictionary: str | None = None,
     boards: int = 1,
+    table: str | None = None,
     out: Path | None = None,
     force: bool = False,
 ) -> int:
@@ -75,6 +77,10 @@ def calibrate(
         Of the markers. Default: 4x4_250, for AprilTags apriltag_36h11.
     boards
         How many ChArUco boards are in the scene; their markers are numbered on from board to board.
+    table
+        View in which the board lies where the object will stand. The rig's frame is then the
+        board's: its middle is the origin, x leads along its rows and z up. Default: the frame of
+        the first camera.
     out
         Result folder. Default: the pictures' folder name followed by -rig, in the current folder.
     force
@@ -97,7 +103,8 @@ def calibrate(
             found = find_boards(files, targets, progress=progress)
             progress("adjustment", 1.0)
             calibration = calibrate_cameras(found, targets)
-        write_calibration(folder, calibration)
+        frame = None if table is None else board_frame(calibration, targets, table)
+        write_calibration(folder, calibration, frame=frame)
         save_figure(residual_figure(calibration), folder / "residuals.png")
         save_figure(rig_figure(calibration), folder / "rig.png")
     print_notes(calibration.notes)

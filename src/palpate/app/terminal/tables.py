@@ -100,6 +100,10 @@ def _captions(estimate: Estimate) -> list[str]:
             f"The force of {assumed} of {len(estimate.probes)} probings is taken as known to"
             f" {100 * share:.2g} % of its length, for no force_std is given."
         )
+    lengths = estimate.settings.get("lengths", {})
+    if "rig_covariance" in lengths.get("source", ""):
+        along = ", ".join(f"{100 * std:.2g} %" for std in lengths["std"])
+        found.append(f"Lengths are known by the cameras' calibration to {along} along x, y, z.")
     every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
     if every:
         worst = max(every, key=lambda one: abs(one.value) / one.prior_std)

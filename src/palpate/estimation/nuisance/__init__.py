@@ -2,8 +2,9 @@
 
 Purpose    : what a wrong gain, direction, contact, pose or scale does to the displacements.
 Takes      : the response of a probing and what it is multiplied with.
-Gives      : `Nuisance` (a protocol); `ForceGain`, `ForceDirection`, `LengthScale`, `ContactError`,
-             `Pose`, `Discretisation`, `SupportCompliance`, `MaterialLaw`.
+Gives      : `Nuisance` (a protocol); `ForceGain`, `ForceDirection`, `LengthScale`,
+             `SpaceStretch`, `ContactError`, `Pose`, `Discretisation`, `SupportCompliance`,
+             `MaterialLaw`.
 Depends on : nothing but the ground floor.
 Read first : `nuisance.py`, then `force_gain.py`.
 """
@@ -19,6 +20,7 @@ from palpate.estimation.nuisance.nuisance import (
     NuisanceParameter as NuisanceParameter,
 )
 from palpate.estimation.nuisance.pose import Pose as Pose
+from palpate.estimation.nuisance.space_stretch import SpaceStretch as SpaceStretch
 from palpate.estimation.nuisance.support_compliance import (
     SupportCompliance as SupportCompliance,
 )

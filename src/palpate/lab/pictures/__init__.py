@@ -2,11 +2,13 @@
 
 Purpose    : pictures of a body at rest and pressed, and what each of their pixels really shows.
 Takes      : a configuration, a rig, the drawn vertices at one instant or within an exposure.
-Gives      : grey pictures of every camera, truth maps, rigs and rigs with calibration errors.
+Gives      : grey pictures of every camera and of boards, truth maps, rigs and rigs with calibration
+             errors.
 Depends on : `vision`, `records`, `geometry`; Mitsuba for the rendering.
 Read first : `studio.py`, then `scene.py`, `sensor.py`, `truth_maps.py`.
 """
 
+from palpate.lab.pictures.board_view import board_picture as board_picture
 from palpate.lab.pictures.head import make_head as make_head, miscalibrated as miscalibrated
 from palpate.lab.pictures.mitsuba_variant import (
     Variant as Variant,

@@ -3,7 +3,7 @@
 Purpose    : one model for all probings, and what each of them sees of it.
 Takes      : a `Session`.
 Gives      : `ObjectModel`, the rows of a probing, motions of supports, nuisances of the estimation.
-Depends on : `bem`, `estimation`, `probe`, `records`, `geometry`.
+Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 

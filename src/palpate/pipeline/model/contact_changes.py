@@ -64,7 +64,7 @@ def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPat
     """Triangles that the contact reaches, changed or not; where that takes in the support, those
     that it reaches itself."""
     contact, priors = probing.contact, session.errors
-    wider = radius * (1.0 + _radius_std(session, contact)) + priors.contact_point
+    wider = radius * (1.0 + _radius_std(session, contact)) + priors.contact_std(probing.name)
     surface = session.mesh, session.held_triangles
     try:
         return find_contact_patch(
@@ -79,14 +79,15 @@ def _changed(
 ) -> Iterator[tuple[NuisanceParameter, Contact]]:
     """Parameters of a contact with the contact one standard deviation on."""
     contact, priors = probing.contact, session.errors
-    if priors.contact_point > 0.0:
+    point_std = priors.contact_std(probing.name)
+    if point_std > 0.0:
         tangents, names = _tangents(session, patch)
-        moved = contact.point + priors.contact_point * tangents
+        moved = contact.point + point_std * tangents
         # Along the surface, as far from it as the stated point is.
         places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
         for name, place in zip(names, places[1:], strict=True):
             parameter = NuisanceParameter(
-                f"contact point of {probing.name} toward {name}", priors.contact_point, "m"
+                f"contact point of {probing.name} toward {name}", point_std, "m"
             )
             yield parameter, replace(contact, point=contact.point + place - places[0])
     radius_std = _radius_std(session, contact)

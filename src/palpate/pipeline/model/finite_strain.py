@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from palpate.errors import InputError
 from palpate.geometry import mesh_quality
 from palpate.lab import (
+    Solid,
     held_nodes,
     make_body,
     make_solid,
@@ -23,7 +24,6 @@ from palpate.lab import (
     solve_load,
     surface_values,
 )
-from palpate.lab.bodies.tetrahedra import Solid
 from palpate.progress import Progress, silent
 from palpate.records import FIXED, PRESSURES, Probing, Session
 from palpate.shapes import Points

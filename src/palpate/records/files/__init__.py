@@ -31,6 +31,11 @@ from palpate.records.files.rig import (
     read_rig as read_rig,
     write_rig as write_rig,
 )
+from palpate.records.files.rig_covariance import (
+    covariance_file as covariance_file,
+    read_rig_covariance as read_rig_covariance,
+    write_rig_covariance as write_rig_covariance,
+)
 from palpate.records.files.session import (
     SESSION_FORMAT as SESSION_FORMAT,
     read_session as read_session,

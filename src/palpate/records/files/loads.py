@@ -180,9 +180,10 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
         if "traction" in contact.values:
             contact.choice("traction", (UNIFORM,))
         return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
+    # How well the point is known stands with the other errors: `read_error_priors`.
     if "tool" in contact.values:
         return _tool(contact, metres).contact(metres * contact.vector("point"))
-    contact.check_keys(("point", "radius", "profile"))
+    contact.check_keys(("point", "point_std", "radius", "profile"))
     radius = contact.optional("radius", contact.number)
     return Contact(
         point=metres * contact.vector("point"),
@@ -192,7 +193,7 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
 
 
 def _tool(contact: TomlTable, metres: float) -> Tool:
-    contact.check_keys(("point", "tool", "tool_radius", "friction"))
+    contact.check_keys(("point", "point_std", "tool", "tool_radius", "friction"))
     friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS))
     shape = contact.choice("tool", TOOL_SHAPES)
     radius = contact.quantity("tool_radius", LENGTH_UNITS, metres)

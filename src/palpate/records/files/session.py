@@ -21,6 +21,7 @@ from palpate.records.files.loads import (
     read_support_field,
     read_support_motion,
 )
+from palpate.records.files.rig_covariance import covariance_file
 from palpate.records.files.support import read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS, LENGTH_UNITS
@@ -101,6 +102,7 @@ def read_session(
         notes += probing_notes
     gravity = _only_key(root, "gravity", "acceleration")
     rig = _only_key(root, "rig", "cameras")
+    cameras = rig.existing_file("cameras") if rig else None
     with root.blamed():
         check_copies(tuple(probings))
         session = Session(
@@ -111,12 +113,14 @@ def read_session(
             probings=tuple(probings),
             density=body.optional("density", body.number),
             gravity=gravity.vector("acceleration") if gravity else None,
-            rig=rig.existing_file("cameras") if rig else None,
+            rig=cameras,
             notes=notes,
             steps=_steps(root),
             metres_per_unit=metres,
             supports=supports,
-            errors=read_error_priors(root, metres_per_unit=metres),
+            errors=read_error_priors(
+                root, metres_per_unit=metres, calibrated=bool(cameras and covariance_file(cameras))
+            ),
         )
     return replace(session, notes=notes + plausibility_notes(session))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.files import checked_file
+from palpate.records.files.rig_covariance import covariance_file
 from palpate.records.files.session import session_file
 from palpate.records.text import read_text, read_toml
 
@@ -132,14 +133,18 @@ def session_files(path: Path | str) -> list[Path]:
     RecordError                     no session, not readable
     """
     file = session_file(Path(path))
-    found = {file}
-    for text in _texts(read_toml(file).values):
+    found, values = {file}, read_toml(file).values
+    for text in _texts(values):
         pattern = "*".join(re.sub(r"([*?[])", r"[\1]", part) for part in text.split("{camera}"))
         below = Path(pattern)
         if "\0" in text or not below.name or len(text) > 1000:
             continue
         top = Path(below.anchor) if below.is_absolute() else file.parent
         found |= set(top.glob(str(below.relative_to(below.anchor))))
+    rig = values.get("rig")
+    if isinstance(rig, dict) and isinstance(rig.get("cameras"), str):
+        beside = covariance_file(file.parent / rig["cameras"])
+        found |= {beside} if beside else set()
     return sorted(
         each for each in set(chain.from_iterable(map(_files_in, found))) if each.is_file()
     )

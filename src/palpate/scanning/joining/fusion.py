@@ -23,9 +23,12 @@ _MARGIN = 6
 _EDGE = 1.5
 # Depth of the tray below the support, of the height: it leads the surface down, and is cut off.
 _DEPTH = 0.12
-# The outline of the base, a corner in each of so many sectors: the farthest of the points that are
-# lower than these shares of the height, the lowest share that has any.
+# The outline of the base, a corner in each of so many sectors: where the points are that are lower
+# than these shares of the height, the lowest share that has any.
 _SECTORS, _LOW = 96, (0.015, 0.03, 0.06, 0.12, 0.25)
+# From points lower than this share of the height the surface goes on as it leans there: an
+# overhanging object would have too large a foot. Normals that hardly point outward say nothing.
+_TANGENT, _LEAST_OUTWARD = 0.05, 0.3
 # Points from the middle of the floor to each side.
 _FLOOR = 30
 
@@ -159,7 +162,7 @@ def _with_base(
     height = support.heights(points)
     frame = np.linalg.svd(support.normal[None])[2][1:]
     flat = (points - support.point) @ frame.T
-    outline = _outline(height, flat)
+    outline = _outline(height, flat, normals @ frame.T, normals @ support.normal)
     base, facing, size = _tray(outline, _DEPTH * float(height.max()))
     frame = np.vstack([frame, support.normal])
     return (
@@ -169,20 +172,29 @@ def _with_base(
     )
 
 
-def _outline(height: PointScalars, flat: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "b 2"]:
-    """Corners of the base, one a direction: where the lowest points seen in it lie."""
+def _outline(
+    height: PointScalars,
+    flat: Float[np.ndarray, "n 2"],
+    across: Float[np.ndarray, "n 2"],
+    upward: PointScalars,
+) -> Float[np.ndarray, "b 2"]:
+    """Corners of the base, one a direction: where the lowest points seen in it lie, or where their
+    tangent planes (normals along the support and off it) meet the support."""
     centre = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     offset = flat - centre
     radius = np.linalg.norm(offset, axis=1)
+    outward = np.einsum("ni,ni->n", across, offset) / np.maximum(radius, 1e-300)
+    faces = outward > _LEAST_OUTWARD
+    leans = faces & (height < _TANGENT * float(height.max()))
+    radius += np.where(leans, height * upward / np.maximum(outward, _LEAST_OUTWARD), 0.0)
     angle = np.arctan2(offset[:, 1], offset[:, 0])
     sector = np.floor((angle / (2.0 * np.pi) % 1.0) * _SECTORS).astype(np.int64) % _SECTORS
     reach = np.full(_SECTORS, np.nan)
     # From the highest share to the lowest: what is seen lower tells more.
     for share in reversed(_LOW):
-        low = height <= share * float(height.max())
-        found = np.full(_SECTORS, -np.inf)
-        np.maximum.at(found, sector[low], radius[low])
-        reach = np.where(np.isfinite(found), found, reach)
+        low = faces & (height <= share * float(height.max()))
+        for one in np.unique(sector[low]):
+            reach[one] = np.median(radius[low & (sector == one)])
     known = np.flatnonzero(np.isfinite(reach))
     if len(known) == 0:
         raise MeshError(

@@ -3,7 +3,7 @@
 Purpose    : projection with its derivative and inverse, triangulation, rectification, and what each
              pixel sees of a surface.
 Takes      : `Camera` and `Rig`, points, pixels, a triangle surface.
-Gives      : pixels, rays, `Triangulation`, `SurfaceMap`, `Rectified`.
+Gives      : pixels, rays, `Triangulation`, `SurfaceMap`, `Rectified`, strains of space.
 Depends on : `records`, `vision.images`.
 Read first : `lens.py`, then `projection.py`.
 """
@@ -27,6 +27,10 @@ from palpate.vision.cameras.rectification import (
     Rectified as Rectified,
     rectify as rectify,
     remapped as remapped,
+)
+from palpate.vision.cameras.space_strain import (
+    calibration_numbers as calibration_numbers,
+    space_strains as space_strains,
 )
 from palpate.vision.cameras.surface_map import (
     SurfaceMap as SurfaceMap,

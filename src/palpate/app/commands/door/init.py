@@ -1,6 +1,8 @@
 """`palpate init`: the first session.toml of a folder, with what is found in it."""
 
+import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, cast
 
@@ -22,7 +24,7 @@ from palpate.recording import (
     survey_folder,
     usual_radius,
 )
-from palpate.records import FILE_LENGTH_UNITS, write_text
+from palpate.records import FILE_LENGTH_UNITS, read_rig, write_text
 
 _Side = Literal["x-", "x+", "y-", "y+", "z-", "z+"]
 _Unit = Literal["m", "cm", "mm", "in"]
@@ -35,6 +37,7 @@ def init(
     template: Template | None = None,
     name: str | None = None,
     mesh: str | None = None,
+    rig: Path | None = None,
     unit: _Unit | None = None,
     held: _Side | None = None,
     radius: float | None = None,
@@ -55,7 +58,10 @@ def init(
     name
         Of the session. Default: the folder's.
     mesh
-        File of the surface. Default: the only one.
+        File of the surface, in the folder or elsewhere. Default: the only one.
+    rig
+        File of the calibrated cameras, or the folder that `palpate calibrate` wrote. Default: the
+        one in the folder.
     unit
         Of the mesh and all lengths. Default: the one in which the object can stand on a bench.
     held
@@ -68,7 +74,7 @@ def init(
     int
         0.
     """
-    survey = survey_folder(folder)
+    survey = _with_files(survey_folder(folder), mesh, rig)
     if not survey.meshes:
         raise RecordError(
             f"{folder}: holds no surface of the object (PLY, STL, OBJ, OFF, MSH, VTU or VTP); put"
@@ -79,7 +85,9 @@ def init(
     target = folder / TEMPLATES[kind][1]
     if target.exists():
         raise InputError(f"{target}: is there already; nothing was changed: move it away first")
-    file = mesh or _choice("mesh", survey.meshes[0], list(survey.meshes), asked=asked)
+    file = survey.meshes[0]
+    if mesh is None:
+        file = _choice("mesh", file, list(survey.meshes), asked=asked)
     surface = read_surface(survey, file)
     sides = flat_sides(surface)
     units = list(FILE_LENGTH_UNITS)
@@ -94,6 +102,25 @@ def init(
     write_text(target, outline_text(survey, outline))
     print_text(f"{_found(survey)}\n{target} is written; {_next(kind, target)}")
     return 0
+
+
+def _with_files(survey: FolderSurvey, mesh: str | None, rig: Path | None) -> FolderSurvey:
+    """What was found, the files that were named first; one may lie elsewhere."""
+    if mesh is not None:
+        name = mesh if mesh in survey.meshes else _from(survey.folder, Path(mesh))
+        survey = replace(survey, meshes=(name, *(one for one in survey.meshes if one != name)))
+    if rig is not None:
+        file = rig / "rig.toml" if rig.is_dir() else rig
+        names = _from(survey.folder, file), *survey.rigs
+        survey = replace(survey, rigs=tuple(dict.fromkeys(names)), rig=read_rig(file))
+    return survey
+
+
+def _from(folder: Path, file: Path) -> str:
+    """A file's name from a folder."""
+    if not file.exists():
+        raise RecordError(f"{file}: no such file, nor is it in {folder}; check the name")
+    return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
 def _checked(radius: float | None) -> float | None:

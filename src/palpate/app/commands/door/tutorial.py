@@ -1,0 +1,62 @@
+"""`palpate lab tutorial`: everything a bench records before it knows anything."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from palpate.app.terminal import print_notes, print_text, progress_bar
+from palpate.calibration import Charuco
+from palpate.lab import Print, choose_variant, make_tutorial
+from palpate.records import result_folder
+
+# Board of the pictures, as `palpate calibrate` is told; dots a square of its print.
+_BOARD = Charuco(7, 5, 16e-3, 12e-3)
+_DOTS = 80
+
+
+def tutorial(
+    out: Path,
+    /,
+    *,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Record boards, a turntable and presses of a virtual half ball, for the tutorial.
+
+    Parameters
+    ----------
+    out
+        Folder; it appears whole or not at all. Its folder `truth` says what was really there.
+    force
+        Write although something else than an unchanged result of this command is there; that is
+        kept beside it as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    with result_folder(out, kind="lab", force=force) as folder:
+        variant = choose_variant()
+        print_notes([variant.why])
+        with progress_bar() as progress:
+            make_tutorial(folder, printed_board(), variant=variant, progress=progress)
+    print_text(
+        f"Pictures of boards, of a turntable and films of presses in {out}; next, in that folder:\n"
+        "  palpate calibrate boards --columns 7 --rows 5 --square 16mm --marker 12mm --table 00"
+        " --out rig",
+        wrapped=False,
+    )
+    return 0
+
+
+def printed_board() -> Print:
+    """The board of the tutorial as it is printed.
+
+    Returns
+    -------
+    Print
+    """
+    extent = _BOARD.columns * _BOARD.square, _BOARD.rows * _BOARD.square
+    return Print(np.ascontiguousarray(_BOARD.drawing(_DOTS)), extent)

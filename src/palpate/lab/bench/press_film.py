@@ -1,0 +1,348 @@
+"""Films of presses with the log of a force gauge: what a bench without sorted pictures records.
+
+Each press is solved at a few depths, and the object at rest is rendered once for each camera, at
+twice the resolution. A frame is that picture warped by the projected displacement, interpolated
+over the depth; what is interpolated is the smooth motion, never a picture. The rod is drawn as it
+is, without its shadow; light does not follow the surface's slope. Every frame has its own noise.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import distance_transform_edt
+
+from palpate.errors import RecordError
+from palpate.lab.bench.arm import fine_place, rod_at
+from palpate.lab.bodies import (
+    Solid,
+    Tip,
+    held_nodes,
+    make_body,
+    make_solid,
+    press,
+    press_to_force,
+    surface_values,
+)
+from palpate.lab.config import LabConfig
+from palpate.lab.pictures import Variant, make_studio, photograph
+from palpate.records import Camera, Rig, picture_size
+from palpate.shapes import Vector3
+from palpate.vision import project, surface_map
+
+# Grey level of the rod.
+_ROD = 8.0
+Picture = Float[np.ndarray, "_ _"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Film:
+    """When the tool comes and goes, and how it is recorded.
+
+    Attributes
+    ----------
+    presses, depths : int           how many; states of each that are solved
+    frame_rate, gauge_rate : float [Hz]
+    clock_offset : float [s]        by which the gauge's clock is ahead of the cameras'
+    approach, ramp, hold : float [s]    the tool comes and goes away, goes in and comes out, rests
+    pause : tuple of float [s]      it is away, in turn
+    far : float [m]                 from where it comes
+    weight : (3,) float [N]         of the tool, which the gauge reads, too
+    gauge_noise, drift : float [N]  of a reading; in all
+    """
+
+    presses: int = 10
+    depths: int = 6
+    frame_rate: float = 30.0
+    gauge_rate: float = 500.0
+    clock_offset: float = 0.4
+    approach: float = 0.6
+    ramp: float = 0.7
+    hold: float = 1.5
+    pause: tuple[float, ...] = (1.6, 2.0, 1.8)
+    far: float = 0.06
+    weight: Vector3 = field(default_factory=lambda: np.array([0.03, -0.05, -0.9]))
+    gauge_noise: float = 0.002
+    drift: float = 0.02
+
+    @property
+    def begins(self) -> Float[np.ndarray, " k"]:
+        """When each press touches, gauge's clock [s]."""
+        found, time = [], 2.0
+        for k in range(self.presses):
+            found.append(time)
+            time += 2.0 * (self.ramp + self.approach) + self.hold + self.pause[k % len(self.pause)]
+        return np.array(found)
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording [s]."""
+        return float(self.begins[-1] + 2.0 * self.ramp + self.hold + self.approach + 1.5)
+
+    def depth_share(self, time: Float[np.ndarray, " n"], begin: float) -> Float[np.ndarray, " n"]:
+        """How deep the tool is of its greatest depth; negative above the surface, in parts of
+        `far`."""
+        out = begin + self.ramp + self.hold
+        inside = _smooth((time - begin) / self.ramp) - _smooth((time - out) / self.ramp)
+        before = np.clip((begin - time) / self.approach, 0.0, None)
+        after = np.clip((time - out - self.ramp) / self.approach, 0.0, None)
+        away = before + after
+        return np.where(away > 0.0, -away, inside)
+
+
+def _smooth(share: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """From 0 to 1 without a jerk."""
+    s = np.clip(share, 0.0, 1.0)
+    return s**2 * (3.0 - 2.0 * s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedPress:
+    """One press of a body at several depths.
+
+    Attributes
+    ----------
+    tip : Tip
+    point : (3,) float [m]          where the arm was sent
+    radius : float [m]              of the touched patch at the end
+    place : (3,) float [m]          of the tip at the end
+    depth : float [m]               there
+    share : (s,) float              of that depth, from 0
+    force : (s, 3) float [N]        of the tool on the body
+    solid : Solid
+    moved : (s, n, 3) float [m]     displacement of its nodes in every state
+    """
+
+    tip: Tip
+    point: Vector3
+    radius: float
+    place: Vector3
+    depth: float
+    share: Float[np.ndarray, " s"]
+    force: Float[np.ndarray, "s 3"]
+    solid: Solid
+    moved: Float[np.ndarray, "s n 3"]
+
+    def force_at(self, share: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """Force of the tool on the body at shares of the depth [N]."""
+        # Hertz: the force grows with the power 1.5 of the depth; the rest is smooth.
+        law = CubicSpline(np.sqrt(self.share), self.force)
+        touching = np.clip(share, 0.0, 1.0)
+        return np.where(touching[:, None] > 0.0, law(np.sqrt(touching)), 0.0)
+
+    def tip_place(self, share: float, far: float) -> Vector3:
+        """Where the tip is [m]; its own point of reference."""
+        along = self.depth * (share - 1.0) if share >= 0.0 else -self.depth + far * share
+        return self.place + along * self.tip.direction
+
+
+def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedPress:
+    """Press as a probe of a configuration asks, at several depths.
+
+    Parameters
+    ----------
+    config : LabConfig
+    tip : Tip
+    number : int                    of the probe, which has a force
+    film : Film
+
+    Returns
+    -------
+    SolvedPress
+    """
+    probe, specimen = config.probes[number], config.specimen
+    fine = (fine_place(tip, probe, config.material),)
+    solid = make_solid(specimen.body, edge=specimen.element, fine=fine)
+    body = make_body(
+        solid, held_nodes(solid, specimen.held),
+        shear_modulus=config.material.shear_modulus,
+        poisson_ratio=config.material.poisson_ratio,
+    )  # fmt: skip
+    last = press_to_force(body, tip, float(probe.force or 0.0))
+    share = np.arange(film.depths + 1) / film.depths
+    states = press(body, tip, share[1:] * last.depth)
+    moved = [np.zeros_like(solid.nodes), *(state.displacement for state in states)]
+    force = np.array([np.zeros(3), *(state.force for state in states)])
+    return SolvedPress(
+        tip, probe.point, last.radius, last.place, last.depth, share, force, solid, np.stack(moved)
+    )
+
+
+def gauge_readings(
+    film: Film, presses: Sequence[SolvedPress], *, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """What the gauge writes down: the force on the body with weight, drift and noise.
+
+    Parameters
+    ----------
+    film : Film
+    presses : sequence of SolvedPress
+    rng : Generator
+
+    Returns
+    -------
+    (n,) float [s], (n, 3) float [N]    the gauge's own clock
+    """
+    time = np.arange(0.0, film.duration, 1.0 / film.gauge_rate)
+    force = np.zeros((len(time), 3))
+    for one, begin in zip(presses, film.begins, strict=True):
+        force += one.force_at(film.depth_share(time, begin))
+    share = time / time[-1]
+    course = (share + 0.3 * np.sin(2.0 * np.pi * share))[:, None] * [1.0, -0.7, 1.0]
+    noise = film.gauge_noise * rng.standard_normal((len(time), 3))
+    return time, force + film.weight + film.drift * course + noise
+
+
+def rest_pictures(config: LabConfig, rig: Rig, variant: Variant) -> list[Picture]:
+    """The object at rest in every camera at twice the resolution, without noise.
+
+    Parameters
+    ----------
+    config : LabConfig
+    rig : Rig
+    variant : Variant               of Mitsuba
+
+    Returns
+    -------
+    list of (2 rows, 2 columns) float32 [grey levels]
+    """
+    sharp = replace(config.pictures, noise=0.0, response=0.0, bits=12, samples=9)
+    double = Rig(tuple(map(_double_camera, rig.cameras)), rig.reference, rig.source)
+    studio = make_studio(
+        replace(config, pictures=sharp), double, variant,
+        rng=np.random.default_rng([config.seed, 0, 0]),
+    )  # fmt: skip
+    taken = photograph(studio, [studio.mesh.vertices], rng=np.random.default_rng(2))
+    return [picture.astype(np.float32) / 257.0 for picture in taken]
+
+
+def film_frames(
+    film: Film,
+    config: LabConfig,
+    rig: Rig,
+    number: int,
+    rest: Picture,
+    presses: Sequence[SolvedPress],
+    *,
+    rng: np.random.Generator,
+) -> Iterator[UInt8[np.ndarray, "_ _"]]:
+    """Frames of one camera.
+
+    Parameters
+    ----------
+    film : Film
+    config : LabConfig
+    rig : Rig
+    number : int                    of the camera
+    rest : (2 rows, 2 columns) float32  of `rest_pictures`
+    presses : sequence of SolvedPress
+    rng : Generator                 of the noise
+
+    Yields
+    ------
+    (rows, columns) uint8
+    """
+    camera = rig.cameras[number]
+    fields = [_motion_of(camera, config, one) for one in presses]
+    last: tuple[int, float] | None = None
+    shown = _chip(rest, config)
+    for time in np.arange(film.clock_offset, film.duration, 1.0 / film.frame_rate):
+        shares = [float(film.depth_share(np.array([time]), begin)[0]) for begin in film.begins]
+        k = int(np.argmax(shares))
+        key = (k, shares[k]) if shares[k] > -1.0 else (-1, 0.0)
+        if key != last:
+            picture = rest
+            if key[0] >= 0:
+                picture = _warped(rest, fields[k](key[1])) if key[1] > 0.0 else rest.copy()
+                place = presses[k].tip_place(key[1], film.far)
+                picture = _with_rod(picture, camera, presses[k].tip, place, rig)
+            last, shown = key, _chip(picture, config)
+        noisy = shown + config.pictures.noise * rng.standard_normal(shown.shape)
+        yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def write_film(path: Path, frames: Iterator[UInt8[np.ndarray, "_ _"]], rate: float) -> None:
+    """Write frames as a video without losses (FFV1).
+
+    Parameters
+    ----------
+    path : Path                     ending .avi
+    frames : iterator of (rows, columns) uint8
+    rate : float [Hz]
+
+    Raises
+    ------
+    RecordError                     it cannot be written
+    """
+    first = next(frames)
+    code = cv2.VideoWriter.fourcc(*"FFV1")
+    writer = cv2.VideoWriter(str(path), code, rate, first.shape[::-1])
+    if not writer.isOpened():
+        raise RecordError(f"{path}: no video can be written there; check rights and space")
+    for frame in chain([first], frames):
+        writer.write(cv2.merge([frame] * 3))
+    writer.release()
+
+
+def _motion_of(camera: Camera, config: LabConfig, solved: SolvedPress) -> CubicSpline:
+    """Motion [px] of every second pixel over the share of the depth, (rows, columns, 2)."""
+    mesh = config.specimen.mesh
+    columns, rows = picture_size(camera)
+    seen = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles).point[::2, ::2]
+    known = np.isfinite(seen[..., 0])
+    rest = seen[known]
+    carried = surface_values(solved.solid, rest)
+    start = project(camera, rest)
+    result = np.zeros((len(solved.moved), *known.shape, 2), dtype=np.float32)
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    for k, displacement in enumerate(solved.moved):
+        single = np.zeros((*known.shape, 2), dtype=np.float32)
+        single[known] = project(camera, rest + carried @ displacement) - start
+        result[k] = single[nearest[0], nearest[1]]
+    return CubicSpline(solved.share, result)
+
+
+def _double_camera(camera: Camera) -> Camera:
+    """The same camera with pixels of half the side."""
+    columns, rows = picture_size(camera)
+    matrix = camera.matrix.copy()
+    matrix[:2] *= 2.0
+    matrix[:2, 2] += 0.5
+    return replace(camera, size=(2 * columns, 2 * rows), matrix=matrix)
+
+
+def _warped(rest: Picture, motion: Float[np.ndarray, "_ _ 2"]) -> Picture:
+    """A picture at twice the resolution, moved by a field at half of it."""
+    rows, columns = rest.shape
+    field = cv2.resize(
+        2.0 * motion.astype(np.float32), (columns, rows), interpolation=cv2.INTER_CUBIC
+    )
+    y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
+    # The field's first sample is at the first pixel, not at the middle of four.
+    onto = np.array([[1, 0, -1], [0, 1, -1]], dtype=np.float32)
+    field = cv2.warpAffine(
+        field, onto, (columns, rows), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    back = field
+    for _ in range(3):
+        back = cv2.remap(field, x - back[..., 0], y - back[..., 1], cv2.INTER_LINEAR)
+    return cv2.remap(rest, x - back[..., 0], y - back[..., 1], cv2.INTER_LANCZOS4)
+
+
+def _with_rod(picture: Picture, camera: Camera, tip: Tip, place: Vector3, rig: Rig) -> Picture:
+    """The rod in front of a picture at twice the resolution."""
+    outline = project(_double_camera(camera), rod_at(tip, place, rig.cameras).vertices)
+    hull = cv2.convexHull(np.rint(16.0 * outline).astype(np.int32))
+    return cv2.fillConvexPoly(picture, hull, (_ROD,), lineType=cv2.LINE_AA, shift=4)
+
+
+def _chip(picture: Picture, config: LabConfig) -> Picture:
+    """What the chip gets of a picture at twice the resolution, without noise."""
+    blurred = cv2.GaussianBlur(picture, (0, 0), 2.0 * config.pictures.response)
+    rows, columns = blurred.shape
+    return cv2.resize(blurred, (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)

@@ -1,0 +1,78 @@
+"""How well a rig is known: `rig_covariance.npz` beside `rig.toml`."""
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.files import damage, is_file, read_bytes
+from palpate.records.rig import RigCovariance
+
+COVARIANCE_FORMAT = "palpate-rig-covariance/1"
+_FILE = "rig_covariance.npz"
+_CURE = "calibrate again, or remove it: then lengths are known as [errors] says"
+
+
+def covariance_file(rig: Path) -> Path | None:
+    """Where the covariance of a rig lies: beside its file.
+
+    Parameters
+    ----------
+    rig : Path                      of the rig; a file, or a folder that holds it
+
+    Returns
+    -------
+    Path or None                    None: there is none
+    """
+    path = (rig if rig.is_dir() else rig.parent) / _FILE
+    return path if is_file(path) else None
+
+
+def write_rig_covariance(
+    folder: Path, known: RigCovariance, corner_noise: Float[np.ndarray, " c"]
+) -> None:
+    """Write `rig_covariance.npz`.
+
+    Parameters
+    ----------
+    folder : Path                   exists
+    known : RigCovariance
+    corner_noise : (c,) float [px]  of a coordinate of a corner, in every camera
+    """
+    np.savez_compressed(
+        folder / _FILE,
+        format=np.array(COVARIANCE_FORMAT),
+        names=np.array(known.names),
+        value=known.value,
+        covariance=known.covariance,
+        corner_noise=corner_noise,
+    )
+
+
+def read_rig_covariance(path: Path) -> RigCovariance:
+    """Read what `write_rig_covariance` wrote.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    RigCovariance
+
+    Raises
+    ------
+    RecordError                     not there, not readable, damaged, of another format
+    CalibrationError                contradictory
+    """
+    content = read_bytes(path)
+    with (
+        damage(path, _CURE, what="cannot be read as the covariance of a rig"),
+        np.load(BytesIO(content), allow_pickle=False) as stored,
+    ):
+        form = str(stored["format"])
+        if form != COVARIANCE_FORMAT:
+            raise ValueError(f"its format is {form!r}, not '{COVARIANCE_FORMAT}'")
+        names = tuple(map(str, stored["names"].tolist()))
+        return RigCovariance(names, stored["value"], stored["covariance"], str(path))
