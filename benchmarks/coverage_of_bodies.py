@@ -34,6 +34,8 @@ from palpate.records import (
 )
 
 NOISE = 0.01
+# The farthest that anything moves [m]: small against every body.
+FARTHEST = 1e-3
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
 # Edges of the tetrahedra over those of the surface's triangles, of three solutions, each a constant
 # part of the one before.
@@ -114,7 +116,9 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
     told = closest_points(mesh, points)
     probings = []
     for k, (place, moved) in enumerate(zip(contacts(mesh, body.shape), body.moved, strict=True)):
-        force = gain * axes.apply(place.inward) + errors.force * rng.normal(size=3)
+        push = FARTHEST / float(np.linalg.norm(moved, axis=1).max())
+        moved = push * moved
+        force = push * (gain * axes.apply(place.inward) + errors.force * rng.normal(size=3))
         beside = errors.contact_point * rng.normal(size=3)
         beside -= beside @ place.inward * place.inward
         point = closest_points(mesh, (place.point + beside)[None]).position[0]

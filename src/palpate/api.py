@@ -44,7 +44,7 @@ from palpate.records import (
     verdict_text,
 )
 from palpate.report import REPORT_FILE, write_report, write_result_files
-from palpate.simulation import FitSource, export_fit
+from palpate.simulation import FORMATS, FitSource, export_fit
 
 _LABELS = {
     "young_modulus": "Young's modulus",
@@ -184,14 +184,16 @@ class Result:
             write_report(new, new / REPORT_FILE)
         return Path(folder)
 
-    def export(self, to: str, folder: Path | str, *, force: bool = False) -> Path:
+    def export(
+        self, folder: Path | str, to: str, *, probe: str | None = None, force: bool = False
+    ) -> Path:
         """Write the fitted object for a simulator, as `palpate export` does.
 
         Parameters
         ----------
-        to : str                    "mujoco", "calculix", "febio", "sofa", "openusd", "vtu", "obj",
-                                    "genesis", "isaaclab" or "npz"
         folder : path               appears whole or not at all
+        to : str                    "mujoco", "calculix", "obj", ...: what `palpate export` knows
+        probe : str or None         probing that is written along; None: the first
         force : bool                write although something else is there, kept as NAME.old
 
         Returns
@@ -200,13 +202,15 @@ class Result:
 
         Raises
         ------
-        InputError                  an unknown simulator, a material outside its range; the folder
-                                    is something else, or cannot be written
+        InputError                  an unknown simulator, or one that does not take the constants;
+                                    the folder is something else, or cannot be written
         """
+        if to not in FORMATS:
+            raise InputError(f"there is no simulator {to!r}; there are: {', '.join(FORMATS)}")
         with result_folder(folder, kind="export", force=force) as new:
             record_inputs(new, session_files(self.session.path))
             source = FitSource(self.session, self.estimate, ())
-            export_fit(new, source, to, cache=self.cache)
+            export_fit(new, source, to, probe=probe, cache=self.cache)
         return Path(folder)
 
     def report(self, file: Path | str) -> Path:
@@ -253,6 +257,7 @@ def fit(
     probe: Sequence[str] | None = None,
     method: str = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
+    finite_strain: bool = False,
     cache: Path | str | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -264,6 +269,8 @@ def fit(
     probe : sequence of str         use these probings only; of a folder
     method : str                    "reduced", or "nelder-mead" on the full model
     poisson_range : (float, float)  Poisson's ratios that are possible
+    finite_strain : bool            correct what the linear model leaves out of an object that was
+                                    pressed far
     cache : path or None            folder that keeps the surface integrals for the next time
     progress : callable             told what is done (text) and how far it is (0 to 1)
 
@@ -284,6 +291,7 @@ def fit(
         settings=FitSettings(method=method, poisson_range=poisson_range),
         surface=SurfaceSettings(),
         cache=folder,
+        finite_strain=finite_strain,
         progress=progress,
     )
     return Result(measured, fitted, folder)

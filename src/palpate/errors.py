@@ -25,7 +25,9 @@ class PalpateError(Exception):
     """Anything that Palpate raises on purpose; its text says what to do."""
 
     def __str__(self) -> str:
-        return _cut(super().__str__(), _MOST_SAID)
+        # A name in a file may hold what ends a line, or what a terminal obeys.
+        text = _cut(super().__str__(), _MOST_SAID)
+        return "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
 
 
 class InputError(PalpateError, ValueError):

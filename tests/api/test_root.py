@@ -56,6 +56,7 @@ def test_a_notebook_shows_a_table(result):
     assert shown.count("<tr>") == 4
     assert "<td>60.0 ± 1.2</td>" in shown
     assert "<b>a [bold] cube</b>" in shown
+    assert result.session._repr_html_().count("<li>") == 1
 
 
 @pytest.mark.parametrize("what", ["likelihood", "probings", "n01"])
@@ -74,6 +75,14 @@ def test_a_report_is_one_file(result, tmp_path):
     file = result.report(tmp_path / "cube.html")
     assert "All three constants are determined" in file.read_text(encoding="utf-8")
     assert {path.name for path in tmp_path.iterdir()} == {"cube", "cube.html"}
+
+
+def test_a_result_is_exported(result, tmp_path):
+    folder = result.export(tmp_path / "obj", "obj")
+    assert {"README.txt", "palpate.json"} <= {path.name for path in folder.iterdir()}
+    with pytest.raises(InputError, match=r"no simulator 'blender'; there are: .*mujoco"):
+        result.export(tmp_path / "other", "blender")
+    assert not (tmp_path / "other").exists()
 
 
 def test_pokes_take_units(result):

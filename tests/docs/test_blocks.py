@@ -43,7 +43,7 @@ def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
     page = "docs/howto/first_session.md"
     (script,) = blocks(page, "python")
     exec(script, {})
-    session, _ = blocks(page, "toml")
+    session, *_ = blocks(page, "toml")
     (rows,) = blocks(page, "csv")
     (here / "foam_block" / "session.toml").write_text(session, encoding="utf-8")
     (here / "foam_block" / "top.csv").write_text(rows, encoding="utf-8")
@@ -71,7 +71,7 @@ def test_one_measured_point_is_named_as_the_cause(here, capsys):
     page = "docs/howto/first_session.md"
     (script,) = blocks(page, "python")
     exec(script.replace("7.5", "15"), {})
-    session, _ = blocks(page, "toml")
+    session, *_ = blocks(page, "toml")
     (rows,) = blocks(page, "csv")
     head, first, *_ = rows.splitlines()
     (here / "foam_block" / "session.toml").write_text(session, encoding="utf-8")
@@ -87,7 +87,7 @@ def test_what_the_readme_does_in_python_runs(here, capsys):
     corners = "[[0, 0, 0], [60, 60, 40]]"
     assert corners in make
     exec(make.replace(corners, "[[-30, -30, -10], [30, 30, 30]]").replace("7.5", "15"), {})
-    session, _ = blocks(page, "toml")
+    session, *_ = blocks(page, "toml")
     moved = {"[0, 0, 0]": "[0, 0, -10]", "[24.0, 30.0, 40.0]": "[0, 0, 30]", '"top"': '"p4"'}
     for before, after in moved.items():
         assert before in session

@@ -71,6 +71,23 @@ images = "png_{camera}.png"
 name = "s1"
 images = "tif_{camera}.tif"
 """
+# A session whose supports and errors say all that they may.
+GIVING = SESSION.replace(
+    "[support]",
+    """[errors]
+force_gain = "0.3 %"
+force_direction = "1 deg"
+contact_point = "0.5 mm"
+contact_radius = 0.2
+length_scale = 0.001
+support_compliance = "20 um/kPa"
+pose = { translation = "0.2 mm", rotation = "0.2 deg" }
+[[support]]
+directions = [[0, 0, 1], [1, 0, 0]]
+stiffness = "5 kPa/mm"
+motion = "fixed"
+""",
+)
 SCAN = """\
 format = "palpate-scan/1"
 length_unit = "mm"
@@ -264,6 +281,8 @@ def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
         (folder / name, lambda _path: read_session(session))
         for name in ("session.toml", "n01.csv", "mesh.ply")
     ]
+    (folder / "giving.toml").write_text(GIVING)
+    found.append((folder / "giving.toml", read_session))
     found += [(file, read_mesh) for file in write_meshes(folder)]
     found += [(file, read_rig) for file in write_rigs(folder)]
     for kind, file in write_results(folder):

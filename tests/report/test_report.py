@@ -142,8 +142,16 @@ def test_names_are_no_markup(tmp_path, cube_session):
     file = cube_session / "session.toml"
     file.write_text(file.read_text(encoding="utf-8").replace("a [bold] cube", evil))
     session = read_session(cube_session)
-    folder = Result(session, sample_result(session)).save(tmp_path / "evil")
+    result = sample_result(session)
+    # The probing's name stands in the view's data too.
+    session = replace(session, probings=(replace(session.probings[0], name=evil),))
+    estimate = replace(result.estimate, probes=(replace(result.estimate.probes[0], name=evil),))
+    fits = (replace(result.probes[0], name=evil),)
+    folder = Result(session, replace(result, estimate=estimate, probes=fits)).save(
+        tmp_path / "evil"
+    )
     page = page_of(folder)
+    assert json.loads(page.scripts[0])["probings"][0]["name"] == evil
     assert evil in page.text
     assert "b" not in page.tags
     assert len(page.scripts) == 2

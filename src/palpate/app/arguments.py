@@ -158,7 +158,8 @@ def versions_text() -> str:
 
 
 def completed(words: list[str]) -> list[str]:
-    """The words of a command line with the command of a group that is meant where none is said.
+    """The words of a command line without those that any command may have, and with the command
+    of a group that is meant where none is said.
 
     Parameters
     ----------
@@ -168,6 +169,7 @@ def completed(words: list[str]) -> list[str]:
     -------
     list of str                     `lab make bench.toml out`
     """
+    words = [word for word in words if word not in (*_JSON_WORDS, *_VERBOSE_WORDS)]
     if words[1:] and words[0] in _GROUPS:
         first, *others = _GROUPS[words[0]][1]
         if words[1] not in (first, *others, *_HELP_WORDS):
@@ -202,13 +204,12 @@ def run(words: list[str]) -> int:
     BrokenPipeError                 nobody reads what is printed
     """
     _check_numbers(words)
-    own = [word for word in words if word not in (*_JSON_WORDS, *_VERBOSE_WORDS)]
     wanted = Output(
         json=any(word in words for word in _JSON_WORDS),
         verbose=any(word in words for word in _VERBOSE_WORDS),
     )
     with output_as(wanted, words):
-        return _called(completed(own))
+        return _called(completed(words))
 
 
 def _called(words: list[str]) -> int:

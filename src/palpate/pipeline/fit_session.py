@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -113,31 +114,35 @@ def fit_session(
         **result.estimate.seconds,
         "total": time.perf_counter() - start,
     }
-    probes = tuple(
-        replace(one, supports=_support_estimates(model, k, result.probes[k]))
-        for k, one in enumerate(result.estimate.probes)
-    )
+    probes = _probe_estimates(model, result)
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(
-            *result.estimate.notes,
-            *_turn_notes(probes),
-            *_touch_notes(resolved),
-            *_rejection_notes(session),
-        ),
+        notes=(*result.estimate.notes, *_notes(session, resolved, probes)),
         seconds=seconds,
         settings={
             **result.estimate.settings,
             "surface": asdict(surface),
             "finite_strain": finite_strain,
-            "errors": asdict(session.errors),
-            "vertices": [len(one.mesh.vertices) for one in (session, resolved, graded)],
-            "assumed_forces": [one.name for one in session.probings if one.force_std is None],
+            **_described(session, resolved, graded),
         },
     )
     fits = tuple(_on_given_mesh(one, len(session.mesh.vertices)) for one in result.probes)
     return replace(result, estimate=estimate, probes=fits)
+
+
+def _notes(session: Session, resolved: Session, probes: Sequence[ProbeEstimate]) -> tuple[str, ...]:
+    """What the model and the pictures have to say beside the estimate."""
+    return (*_turn_notes(probes), *_touch_notes(resolved), *_rejection_notes(session))
+
+
+def _described(session: Session, resolved: Session, graded: Session) -> dict[str, Any]:
+    """What was taken for granted about a session, and how fine its meshes were."""
+    return {
+        "errors": asdict(session.errors),
+        "vertices": [len(one.mesh.vertices) for one in (session, resolved, graded)],
+        "assumed_forces": [one.name for one in session.probings if one.force_std is None],
+    }
 
 
 def _on_given_mesh(found: ProbeFit, vertices: int) -> ProbeFit:
@@ -199,6 +204,14 @@ def _rejection_notes(session: Session) -> list[str]:
     """A sentence about points that pictures could not follow."""
     found = rejections(session)
     return [rejection_note(found)] if any(one.lost for one in found) else []
+
+
+def _probe_estimates(model: ObjectModel, result: FitResult) -> tuple[ProbeEstimate, ...]:
+    """Those of the result, with the motions of their supports."""
+    return tuple(
+        replace(one, supports=_support_estimates(model, k, result.probes[k]))
+        for k, one in enumerate(result.estimate.probes)
+    )
 
 
 def _support_estimates(

@@ -1,5 +1,6 @@
 """A session: one object, one support, any number of probings; or one object that moves rigidly."""
 
+import html
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -139,6 +140,10 @@ class Session:
             f" {len(self.mesh.vertices)} vertices, {len(self.held_triangles)} of"
             f" {len(self.mesh.triangles)} triangles held"
         )
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<li>{html.escape(repr(one))}</li>" for one in self.probings)
+        return f"<p>{html.escape(repr(self))}</p><ul>{rows}</ul>"
 
 
 def require_probings(session: Session) -> None:

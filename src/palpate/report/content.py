@@ -275,4 +275,4 @@ def unit_of_moduli(estimate: Estimate) -> str:
 
 def _millimetres(metres: float | None) -> str:
     known = metres is not None and math.isfinite(metres)
-    return f"{1e3 * metres:.3g}" if known and metres is not None else "\N{EN DASH}"
+    return f"{1e3 * metres:#.3g}".rstrip(".") if known and metres is not None else "\N{EN DASH}"

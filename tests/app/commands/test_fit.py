@@ -58,7 +58,7 @@ def calls(monkeypatch):
     """The estimation and the plots replaced; what they were asked for is collected."""
     asked = []
 
-    def fit_session(session, *, settings, surface, cache, progress):
+    def fit_session(session, *, settings, surface, cache, finite_strain, progress):
         asked.append((session, settings, surface))
         if progress is not None:
             progress("fit", 1.0)

@@ -51,6 +51,15 @@ def test_displacement_and_stress_are_printed(palpate, asked, cube_session):
     np.testing.assert_array_equal(interior, [[0.02, 0.02, 0.02], [0.01, 0.02, 0.03]])
 
 
+def test_a_push_beyond_small_deformation_is_said(palpate, monkeypatch, cube_session):
+    """A real model: the cube is 69 mm across, and gives way by more than a tenth of that."""
+    code, _, err = palpate("poke", cube_session, *PUSH[:3], "-40", *PUSH[4:], *MATERIAL)
+    assert (code, "outside small deformation" in err) == (0, True)
+    code, _, err = palpate("poke", cube_session, *PUSH[:3], "-1e30", *PUSH[4:], *MATERIAL)
+    assert code == 2
+    assert "must be newtons" in err
+
+
 def test_without_interior_points_there_is_one_table(palpate, asked, cube_session):
     _, out, _ = palpate("poke", cube_session, *PUSH, *MATERIAL)
     assert "Stress" not in out
@@ -107,6 +116,8 @@ def test_an_estimate_that_is_not_ok_is_used_with_a_note(palpate, asked, cube_ses
         ((*MATERIAL, "--result", "."), "give the material in one way"),
         (("--poisson-ratio", 0.6, "--young-modulus", 5e4), "--poisson-ratio is 0.6; must be"),
         (("--poisson-ratio", "-1", "--young-modulus", 5e4), "--poisson-ratio is -1; must be"),
+        (("--poisson-ratio", 0.3, "--young-modulus", "-1"), "--young-modulus is -1; must be"),
+        ((*MATERIAL[2:], "--shear-modulus", "0"), "--shear-modulus is 0; must be positive"),
         (("--result", "nowhere"), "nowhere"),
         ((*MATERIAL, "--radius", "-0.1"), "radius is -0.1"),
         ((*MATERIAL, "--force", 0, 0, 0), "--force is zero"),

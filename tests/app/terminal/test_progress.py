@@ -16,4 +16,6 @@ def test_stages_are_shown_on_a_terminal(capsys, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     with progress_bar() as report:
         report("factorisation", 0.5)
-    assert "factorisation" in capsys.readouterr().err
+    shown = capsys.readouterr().err
+    assert "factorisation" in shown
+    assert "50%" in shown

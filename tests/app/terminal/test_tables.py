@@ -98,6 +98,17 @@ def test_numbers_stay_whole_and_names_are_all_there(cube_session, width):
     assert max(map(len, text.splitlines())) <= width
 
 
+def test_no_width_cuts_a_number(cube_session):
+    table = probes_table(named(cube_session))
+    for width in range(40, 120):
+        lines = printed(table, width).splitlines()
+        assert max(map(len, lines)) <= width
+        text = " ".join(lines)
+        # Every row of each part has its name; the last columns are there to their last digits.
+        for word in (*NAMES, "0.3000 ± 0.0060", "60.0 ± 1.2", " 0.2 ", " 20 "):
+            assert text.count(word) >= 2 - (word in NAMES), (width, word)
+
+
 def test_what_is_not_determined_is_said_in_place_of_a_number(cube_session):
     lost = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
     estimate = replace(

@@ -14,11 +14,14 @@ from palpate.app.terminal import print_notes, print_tables, print_text, progress
 from palpate.app.units import Force, Length, Modulus, Place
 from palpate.bem import InteriorState, SurfaceSettings, check_memory
 from palpate.errors import InputError
+from palpate.geometry import bounding_diagonal
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
 from palpate.records import Status, modulus_unit, read_estimate, read_session
 from palpate.shapes import Points
 
 _Triple = tuple[float, float, float]
+# Newtons that no tool has; and of the object's size, what is no small deformation.
+_STRONGEST, _SMALL = 1e9, 0.1
 # Rows and columns of the stress that are shown, by their names.
 _COMPONENTS = {
     "sxx": (0, 0), "syy": (1, 1), "szz": (2, 2), "sxy": (0, 1), "syz": (1, 2), "szx": (2, 0),
@@ -80,6 +83,8 @@ def poke(
     shear, ratio = _material(result, young_modulus, shear_modulus, poisson_ratio)
     if not any(force):
         raise InputError("--force is zero; give the force of the tool in newtons: --force 0 0 -1")
+    if np.abs(force).max() > _STRONGEST:
+        raise InputError(f"--force is {_numbers(force)}; must be newtons, at most {_STRONGEST:g}")
     given = read_session(session, allow=lambda count, _: check_memory(count))
     print_notes(given.notes)
     contact = tool_contact(given, np.array(at), radius)
@@ -90,6 +95,13 @@ def poke(
             interior=points, surface=SurfaceSettings(smooth=surface == "smooth"), cache=cache,
             progress=progress,
         )  # fmt: skip
+    moved = float(np.linalg.norm(found.largest)) / bounding_diagonal(given.mesh)
+    if moved > _SMALL:
+        note = (
+            f"The object would move by {moved:.2g} times its size: outside small deformation, for"
+            " which alone this holds; check force and constants, or press less."
+        )
+        print_notes([note])
     factor, unit = modulus_unit(shear)
     print_text(
         f"{given.name}: G = {shear / factor:.4g} {unit}, nu = {ratio:.4g}; a force of"
@@ -114,6 +126,9 @@ def _material(
             "give the material in one way: --result FOLDER of `palpate fit`, or --poisson-ratio"
             " with either --young-modulus or --shear-modulus"
         )
+    if not moduli[0] > 0.0:
+        option = "--young-modulus" if shear is None else "--shear-modulus"
+        raise InputError(f"{option} is {moduli[0]:g}; must be positive, in Pa")
     if not -1.0 < ratio <= 0.5:
         raise InputError(f"--poisson-ratio is {ratio:g}; must be above -1, and 0.5 at most")
     return (shear, ratio) if shear is not None else (moduli[0] / (2.0 * (1.0 + ratio)), ratio)

@@ -25,6 +25,8 @@ def progress_bar() -> Iterator[Progress]:
         return
     console = Console(file=sys.stderr)
     bar = rich_progress.Progress(
+        # Moves where a stage takes long and says nothing.
+        rich_progress.SpinnerColumn(),
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),
         rich_progress.TaskProgressColumn(),

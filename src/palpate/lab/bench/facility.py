@@ -49,6 +49,8 @@ _TEXTURE, _ARM, _SENSORS, _CALIBRATION, _PICTURES = range(5)
 _Files = dict[str, bytes]
 # Share of the object's vertices that every camera must see in its picture.
 _MIN_SEEN = 0.9
+# Work before the first probing, in probings.
+_BODY, _LIGHT = 0.7, 0.6
 
 
 class _Bench:
@@ -209,16 +211,18 @@ def _body_key(config: LabConfig) -> object:
 def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress) -> None:
     """Every probing of one body in several sessions: physics, pictures, readings, truth."""
     config, tips = benches[0].config, benches[0].tips
+    whole = _BODY + _LIGHT + len(tips)
     say("finite elements", 0.0)
     # Before any light is made: a body that cannot be filled or held is refused here.
     body = _body(config, config.probes[0], tips[0])
     for bench in benches:
-        say("texture and light", 0.02)
+        say("texture and light", _BODY / whole)
         bench.put_up(variant)
+        say("pictures at rest", (_BODY + 0.5 * _LIGHT) / whole)
         for file, content in bench.photograph("rest", 0, [bench.studio.mesh.vertices]).items():
             (bench.folder / file).write_bytes(content)
     for k, probe in enumerate(config.probes):
-        say(f"probing {probe.name}", 0.1 + 0.9 * k / len(tips))
+        say(f"probing {probe.name}", (_BODY + _LIGHT + k) / whole)
         # Small elements under this tip only: a body for each is less than one for all.
         shared = _Shared(config, probe, tips[k], body if k == 0 else None)
         for bench in benches:
