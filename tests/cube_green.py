@@ -15,10 +15,10 @@ def session(tmp_path_factory):
     return read_session(cube_session.__wrapped__(tmp_path_factory.mktemp("green")))
 
 
-def top_functions(session, material):
+def top_functions(session, material, cache=None):
     """Of the 37 vertices nearest to the middle of the top."""
     nodes = nearest_nodes(session, session.probings[0].contact.point[None], 37)
-    return make_green_functions(session, material, nodes=nodes)
+    return make_green_functions(session, material, nodes=nodes, cache=cache)
 
 
 @pytest.fixture(scope="session")

@@ -219,10 +219,11 @@ STEP = 1e-3
 
 
 @pytest.fixture(scope="module")
-def neighbours(session):
+def neighbours(session, tmp_path_factory):
     """Green's functions for three Poisson's ratios near each other."""
     ratios = (0.3, 0.3 + STEP, 0.3 - STEP)
-    return [top_functions(session, Material(SHEAR, ratio, SIGMA)) for ratio in ratios]
+    kept = tmp_path_factory.mktemp("integrals")
+    return [top_functions(session, Material(SHEAR, ratio, SIGMA), kept) for ratio in ratios]
 
 
 @pytest.mark.parametrize(("friction", "off"), [(0.0, 5e-3), (np.inf, 1e-5)])

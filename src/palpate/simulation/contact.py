@@ -25,7 +25,7 @@ from palpate.simulation.kernels import (
 from palpate.simulation.tools import PlacedTool, tool_arrays
 
 # Of the largest nodal force, and rounds until it is reached.
-_SETTLED, _ROUNDS = 1e-10, 120
+_SETTLED, _ROUNDS = 1e-9, 120
 # Turns: a point is inside a closed surface where it sees more than this of it.
 _INSIDE = 0.5
 

@@ -81,7 +81,8 @@ def settle(tools, rest, compliance, nodal, tolerance, most):
     near = near_nodes(tools, rest, nodal)
     nodes = touching(near, nodal.tool_of)
     block = gather(compliance, nodes)
-    settled, fresh = False, True
+    # As long as no node changes its state, the equations of the tick before do.
+    settled, fresh = True, False
     rounding = smallest_force(tools, compliance)
     for count in range(1, most + 1):
         displace(compliance, nodes, nodal.force, near, nodal.moved)
