@@ -108,8 +108,7 @@ def fit_session(
     factorised = time.perf_counter()
     result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
     if finite_strain:
-        body = resolved, observations, result
-        result = fit_at_finite_strain(*body, settings=settings, progress=progress)
+        result = fit_at_finite_strain(resolved, observations, result, settings, progress)
     seconds = {
         "given_mesh": compared - start,
         "assembly": assembled - compared,

@@ -33,7 +33,6 @@ def fit_at_finite_strain(
     session: Session,
     observations: Sequence[ProbeObservations],
     linear: FitResult,
-    *,
     settings: FitSettings,
     progress: Progress,
 ) -> FitResult:
