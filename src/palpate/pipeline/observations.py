@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -80,13 +79,13 @@ def settled_observations(
     make = session_observations_at(session, model, settings=settings, with_surface=with_surface)
     stiffnesses = [one.stiffness for one in session.supports if one.stiffness is not None]
     if not stiffnesses:
-        return _with_mesh_errors(make(1.0), coarser, 1.0)
+        return _with_mesh_errors(make(1.0), coarser)
     length = bounding_diagonal(session.mesh)
     modulus = min(stiffnesses) * length
     if coarser and coarser[0].settlement is not None:
         modulus = coarser[0].settlement.shear_modulus
     for _ in range(_SETTLING_ROUNDS):
-        observations = _with_mesh_errors(make(modulus), coarser, modulus)
+        observations = _with_mesh_errors(make(modulus), coarser)
         _, found = best_constants_of(observations, settings=settings)
         step = float(np.log(found / modulus))
         if abs(step) < _SETTLED:
@@ -100,20 +99,15 @@ def settled_observations(
 
 
 def _with_mesh_errors(
-    observations: Sequence[ProbeObservations],
-    coarser: Sequence[ProbeObservations],
-    shear_modulus: float,
+    observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
 ) -> list[ProbeObservations]:
     """What was seen, with the error of the mesh that a coarser one shows, if there is one."""
     if not coarser:
         return list(observations)
-    found = []
-    for one, other in zip(observations, coarser, strict=True):
-        error = Discretisation(
-            LEFT_OF_STEP, partial(other.response_at, shear_modulus=shear_modulus)
-        )
-        found.append(replace(one, nuisances=(*one.nuisances, error)))
-    return found
+    return [
+        replace(one, nuisances=(*one.nuisances, Discretisation(LEFT_OF_STEP, other.response_at)))
+        for one, other in zip(observations, coarser, strict=True)
+    ]
 
 
 def session_observations(

@@ -17,12 +17,12 @@ class Discretisation:
     ----------
     std : float [-]                 standard deviation of what is left, over the step from the
                                     coarser mesh to the finer one, > 0
-    coarser : function              Poisson's ratio -> (n_rows, c) float: response on the coarser
-                                    mesh (`ResponseModel`)
+    coarser : function              Poisson's ratio, shear modulus [Pa] -> (n_rows, c) float:
+                                    response on the coarser mesh (`ResponseModel`)
     """
 
     std: float
-    coarser: Callable[[float], Float[np.ndarray, "n_rows c"]]
+    coarser: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -37,5 +37,5 @@ class Discretisation:
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
         """Some of the same step again (`Nuisance.columns`)."""
-        step = (response - self.coarser(poisson_ratio)[rows]) @ load
+        step = (response - self.coarser(poisson_ratio, 1.0 / load[3])[rows]) @ load
         return self.std * step[:, None]
