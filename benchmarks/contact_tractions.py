@@ -5,9 +5,11 @@
 The demonstration's half ball is pressed by a frictionless sphere in finite elements. Exact
 displacements of the vertices more than 10 mm from the contact are fitted, with the true force,
 point and radius: once of the forces as they are, normal to the dented surface, then of their
-components along the press alone.
+components along the press alone; and as they are for a session that names the tool, whose pressure
+has an outward part.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,15 @@ from palpate.lab.bench.arm import aim, fine_place
 from palpate.lab.bodies import press_to_force, surface_values
 from palpate.lab.bodies.finite_elements import solve_load
 from palpate.pipeline import fit_session
-from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
+from palpate.records import (
+    EXACT,
+    SPHERE,
+    Contact,
+    DisplacementField,
+    Probing,
+    Session,
+    Tool,
+)
 
 _EDGE, _AWAY = 0.0042, 0.010
 
@@ -29,7 +39,9 @@ def main() -> None:
     mesh = half_ball(radius=0.04, edge=_EDGE)
     held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < 1e-6).all(axis=1))
     free = mesh.vertices[np.setdiff1d(np.arange(len(mesh.vertices)), mesh.triangles[held])]
-    probings: dict[str, list[Probing]] = {"as they are": [], "along the press": []}
+    probings: dict[str, list[Probing]] = {
+        name: [] for name in ("as they are", "along the press", "the tool named")
+    }
     material, specimen = config.material, config.specimen
     for k, probe in enumerate(config.probes):
         tip = aim(probe, config.arm, specimen.mesh, rng=np.random.default_rng([1, 1, k]))
@@ -58,6 +70,8 @@ def main() -> None:
             probings[name].append(
                 Probing(f"n{k}", contact, pressed.force, None, None, None, field, None)
             )
+        ball = Tool(SPHERE, tip.radius).contact(point)
+        probings["the tool named"].append(replace(probings["as they are"][-1], contact=ball))
     for name, several in probings.items():
         session = Session(
             "half ball", Path(), mesh, held, tuple(several), None, None, None, (), errors=EXACT

@@ -39,9 +39,10 @@ def _session(contact: Contact, push: float = PUSH) -> Session:
 
 @pytest.fixture(scope="module")
 def measured() -> Session:
-    """What a circle of Sneddon's radius moves."""
+    """What a ball moves that touches a circle of Sneddon's radius."""
     circle = touch(Tool(SPHERE, BALL), 0.0, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
-    session = _session(Contact(PLACE, circle.radius, circle.profile))
+    contact = replace(Tool(SPHERE, BALL).contact(PLACE), radius=circle.radius)
+    session = _session(replace(contact, profile=circle.profile))
     graded = graded_session(resolved_session(session))
     (seen,) = session_observations(graded, make_object_model(graded))
     (probing,) = session.probings

@@ -44,6 +44,7 @@ from palpate.pipeline.model.moving_supports import (
     sliding_motion,
     support_shapes,
 )
+from palpate.pipeline.model.outward import leans_outward, outward_columns
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import GIVEN, RIGID, Contact, Session
 
@@ -221,6 +222,9 @@ def _right_hand(
         parts.append(body.right)
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
     nominal = [parts[change.nominal] for change in changes]
+    for k, patch in enumerate(patches):
+        if leans_outward(patch):
+            parts[k] = parts[k] + outward_columns(system, patch, cells=_CHANGE_CELLS)
     parts += _change_columns(system, changes, dips_of_changes, nominal)
     return joined(parts), body
 

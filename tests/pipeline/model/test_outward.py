@@ -1,0 +1,56 @@
+"""The outward part of a sphere's pressure, against the traction itself on a fine patch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.bem import BoundarySystem, assemble_system, make_surface, traction_column
+from palpate.pipeline.model.outward import leans_outward, outward_columns
+from palpate.probe import ContactPatch, find_contact_patch
+from palpate.records import FLAT, SPHERE, STICKS, Contact, Tool
+
+BALL, RADIUS, SIDE = 30e-3, 12e-3, 0.04
+PLACE = np.array([0.02, 0.02, SIDE])
+
+
+@pytest.fixture(scope="module")
+def system() -> BoundarySystem:
+    """A cube whose triangles are less than a third of the touched radius."""
+    mesh = box((SIDE, SIDE, SIDE), 12)
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    return assemble_system(make_surface(mesh, held))
+
+
+def _patch(system: BoundarySystem, tool: Tool) -> ContactPatch:
+    contact = Contact(PLACE, RADIUS, "hertz", tool=tool)
+    held = np.flatnonzero(system.surface.held)
+    return find_contact_patch(system.surface.mesh, contact, held, name="n")
+
+
+def test_it_is_the_traction_itself(system: BoundarySystem) -> None:
+    patch = _patch(system, Tool(SPHERE, BALL))
+    nodes = system.surface.element_nodes[patch.triangles]
+    offset = nodes - PLACE
+    share = np.linalg.norm(offset, axis=2, keepdims=True) / RADIUS
+    # Hertz's pressure of one newton, times the lean.
+    pressure = 1.5 / (np.pi * RADIUS**2) * np.sqrt(np.clip(1.0 - share**2, 0.0, None))
+    direct = traction_column(system, patch.triangles, pressure * offset / BALL)
+    found = outward_columns(system, patch)
+    # Pushed down, along minus z. Six-node triangles at the rim miss some of its square root, and
+    # know nothing of the dip between the vertices: 7 %.
+    down = -found.terms[:, :-3, 2]
+    miss = np.linalg.norm(down - direct.terms[:, :-3, 0]) / np.linalg.norm(down)
+    assert miss < 0.1
+    # Forces along the surface have no part in it, and it has no resultant.
+    assert not found.terms[:, :, :2].any()
+    assert np.abs(found.terms[:, -3:]).max() < 1e-12 * np.abs(found.terms).max()
+
+
+def test_what_has_an_outward_part(system: BoundarySystem) -> None:
+    assert leans_outward(_patch(system, Tool(SPHERE, BALL)))
+    assert not leans_outward(_patch(system, Tool(SPHERE, BALL, STICKS)))
+    assert not leans_outward(_patch(system, Tool(FLAT, RADIUS)))
+    patch = _patch(system, Tool(SPHERE, BALL))
+    assert not leans_outward(replace(patch, contact=replace(patch.contact, tool=None)))
