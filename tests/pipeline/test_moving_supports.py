@@ -8,7 +8,13 @@ import pytest
 from surfaces import box
 
 from palpate.geometry import closest_points
-from palpate.pipeline import fit_session, make_object_model, session_observations
+from palpate.pipeline import (
+    fit_session,
+    graded_session,
+    make_object_model,
+    resolved_session,
+    session_observations,
+)
 from palpate.pipeline.model.moving_supports import moving_supports, rigid_modes
 from palpate.records import (
     EXACT as NO_ERRORS,
@@ -135,7 +141,8 @@ def test_a_free_motion_is_estimated_along():
     rng = np.random.default_rng(3)
     points = side_points(rng, 200)
     session = bar(pulled(np.zeros_like(points), points), Support(FOOT, FREE))
-    seen, value = columns(session, NU)
+    # On the mesh that the fit takes.
+    seen, value = columns(graded_session(resolved_session(session)), NU)
     motion = np.concatenate([TRANSLATION, ROTATION])
     load = np.concatenate([seen.force / SHEAR, [1.0 / SHEAR], motion])
     moved = (value @ load).reshape(-1, 3) + NOISE * rng.normal(size=points.shape)

@@ -34,7 +34,7 @@ def test_probings_together_tell_more_than_each(plan):
 
 
 def test_without_other_errors_the_bound_follows_the_matches(session, monkeypatch):
-    monkeypatch.setattr("palpate.pipeline.measurement_plan.SCALE_ERROR", 0.0)
+    monkeypatch.setattr("palpate.pipeline.planning.measurement_plan.SCALE_ERROR", 0.0)
     exact = replace(
         session,
         errors=EXACT,
