@@ -62,6 +62,20 @@ def test_mesh_and_rig_may_lie_elsewhere(
     assert read_recording(folder).rig.cameras
 
 
+def test_a_tool_stands_for_the_patch(bench: Path, tmp_path: Path) -> None:
+    """In a recording, and in a session."""
+    folder = tmp_path / "bench"
+    shutil.copytree(bench, folder)
+    (folder / "recording.toml").unlink()
+    assert main(["init", str(folder), "--tool-radius", "0.006"]) == 0
+    patch = read_recording(folder).places.patch
+    assert (patch["tool"], patch["tool_radius"]) == ("sphere", 0.006)
+    assert "radius" not in patch
+    assert main(["init", str(folder), "--template", "dic", "--tool-radius", "0.006"]) == 0
+    (probe,) = _said(folder / "session.toml")["probe"]
+    assert probe["contact"] == {"point": [0, 0, 0], "tool": "sphere", "tool_radius": 0.006}
+
+
 def test_displacements_become_probings(tmp_path: Path) -> None:
     mesh = box(size=(40.0, 40.0, 40.0), cells=3)
     write_mesh(tmp_path / "cube.stl", mesh)

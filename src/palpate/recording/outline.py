@@ -36,6 +36,8 @@ class Outline:
     side : Side or None             that is held
     radius : float                  of the touched patch, the same unit
     radius_known : bool             it was said, and is no guess
+    tool_radius : float or None     of a ball that presses, the same unit; the touched patch then
+                                    follows from it
     """
 
     template: Template
@@ -45,6 +47,7 @@ class Outline:
     side: Side | None
     radius: float
     radius_known: bool
+    tool_radius: float | None = None
 
 
 def likely_template(survey: FolderSurvey) -> Template:
@@ -179,15 +182,17 @@ def _cameras(survey: FolderSurvey) -> str:
 
 
 def _contact(survey: FolderSurvey, outline: Outline) -> str:
-    text = (
-        "[contact]\n"
-        + _line(
+    text = "[contact]\n"
+    if outline.tool_radius is None:
+        text += _line(
             f"radius = {outline.radius:g}",
             f"of the touched patch, {outline.unit}",
             fill=not outline.radius_known,
         )
-        + _line('profile = "hertz"', 'a sphere; "uniform": a flat tool; "smooth": a soft one')
-    )
+        text += _line('profile = "hertz"', 'a sphere; "uniform": a flat tool; "smooth": a soft one')
+    else:
+        text += _line('tool = "sphere"', 'or "flat"; what it touches follows from the contact')
+        text += _line(f"tool_radius = {outline.tool_radius:g}", outline.unit)
     if outline.template == "robot":
         poses = survey.poses[0] if survey.poses else "poses.csv"
         what = "time, x, y, z of the tip, in the mesh's frame"
@@ -238,7 +243,10 @@ def _measured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
 
 
 def _probe(name: str, outline: Outline) -> str:
-    contact = f'{{ point = [0, 0, 0], radius = {outline.radius:g}, profile = "hertz" }}'
+    patch = f'radius = {outline.radius:g}, profile = "hertz"'
+    if outline.tool_radius is not None:
+        patch = f'tool = "sphere", tool_radius = {outline.tool_radius:g}'
+    contact = f"{{ point = [0, 0, 0], {patch} }}"
     return (
         f"[[probe]]\nname = {_quoted(name)}\n"
         + _line(f"contact = {contact}   ", "", fill=True)

@@ -22,8 +22,9 @@ from palpate.vision import JointFlow, is_valid, read_pictures
 
 _PICTURES = "images"
 _REST, _LOADED = "{name}_rest_{{camera}}.png", "{name}_{{camera}}.png"
-# Without a radius the motion is looked at as if the contact had this share of the object's size.
-_USUAL_RADIUS = 0.05
+# Without a radius the motion is looked at as if the contact had this share of the tool's radius,
+# or of the object's size.
+_TOUCHED, _USUAL_RADIUS = 0.5, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +158,10 @@ def _found(
     _, flow = method.follow(state, pictures[1])
     good = is_valid(flow)
     size = float(np.ptp(recording.mesh.vertices, axis=0).max())
-    radius = recording.places.patch.get("radius")
+    patch = recording.places.patch
+    radius = patch.get("radius")
+    if radius is None and isinstance(ball := patch.get("tool_radius"), float | int):
+        radius = _TOUCHED * ball
     if recording.places.radii is not None:
         radius = recording.places.radii[press.number - 1]
     found = find_contact(

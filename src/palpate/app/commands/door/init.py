@@ -41,6 +41,7 @@ def init(
     unit: _Unit | None = None,
     held: _Side | None = None,
     radius: float | None = None,
+    tool_radius: float | None = None,
 ) -> int:
     """Write a commented session.toml, or recording.toml, with what is found in a folder.
 
@@ -68,6 +69,8 @@ def init(
         Flat side of the object that does not move. Default: the largest.
     radius
         Of the touched patch, in that unit.
+    tool_radius
+        Of the ball that presses, in that unit, where the patch is not known: it follows.
 
     Returns
     -------
@@ -97,7 +100,8 @@ def init(
         held = _choice("side that is held", flat[0], flat, asked=asked)  # type: ignore[assignment]
     outline = Outline(
         cast(Template, kind), name or folder.resolve().name, file, length,
-        chosen_side(sides, held), _checked(radius) or usual_radius(surface), radius is not None,
+        chosen_side(sides, held), _checked("radius", radius) or usual_radius(surface),
+        radius is not None, _checked("tool-radius", tool_radius),
     )  # fmt: skip
     write_text(target, outline_text(survey, outline))
     print_text(f"{_found(survey)}\n{target} is written; {_next(kind, target)}")
@@ -123,9 +127,9 @@ def _from(folder: Path, file: Path) -> str:
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
-def _checked(radius: float | None) -> float | None:
+def _checked(option: str, radius: float | None) -> float | None:
     if radius is not None and radius <= 0.0:
-        raise InputError(f"--radius is {radius:g}; must be positive, in the unit of the mesh")
+        raise InputError(f"--{option} is {radius:g}; must be positive, in the unit of the mesh")
     return radius
 
 
