@@ -54,7 +54,10 @@ def test_a_new_tool_shape_is_one_line(edited, monkeypatch):
 def test_a_tool_is_named_instead_of_a_radius(edited):
     contact = 'radius = 0.006, profile = "smooth"'
     session = read_session(edited(contact, 'tool = "sphere", tool_radius = "8 mm"'))
-    assert session.probings[0].contact.tool == Tool("sphere", 8e-3, "slides")
+    contact = session.probings[0].contact
+    assert contact.tool == Tool("sphere", 8e-3, "slides")
+    # The search starts small: a cube of 4 cm is 6.9 cm across.
+    assert contact.radius == pytest.approx(0.05 * 0.04 * np.sqrt(3.0))
 
 
 @pytest.mark.parametrize(

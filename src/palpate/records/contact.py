@@ -92,8 +92,8 @@ UNIFORM, RIGID = "uniform", "rigid"
 # Tools, and what a surface does under them.
 SPHERE, FLAT = TOOL_SHAPES = ("sphere", "flat")
 SLIDES, STICKS = FRICTIONS = ("slides", "sticks")
-# Of a tool's radius: where the search for the touched circle starts.
-_TOUCHED = 0.5
+# Of a tool's radius, and at most of the object's size: where the search for the circle starts.
+_TOUCHED, _TOUCHED_OF_OBJECT = 0.5, 0.05
 # How a support moves.
 FIXED, GIVEN, FREE = MOTIONS = ("fixed", "given", "free")
 # Of the largest singular value: directions that add less to others are the same again.
@@ -139,12 +139,13 @@ class Tool:
         if not (np.isfinite(self.radius) and self.radius > 0.0):
             raise InputError(f"tool_radius is {self.radius}; must be a positive length")
 
-    def contact(self, point: Vector3) -> "Contact":
-        """Where the search for the touched circle starts: half the sphere's radius, or all of a
-        flat face."""
+    def contact(self, point: Vector3, size: float = np.inf) -> "Contact":
+        """Where the search for the touched circle starts: half the sphere's radius, little of an
+        object of some size [m]; or all of a flat face."""
         if self.shape == FLAT:
             return Contact(point, self.radius, "flat", tool=self)
-        return Contact(point, _TOUCHED * self.radius, "hertz", tool=self)
+        radius = min(_TOUCHED * self.radius, _TOUCHED_OF_OBJECT * size)
+        return Contact(point, radius, "hertz", tool=self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

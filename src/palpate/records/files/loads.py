@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.geometry import TriangleMesh, area_vectors, closest_points
+from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal, closest_points
 from palpate.records.contact import (
     FIXED,
     FRICTIONS,
@@ -182,7 +182,8 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
         return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
     # How well the point is known stands with the other errors: `read_error_priors`.
     if "tool" in contact.values:
-        return _tool(contact, metres).contact(metres * contact.vector("point"))
+        point = metres * contact.vector("point")
+        return _tool(contact, metres).contact(point, bounding_diagonal(mesh))
     contact.check_keys(("point", "point_std", "radius", "profile"))
     radius = contact.optional("radius", contact.number)
     return Contact(
