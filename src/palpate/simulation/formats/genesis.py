@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from palpate.records import write_text
-from palpate.simulation.formats.obj import write_obj
+from palpate.simulation.formats.obj import write_obj_and_script
 from palpate.simulation.solid_model import EstimatedObject, Format
 
 _POISSON = (0.0, 0.495)
@@ -36,12 +35,7 @@ def write_genesis(folder: Path, body: EstimatedObject) -> None:
     ------
     MeshError, RecordError          a file cannot be written
     """
-    write_obj(folder, body)
-    material = body.material
-    text = _TEXT.format(
-        young=material.young_modulus, poisson=material.poisson_ratio, density=body.density
-    )
-    write_text(folder / "scene.py", text)
+    write_obj_and_script(folder, body, "scene.py", _TEXT)
 
 
 GENESIS = Format("Genesis", _POISSON, _RUN, of_surface=write_genesis)

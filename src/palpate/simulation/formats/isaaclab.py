@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from palpate.records import write_text
-from palpate.simulation.formats.obj import write_obj
+from palpate.simulation.formats.obj import write_obj_and_script
 from palpate.simulation.solid_model import EstimatedObject, Format
 
 _POISSON = (0.0, 0.495)
@@ -33,12 +32,7 @@ def write_isaaclab(folder: Path, body: EstimatedObject) -> None:
     ------
     MeshError, RecordError          a file cannot be written
     """
-    write_obj(folder, body)
-    material = body.material
-    text = _TEXT.format(
-        young=material.young_modulus, poisson=material.poisson_ratio, density=body.density
-    )
-    write_text(folder / "body.py", text)
+    write_obj_and_script(folder, body, "body.py", _TEXT)
 
 
 ISAACLAB = Format("Isaac Lab", _POISSON, _RUN, of_surface=write_isaaclab)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from palpate.geometry import write_mesh
+from palpate.records import write_text
 from palpate.simulation.solid_model import EstimatedObject, Format
 
 _POISSON = (-0.999, 0.5)
@@ -23,6 +24,28 @@ def write_obj(folder: Path, body: EstimatedObject) -> None:
     MeshError                       the file cannot be written
     """
     write_mesh(folder / SURFACE, body.session.mesh)
+
+
+def write_obj_and_script(folder: Path, body: EstimatedObject, name: str, text: str) -> None:
+    """Write surface.obj, and a script of a simulator that fills it.
+
+    Parameters
+    ----------
+    folder : Path
+    body : EstimatedObject
+    name : str                      of the script's file
+    text : str                      with places for young, poisson and density, in SI units
+
+    Raises
+    ------
+    MeshError, RecordError          a file cannot be written
+    """
+    write_obj(folder, body)
+    material = body.material
+    filled = text.format(
+        young=material.young_modulus, poisson=material.poisson_ratio, density=body.density
+    )
+    write_text(folder / name, filled)
 
 
 OBJ = Format("OBJ", _POISSON, _RUN, of_surface=write_obj)
