@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from palpate.bem import SurfaceSettings
 from palpate.errors import NotConvergedError
@@ -16,11 +15,9 @@ from palpate.estimation import (
     FitResult,
     FitSettings,
     ProbeFit,
-    ProbeObservations,
-    SpaceStretch,
     fit,
 )
-from palpate.pipeline.calibrated_space import calibration_strains
+from palpate.pipeline.calibrated_space import calibration_strains, known_lengths, with_stretch
 from palpate.pipeline.model import (
     ObjectModel,
     fit_at_finite_strain,
@@ -31,9 +28,7 @@ from palpate.pipeline.model import (
     resolved_session,
     touched_session,
 )
-from palpate.pipeline.observations import (
-    settled_observations,
-)
+from palpate.pipeline.observations import settled_observations
 from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -85,6 +80,7 @@ def fit_session(
     """
     start = time.perf_counter()
     require_probings(session)
+    strains = calibration_strains(session)
     progress("the given mesh", 0.0)
     resolved = resolved_session(session, surface=surface)
     if has_tools(resolved):
@@ -103,12 +99,12 @@ def fit_session(
     observations = settled_observations(
         graded, model, settings=settings, coarser=coarser, with_surface=True
     )
-    strains = calibration_strains(session)
-    observations = _with_stretch(observations, strains)
+    observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
-    result = fit(observations, settings=settings, progress=part_of(progress, _FIT_STARTS, 1.0))
+    last = part_of(progress, _FIT_STARTS, 1.0)
+    result = fit(observations, settings=settings, progress=last)
     if finite_strain:
-        result = fit_at_finite_strain(resolved, observations, result, settings, progress)
+        result = fit_at_finite_strain(resolved, observations, result, settings, last)
     seconds = {
         "given_mesh": compared - start,
         "assembly": assembled - compared,
@@ -127,12 +123,11 @@ def fit_session(
             **result.estimate.settings,
             "surface": asdict(surface),
             "finite_strain": finite_strain,
-            "lengths": _known_lengths(session, strains),
+            "lengths": known_lengths(session, strains),
             **_described(session, resolved, graded),
         },
     )
-    fits = tuple(_on_given_mesh(one, len(session.mesh.vertices)) for one in result.probes)
-    return replace(result, estimate=estimate, probes=fits)
+    return replace(result, estimate=estimate, probes=_on_given_mesh(result.probes, session))
 
 
 def _notes(session: Session, resolved: Session, probes: Sequence[ProbeEstimate]) -> tuple[str, ...]:
@@ -149,9 +144,12 @@ def _described(session: Session, resolved: Session, graded: Session) -> dict[str
     }
 
 
-def _on_given_mesh(found: ProbeFit, vertices: int) -> ProbeFit:
+def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeFit, ...]:
     """Without what the graded mesh has besides: the given mesh's vertices come first in it."""
-    return found if found.surface is None else replace(found, surface=found.surface[:vertices])
+    count = len(session.mesh.vertices)
+    return tuple(
+        one if one.surface is None else replace(one, surface=one.surface[:count]) for one in probes
+    )
 
 
 def _with_touched_circles(
@@ -176,29 +174,6 @@ def _with_touched_circles(
         f"the circles that the tools touch still change after {_MOST_TOUCHES} fits: the force and"
         " the displacements do not belong together; check tool_radius and the unit of the force"
     )
-
-
-def _with_stretch(
-    observations: Sequence[ProbeObservations], strains: Float[np.ndarray, "m 3 3"] | None
-) -> list[ProbeObservations]:
-    """What was seen, with what the calibration of the cameras leaves open."""
-    if strains is None:
-        return list(observations)
-    return [
-        replace(one, nuisances=(*one.nuisances, SpaceStretch(strains, len(one.position))))
-        for one in observations
-    ]
-
-
-def _known_lengths(
-    session: Session, strains: Float[np.ndarray, "m 3 3"] | None
-) -> dict[str, object]:
-    """Where the error of lengths comes from, and how large it is along x, y and z."""
-    if strains is None:
-        return {"source": "[errors] length_scale", "std": [session.errors.length_scale] * 3}
-    along = np.linalg.norm(np.einsum("mii->mi", strains), axis=0)
-    total = np.hypot(along, session.errors.length_scale)
-    return {"source": "rig_covariance.npz", "std": total.tolist()}
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
