@@ -91,3 +91,75 @@ def test_a_response_that_does_not_fit_is_refused() -> None:
     rows = observed_rows_of(replace(probe, response=HalfSpace(probe.response.offset[1:])))
     with pytest.raises(InputError, match="must be finite with three rows a point"):
         rows.value(0.3)
+
+
+def _covariances(count: int, *, depth: float = 4.0) -> np.ndarray:
+    """As of cameras in one direction: `depth` times as uncertain along it."""
+    rng = np.random.default_rng(3)
+    along = np.array([0.5, -0.3, 0.81])
+    along /= np.linalg.norm(along)
+    shape = np.eye(3) + (depth**2 - 1.0) * np.outer(along, along)
+    return 1e-10 * rng.uniform(0.5, 2.0, (count, 1, 1)) * shape
+
+
+def _with_covariance(**options: object) -> ProbeObservations:
+    probe = _probe(**options)
+    covariance = _covariances(len(probe.position))
+    return replace(probe, std=np.sqrt(np.einsum("naa->na", covariance)), covariance=covariance)
+
+
+def test_rows_of_known_covariance_are_independent_and_equal() -> None:
+    probe = _with_covariance(tip=True)
+    field = probe.displacement.copy()
+    field[3] = np.nan
+    rows = observed_rows_of(replace(probe, displacement=field))
+    plain = observed_rows_of(replace(probe, displacement=field, covariance=None))
+    level = np.ones(8)
+    kept = np.delete(np.arange(len(field)), 3)
+    # The squared length of a residual is what its covariance makes of it.
+    left = (plain.measured - plain.value(0.2)[:, 2])[:-3].reshape(-1, 3)
+    inverse = np.linalg.inv(probe.covariance[kept])
+    expected = np.einsum("pa,pab,pb->p", left, inverse, left)
+    found = rows.squared_length((rows.measured - rows.value(0.2)[:, 2]) / rows.sigma(level))
+    np.testing.assert_allclose(found[:-1], expected, rtol=1e-9)
+    np.testing.assert_allclose(rows.component_sigma(level), plain.sigma(level), rtol=1e-9)
+    np.testing.assert_array_equal(plain.component_sigma(level), plain.sigma(level))
+    # The tip, behind the points, is as it was.
+    np.testing.assert_array_equal(rows.measured[-3:], plain.measured[-3:])
+    np.testing.assert_array_equal(rows.slope(0.2)[-3:], plain.slope(0.2)[-3:])
+
+
+class _Along:
+    """An error that moves all points along x, and as the load does."""
+
+    parameters = ()
+
+    def columns(self, rows, response, load, poisson_ratio):
+        along_x = (rows % 3 == 0).astype(float)
+        return np.column_stack([along_x, response[: len(rows)] @ load])
+
+
+def test_errors_of_points_speak_of_the_components_as_measured() -> None:
+    probe = replace(_with_covariance(tip=True), nuisances=(_Along(),))
+    rows, plain = observed_rows_of(probe), observed_rows_of(replace(probe, covariance=None))
+    load = np.array([0.0, 0.0, -1.0, 0.0])
+    found = rows.nuisance_columns(rows.value(0.3), load, 0.3)
+    expected = plain.nuisance_columns(plain.value(0.3), load, 0.3)
+    n = len(rows.mixing)
+    mixed = rows.mixing @ expected[: 3 * n].reshape(n, 3, 2)
+    np.testing.assert_allclose(found[: 3 * n], mixed.reshape(-1, 2), rtol=1e-9, atol=1e-20)
+    np.testing.assert_allclose(found[3 * n :], expected[3 * n :], rtol=1e-12)
+
+
+def test_covariances_that_cannot_be_are_refused() -> None:
+    probe = _with_covariance()
+    with pytest.raises(InputError, match="covariance is given without std"):
+        replace(probe, std=None)
+    field = probe.displacement.copy()
+    field[0, 1] = np.nan
+    with pytest.raises(InputError, match="some components of a point are measured"):
+        replace(probe, displacement=field)
+    broken = probe.covariance.copy()
+    broken[2, 0, 0] = -1e-10
+    with pytest.raises(InputError, match="covariance of point 2 is not positive definite"):
+        replace(probe, covariance=broken)

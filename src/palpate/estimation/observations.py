@@ -80,6 +80,9 @@ class ProbeObservations:
     settlement : Settlement or None         None: the response does not depend on the modulus
     vertices : ResponseModel or None        of all vertices of the mesh, where their displacement is
                                             wanted along with the estimate
+    covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, beside `std`; points
+                                            then have all three components or none; None: their
+                                            errors are independent
 
     Raises
     ------
@@ -101,6 +104,7 @@ class ProbeObservations:
     nuisances: tuple[Nuisance, ...] = ()
     settlement: Settlement | None = None
     vertices: ResponseModel | None = None
+    covariance: Float[np.ndarray, "n 3 3"] | None = None
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "
@@ -109,6 +113,7 @@ class ProbeObservations:
             "position": (n, 3),
             "displacement": (n, 3),
             "std": (n, 3),
+            "covariance": (n, 3, 3),
             "force": (3,),
             "force_std": (3,),
             "tip_displacement": (3,),
@@ -120,10 +125,11 @@ class ProbeObservations:
             value = getattr(self, name)
             if value is None:
                 continue
-            nan_allowed = "displacement" in name or name == "std"
+            nan_allowed = "displacement" in name or name in ("std", "covariance")
             array = fixed_array(value, name=label + name, shape=shape, nan_allowed=nan_allowed)
             object.__setattr__(self, name, array)
         _check_std(label + "std", self.std, self.displacement)
+        _check_covariance(label, self)
         _check_std(label + "tip_displacement_std", self.tip_displacement_std, self.tip_displacement)
         for name in ("force_std", "motion_std"):
             if np.any(getattr(self, name) < 0):
@@ -163,17 +169,38 @@ def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | Non
         )
 
 
+def _check_covariance(label: str, probe: ProbeObservations) -> None:
+    """Refuse a covariance without standard deviations, not positive, or of half measured points."""
+    if probe.covariance is None:
+        return
+    known = np.isfinite(probe.displacement)
+    whole = known.all(axis=1)
+    if probe.std is None or (known.any(axis=1) & ~whole).any():
+        raise InputError(
+            f"{label}covariance is given without std, or where some components of a point are"
+            " measured and others are not; give both, for points that are measured as a whole"
+        )
+    smallest = np.linalg.eigvalsh(probe.covariance[whole])[:, 0]
+    if not (smallest > 0.0).all():
+        row = int(np.flatnonzero(whole)[np.argmin(smallest > 0.0)])
+        raise InputError(
+            f"{label}covariance of point {row} is not positive definite: {probe.covariance[row]}"
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedRows:
     """The measured components of one probing as one stack of rows, ready for the misfit.
 
     A point has up to three rows that stand or fall together: a wrong match spoils all of them.
+    Where a point's covariance is known its three rows are mixed so that their errors are
+    independent and equal.
 
     Parameters
     ----------
     name : str
     rows : (r,) int                         rows of the response that were measured
-    measured : (r,) float [m]
+    measured : (r,) float [m]               mixed, as everything that its methods give
     unit : (r,) float [m]                   claimed 1 sigma, or 1 where the level is estimated
     group : (r,) int                        noise group, see GROUP_COUNT
     start : (p,) int                        first row of each point
@@ -185,6 +212,8 @@ class ObservedRows:
     response : ResponseModel
     nuisances : tuple of Nuisance
     settlement : Settlement or None
+    mixing : (k, 3, 3) float [-] or None    of the first k points, which have three rows each: their
+                                            covariance to the power -1/2, times `unit`
     """
 
     name: str
@@ -203,6 +232,7 @@ class ObservedRows:
     response: ResponseModel
     nuisances: tuple[Nuisance, ...] = ()
     settlement: Settlement | None = None
+    mixing: Float[np.ndarray, "k 3 3"] | None = None
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -216,8 +246,13 @@ class ObservedRows:
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
         """Change of the displacements for one prior standard deviation of each parameter [m]."""
-        found = [n.columns(self.rows, response, load, poisson_ratio) for n in self.nuisances]
-        return np.concatenate([np.zeros((len(self.measured), 0)), *found], axis=1)
+        if not self.nuisances:
+            return np.zeros((len(self.measured), 0))
+        plain = response
+        if self.mixing is not None:
+            plain = _mixed(np.linalg.inv(self.mixing), response)
+        found = [n.columns(self.rows, plain, load, poisson_ratio) for n in self.nuisances]
+        return _mixed(self.mixing, np.concatenate(found, axis=1))
 
     @property
     def force_components(self) -> int:
@@ -258,6 +293,16 @@ class ObservedRows:
         """1 sigma of every row [m] at the noise level of each group."""
         return self.unit * level[self.group]
 
+    def component_sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
+        """The same of the components x, y and z as they were measured."""
+        sigma = self.sigma(level)
+        if self.mixing is None:
+            return sigma
+        k = len(self.mixing)
+        share = np.linalg.inv(self.mixing) ** 2
+        own = np.einsum("kab,kb->ka", share, sigma[: 3 * k].reshape(k, 3) ** 2)
+        return np.append(np.sqrt(own).ravel(), sigma[3 * k :])
+
     def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
         """The value of its point for every row."""
         return np.repeat(values, self.components.astype(np.int64))
@@ -295,7 +340,18 @@ class ObservedRows:
                 f" {response.shape} and must be finite with three rows a point (and three for a"
                 f" measured tip) and {shape[1]} columns; check support, contact and mesh"
             )
-        return chosen
+        return _mixed(self.mixing, chosen)
+
+
+def _mixed(
+    mixing: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r c"]
+) -> Float[np.ndarray, "r c"]:
+    """Rows with the three of each of the first k points mixed; as they are where there is none."""
+    if mixing is None:
+        return rows
+    k = 3 * len(mixing)
+    first = mixing @ rows[:k].reshape(len(mixing), 3, -1)
+    return np.concatenate([first.reshape(k, -1), rows[k:]])
 
 
 def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
@@ -328,10 +384,11 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
     rows = np.flatnonzero(seen)
     point, start, count = np.unique(rows // 3, return_index=True, return_counts=True)
     position = np.vstack([probe.position, np.full((1, 3), np.nan)])[point]
+    mixing = _mixing(probe)
     return ObservedRows(
         name=probe.name,
         rows=rows,
-        measured=displacement[rows],
+        measured=_mixed(mixing, displacement[rows, None])[:, 0],
         unit=unit[rows],
         group=group[rows],
         start=start.astype(np.int64),
@@ -345,7 +402,18 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         response=probe.response,
         nuisances=probe.nuisances,
         settlement=probe.settlement,
+        mixing=mixing,
     )
+
+
+def _mixing(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"] | None:
+    """`ObservedRows.mixing` of the points that were measured."""
+    if probe.covariance is None:
+        return None
+    known = probe.covariance[np.isfinite(probe.displacement).all(axis=1)]
+    value, vector = np.linalg.eigh(known)
+    size = np.sqrt(value.mean(axis=1, keepdims=True) / value)
+    return (vector * size[:, None, :]) @ vector.swapaxes(1, 2)
 
 
 def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -353,6 +421,9 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
     n = len(probe.position)
     claimed = probe.std is not None
     unit = np.ones((n, 3)) if probe.std is None else probe.std
+    if probe.covariance is not None:
+        square = np.trace(probe.covariance, axis1=1, axis2=2) / 3.0
+        unit = np.tile(np.sqrt(square)[:, None], 3)
     group = np.tile(np.arange(3), n) + (CLAIMED_GROUPS.start if claimed else 0)
     displacement, unit = probe.displacement.ravel(), unit.ravel()
     if probe.tip_displacement is not None:

@@ -324,6 +324,7 @@ def vertex_field(
         surface=closest_points(mesh, points),
         source=source,
         scale_error=SCALE_ERROR,
+        covariance=vertices.covariance[rows],
     )
 
 

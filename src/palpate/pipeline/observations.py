@@ -235,6 +235,7 @@ def _observations(
         position=field.points,
         displacement=field.displacement,
         std=field.std,
+        covariance=field.covariance,
         force=probing.force,
         force_std=force_std,
         tip_displacement=probing.tip_displacement,

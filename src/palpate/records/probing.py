@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
@@ -26,6 +27,8 @@ class DisplacementField:
     source : str                    file they came from, for messages
     scale_error : float [-]         relative standard deviation of all displacements together, which
                                     no single one shows; 0 where unknown
+    covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, with the squares of
+                                    `std` on its diagonal; None: its components err independently
 
     Raises
     ------
@@ -39,6 +42,7 @@ class DisplacementField:
     surface: SurfacePoints
     source: str
     scale_error: float = 0.0
+    covariance: Float[np.ndarray, "n 3 3"] | None = None
 
     def __post_init__(self) -> None:
         points = fixed_array(self.points, name="points", shape=(None, 3))
@@ -60,6 +64,11 @@ class DisplacementField:
                     f" {std[bad[0]].tolist()}; give one standard deviation in each component"
                 )
             object.__setattr__(self, "std", std)
+        if self.covariance is not None:
+            covariance = fixed_array(
+                self.covariance, name="covariance", shape=(n, 3, 3), nan_allowed=True
+            )
+            object.__setattr__(self, "covariance", covariance)
         if self.vertex is not None:
             vertex = fixed_array(self.vertex, name="vertex", shape=(n,), integer=True)
             object.__setattr__(self, "vertex", vertex)

@@ -31,9 +31,11 @@ def measured(session):
     points = session.mesh.vertices[rows]
     moved = 1e-4 * np.random.default_rng(2).normal(size=points.shape)
     moved[3] = np.nan
+    covariance = np.tile(4e-12 * np.array([[1, 0, 0.5], [0, 1, 0], [0.5, 0, 1]]), (len(rows), 1, 1))
     field = DisplacementField(
         points=points, displacement=moved, std=np.full(points.shape, 2e-6), vertex=rows,
         surface=closest_points(session.mesh, points), source="images of n01", scale_error=0.007,
+        covariance=covariance,
     )  # fmt: skip
     return replace(
         session,

@@ -140,7 +140,7 @@ def probe_fits(
 def _sigma(local: LocalProbe, misfit: Misfit, count: int) -> Points:
     """1 sigma of every component of every point, at the noise levels that were found."""
     sigma = np.full(3 * count + 3, np.nan)
-    sigma[local.rows.rows] = local.rows.sigma(misfit.level)
+    sigma[local.rows.rows] = local.rows.component_sigma(misfit.level)
     return sigma[: 3 * count].reshape(-1, 3)
 
 
