@@ -41,6 +41,8 @@ from palpate.records import (
 )
 from palpate.shapes import Vertices
 
+# Poisson's ratio at which the size of small terms is taken.
+_MIDDLE = 0.3
 # Where supports give: how often the modulus about which the model is taken is found anew, the
 # change of its logarithm that ends this (what it leaves is of its square), and the longest step.
 _SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
@@ -234,7 +236,7 @@ def _observations(
         name=probing.name,
         position=field.points,
         displacement=field.displacement,
-        std=field.std,
+        std=_point_std(model, index, response),
         force=probing.force,
         force_std=force_std,
         tip_displacement=probing.tip_displacement,
@@ -245,6 +247,30 @@ def _observations(
         motion_std=motion_std,
         nuisances=nuisances,
     )
+
+
+def _point_std(
+    model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
+) -> Float[np.ndarray, "n 3"] | None:
+    """Claimed standard deviations, with what the mesh about the contact may be off by at a point.
+
+    One parameter a contact (`dip_changes`) takes up what has the shape of the dip. What has not is
+    of the same size and differs from point to point; without it points beside a tool, which move
+    most, would count as if the model knew them to a thousandth.
+    """
+    probing = model.session.probings[index]
+    field = _measured(probing)
+    unsure = any(one.probing == index and one.patch is None for one in model.changes)
+    if field.std is None or not unsure or isinstance(response, SpringResponse):
+        return field.std
+    size = field.displacement.size
+    moved = response.value(_MIDDLE)[:size, :3] @ probing.force
+    dip = response.change(_MIDDLE)[:size, -1].reshape(-1, 3)
+    # One over the modulus, roughly, from the measured motion.
+    known = np.isfinite(field.displacement).ravel()
+    scale = float(moved[known] @ field.displacement.ravel()[known] / (moved[known] @ moved[known]))
+    error = max(scale, 0.0) * np.linalg.norm(dip, axis=1, keepdims=True) / np.sqrt(3.0)
+    return np.sqrt(field.std**2 + error**2)
 
 
 def _motions(
