@@ -29,9 +29,13 @@ from palpate.lab.bodies.finite_elements import (
 from palpate.lab.bodies.sparse_cholesky import factorise
 from palpate.lab.bodies.specimens import block, cylinder, half_ball, toy
 from palpate.lab.bodies.tetrahedra import Solid, make_solid
-from palpate.pipeline import graded_session, make_object_model, resolved_session
-from palpate.pipeline.observations import settled_observations
-from palpate.records import EXACT, Contact, DisplacementField, Estimate, Probing, Session, Status
+from palpate.pipeline import (
+    graded_session,
+    make_object_model,
+    resolved_session,
+    settled_observations,
+)
+from palpate.records import EXACT, Contact, DisplacementField, Probing, Session, Status
 from palpate.records.contact import smooth_pressure
 
 SHEAR_MODULUS, POISSON_RATIO = 2e4, 0.3
@@ -208,33 +212,20 @@ def noisy(
     return replace(probe, displacement=moved)
 
 
-def holds(estimate: Estimate) -> bool:
-    """Whether the intervals of nu, G and E hold the material around any fault."""
-    young = 2.0 * SHEAR_MODULUS * (1.0 + POISSON_RATIO)
-    pairs = (
-        (estimate.poisson_ratio, POISSON_RATIO),
-        (estimate.shear_modulus, SHEAR_MODULUS),
-        (estimate.young_modulus, young),
-    )
-    return all(one.ci95[0] <= true <= one.ci95[1] for one, true in pairs)
-
-
 def main() -> None:
-    """Print how many sessions of each kind were said to contradict the model, and how many of the
-    others have an interval that does not hold the material around the fault."""
+    """Print how many sessions of each kind were said to contradict the model."""
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 50
     noises = [name for name in NOISES if name in sys.argv[2:]] or list(NOISES)
     rng = np.random.default_rng(1)
-    print(f"Of {repeats} sessions: how many contradict their model, how many others miss it")
+    print(f"Of {repeats} sessions: how many contradict their model")
     for body, fault, probes in cases():
         for noise in noises:
-            fits = [
+            fits = (
                 fit([noisy(probe, *NOISES[noise], rng) for probe in probes]).estimate
                 for _ in range(repeats)
-            ]
-            said = [one.status is Status.MODEL_CONTRADICTED for one in fits]
-            missed = sum(not one and not holds(x) for one, x in zip(said, fits, strict=True))
-            print(f"{body:10s} {fault:34s} {noise:26s} {sum(said):4d} {missed:4d}", flush=True)
+            )
+            said = sum(one.status is Status.MODEL_CONTRADICTED for one in fits)
+            print(f"{body:10s} {fault:34s} {noise:26s} {said:4d}", flush=True)
 
 
 if __name__ == "__main__":
