@@ -4,7 +4,7 @@ with the boundary elements that estimate."""
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from benchmarks.bodies import BODIES, Shape
@@ -25,11 +25,13 @@ RADIUS = 5e-3
 # A tool keeps its radius and a little more away from edges and from the support.
 _CLEARANCE = 1.35
 # Edges of the surface that is filled over those of the surface that estimates.
-_SURFACE = 0.25
+_SURFACE = 0.2
 # Edge of the tetrahedra under a tool over its radius.
 _FINE = 0.25
 # Between contacts.
 _APART = 15e-3
+# Points along a side of a triangle, of those that stand for a line.
+_ALONG = np.linspace(0, 1, 9)[:, None, None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,21 +47,51 @@ class Contact:
     inward: Float[np.ndarray, "3"]
 
 
-def contacts(mesh: TriangleMesh, shape: Shape) -> list[Contact]:
-    """Vertices toward the shape's directions, away from edges, support and each other."""
-    normals = unit_normals(mesh)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lines:
+    """Sides between two triangles.
+
+    Attributes
+    ----------
+    ends : (e, 2, 3) float [m]
+    sharp, rim, hollow : (e,) bool      faces meet at 40 degrees or more; the support ends here; the
+                                        faces meet from the inside of a corner
+    """
+
+    ends: Float[np.ndarray, "e 2 3"]
+    sharp: Bool[np.ndarray, " e"]
+    rim: Bool[np.ndarray, " e"]
+    hollow: Bool[np.ndarray, " e"]
+
+    def points(self, chosen: Bool[np.ndarray, " e"]) -> Points:
+        """Points along some of them."""
+        start, end = self.ends[chosen].transpose(1, 0, 2)
+        return (start * (1 - _ALONG) + end * _ALONG).reshape(-1, 3)
+
+
+def _lines(mesh: TriangleMesh, held: Bool[np.ndarray, " m"]) -> _Lines:
+    normals, centres = unit_normals(mesh), mesh.vertices[mesh.triangles].mean(axis=1)
     edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     order = np.lexsort(edges.T)
-    pairs = np.repeat(np.arange(len(normals)), 3)[order].reshape(-1, 2)
+    one, other = np.repeat(np.arange(len(normals)), 3)[order].reshape(-1, 2).T
+    sharp = (normals[one] * normals[other]).sum(1) < np.cos(np.radians(40))
+    inside = ((centres[other] - centres[one]) * normals[one]).sum(axis=1) > 0.0
     ends = mesh.vertices[edges[order][::2]]
-    sharp = (normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(1) < np.cos(np.radians(40))
-    held = (mesh.vertices[mesh.triangles][:, :, 2] < shape.held).all(1)
-    rim = sharp | (held[pairs[:, 0]] != held[pairs[:, 1]])
-    along = np.linspace(0, 1, 9)[:, None, None]
+    return _Lines(ends, sharp, held[one] != held[other], sharp & inside)
+
+
+def _held_triangles(mesh: TriangleMesh, shape: Shape) -> Bool[np.ndarray, " m"]:
+    return (mesh.vertices[mesh.triangles][:, :, 2] < shape.held).all(axis=1)
+
+
+def contacts(mesh: TriangleMesh, shape: Shape) -> list[Contact]:
+    """Vertices toward the shape's directions, away from edges, support and each other."""
+    normals, held = unit_normals(mesh), _held_triangles(mesh, shape)
+    lines = _lines(mesh, held)
     away = np.full(len(mesh.vertices), np.inf)
-    if rim.any():
-        lines = (ends[rim, 0] * (1 - along) + ends[rim, 1] * along).reshape(-1, 3)
-        away = cKDTree(lines).query(mesh.vertices)[0]
+    marked = lines.points(lines.sharp | lines.rim)
+    if len(marked):
+        away = cKDTree(marked).query(mesh.vertices)[0]
     away[np.unique(mesh.triangles[held])] = 0.0
     chosen: list[Contact] = []
     for toward in shape.towards:
@@ -97,18 +129,22 @@ class Truth:
         return surface_values(self.body.solid, points) @ nodal
 
 
-def make_truth(name: str, *, edge: float) -> Truth:
+def make_truth(name: str, *, edge: float, rim: float) -> Truth:
     """A body of `BODIES`, filled from a surface much finer than the one that estimates.
 
     Parameters
     ----------
     name : str
     edge : float [m]            of the tetrahedra, away from the tools
+    rim : float [m]             of those where the support ends and in hollow corners, where
+                                stresses have no bound
     """
     shape = BODIES[name]
     places = contacts(shape.make(shape.edge), shape)
     surface = shape.make(_SURFACE * shape.edge)
+    lines = _lines(surface, _held_triangles(surface, shape))
     fine = [(place.point, 1.2 * RADIUS, _FINE * RADIUS) for place in places]
+    fine += [(point, 0.0, rim) for point in lines.points(lines.rim | lines.hollow)]
     solid = make_solid(surface, edge=edge, fine=fine)
     held = _held(solid, shape)
     return Truth(
@@ -116,7 +152,7 @@ def make_truth(name: str, *, edge: float) -> Truth:
     )
 
 
-def _held(solid: Solid, shape: Shape) -> Float[np.ndarray, " n"]:
+def _held(solid: Solid, shape: Shape) -> Bool[np.ndarray, " n"]:
     low = (solid.nodes[solid.facets][:, :, 2] < shape.held).all(axis=1)
     held = np.zeros(len(solid.nodes), dtype=bool)
     held[solid.facets[low]] = True

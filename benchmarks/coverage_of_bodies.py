@@ -37,11 +37,11 @@ NOISE = 0.01
 # The farthest that anything moves [m]: small against every body.
 FARTHEST = 1e-3
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
-# Edges of the tetrahedra over those of the surface's triangles, of three solutions, each a constant
-# part of the one before.
-EDGES = (1.4, 1.0, 0.7)
-# What a step leaves of the one before: between first order of convergence and third.
-LEFT = (0.7**3, 0.7)
+# Edges of the tetrahedra over those of the surface's triangles, in the body and where stresses have
+# no bound (`make_truth`), of three solutions.
+MESHES = ((1.4, 0.3), (1.0, 0.15), (0.7, 0.1))
+# What a step leaves of the one before: between first order of convergence and fourth.
+LEFT = (0.7**4, 0.7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,7 @@ def measured_body(name: str, folder: Path) -> Measured:
     """Truth of a body, computed once."""
     shape = BODIES[name]
     mesh = shape.make(shape.edge)
-    coarse, middle, fine = (_solved(name, mesh, folder, edge) for edge in EDGES)
+    coarse, middle, fine = (_solved(name, mesh, folder, *sizes) for sizes in MESHES)
     # Aitken's extrapolation: the steps shrink as a geometric series does.
     first, second = middle - coarse, fine - middle
     left = np.clip((first * second).sum() / (first**2).sum(), *LEFT)
@@ -87,11 +87,13 @@ def measured_body(name: str, folder: Path) -> Measured:
     return Measured(name, mesh, shape, fine + rest, float(own), float(left))
 
 
-def _solved(name: str, mesh: TriangleMesh, folder: Path, edge: float) -> Float[np.ndarray, "c v 3"]:
-    file = folder / f"{name}_{edge}.npy"
+def _solved(
+    name: str, mesh: TriangleMesh, folder: Path, edge: float, rim: float
+) -> Float[np.ndarray, "c v 3"]:
+    file = folder / f"{name}_{edge}_{rim}.npy"
     if not file.exists():
         shape = BODIES[name]
-        truth = make_truth(name, edge=edge * shape.edge)
+        truth = make_truth(name, edge=edge * shape.edge, rim=rim * shape.edge)
         moved = [
             truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
             for one in contacts(mesh, shape)

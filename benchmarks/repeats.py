@@ -15,6 +15,8 @@ from benchmarks.session_observations import exact, session_observations, thinned
 from palpate.records import EXACT, read_session
 
 REPEATS = 500
+# What is repeated says nothing about the model: `coverage_of_bodies` does.
+OWN = "repeats of the model's own displacements"
 STEP = 5
 DISTURBANCES = {
     "Gaussian noise": Disturbance(),
@@ -55,7 +57,7 @@ def _covered(name: str, outcome: Coverage) -> list[Figure]:
         figures.append(
             Figure(
                 ESTIMATION,
-                f"95 % interval of {symbol} covers the truth, {outcome.repeats} repeats, {name}",
+                f"95 % interval of {symbol} covers the truth, {outcome.repeats} {OWN}, {name}",
                 share,
                 "%",
                 must=(92.0, 98.0),
@@ -70,7 +72,7 @@ def _errors(name: str, outcome: Coverage) -> list[Figure]:
     return [
         Figure(
             ESTIMATION,
-            f"rms error of {symbol} over Cramer-Rao bound, {outcome.repeats} repeats, {name}",
+            f"rms error of {symbol} over Cramer-Rao bound, {outcome.repeats} {OWN}, {name}",
             outcome.error_over_bound[constant],
             "x",
             must=1.5,

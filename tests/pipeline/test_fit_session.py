@@ -241,12 +241,12 @@ def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
         make_object_model(only),
     )
     for seen, std in ((first, 1e-4), (second, 4e-4)):
-        assert [one.std for one in seen.nuisances[-1].parameters] == [std, std]
+        assert [one.std for one in seen.nuisances[-1].parameters[:2]] == [std, std]
     same = replace(only, errors=replace(errors, contact_points={}))
     (usual, _) = session_observations(same, make_object_model(same))
     rows = np.arange(len(first.response.value(NU)))
     columns = [
-        one.nuisances[-1].columns(rows, one.response.value(NU), _unit_load(only), NU)
+        one.nuisances[-1].columns(rows, one.response.value(NU), _unit_load(only), NU)[:, :2]
         for one in (first, usual)
     ]
     # Linear in the shift, but for the curvature of the displacement over 0.4 mm.
@@ -273,7 +273,8 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
         (one,) = session_observations(there, make_object_model(there))
         return one.response.value(NU) @ load
 
-    assert [one.unit for one in seen.nuisances[-1].parameters] == ["m", "m", ""]
+    # Two tangents, the radius, and the mesh about it.
+    assert [one.unit for one in seen.nuisances[-1].parameters] == ["m", "m", "", ""]
     assert all("toward +" in one.name for one in seen.nuisances[-1].parameters[:2])
     axes = ["xyz".index(one.name[-1]) for one in seen.nuisances[-1].parameters[:2]]
     for k, axis in enumerate(axes):
@@ -299,7 +300,7 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
     model = make_object_model(first)
     (seen,) = session_observations(first, model)
     load, response = _unit_load(first), seen.response.value(NU)
-    (pose,) = seen.nuisances
+    pose, _ = seen.nuisances
     found = pose.columns(np.arange(len(response)), response, load, NU)
     centre = first.mesh.vertices.mean(axis=0)
     far = np.linalg.norm(seen.position - first.probings[0].contact.point, axis=1) > 0.015
@@ -353,8 +354,9 @@ def test_one_contact_is_one_patch(still: Session) -> None:
     model = make_object_model(replace(still, probings=(first, second, again)))
     assert model.patch_of.tolist() == [0, 1, 0]
     assert len(model.patches) == 2
-    # Three columns a contact, two of gravity, three changes of every probing's contact.
-    assert model.right.terms.shape[2] == 3 * 2 + 2 + 3 * 3
+    # Three columns a contact, two of gravity, three changes of every probing's contact and one of
+    # the mesh about it.
+    assert model.right.terms.shape[2] == 3 * 2 + 2 + 4 * 3
 
 
 def test_integrals_are_kept(session: Session, result: FitResult, tmp_path: Path) -> None:

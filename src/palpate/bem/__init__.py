@@ -35,6 +35,7 @@ from palpate.bem.loads import (
     face_columns as face_columns,
     joined as joined,
     pressure_column as pressure_column,
+    shape_columns as shape_columns,
     support_columns as support_columns,
     traction_column as traction_column,
 )

@@ -15,6 +15,7 @@ from palpate.estimation import (
     FitResult,
     FitSettings,
     ProbeFit,
+    ProbeObservations,
     fit,
 )
 from palpate.pipeline.calibrated_space import calibration_strains, known_lengths, with_stretch
@@ -42,7 +43,8 @@ from palpate.records import (
 # Fraction of the work that is done when the estimation starts.
 _FIT_STARTS = 0.8
 # Radii settle when constants do; they change with the cube root of the modulus alone.
-_MOST_TOUCHES, _TOUCH_SETTLED = 6, 0.01
+# What is left is a tenth of the prior of a touched circle.
+_MOST_TOUCHES, _TOUCH_SETTLED = 6, 0.005
 # At one half the formulae of the contact have a removable singularity.
 _LARGEST_RATIO = 0.4999
 # A turn [rad] that leaves a false strain of 1e-5 is mentioned.
@@ -83,13 +85,11 @@ def fit_session(
     strains = calibration_strains(session)
     progress("the given mesh", 0.0)
     resolved = resolved_session(session, surface=surface)
-    if has_tools(resolved):
-        resolved = _with_touched_circles(resolved, settings, surface, cache)
     # First, and gone before the graded one takes its memory.
-    plain = replace(resolved, errors=EXACT)
-    coarser = settled_observations(
-        plain, make_object_model(plain, surface=surface, cache=cache), settings=settings
-    )
+    if has_tools(resolved):
+        resolved, coarser = _with_touched_circles(resolved, settings, surface, cache)
+    else:
+        coarser = _on_the_mesh_itself(resolved, settings, surface, cache)
     compared = time.perf_counter()
     progress("integrals over the surface", 0.25)
     graded = graded_session(resolved, surface=surface)
@@ -152,24 +152,31 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
     )
 
 
+def _on_the_mesh_itself(
+    session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
+) -> list[ProbeObservations]:
+    """What was seen beside the model of the mesh as it is, nothing else being wrong."""
+    plain = replace(session, errors=EXACT)
+    model = make_object_model(plain, surface=surface, cache=cache)
+    return settled_observations(plain, model, settings=settings)
+
+
 def _with_touched_circles(
     session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
-) -> Session:
-    """A session whose contacts are as wide as its tools touch, for the constants that it yields."""
+) -> tuple[Session, list[ProbeObservations]]:
+    """A session whose contacts are as wide as its tools touch, for the constants that it yields,
+    and what was seen beside its model."""
     for _ in range(_MOST_TOUCHES):
-        plain = replace(session, errors=EXACT)
-        model = make_object_model(plain, surface=surface, cache=cache)
-        found = fit(settled_observations(plain, model, settings=settings), settings=settings)
-        before, session = (
+        observations = _on_the_mesh_itself(session, settings, surface, cache)
+        found = fit(observations, settings=settings).estimate
+        touched = touched_session(
             session,
-            touched_session(
-                session,
-                shear_modulus=found.estimate.shear_modulus.value,
-                poisson_ratio=min(found.estimate.poisson_ratio.value, _LARGEST_RATIO),
-            ),
+            shear_modulus=found.shear_modulus.value,
+            poisson_ratio=min(found.poisson_ratio.value, _LARGEST_RATIO),
         )
-        if largest_change(before, session) < _TOUCH_SETTLED:
-            return session
+        if largest_change(session, touched) < _TOUCH_SETTLED:
+            return session, observations
+        session = touched
     raise NotConvergedError(
         f"the circles that the tools touch still change after {_MOST_TOUCHES} fits: the force and"
         " the displacements do not belong together; check tool_radius and the unit of the force"

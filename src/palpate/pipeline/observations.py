@@ -41,6 +41,8 @@ from palpate.records import (
 )
 from palpate.shapes import Vertices
 
+# Poisson's ratio at which the size of small terms is taken.
+_MIDDLE = 0.3
 # Where supports give: how often the modulus about which the model is taken is found anew, the
 # change of its logarithm that ends this (what it leaves is of its square), and the longest step.
 _SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
@@ -230,12 +232,15 @@ def _observations(
     if force_std is None:
         length = float(np.linalg.norm(probing.force))
         force_std = np.full(3, session.errors.force * length)
+    error = _contact_mesh_error(model, index, response)
     return ProbeObservations(
         name=probing.name,
         position=field.points,
         displacement=field.displacement,
-        std=field.std,
-        covariance=field.covariance,
+        std=None if field.std is None else np.hypot(field.std, error),
+        covariance=None
+        if field.covariance is None
+        else field.covariance + error[:, None] ** 2 * np.eye(3),
         force=probing.force,
         force_std=force_std,
         tip_displacement=probing.tip_displacement,
@@ -246,6 +251,30 @@ def _observations(
         motion_std=motion_std,
         nuisances=nuisances,
     )
+
+
+def _contact_mesh_error(
+    model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
+) -> Float[np.ndarray, "n 1"]:
+    """What the mesh about the contact may be off by at each point, 1 sigma of a component [m].
+
+    One parameter a contact (`dip_changes`) takes up what has the shape of the dip. What has not is
+    of the same size and differs from point to point; without it points beside a tool, which move
+    most, would count as if the model knew them to a thousandth.
+    """
+    probing = model.session.probings[index]
+    field = _measured(probing)
+    unsure = any(one.probing == index and one.patch is None for one in model.changes)
+    if field.std is None or not unsure or isinstance(response, SpringResponse):
+        return np.zeros((len(field.points), 1))
+    size = field.displacement.size
+    moved = response.value(_MIDDLE)[:size, :3] @ probing.force
+    dip = response.change(_MIDDLE)[:size, -1].reshape(-1, 3)
+    # One over the modulus, roughly, from the measured motion.
+    known = np.isfinite(field.displacement).ravel()
+    scale = float(moved[known] @ field.displacement.ravel()[known] / (moved[known] @ moved[known]))
+    error = max(scale, 0.0) * np.linalg.norm(dip, axis=1, keepdims=True) / np.sqrt(3.0)
+    return np.asarray(error)
 
 
 def _motions(

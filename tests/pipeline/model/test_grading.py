@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from surfaces import box, sphere
+from surfaces import box, joined, sphere
 
 from palpate.bem import make_surface
-from palpate.geometry import TriangleMesh, checked_mesh, closest_points
+from palpate.geometry import TriangleMesh, checked_mesh, closest_points, welded
 from palpate.pipeline import (
     graded_session,
     make_object_model,
@@ -125,6 +125,56 @@ def test_the_error_at_the_rim_falls(nu: float) -> None:
     error = [np.linalg.norm(_moved(one, nu) - truth) for one in (given, graded_session(given))]
     # Corners and edges of the cube, not graded, are a part of what is left.
     assert error[1] < 0.6 * error[0]
+
+
+def _angle(cells: int) -> Session:
+    """An L of 2 by 2 cm with a leg of 1 cm, 1 cm thick, held at the foot, pushed at the other end:
+    what gives way is its hollow edge."""
+    mesh = _angle_mesh(cells)
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 1], 0.0).all(axis=1))
+    points = np.array([[0.0, 0.02, 0.005], [0.02, 0.02, 0.0], [0.02, 0.01, 0.01]])
+    field = DisplacementField(
+        points, np.zeros((3, 3)), None, None, closest_points(mesh, points), ""
+    )
+    end = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 0].min(axis=1) > 0.0199)
+    contact = Contact(np.array([0.02, 0.015, 0.005]), None, "uniform", end)
+    push = np.array([0.0, 1.0, 0.2])
+    probing = Probing("n", contact, push, None, None, None, field, None)
+    return Session("L", Path("L"), mesh, held, (probing,), None, None, None, (), errors=EXACT)
+
+
+def _angle_mesh(cells: int) -> TriangleMesh:
+    origins = [(0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.01, 0.01, 0.0)]
+    mesh = welded(joined(*(box((0.01, 0.01, 0.01), cells, origin) for origin in origins)))
+    same = np.sort(mesh.triangles, axis=1)
+    _, where, count = np.unique(same, axis=0, return_inverse=True, return_counts=True)
+    # Faces that two of the three cubes share are inside.
+    outer = mesh.triangles[count[where.ravel()] == 1]
+    used, triangles = np.unique(outer, return_inverse=True)
+    return TriangleMesh(mesh.vertices[used], triangles.reshape(-1, 3))
+
+
+def test_hollow_edges_are_graded_and_others_are_not() -> None:
+    mesh = _angle_mesh(2)
+    held = np.isclose(mesh.vertices[mesh.triangles][:, :, 1], 0.0).all(axis=1)
+    fine, _ = _graded(mesh, held)
+    _, notes = checked_mesh(fine)
+    assert notes == ()
+    new = fine.vertices[len(mesh.vertices) :]
+    # An element is 5 mm long; of its diagonals the row cuts as much as of its sides.
+    hollow = np.abs(new[:, :2] - 0.01).max(axis=1)
+    rim = new[:, 1]
+    near = np.minimum(hollow, rim)
+    assert near.max() == pytest.approx(ROW * 0.005)
+    assert (hollow < 0.0016).sum() > 10
+
+
+def test_the_error_in_a_hollow_edge_falls() -> None:
+    """Against half as many cells again along an edge, graded twice."""
+    given = _angle(2)
+    truth = _moved(graded_session(graded_session(_angle(3))), 0.3)
+    error = [np.linalg.norm(_moved(one, 0.3) - truth) for one in (given, graded_session(given))]
+    assert error[1] < 0.5 * error[0]
 
 
 def test_a_session_goes_along() -> None:

@@ -1,4 +1,5 @@
-"""What a finer mesh at the rims of the supports has changed, and what a still finer one would."""
+"""What a finer mesh at rims of supports and in hollow edges has changed, and what a still finer one
+would."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

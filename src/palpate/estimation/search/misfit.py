@@ -138,7 +138,7 @@ class Misfit:
         shared = {one.name for one in self.shared}
         return tuple(one for one in probe.parameters if one.name not in shared)
 
-    def no_shifts(self) -> list[Float[np.ndarray, " n"]]:
+    def no_shifts(self) -> list[Float[np.ndarray, " _"]]:
         """Shifts of every probing where all is as measured."""
         return [np.zeros(3 + len(one.motion) + len(self.own(one))) for one in self.probes]
 
@@ -204,7 +204,7 @@ class Misfit:
         self,
         poisson_ratio: float,
         shear_modulus: float,
-        shifts: Sequence[Float[np.ndarray, " n"]],
+        shifts: Sequence[Float[np.ndarray, " _"]],
         *,
         with_slope: bool = True,
     ) -> list[ScaledRows]:
@@ -255,7 +255,7 @@ class Misfit:
         rows: Sequence[ScaledRows],
         offset: float,
         shear_modulus: float,
-        shifts: Sequence[Float[np.ndarray, " n"]],
+        shifts: Sequence[Float[np.ndarray, " _"]],
         errors: Float[np.ndarray, " m"],
     ) -> tuple[LocalProbe, ...]:
         """Every probing at nu = reference + offset, a shear modulus, true forces and motions.

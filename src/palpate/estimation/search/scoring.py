@@ -69,7 +69,7 @@ def scored_minimum(
     shear_modulus: float,
     *,
     poisson_range: tuple[float, float],
-    shifts: Sequence[Float[np.ndarray, " n"]] | None = None,
+    shifts: Sequence[Float[np.ndarray, " _"]] | None = None,
     errors: Float[np.ndarray, " m"] | None = None,
 ) -> Minimum:
     """Minimum of the misfit near a start.

@@ -57,10 +57,16 @@ def make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -
     (n, 3) -> (n,) float [m]            grows by 0.3 m/m outside a fine place
     """
 
+    # A line is many places of one kind: of these only the nearest counts.
+    kinds: dict[tuple[float, float], list[np.ndarray]] = {}
+    for centre, radius, small in fine:
+        kinds.setdefault((radius, small), []).append(centre)
+    trees = [(cKDTree(np.array(centres)), *kind) for kind, centres in kinds.items()]
+
     def spacing(points: np.ndarray) -> np.ndarray:
         size = np.full(len(points), edge)
-        for centre, radius, small in fine:
-            beyond = np.clip(np.linalg.norm(points - centre, axis=1) - radius, 0.0, None)
+        for tree, radius, small in trees:
+            beyond = np.clip(tree.query(points)[0] - radius, 0.0, None)
             size = np.minimum(size, small + _GROWTH * beyond)
         return size
 

@@ -288,7 +288,10 @@ def _evened(points: Points, cells: Int[np.ndarray, "m 4"], spacing: Spacing) -> 
 def _inner_cells(
     mesh: TriangleMesh, points: Points, cells: Int[np.ndarray, "m 4"], count: int
 ) -> Int[np.ndarray, "r 4"]:
-    """Cells inside the surface, less flat ones that only cover it."""
+    """Cells inside the surface, less flat ones that only cover it.
+
+    Between four points of one plane a flat element is as good as infinitely stiff against bending.
+    """
     doubtful = np.flatnonzero((cells < count).all(axis=1))
     corner = points[cells[doubtful]]
     keep = np.ones(len(cells), dtype=bool)
@@ -299,7 +302,7 @@ def _inner_cells(
     cells = cells[keep]
     while True:
         outer = _is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
-        peel = (cells < count).all(axis=1) & (outer >= 2) & (_shape(points[cells]) < _MIN_SHAPE)
+        peel = (cells < count).all(axis=1) & (outer >= 1) & (_shape(points[cells]) < _MIN_SHAPE)
         if not peel.any():
             return cells
         cells = cells[~peel]

@@ -7,6 +7,7 @@ Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 
+from palpate.pipeline.model.contact_changes import surface_load as surface_load
 from palpate.pipeline.model.finite_strain import (
     make_finite_body as make_finite_body,
     strain_corrections as strain_corrections,
@@ -35,7 +36,6 @@ from palpate.pipeline.model.object_model import (
     ObjectModel as ObjectModel,
     make_object_model as make_object_model,
     probe_rows as probe_rows,
-    surface_load as surface_load,
 )
 from palpate.pipeline.model.shared_errors import (
     pose_changes as pose_changes,

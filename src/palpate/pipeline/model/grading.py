@@ -1,8 +1,9 @@
 """Meshes that are finer where elements of even size make the model too stiff.
 
-Where a held face ends, the traction behaves as a negative power of the distance. Elements of even
-size there make the model too stiff as a whole, by 0.5 to 10 %, whatever happens elsewhere. Every
-edge that leaves the rim is therefore cut near it, which puts one narrow row of elements on either
+Where a held face ends, the traction behaves as a negative power of the distance, and so does the
+strain along a hollow edge, where two faces meet as the inside of a corner. Elements of even size
+there make the model too stiff as a whole, by 0.5 to 10 %, whatever happens elsewhere. Every edge
+that leaves such a line is therefore cut near it, which puts one narrow row of elements on either
 side. A model of the mesh before beside that of the graded one shows how much there was to gain.
 
 A face that is one element wide has no vertex of its own, only those of its edges: across it every
@@ -13,10 +14,10 @@ cut in their middle, before anything else.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from palpate.bem import BoundarySurface, SurfaceSettings, make_surface
-from palpate.geometry import SurfacePoints, TriangleMesh, closest_points
+from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, unit_normals
 from palpate.pipeline.model.moving_supports import held_directions
 from palpate.records import Contact, DisplacementField, Probing, Session
 
@@ -25,6 +26,9 @@ ROW = 0.3
 # The error falls at least with the first power of the elements' size at the rim: of what one step
 # gains, this much is left.
 LEFT_OF_STEP = ROW / (1.0 - ROW)
+# A neighbour's centre seen from a triangle's plane, as a sine, from which the edge between both is
+# hollow: some degrees, far less than those of a crease.
+_HOLLOW = 0.1
 
 
 def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
@@ -44,7 +48,7 @@ def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSett
 
 
 def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
-    """The same session on a mesh that is finer at the rims of its supports.
+    """The same session on a mesh that is finer at the rims of its supports and in hollow edges.
 
     Parameters
     ----------
@@ -79,7 +83,7 @@ def resolved_mesh(boundary: BoundarySurface) -> tuple[TriangleMesh, Int[np.ndarr
 
 
 def graded_mesh(boundary: BoundarySurface) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
-    """Cut every edge that leaves the rim of the held triangles near it.
+    """Cut every edge that leaves the rim of the held triangles, or a hollow edge, near it.
 
     Parameters
     ----------
@@ -91,12 +95,24 @@ def graded_mesh(boundary: BoundarySurface) -> tuple[TriangleMesh, Int[np.ndarray
     (t,) int                        the given triangle that each of its triangles is a part of
     """
     mesh, held = boundary.mesh, boundary.held
-    is_rim = np.zeros(len(mesh.vertices), dtype=bool)
-    is_rim[np.intersect1d(mesh.triangles[held], mesh.triangles[~held])] = True
     ends = _edge_ends(boundary)
-    outward = np.where(is_rim[ends[:, 0], None], ends, ends[:, ::-1])
-    leaves = is_rim[ends].sum(axis=1) == 1
+    on_line = np.zeros(len(mesh.vertices), dtype=bool)
+    on_line[np.intersect1d(mesh.triangles[held], mesh.triangles[~held])] = True
+    on_line[ends[_hollow_edges(boundary)]] = True
+    outward = np.where(on_line[ends[:, 0], None], ends, ends[:, ::-1])
+    leaves = on_line[ends].sum(axis=1) == 1
     return _divided(boundary, np.where(leaves[:, None], outward, -1), ROW)
+
+
+def _hollow_edges(boundary: BoundarySurface) -> Bool[np.ndarray, " e"]:
+    """Creases whose faces meet as the inside of a corner."""
+    mesh, sides = boundary.mesh, boundary.sides
+    centre, normal = mesh.vertices[mesh.triangles].mean(axis=1), unit_normals(mesh)
+    away = centre[sides.twin // 3] - centre[:, None]
+    rise = np.einsum("mkj,mj->mk", away, normal) / np.linalg.norm(away, axis=2).clip(min=1e-300)
+    hollow = np.zeros(len(sides.cut), dtype=bool)
+    hollow[sides.edge[rise > _HOLLOW]] = True
+    return hollow & sides.cut
 
 
 def _boundary(session: Session, surface: SurfaceSettings) -> BoundarySurface:

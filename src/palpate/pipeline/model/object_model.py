@@ -12,12 +12,9 @@ from palpate.bem import (
     BodyForce,
     BoundarySystem,
     ContactShape,
-    LoadCells,
     PointEquations,
-    PressureDisc,
     RightHand,
     Springs,
-    SurfaceLoad,
     SurfaceSettings,
     assemble_system,
     body_force_columns,
@@ -30,11 +27,22 @@ from palpate.bem import (
     make_surface,
     point_equations,
     pressure_column,
+    shape_columns,
     support_columns,
 )
 from palpate.estimation import PointRows, ProbeMotions, ProbeRows
 from palpate.geometry import SurfacePoints, interpolation_matrix
-from palpate.pipeline.model.contact_changes import ContactChange, contact_changes
+from palpate.pipeline.model.contact_changes import (
+    CHANGE_CELLS,
+    ContactChange,
+    adds,
+    change_columns,
+    contact_changes,
+    dip_changes,
+    dip_columns,
+    no_columns,
+    surface_load,
+)
 from palpate.pipeline.model.giving_supports import session_springs, springs_at, support_force
 from palpate.pipeline.model.moving_supports import (
     MovingSupport,
@@ -49,8 +57,6 @@ from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import GIVEN, RIGID, Contact, Session
 
 _Key = tuple[object, ...]
-# Cells of a load whose derivative is wanted: its rim is divided once more, not three times.
-_CHANGE_CELLS = LoadCells(degree=3, coarsest=2, finest_rim=3, finest=3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,8 +168,10 @@ def make_object_model(
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
     dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
-    changes = contact_changes(session, _patch_numbers(session, patches))
-    changed_dips = [load_shape(boundary, surface_load(one.patch)) for one in changes]
+    numbers = _patch_numbers(session, patches)
+    changes = (*contact_changes(session, numbers), *dip_changes(session, numbers, dips))
+    moved = [one.patch for one in changes if one.patch is not None]
+    changed_dips = [load_shape(boundary, surface_load(patch)) for patch in moved]
     pressures = tuple(pressed.values())
     loads = tuple(patches.values()), dips, pressures, weight, shapes, changes, changed_dips
     right, body = _right_hand(system, *loads)
@@ -181,23 +189,6 @@ def make_object_model(
     )  # fmt: skip
 
 
-def surface_load(patch: ContactPatch) -> SurfaceLoad:
-    """A contact patch as a load of the boundary element model.
-
-    Parameters
-    ----------
-    patch : ContactPatch
-
-    Returns
-    -------
-    SurfaceLoad
-    """
-    disc = None
-    if patch.contact.radius is not None:
-        disc = PressureDisc(patch.contact.point, patch.contact.radius, patch.pressure)
-    return SurfaceLoad(patch.triangles, patch.density, disc)
-
-
 def _right_hand(
     system: BoundarySystem,
     patches: Sequence[ContactPatch],
@@ -210,12 +201,16 @@ def _right_hand(
 ) -> tuple[RightHand, BodyForce | None]:
     """Columns of all loads, of the weight [N/m^3], if any, of what is held and moves, and of
     contacts that differ a little."""
-    parts = []
+    parts, dipped = [], []
     for patch, dip in zip(patches, dips, strict=True):
         if patch.contact.triangles is None:
-            parts.append(load_right_hand(system, [surface_load(patch)], [dip]))
+            bare = load_right_hand(system, [surface_load(patch)])
+            known = [dip] if dip is not None and adds(dip) else []
+            dipped.append(shape_columns(system, known) if known else no_columns(bare))
+            parts.append(bare + dipped[-1])
         else:
             parts.append(face_columns(system, patch.triangles))
+            dipped.append(no_columns(parts[-1]))
     parts += [pressure_column(system, patch.triangles) for patch in pressed]
     body = None if weight is None else body_force_columns(system, weight)
     if body is not None:
@@ -224,24 +219,10 @@ def _right_hand(
     nominal = [parts[change.nominal] for change in changes]
     for k, patch in enumerate(patches):
         if leans_outward(patch):
-            parts[k] = parts[k] + outward_columns(system, patch, cells=_CHANGE_CELLS)
-    parts += _change_columns(system, changes, dips_of_changes, nominal)
+            parts[k] = parts[k] + outward_columns(system, patch, cells=CHANGE_CELLS)
+    parts += change_columns(system, changes, dips_of_changes, nominal)
+    parts += dip_columns(changes, dipped)
     return joined(parts), body
-
-
-def _change_columns(
-    system: BoundarySystem,
-    changes: Sequence[ContactChange],
-    shapes: Sequence[ContactShape | None],
-    nominal: Sequence[RightHand],
-) -> list[RightHand]:
-    """A column for each changed contact less the nominal one, under the force of its probing."""
-    if not changes:
-        return []
-    loads, forces = [surface_load(change.patch) for change in changes], [x.force for x in changes]
-    after = load_right_hand(system, loads, shapes, forces=np.array(forces), cells=_CHANGE_CELLS)
-    before = joined([one.under(force) for one, force in zip(nominal, forces, strict=True)])
-    return [RightHand(after.terms - before.terms)]
 
 
 def _distinct_patches(

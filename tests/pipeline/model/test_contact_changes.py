@@ -1,0 +1,81 @@
+"""What the mesh about a contact may be off by: where there is such an error, and how large."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from surfaces import sphere
+
+from palpate.geometry import TriangleMesh, closest_points
+from palpate.pipeline import make_object_model, session_observations
+from palpate.pipeline.model.contact_changes import DIP_SHARE
+from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
+
+RADIUS, NU, MODULUS = 0.03, 0.3, 2e4
+NAME = "mesh about the contact of n (in dips of a half space)"
+# Nothing but the mesh's own error beside the force's gain.
+GAIN = replace(EXACT, force_gain=0.01)
+
+
+def _session(cuts: int, errors: ErrorPriors, *, measured: np.ndarray | None = None) -> Session:
+    """A ball on its cut-off foot, pressed from above over a circle of 5 mm."""
+    mesh = TriangleMesh(RADIUS * sphere(cuts).vertices, sphere(cuts).triangles)
+    held = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3 * RADIUS)
+    points = RADIUS * sphere(1).vertices[sphere(1).vertices[:, 2] > -0.1]
+    field = DisplacementField(
+        points,
+        np.full(points.shape, 1e-5) if measured is None else measured,
+        np.full(points.shape, 1e-7),
+        None,
+        closest_points(mesh, points),
+        "",
+    )
+    contact = Contact(np.array([0.0, 0.0, RADIUS]), 5e-3, "smooth")
+    push = np.array([0.05, 0.0, -0.2])
+    probing = Probing("n", contact, push, None, None, None, field, None)
+    return Session(
+        "ball", Path("ball"), mesh, held, (probing,), None, None, None, (), errors=errors
+    )
+
+
+def _seen(session: Session):
+    return session_observations(session, make_object_model(session))[0]
+
+
+def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the model whose elements know nothing of dips."""
+    seen = _seen(_session(2, GAIN))
+    (error,) = [one for one in seen.nuisances if NAME in [p.name for p in one.parameters]]
+    rows = np.arange(seen.displacement.size)
+    load = np.append(seen.force, 1.0) / MODULUS
+    with_dips = seen.response.value(NU)[rows]
+    column = error.columns(rows, with_dips, load, NU)[:, -1]
+    monkeypatch.setattr("palpate.pipeline.model.object_model.load_shape", lambda *_: None)
+    without = _seen(_session(2, GAIN))
+    assert NAME not in [p.name for one in without.nuisances for p in one.parameters]
+    step = (with_dips - without.response.value(NU)[rows])[:, :3] @ seen.force / MODULUS
+    assert np.abs(step).max() > 1e-7
+    # Both models are reduced to a residual of 1e-8.
+    np.testing.assert_allclose(column, DIP_SHARE * step, atol=1e-6 * np.abs(step).max())
+
+
+def test_points_near_the_contact_are_less_sure() -> None:
+    exact = _seen(_session(2, EXACT))
+    moved = exact.response.value(NU)[: exact.displacement.size, :3] @ exact.force / MODULUS
+    seen = _seen(_session(2, GAIN, measured=moved.reshape(-1, 3)))
+    (error,) = [one for one in seen.nuisances if NAME in [p.name for p in one.parameters]]
+    rows = np.arange(seen.displacement.size)
+    load = np.append(seen.force, 1.0) / MODULUS
+    column = error.columns(rows, seen.response.value(NU)[rows], load, NU)[:, -1]
+    size = np.linalg.norm(column.reshape(-1, 3), axis=1) / np.sqrt(3.0)
+    expected = np.sqrt(1e-7**2 + size[:, None] ** 2)
+    np.testing.assert_allclose(seen.std, np.tile(expected, 3), rtol=1e-6)
+    distance = np.linalg.norm(seen.position - [0.0, 0.0, RADIUS], axis=1)
+    assert size[distance.argmin()] == size.max() > 1e-6
+
+
+def test_a_session_without_errors_has_none_of_the_mesh_either() -> None:
+    exact = _seen(_session(2, EXACT))
+    assert exact.nuisances == ()
+    np.testing.assert_array_equal(exact.std, 1e-7)
