@@ -37,8 +37,8 @@ def _point(types, place):
     )
 
 
-def _written(folder: Path, kind: str, *, topics: tuple[str, ...] = ("/gauge",)) -> Path:
-    """A bag with forces on each topic, and the tip's poses."""
+def written(folder: Path, kind: str, *, topics: tuple[str, ...] = ("/gauge",)) -> Path:
+    """A bag with forces on each topic, and the poses of the tip."""
     types = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
     if kind == "bag":
         place = folder / "run.bag"
@@ -62,14 +62,14 @@ def _written(folder: Path, kind: str, *, topics: tuple[str, ...] = ("/gauge",)) 
     return place
 
 
-def _gauge(file: Path, *, topic: str | None = None) -> Gauge:
+def gauge_of(file: Path, *, topic: str | None = None) -> Gauge:
     return Gauge(file, None, (), None, None, np.eye(3), topic=topic)
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
-def test_a_bag_says_what_was_written(tmp_path: Path, kind: str) -> None:
-    file = _written(tmp_path, kind)
-    log = read_force_log(_gauge(file))
+def test_a_bag_says_what_waswritten(tmp_path: Path, kind: str) -> None:
+    file = written(tmp_path, kind)
+    log = read_force_log(gauge_of(file))
     # Nine decimals in the table; a double has a quarter of a microsecond at such times.
     np.testing.assert_allclose(log.force, _FORCE, atol=1e-8)
     np.testing.assert_allclose(log.time, _TIMES, rtol=0.0, atol=1e-6)
@@ -81,24 +81,24 @@ def test_a_bag_says_what_was_written(tmp_path: Path, kind: str) -> None:
 
 
 def test_one_of_several_topics_must_be_named(tmp_path: Path) -> None:
-    file = _written(tmp_path, "mcap", topics=("/left", "/right"))
+    file = written(tmp_path, "mcap", topics=("/left", "/right"))
     with pytest.raises(RecordError, match=r"2 topics with a force .* name one as `topic`"):
-        read_force_log(_gauge(file))
-    assert len(read_force_log(_gauge(file, topic="/right")).time) == len(_TIMES)
+        read_force_log(gauge_of(file))
+    assert len(read_force_log(gauge_of(file, topic="/right")).time) == len(_TIMES)
     with pytest.raises(RecordError, match="no topic called '/up' with a force"):
-        read_force_log(_gauge(file, topic="/up"))
+        read_force_log(gauge_of(file, topic="/up"))
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
 def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path, kind: str) -> None:
-    file = _written(tmp_path, kind)
+    file = written(tmp_path, kind)
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 3])
     with pytest.raises(RecordError, match="cannot be read as a bag"):
-        read_force_log(_gauge(file))
+        read_force_log(gauge_of(file))
 
 
 def test_a_table_has_no_topic(tmp_path: Path) -> None:
     file = tmp_path / "force.csv"
     file.write_text("time,fx,fy,fz\n0,0,0,0\n1,0,0,1\n")
     with pytest.raises(RecordError, match="a table of text, which has no topic '/gauge'"):
-        read_force_log(_gauge(file, topic="/gauge"))
+        read_force_log(gauge_of(file, topic="/gauge"))

@@ -43,6 +43,7 @@ from palpate.geometry.registration import (
     Registration as Registration,
     RegistrationSettings as RegistrationSettings,
     check_registration as check_registration,
+    compact_groups as compact_groups,
     free_motions_text as free_motions_text,
     register as register,
 )
