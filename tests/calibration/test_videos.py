@@ -12,7 +12,7 @@ from palpate.calibration import Chessboard, find_videos
 from palpate.errors import RecordError
 from palpate.records import read_rig
 
-_SIZE, _PLACES, _STILL, _MOVING = (320, 256), 6, 6, 5
+_SIZE, _PLACES, _STILL, _MOVING = (320, 256), 5, 4, 3
 _BOARD = Chessboard(7, 5, 0.016)
 
 

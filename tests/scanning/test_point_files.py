@@ -63,7 +63,7 @@ def test_what_the_scanner_did_not_measure_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("scan.e57", b"", "not read; convert it to one of .ply .pcd"),
+        ("scan.las", b"", "not read; convert it to one of .ply .pcd"),
         ("scan.xyz", b"1 2 3\n4 five 6\n", "line 2: '4 five 6' is no row of numbers"),
         ("scan.xyz", b"", "holds no points"),
         ("scan.ply", b"ply\nformat ascii", "cannot be read as points of type PLY"),

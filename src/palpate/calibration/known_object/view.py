@@ -43,6 +43,7 @@ from palpate.shapes import Points, Vector3
 from palpate.vision import (
     StereoMatches,
     StereoSettings,
+    check_rig,
     joined_matches,
     prepare_pictures,
     read_pictures,
@@ -160,10 +161,14 @@ def view_object(
     RecordError, CalibrationError   pictures that cannot be read or do not show the object; points
                                     that cannot be brought onto the mesh; too few to refine the rig
     """
-    found = []
+    found, notes = [], []
     for k, pattern in enumerate(instants if refine else instants[:1]):
         progress(pattern, 0.8 * k / len(instants))
-        found.append(_matches(rig, pattern))
+        read = read_pictures(rig, pattern, folder=Path(), what=f"pictures '{pattern}'")
+        prepared = prepare_pictures(rig, read.grey)
+        # What a camera that has moved misses by is to be mended, not refused.
+        notes += [] if refine else check_rig(prepared).notes
+        found.append(stereo_matches(prepared, settings=_SETTINGS))
     progress("registration", 0.8)
     registration, points = _registered(rig, mesh, found[0])
     refined = None
@@ -182,16 +187,12 @@ def view_object(
         replace(camera, T_camera_object=camera.T_camera_object @ back) for camera in rig.cameras
     )
     free = free_motions_text(registration)
-    notes = (f"the surface does not fix {free}: left as it was found first",) if free else ()
+    if free:
+        notes.append(f"the surface does not fix {free}: left as it was found first")
     return ObjectView(
         replace(rig, cameras=cameras), registration, registration.covariance,
-        points, refined, notes,
+        points, refined, tuple(notes),
     )  # fmt: skip
-
-
-def _matches(rig: Rig, pattern: str) -> StereoMatches:
-    read = read_pictures(rig, pattern, folder=Path(), what=f"pictures '{pattern}'")
-    return stereo_matches(prepare_pictures(rig, read.grey), settings=_SETTINGS)
 
 
 def _ties(rig: Rig, found: Sequence[StereoMatches], *, apart: int) -> Ties:
