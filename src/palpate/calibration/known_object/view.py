@@ -84,6 +84,7 @@ class ObjectView:
                                     points and a shift [m], object frame
     points : int                    of the surface
     refined : Refined or None       None: not asked for
+    grey : tuple of c (rows, columns) float [grey levels]   the first instant
     notes : tuple of str
     """
 
@@ -92,6 +93,7 @@ class ObjectView:
     covariance: Float[np.ndarray, "6 6"]
     points: int
     refined: Refined | None
+    grey: tuple[Float[np.ndarray, "_ _"], ...]
     notes: tuple[str, ...]
 
 
@@ -161,10 +163,11 @@ def view_object(
     RecordError, CalibrationError   pictures that cannot be read or do not show the object; points
                                     that cannot be brought onto the mesh; too few to refine the rig
     """
-    found, notes = [], []
+    found, grey, notes = [], [], []
     for k, pattern in enumerate(instants if refine else instants[:1]):
         progress(pattern, 0.8 * k / len(instants))
         read = read_pictures(rig, pattern, folder=Path(), what=f"pictures '{pattern}'")
+        grey.append(read.grey)
         prepared = prepare_pictures(rig, read.grey)
         # What a camera that has moved misses by is to be mended, not refused.
         notes += [] if refine else check_rig(prepared).notes
@@ -191,7 +194,7 @@ def view_object(
         notes.append(f"the surface does not fix {free}: left as it was found first")
     return ObjectView(
         replace(rig, cameras=cameras), registration, registration.covariance,
-        points, refined, tuple(notes),
+        points, refined, grey[0], tuple(notes),
     )  # fmt: skip
 
 

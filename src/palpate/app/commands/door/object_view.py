@@ -18,7 +18,6 @@ from palpate.records import (
     record_inputs,
     result_folder,
 )
-from palpate.vision import read_pictures
 
 _Unit = Literal["m", "cm", "mm", "um", "in"]
 
@@ -81,8 +80,7 @@ def calibrate_object(
             )
         record_inputs(folder, [*pictures, mesh])
         write_object_view(folder, view, known)
-        grey = read_pictures(view.rig, instants[0], folder=Path(), what="pictures").grey
-        save_figure(object_figure(view.rig, surface, grey), folder / "object.png")
+        save_figure(object_figure(view.rig, surface, view.grey), folder / "object.png")
     print_notes(view.notes)
     print_tables(_table(view))
     print_text(f"{_refinement(view)}Result in {place}")
