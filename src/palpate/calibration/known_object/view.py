@@ -163,7 +163,8 @@ def view_object(
     RecordError, CalibrationError   pictures that cannot be read or do not show the object; points
                                     that cannot be brought onto the mesh; too few to refine the rig
     """
-    found, grey, notes = [], [], []
+    found, grey = [], []
+    notes: list[str] = []
     for k, pattern in enumerate(instants if refine else instants[:1]):
         progress(pattern, 0.8 * k / len(instants))
         read = read_pictures(rig, pattern, folder=Path(), what=f"pictures '{pattern}'")
