@@ -4,7 +4,7 @@ Purpose    : a `Rig` for a person who has cameras and a printer; the rig before 
 Takes      : pictures or videos of a target, a folder for every camera; pictures of an object.
 Gives      : `Calibration`: cameras, their covariance, what is left in the pictures; `ObjectView`, a
              rig in an object's frame, refined by its texture; files of both.
-Depends on : `calibration.known_object`, `vision`, `records`.
+Depends on : `vision`, `geometry`, `records`.
 Read first : `targets.py`, then `calibrate.py` and `adjustment.py`; `known_object/view.py`.
 """
 
