@@ -94,7 +94,8 @@ def refined_rig(
     if usable.sum() < _FEWEST:
         raise CalibrationError(
             f"{int(usable.sum())} points of the object are seen by two cameras; {_FEWEST} are"
-            " needed to refine a rig: is the object textured, and in the picture of two cameras?"
+            " needed to refine a rig: give pictures of more instants, with a *, and see whether the"
+            " object is textured and large in the pictures of two cameras"
         )
     label = compact_groups(places(rig, ties), GROUPS)
     half = label % 2 == 0

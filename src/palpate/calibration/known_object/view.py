@@ -61,8 +61,9 @@ _REACH = 0.6
 _MIN_POINTS = 50
 # Parts of an edge of the mesh: its smooth surface, not its facets, is what the cameras see.
 _PIECES = 2
-# Turns that are tried where the rig says nothing of the object, and from each how far on.
-_TURNS, _ANGLE = 72, np.deg2rad(25.0)
+# Where the rig says nothing of the object, the turns of a cube are tried, and from each so far on:
+# no turn is farther than 63 degrees from one of them, and few are farther than this.
+_ANGLE = np.deg2rad(45.0)
 _TRIAL_POINTS = 300
 # Of these turns, the best that all points try; an object may look nearly alike from two sides.
 _KEPT = 5
@@ -277,7 +278,7 @@ def _searched(mesh: TriangleMesh, points: Points, eye: Vector3) -> list[Float[np
         angle=_ANGLE, distance=0.2 * bounding_diagonal(mesh), most_points=_TRIAL_POINTS
     )
     tries = []
-    for turn in Rotation.random(_TURNS, rng=np.random.default_rng(0)).as_matrix():
+    for turn in Rotation.create_group("O").as_matrix():
         start = np.eye(4)
         start[:3, :3] = turn
         start[:3, 3] = _front(mesh, turn @ (eye - middle)) - turn @ middle
