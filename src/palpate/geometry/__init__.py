@@ -46,6 +46,7 @@ from palpate.geometry.registration import (
     compact_groups as compact_groups,
     free_motions_text as free_motions_text,
     register as register,
+    rough_pose as rough_pose,
 )
 from palpate.geometry.self_intersection import intersecting_pairs as intersecting_pairs
 from palpate.geometry.sides import (

@@ -19,7 +19,6 @@ from palpate.calibration.known_object.ties import Ties, places
 from palpate.errors import CalibrationError, RecordError
 from palpate.geometry import (
     Registration,
-    RegistrationSettings,
     TriangleMesh,
     bounding_diagonal,
     check_registration,
@@ -27,6 +26,7 @@ from palpate.geometry import (
     free_motions_text,
     refined_surface,
     register,
+    rough_pose,
     triangle_areas,
 )
 from palpate.progress import Progress, silent
@@ -64,9 +64,9 @@ _PIECES = 2
 # Where the rig says nothing of the object, the turns of a cube are tried, and from each so far on:
 # no turn is farther than 63 degrees from one of them, and few are farther than this.
 _ANGLE = np.deg2rad(45.0)
-_TRIAL_POINTS = 300
+_SEARCH_POINTS, _TRIAL_POINTS = 48, 300
 # Of these turns, the best that all points try; an object may look nearly alike from two sides.
-_KEPT = 5
+_KEPT = 4
 # Half of the points are farther from the mesh where the frame is not the object's [diagonals].
 _FAR = 0.1
 # A refined rig must bring the surface as near to the mesh as the given one did, chance aside.
@@ -231,7 +231,7 @@ def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Reg
     smooth = TriangleMesh(*refined_surface(mesh, pieces=_PIECES))
     eye = camera_centre(rig.cameras[rig.reference])
     made = []
-    for start in (None, *_searched(smooth, points, eye)) if _far(smooth, points) else (None,):
+    for start in (None, *_searched(mesh, points, eye)) if _far(mesh, points) else (None,):
         pose = np.eye(4) if start is None else start
         near = _near(smooth, points, pose)
         if near.sum() >= _MIN_POINTS:
@@ -274,15 +274,15 @@ def _searched(mesh: TriangleMesh, points: Points, eye: Vector3) -> list[Float[np
     """The best poses from many turns of the mesh before the cameras."""
     few = points[:: max(len(points) // _TRIAL_POINTS, 1)]
     middle = np.median(points, axis=0)
-    settings = RegistrationSettings(
-        angle=_ANGLE, distance=0.2 * bounding_diagonal(mesh), most_points=_TRIAL_POINTS
-    )
+    away = 0.2 * bounding_diagonal(mesh)
     tries = []
     for turn in Rotation.create_group("O").as_matrix():
         start = np.eye(4)
         start[:3, :3] = turn
         start[:3, 3] = _front(mesh, turn @ (eye - middle)) - turn @ middle
-        pose = register(few, None, mesh, start=start, eye=eye, settings=settings).T_mesh_points
+        pose = rough_pose(
+            points, mesh, start=start, eye=eye, angle=_ANGLE, distance=away, count=_SEARCH_POINTS
+        )
         gap = closest_points(mesh, few @ pose[:3, :3].T + pose[:3, 3]).distance
         tries.append((float(np.median(gap)), pose))
     return [pose for _, pose in sorted(tries, key=lambda one: one[0])[:_KEPT]]
