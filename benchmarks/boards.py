@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from palpate.calibration import Sightings, Target
 from palpate.calibration.adjustment import Bundle, Corners
 from palpate.calibration.lens_model import seen_points
 from palpate.lab.pictures import board_picture
@@ -53,6 +54,34 @@ def seen_corners(
     return Corners(camera, view, point, pixel + noise * rng.normal(size=pixel.shape))
 
 
+def sightings(
+    corners: Corners, board: Target, cameras: int, size: tuple[int, int] = SIZE
+) -> Sightings:
+    """Corners as if they had been found in the pictures of c0, c1, ..., views 00, 01, ..."""
+    mark = np.linalg.norm(corners.point[:, None] - board.points, axis=2).argmin(axis=1)
+    views = int(corners.view.max()) + 1
+    return Sightings(
+        tuple(f"c{c}" for c in range(cameras)), (size,) * cameras,
+        tuple(f"{v:02d}" for v in range(views)), (0,) * views, corners, mark, (),
+    )  # fmt: skip
+
+
+def bundle_errors(found: Bundle, truth: Bundle) -> np.ndarray:
+    """Errors of all unknowns, as the covariance of an adjustment counts them."""
+
+    def motion(pose: np.ndarray, true: np.ndarray) -> np.ndarray:
+        turn = Rotation.from_matrix(pose[:, :3, :3] @ true[:, :3, :3].swapaxes(1, 2)).as_rotvec()
+        return np.hstack([turn, pose[:, :3, 3] - true[:, :3, 3]]).ravel()
+
+    return np.concatenate(
+        [
+            (found.inner - truth.inner).ravel(),
+            motion(found.camera[1:], truth.camera[1:]),
+            motion(found.view, truth.view),
+        ]
+    )
+
+
 def draw_board(
     texture: np.ndarray,
     extent: tuple[float, float],
@@ -62,6 +91,7 @@ def draw_board(
     *,
     rng: np.random.Generator,
     noise: float = 2.0,
+    blur: float = 0.0,
     parts: int = 2,
 ) -> np.ndarray:
     """A grey picture of a board with its upper left corner at the origin of its frame.
@@ -70,4 +100,4 @@ def draw_board(
     rays, so that edges are as sharp as a perfect sensor's.
     """
     camera = Camera("c", size, camera_matrix(inner[:4]), inner[4:], np.eye(4))
-    return board_picture(camera, pose, texture, extent, rng=rng, noise=noise, rays=parts)
+    return board_picture(camera, pose, texture, extent, rng=rng, noise=noise, rays=parts, blur=blur)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.boards import SIZE, board_points, seen_corners, true_bundle
+from benchmarks.boards import SIZE, board_points, bundle_errors, seen_corners, true_bundle
 from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust
 from palpate.calibration.lens_model import seen_points
 from palpate.errors import CalibrationError
@@ -22,22 +22,6 @@ def _start(truth: Bundle, rng: np.random.Generator) -> Bundle:
     inner[:, :4] *= 1.0 + 0.02 * rng.normal(size=(len(inner), 4))
     inner[:, 4:] = 0.0
     return Bundle(inner, truth.camera, view)
-
-
-def _unknowns(found: Bundle, truth: Bundle) -> np.ndarray:
-    """Errors of all unknowns, as the covariance counts them."""
-
-    def motion(pose: np.ndarray, true: np.ndarray) -> np.ndarray:
-        turn = Rotation.from_matrix(pose[:, :3, :3] @ true[:, :3, :3].swapaxes(1, 2)).as_rotvec()
-        return np.hstack([turn, pose[:, :3, 3] - true[:, :3, 3]]).ravel()
-
-    return np.concatenate(
-        [
-            (found.inner - truth.inner).ravel(),
-            motion(found.camera[1:], truth.camera[1:]),
-            motion(found.view, truth.view),
-        ]
-    )
 
 
 def test_pixels_are_those_of_the_camera_model() -> None:
@@ -95,7 +79,7 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     ratios = []
     for seed in range(6):
         found, truth, _ = _adjusted(seed, cameras=2, views=10)
-        error = _unknowns(found.bundle, truth)
+        error = bundle_errors(found.bundle, truth)
         ratios.append(error @ np.linalg.solve(found.covariance, error) / len(error))
         np.testing.assert_allclose(found.noise, 0.1, rtol=0.1)
     # 6 x 84 degrees of freedom: a standard deviation of sqrt(2 / 504) = 0.063.

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.boards import board_points, draw_board, seen_corners, true_bundle
+from benchmarks.boards import board_points, draw_board, seen_corners, sightings, true_bundle
 from palpate.app.cli import main
 from palpate.calibration import (
     AprilGrid,
@@ -22,7 +22,7 @@ from palpate.calibration import (
     length_sigma,
     write_calibration,
 )
-from palpate.calibration.adjustment import Bundle, Corners
+from palpate.calibration.adjustment import Bundle
 from palpate.calibration.calibrate import cameras_of
 from palpate.errors import CalibrationError
 from palpate.records import Rig, read_rig
@@ -157,15 +157,6 @@ def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles
     assert np.sqrt((error**2).mean() / 2.0) < limit
 
 
-def _sightings(corners: Corners, board: Chessboard, cameras: int, views: int) -> Sightings:
-    points = board.points
-    mark = np.linalg.norm(corners.point[:, None] - points, axis=2).argmin(axis=1)
-    return Sightings(
-        tuple(f"c{c}" for c in range(cameras)), ((1280, 1024),) * cameras,
-        tuple(f"{v:02d}" for v in range(views)), (0,) * views, corners, mark, (),
-    )  # fmt: skip
-
-
 def _synthetic(
     seed: int, *, cameras: int = 3, views: int = 14
 ) -> tuple[Sightings, Chessboard, Bundle]:
@@ -175,7 +166,7 @@ def _synthetic(
     truth = true_bundle(rng, cameras=cameras, views=views)
     truth.view[:, :3, 3] -= np.einsum("vij,j->vi", truth.view[:, :3, :3], middle)
     corners = seen_corners(truth, board_points() + middle, rng, noise=0.1)
-    return _sightings(corners, board, cameras, views), board, truth
+    return sightings(corners, board, cameras), board, truth
 
 
 def test_boards_seen_upside_down_are_turned_alike() -> None:

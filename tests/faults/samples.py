@@ -304,6 +304,11 @@ def write_recorded(folder: Path) -> list[tuple[Path, Reader]]:
     (folder / "poses.csv").write_text("time,x,y,z\n0.1,0,0,0.04\n0.2,0,0,0.03\n")
     (folder / "times.csv").write_text("time\n0.1\n0.2\n0.35\n")
     gauge = read_recording(folder).gauge
+    bags = import_module("recording.test_bags")
+    logs = []
+    for kind in ("bag", "mcap", "db3"):
+        (folder / f"as_{kind}").mkdir()
+        logs.append(bags.written(folder / f"as_{kind}", kind))
 
     def presses(_path: Path) -> object:
         log = read_force_log(gauge)
@@ -316,6 +321,7 @@ def write_recorded(folder: Path) -> list[tuple[Path, Reader]]:
         (folder / "poses.csv", partial(read_poses, metres_per_unit=1.0)),
         (folder / "times.csv", lambda path: Footage("c0", folder / "c0.avi", (), read_times(path))),
         (folder / "c0.avi", lambda path: camera_motion(Footage("c0", path))),
+        *((file, lambda path: read_force_log(bags.gauge_of(path))) for file in logs),
     ]
 
 

@@ -3,6 +3,7 @@
 import struct
 
 import numpy as np
+import pye57
 import pytest
 import trimesh
 
@@ -24,9 +25,15 @@ def pcd(path, kind):
     path.write_bytes(head + body)
 
 
-def write(path, how):
+def write(path, how, *, scans=1):
     if how == "ply":
         path.write_bytes(trimesh.PointCloud(POINTS).export(file_type="ply"))
+    elif how == "e57":
+        file = pye57.E57(str(path), mode="w")
+        axes = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), POINTS.T.copy(), strict=True))
+        for _ in range(scans):
+            file.write_scan_raw(axes)
+        file.close()
     elif how == "npy":
         np.save(path, POINTS)
     elif how == "csv":
@@ -56,7 +63,7 @@ def test_what_the_scanner_did_not_measure_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("scan.e57", b"", "not read; convert it to one of .ply .pcd"),
+        ("scan.las", b"", "not read; convert it to one of .ply .pcd"),
         ("scan.xyz", b"1 2 3\n4 five 6\n", "line 2: '4 five 6' is no row of numbers"),
         ("scan.xyz", b"", "holds no points"),
         ("scan.ply", b"ply\nformat ascii", "cannot be read as points of type PLY"),
@@ -71,3 +78,18 @@ def test_what_is_wrong_is_said(tmp_path, name, content, words):
     with pytest.raises(RecordError) as raised:
         read_points(path)
     assert words in str(raised.value)
+
+
+def test_an_e57_file_is_in_metres_and_has_one_scan(tmp_path):
+    path = tmp_path / "scan.e57"
+    write(path, "e57")
+    # Whatever unit is asked for; the library wrote them in single precision.
+    np.testing.assert_allclose(
+        read_points(path, metres_per_unit=1e-3), POINTS, rtol=2e-6, atol=1e-6
+    )
+    write(path, "e57", scans=2)
+    with pytest.raises(RecordError, match=r"it has 2 scans, .* export each as a file"):
+        read_points(path)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(RecordError, match="cannot be read as points of type E57"):
+        read_points(path)

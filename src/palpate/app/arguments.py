@@ -98,6 +98,10 @@ _GROUPS = {
         {
             "rig": ("calibrate:calibrate", "Calibrate one or more cameras from pictures."),
             "board": ("calibrate:board", "Draw a ChArUco board in true size, with a ruler."),
+            "object": (
+                "door.object_view:calibrate_object",
+                "Find a known object before a rig, and refine the rig by its texture.",
+            ),
         },
     ),
 }

@@ -1,10 +1,11 @@
 """Cameras calibrated from pictures of boards: lenses and poses, with their covariance.
 
-Purpose    : a `Rig` for a person who has cameras and a printer.
-Takes      : pictures of a target, a folder for every camera.
-Gives      : `Calibration`: cameras, their covariance, what is left in the pictures; files of it.
-Depends on : `vision`, `records`.
-Read first : `targets.py`, then `calibrate.py` and `adjustment.py`.
+Purpose    : a `Rig` for a person who has cameras and a printer; the rig before a known object.
+Takes      : pictures or videos of a target, a folder for every camera; pictures of an object.
+Gives      : `Calibration`: cameras, their covariance, what is left in the pictures; `ObjectView`, a
+             rig in an object's frame, refined by its texture; files of both.
+Depends on : `vision`, `geometry`, `records`.
+Read first : `targets.py`, then `calibrate.py` and `adjustment.py`; `known_object/view.py`.
 """
 
 from palpate.calibration.adjustment import Adjusted as Adjusted, Corners as Corners
@@ -15,10 +16,19 @@ from palpate.calibration.calibrate import (
     view_rms as view_rms,
 )
 from palpate.calibration.files import write_calibration as write_calibration
+from palpate.calibration.known_object import (
+    ObjectView as ObjectView,
+    Refined as Refined,
+    find_instants as find_instants,
+    refined_rig as refined_rig,
+    view_object as view_object,
+    write_object_view as write_object_view,
+)
 from palpate.calibration.quality import (
     REGIONS as REGIONS,
     CameraQuality as CameraQuality,
     LengthCheck as LengthCheck,
+    baseline_text as baseline_text,
     camera_quality as camera_quality,
     length_check as length_check,
     length_sigma as length_sigma,
@@ -34,4 +44,11 @@ from palpate.calibration.targets import (
     Chessboard as Chessboard,
     Circles as Circles,
     Target as Target,
+)
+from palpate.calibration.videos import (
+    StillFrames as StillFrames,
+    find_videos as find_videos,
+    motion_note as motion_note,
+    still_frames as still_frames,
+    without_repeats as without_repeats,
 )

@@ -19,6 +19,11 @@ from palpate.errors import CalibrationError
 from palpate.shapes import Points
 
 _LENS, _POSE = len(LENS_TERMS), 6
+_TOO_ALIKE = (
+    "the views are too alike to tell focal length from distance: add views of the board tilted by"
+    " 20 to 45 degrees {}"
+)
+_SIDES = ("to the right", "to the left", "up", "down")
 _MAX_STEPS = 60
 # A step below this share of every standard deviation changes nothing that the corners could show.
 _SMALL_STEP = 1e-4
@@ -28,6 +33,8 @@ _MAX_ROUNDS = 12
 # Corners farther off than this many times the noise are gross errors: one in 1e6 of a normal
 # distribution in two dimensions.
 _GROSS = 5.3
+# A tilt that separates focal length from distance.
+_MIN_TILT = np.deg2rad(12.0)
 # Directions of the unknowns, scaled to a unit diagonal, that the corners know worse are unknown.
 _LEAST_INFORMATION = 1e-12
 
@@ -122,7 +129,7 @@ def adjust(bundle: Bundle, corners: Corners) -> Adjusted:
     for _ in range(_MAX_ROUNDS):
         weight = good / noise[corners.camera] ** 2
         bundle, equations = _least_squares(bundle, corners, weight)
-        inverse = _inverse(equations.normal_matrix(weight))
+        inverse = _inverse(equations.normal_matrix(weight), bundle, corners)
         new = _noise(equations, inverse, corners.camera, weight, noise)
         still = _without_gross_errors(equations.residual, corners, len(noise))
         settled = np.all(np.abs(new / noise - 1.0) < _SETTLED) and np.array_equal(still, good)
@@ -196,6 +203,8 @@ def _least_squares(
         damping = 0.1 * damping if damping > 1e-10 else 0.0
         if float(step @ matrix @ step) < _SMALL_STEP**2:
             return bundle, here
+    if missing := _wanting(bundle, corners):
+        raise CalibrationError(_TOO_ALIKE.format(", ".join(missing)))
     raise CalibrationError(
         f"the cameras did not settle in {_MAX_STEPS} steps; are the board's dimensions right, and"
         " do all views show the same board?"
@@ -222,16 +231,48 @@ def _without_gross_errors(
     return near | (share[corners.view] < 0.5)
 
 
-def _inverse(matrix: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+def _inverse(
+    matrix: Float[np.ndarray, "p p"], bundle: Bundle, corners: Corners
+) -> Float[np.ndarray, "p p"]:
     """Inverse of the normal matrix; refused where the corners leave a combination open."""
     size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     if values[0] < _LEAST_INFORMATION:
-        raise CalibrationError(
-            "the views are too alike to tell focal length from distance: add views of the board"
-            " tilted by 20 to 45 degrees to the left, to the right, up and down"
-        )
+        missing = _wanting(bundle, corners) or list(_SIDES)
+        raise CalibrationError(_TOO_ALIKE.format(", ".join(missing)))
     return (vectors / values) @ vectors.T / np.outer(size, size)
+
+
+def _wanting(bundle: Bundle, corners: Corners) -> list[str]:
+    """Sides to which some camera saw no board tilted."""
+    found: set[str] = set()
+    for c, pose in enumerate(bundle.camera):
+        views = np.unique(corners.view[corners.camera == c])
+        found.update(missing_tilts(pose @ bundle.view[views]))
+    return [side for side in _SIDES if side in found]
+
+
+def missing_tilts(pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
+    """Sides to which no board was tilted before a camera.
+
+    Parameters
+    ----------
+    pose : (v, 4, 4) float          x_camera = pose x_board
+
+    Returns
+    -------
+    list of str                     of "to the right", "to the left", "up", "down"
+    """
+    normal = pose[:, :3, 2]
+    # Toward the camera: down is +y in its frame, right +x.
+    normal = normal * -np.sign(np.einsum("va,va->v", normal, pose[:, :3, 3]))[:, None]
+    sideways = np.arctan2(normal[:, 0], -normal[:, 2])
+    upward = np.arctan2(-normal[:, 1], -normal[:, 2])
+    tilts = (
+        sideways.max(initial=0.0), -sideways.min(initial=0.0),
+        upward.max(initial=0.0), -upward.min(initial=0.0),
+    )  # fmt: skip
+    return [side for side, tilt in zip(_SIDES, tilts, strict=True) if tilt < _MIN_TILT]
 
 
 def _noise(

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -12,12 +14,14 @@ from palpate.calibration.sightings import Sightings
 from palpate.calibration.start import start_bundle
 from palpate.calibration.targets import Target
 from palpate.errors import CalibrationError
-from palpate.records import Camera, RigCovariance, camera_matrix
+from palpate.records import Camera, RigCovariance, camera_matrix, make_pose
 from palpate.vision import calibration_numbers
 
 # A view that leaves more than this many times what views usually leave shows something else than
 # the same flat board at one instant.
 _MAX_EXCESS = 3.0
+# Boards that two cameras see at one place differ by less, in rad and shares of the distance.
+_AGREED = 0.05
 _POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
@@ -63,9 +67,14 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
     CalibrationError                too few views, cameras that share none, views too alike, most
                                     views contradict each other
     """
-    bundle, corners = start_bundle(found, targets)
+    bundle, corners, odd = start_bundle(found, targets)
+    cameras = cameras_of(found, bundle)
     notes = list(found.notes)
-    views = np.arange(len(found.views))
+    for v in np.flatnonzero(odd).tolist():
+        cause = _cause(corners.chosen(corners.view == v), cameras)
+        notes.append(f"view '{found.views[v]}' has its board at two places; left out: {cause}")
+    views = np.flatnonzero(~odd)
+    bundle, corners = without_views(bundle, corners, odd)
     while True:
         adjusted = adjust(bundle, corners)
         excess = view_rms(adjusted, corners, len(bundle.view))
@@ -77,10 +86,13 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
                 f"{int(bad.sum())} of {len(bad)} views contradict the others; is the board flat,"
                 " are its dimensions right, and did all cameras take each picture at one instant?"
             )
-        notes += [
-            _complaint(found.views[views[v]], excess[v], corners, v)
-            for v in np.flatnonzero(bad).tolist()
-        ]
+        cameras = cameras_of(found, adjusted.bundle)
+        for v in np.flatnonzero(bad).tolist():
+            cause = _cause(corners.chosen(corners.view == v), cameras)
+            notes.append(
+                f"view '{found.views[views[v]]}' leaves {excess[v]:.1f} times the usual error; left"
+                f" out: {cause}"
+            )
         views = views[~bad]
         bundle, corners = without_views(adjusted.bundle, corners, bad)
     used = replace(
@@ -172,12 +184,54 @@ def view_rms(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarr
     return np.sqrt(total / np.maximum(np.bincount(corners.view, minlength=count), 1))
 
 
-def _complaint(name: str, excess: float, corners: Corners, view: int) -> str:
-    """Why a view was left out."""
+def _cause(corners: Corners, cameras: Sequence[Camera]) -> str:
+    """What may be wrong with a view, of its corners."""
     cause = "is the board bent, blurred or partly covered there?"
-    if len(np.unique(corners.camera[corners.view == view])) > 1:
+    seen = np.unique(corners.camera).tolist()
+    if len(seen) > 1:
         cause = "did the board move between the pictures of the cameras?"
-    return f"view '{name}' leaves {excess:.1f} times the usual error; left out: {cause}"
+    for a, b in combinations(seen, 2):
+        if _swapped(corners, cameras, a, b):
+            cause = (
+                f"its pictures of '{cameras[a].name}' and '{cameras[b].name}' look swapped: rename"
+                " these files"
+            )
+    return cause
+
+
+def _swapped(corners: Corners, cameras: Sequence[Camera], a: int, b: int) -> bool:
+    """Whether two cameras agree where the board is once each has the other's picture."""
+
+    def apart(first: int, second: int) -> float:
+        ways = [
+            board_pose(cameras[camera], corners.chosen(corners.camera == picture))
+            for camera, picture in ((a, first), (b, second))
+        ]
+        between = ways[0] @ np.linalg.inv(ways[1])
+        turn = np.arccos(np.clip((np.trace(between[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+        shift = np.linalg.norm(ways[0][:3, 3] - ways[1][:3, 3]) / np.linalg.norm(ways[0][:3, 3])
+        return float(turn + shift)
+
+    return apart(b, a) < _AGREED < apart(a, b)
+
+
+def board_pose(camera: Camera, corners: Corners) -> Float[np.ndarray, "4 4"]:
+    """Where a camera alone sees a board.
+
+    Parameters
+    ----------
+    camera : Camera
+    corners : Corners               of one board in one of its pictures
+
+    Returns
+    -------
+    (4, 4) float [m]                x = pose x_board, frame of the cameras
+    """
+    _, turn, shift = cv2.solvePnP(
+        corners.point, corners.pixel, camera.matrix, camera.distortion[:5], flags=cv2.SOLVEPNP_IPPE
+    )
+    seen = make_pose(cv2.Rodrigues(turn)[0], shift.ravel())
+    return np.asarray(np.linalg.inv(camera.T_camera_object) @ seen)
 
 
 def without_views(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.calibration.adjustment import Corners, adjust
+from palpate.calibration.adjustment import Corners, adjust, missing_tilts
 from palpate.calibration.calibrate import Calibration, cameras_of, known_rig, without_views
 from palpate.errors import CalibrationError
 from palpate.records import Rig
@@ -14,8 +14,10 @@ from palpate.vision import space_strains, triangulate
 # A picture is divided into so many regions each way.
 REGIONS = 3
 _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "centre", "right")
-# Corners that say something about a region; a tilt that separates focal length from distance.
-_MIN_CORNERS, _MIN_TILT = 10, np.deg2rad(12.0)
+# Corners that say something about a region.
+_MIN_CORNERS = 10
+# Lenses are measured from outside to some per cent of their distance; more is the board's.
+_MOST_OFF = 0.05
 # One view in so many is kept out to check lengths with.
 _FOLD = 4
 
@@ -73,7 +75,7 @@ def _quality(calibration: Calibration, c: int) -> CameraQuality:
     views = np.unique(corners.view[mine])
     name = calibration.cameras[c].name
     pose = adjusted.bundle.camera[c] @ adjusted.bundle.view[views]
-    missing = [*_missing_regions(name, seen.reshape(shape)), *_missing_tilts(name, pose)]
+    missing = [*_missing_regions(name, seen.reshape(shape)), *_tilt_texts(name, pose)]
     return CameraQuality(
         name, len(views), int(mine.sum()), int(mine.sum() - good.sum()), float(adjusted.noise[c]),
         rms.reshape(shape), seen.reshape(shape), tuple(missing),
@@ -88,20 +90,8 @@ def _missing_regions(name: str, seen: Int[np.ndarray, "3 3"]) -> list[str]:
     return [f"{name}: no board in the {', '.join(empty)} of the picture: show it there too"]
 
 
-def _missing_tilts(name: str, pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
-    """Sides to which no board was tilted."""
-    normal = pose[:, :3, 2]
-    # Toward the camera: down is +y in its frame, right +x.
-    normal = normal * -np.sign(np.einsum("va,va->v", normal, pose[:, :3, 3]))[:, None]
-    sideways = np.arctan2(normal[:, 0], -normal[:, 2])
-    upward = np.arctan2(-normal[:, 1], -normal[:, 2])
-    sides = {
-        "to the right": sideways.max(initial=0.0),
-        "to the left": -sideways.min(initial=0.0),
-        "up": upward.max(initial=0.0),
-        "down": -upward.min(initial=0.0),
-    }
-    wanting = [side for side, tilt in sides.items() if tilt < _MIN_TILT]
+def _tilt_texts(name: str, pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
+    wanting = missing_tilts(pose)
     return [f"{name}: tilt the board {', '.join(wanting)}, by 20 to 45 degrees"] if wanting else []
 
 
@@ -193,3 +183,37 @@ def length_sigma(calibration: Calibration) -> float:
     # How the size of all boards together changes, the root of their variance.
     spread = np.cov(points.T)
     return float(np.linalg.norm(np.einsum("ij,mij->m", spread, strains)) / np.trace(spread))
+
+
+def baseline_text(calibration: Calibration, baseline: float) -> str:
+    """How a distance between cameras that was measured otherwise agrees with the boards.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    baseline : float [m]            between the first two cameras
+
+    Returns
+    -------
+    str                             a line
+
+    Raises
+    ------
+    CalibrationError                one camera alone; so far off that the board must have another
+                                    size than was said
+    """
+    if len(calibration.cameras) < 2:
+        raise CalibrationError("a baseline is between two cameras; this calibration has one")
+    first, second = calibration.cameras[:2]
+    found = float(np.linalg.norm(second.T_camera_object[:3, 3]))
+    text = (
+        f"'{first.name}' and '{second.name}' are {1e3 * found:.2f} mm apart by the boards and"
+        f" {1e3 * baseline:.2f} mm as was measured"
+    )
+    ratio = baseline / found
+    if abs(ratio - 1.0) > _MOST_OFF:
+        raise CalibrationError(
+            f"{text}: the board has another size than was said, by a factor of {ratio:.3f}; measure"
+            " a row of its squares and give their true side to --square, or correct --baseline"
+        )
+    return f"{text}: {100.0 * (1.0 / ratio - 1.0):+.2f} %\n"

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from palpate.calibration.adjustment import Bundle, Corners
@@ -21,7 +21,9 @@ _MIN_VIEWS = 3
 Pose = Float[np.ndarray, "4 4"]
 
 
-def start_bundle(found: Sightings, targets: Sequence[Target]) -> tuple[Bundle, Corners]:
+def start_bundle(
+    found: Sightings, targets: Sequence[Target]
+) -> tuple[Bundle, Corners, Bool[np.ndarray, " v"]]:
     """Cameras and boards to start the adjustment from.
 
     Parameters
@@ -34,6 +36,7 @@ def start_bundle(found: Sightings, targets: Sequence[Target]) -> tuple[Bundle, C
     bundle : Bundle
     corners : Corners               those found; marks of boards that look the same after half a
                                     turn are numbered alike in all cameras
+    odd : (v,) bool                 views that cameras see at different places
 
     Raises
     ------
@@ -49,7 +52,7 @@ def start_bundle(found: Sightings, targets: Sequence[Target]) -> tuple[Bundle, C
             )
         inner.append(lens)
         poses.append(seen)
-    camera, view, turned = _placed(found, targets, poses)
+    camera, view, turned, odd = _placed(found, targets, poses)
     mark = found.mark.copy()
     for c, v in turned:
         rows = (found.corners.camera == c) & (found.corners.view == v)
@@ -59,7 +62,8 @@ def start_bundle(found: Sightings, targets: Sequence[Target]) -> tuple[Bundle, C
         rows = np.array(found.targets)[found.corners.view] == k
         point[rows] = target.points[mark[rows]]
     corners = Corners(found.corners.camera, found.corners.view, point, found.corners.pixel)
-    return Bundle(np.stack(inner), np.stack(camera), np.stack(view)), corners
+    flags = np.isin(np.arange(len(view)), odd)
+    return Bundle(np.stack(inner), np.stack(camera), np.stack(view)), corners, flags
 
 
 def _alone(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, Pose]]:
@@ -85,11 +89,13 @@ def _alone(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, 
 
 def _placed(
     found: Sightings, targets: Sequence[Target], poses: Sequence[Mapping[int, Pose]]
-) -> tuple[list[Pose], list[Pose], list[tuple[int, int]]]:
-    """Poses of cameras and views in the first camera's frame; (camera, view) that are turned."""
+) -> tuple[list[Pose], list[Pose], list[tuple[int, int]], list[int]]:
+    """Poses of cameras and views in the first camera's frame; (camera, view) that are turned; views
+    that cameras see at different places."""
     camera: dict[int, Pose] = {0: np.eye(4)}
     view: dict[int, Pose] = dict(poses[0])
     turned: list[tuple[int, int]] = []
+    odd: list[int] = []
     while len(camera) < len(poses):
         left = [c for c in range(len(poses)) if c not in camera]
         best = max(left, key=lambda c: len(view.keys() & poses[c].keys()))
@@ -102,7 +108,9 @@ def _placed(
                 " have the same name in every camera's folder"
             )
         turns = {v: half_turn(targets[found.targets[v]]) for v in poses[best]}
-        pose, flipped, apart = _agreed(view, poses[best], shared, turns)
+        pose, flipped, gaps = _agreed(view, poses[best], shared, turns)
+        apart = float(np.median(gaps))
+        odd += [v for v, gap in zip(shared, gaps, strict=True) if gap > _MAX_APART]
         if apart > _MAX_APART:
             raise CalibrationError(
                 f"camera '{found.cameras[best]}' and the others do not see the board at the same"
@@ -114,7 +122,8 @@ def _placed(
         turned += [(best, v) for v in flipped]
         for v, seen in poses[best].items():
             view.setdefault(v, np.linalg.inv(pose) @ seen)
-    return [camera[c] for c in range(len(poses))], [view[v] for v in range(len(view))], turned
+    posed = [camera[c] for c in range(len(poses))], [view[v] for v in range(len(view))]
+    return *posed, turned, odd
 
 
 def half_turn(target: Target) -> Pose | None:
@@ -140,9 +149,9 @@ def _agreed(
     seen: Mapping[int, Pose],
     shared: Sequence[int],
     turns: Mapping[int, Pose | None],
-) -> tuple[Pose, list[int], float]:
+) -> tuple[Pose, list[int], list[float]]:
     """The pose of a camera on which most views agree, the views that are turned for it, and how far
-    the median view is from it."""
+    every shared view is from it."""
     tries: list[list[Pose]] = []
     for v in shared:
         back = np.linalg.inv(view[v])
@@ -154,8 +163,11 @@ def _agreed(
         turn = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).magnitude()
         return float(turn + np.linalg.norm(a[:3, 3] - b[:3, 3]) / size)
 
+    def gaps(pose: Pose) -> list[float]:
+        return [min(apart(pose, other) for other in ways) for ways in tries]
+
     def cost(pose: Pose) -> float:
-        return float(np.median([min(apart(pose, other) for other in ways) for ways in tries]))
+        return float(np.median(gaps(pose)))
 
     best = min((pose for ways in tries for pose in ways), key=cost)
     flipped = [
@@ -163,4 +175,4 @@ def _agreed(
         for v, ways in zip(shared, tries, strict=True)
         if len(ways) > 1 and apart(best, ways[1]) < apart(best, ways[0])
     ]
-    return best, flipped, cost(best)
+    return best, flipped, gaps(best)

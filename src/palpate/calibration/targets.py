@@ -305,9 +305,10 @@ def _refined(
     picture: Grey, pixel: Float[np.ndarray, "k 2"], points: Points, free: float
 ) -> Float[np.ndarray, "k 2"]:
     """Corners refined by the grey levels around them, `free` [m] of other corners."""
-    apart = np.linalg.norm(pixel[1:] - pixel[:-1], axis=1)
-    real = np.linalg.norm(points[1:] - points[:-1], axis=1)
-    pixels_per_metre = float(np.median(apart / real))
+    # Of a tilted board other corners are nearest along the direction in which it looks shortest.
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    slope = np.linalg.lstsq(flat, pixel - pixel.mean(axis=0), rcond=None)[0]
+    pixels_per_metre = float(np.linalg.svd(slope, compute_uv=False)[-1])
     half = int(np.clip(_FREE_SHARE * free * pixels_per_metre, _MIN_WINDOW_PX, _MAX_WINDOW_PX))
     start = np.array(pixel, dtype=np.float32, order="C").reshape(-1, 1, 2)
     refined = cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _STOP)

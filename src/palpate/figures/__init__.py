@@ -10,6 +10,7 @@ Read first : `style.py`, then `estimate.py` and `flow.py`.
 
 from palpate.figures.calibration import (
     board_figure as board_figure,
+    object_figure as object_figure,
     residual_figure as residual_figure,
     rig_figure as rig_figure,
     save_page as save_page,

@@ -1,17 +1,24 @@
 """Pictures of a calibration: residuals and coverage of every camera, the rig; boards to print."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from palpate.calibration import REGIONS, Calibration, Charuco
 from palpate.figures.style import BLUE, GREY, ORANGE, styled
-from palpate.records import Camera, camera_centre
+from palpate.geometry import CREASE_ANGLE, TriangleMesh, unit_normals
+from palpate.records import Camera, Rig, camera_centre
+from palpate.shapes import Vector3
+from palpate.vision import project
 
 _INCH = 0.0254
 _WIDTH = 3.2  # of one camera's panel [inches]
+# Picture around an object, of its size.
+_AROUND = 0.3
 # Arrows of residuals: the noise is drawn as long as this share of the picture's width.
 _ARROW = 0.02
 _MAX_ARROWS = 3000
@@ -92,6 +99,53 @@ def rig_figure(calibration: Calibration) -> Figure:
             # y points down in a camera's frame.
             axes.invert_yaxis()
     return figure
+
+
+@styled
+def object_figure(rig: Rig, mesh: TriangleMesh, grey: Sequence[Float[np.ndarray, "_ _"]]) -> Figure:
+    """Outlines and creases of a mesh over the pictures of the object, a panel for each camera.
+
+    Parameters
+    ----------
+    rig : Rig                       object frame
+    mesh : TriangleMesh
+    grey : sequence of c (rows, columns) float [grey levels]
+
+    Returns
+    -------
+    Figure
+    """
+    figure = Figure(figsize=(_WIDTH * len(grey), _WIDTH + 0.3), layout="constrained")
+    for c, (camera, picture) in enumerate(zip(rig.cameras, grey, strict=True)):
+        axes = figure.add_subplot(1, len(grey), c + 1)
+        axes.imshow(picture, cmap="gray", vmin=0.0, vmax=255.0)
+        pixel = project(camera, mesh.vertices)
+        lines = pixel[_drawn_edges(mesh, camera_centre(camera))]
+        axes.add_collection(LineCollection(list(lines), colors=ORANGE, linewidths=0.8))
+        low, high = np.nanmin(pixel, axis=0), np.nanmax(pixel, axis=0)
+        half = 0.5 * (1.0 + _AROUND) * float((high - low).max())
+        x, y = 0.5 * (low + high)
+        axes.set(xlim=(x - half, x + half), ylim=(y + half, y - half), xticks=[], yticks=[])
+        axes.set_title(camera.name, parse_math=False)
+    return figure
+
+
+def _drawn_edges(mesh: TriangleMesh, eye: Vector3) -> Int[np.ndarray, "k 2"]:
+    """Edges between a triangle that turns to an eye and one that does not, or at a crease."""
+    toward = np.einsum(
+        "ma,ma->m", unit_normals(mesh), eye - mesh.vertices[mesh.triangles].mean(axis=1)
+    )
+    edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    owner = np.repeat(np.arange(len(mesh.triangles)), 3)
+    order = np.lexsort(edges.T)
+    edges, owner = edges[order], owner[order]
+    twin = (edges[1:] == edges[:-1]).all(axis=1)
+    first, second = owner[:-1][twin], owner[1:][twin]
+    normal = unit_normals(mesh)
+    sharp = np.einsum("ka,ka->k", normal[first], normal[second]) < np.cos(CREASE_ANGLE)
+    seen = (toward[first] > 0.0) | (toward[second] > 0.0)
+    outline = (toward[first] > 0.0) != (toward[second] > 0.0)
+    return np.asarray(edges[:-1][twin][seen & (sharp | outline)])
 
 
 def _board_lines(calibration: Calibration) -> list[Float[np.ndarray, "5 3"]]:

@@ -43,8 +43,10 @@ from palpate.geometry.registration import (
     Registration as Registration,
     RegistrationSettings as RegistrationSettings,
     check_registration as check_registration,
+    compact_groups as compact_groups,
     free_motions_text as free_motions_text,
     register as register,
+    rough_pose as rough_pose,
 )
 from palpate.geometry.self_intersection import intersecting_pairs as intersecting_pairs
 from palpate.geometry.sides import (

@@ -12,8 +12,8 @@ from palpate.errors import InputError, MeshError, PalpateError, RecordError
 from palpate.geometry import MESH_SUFFIXES, TriangleMesh, read_mesh, triangle_areas
 from palpate.records import Rig, read_rig, read_text_table
 from palpate.shapes import Vector3
+from palpate.vision import VIDEO_SUFFIXES
 
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _RIG_SUFFIXES = (".toml", ".yml", ".yaml", ".xml", ".json", ".mat", ".caldat")
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv")

@@ -7,8 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.recording.force import SECONDS, Reading, Touch
-from palpate.records import read_text_table
+from palpate.recording.force import (
+    BAG_SUFFIXES,
+    PLACES,
+    SECONDS,
+    Reading,
+    Touch,
+    read_log_table,
+)
 from palpate.shapes import Points, Vector3
 
 _WORDS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
@@ -55,13 +61,14 @@ class PoseLog:
         return np.array([np.interp(time, self.time, part) for part in self.place.T])
 
 
-def read_poses(path: Path, *, metres_per_unit: float) -> PoseLog:
+def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) -> PoseLog:
     """Read a log of the tool's tip.
 
     Parameters
     ----------
-    path : Path
-    metres_per_unit : float         of its lengths
+    path : Path                     a table, or a bag, whose lengths are metres
+    metres_per_unit : float         of a table's lengths
+    topic : str or None             of a bag; None: its only one with poses
 
     Returns
     -------
@@ -71,14 +78,15 @@ def read_poses(path: Path, *, metres_per_unit: float) -> PoseLog:
     ------
     RecordError                     no such table or columns; times that run backwards
     """
-    table = read_text_table(path, cure=_CURE)
+    table = read_log_table(path, topic=topic, wanted=PLACES, cure=_CURE)
+    unit = 1.0 if path.suffix.lower() in BAG_SUFFIXES else metres_per_unit
     columns = table.require(_WORDS, spelled=str.lower, why=lambda _: _CURE)
     values = table.values(columns)
     values = values[np.isfinite(values).all(axis=1)]
     seconds = SECONDS.get(columns[0].unit or "s", 1.0)
     if len(values) < 2 or np.any(np.diff(values[:, 0]) < 0.0):
         raise RecordError(f"{path}: has {len(values)} lines whose times do not increase; {_CURE}")
-    return PoseLog(seconds * values[:, 0], metres_per_unit * values[:, 1:], str(path))
+    return PoseLog(seconds * values[:, 0], unit * values[:, 1:], str(path))
 
 
 def tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3, Vector3, float]:

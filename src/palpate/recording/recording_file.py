@@ -24,7 +24,7 @@ from palpate.shapes import Indices
 
 RECORDING_FORMAT = "palpate-recording/1"
 _ROOT = ("format", "name", "object", "support", "gravity", "rig", "force", "camera", "contact")
-_FORCE = ("file", "time", "time_unit", "columns", "unit", "axes", "sign", "limit")
+_FORCE = ("file", "time", "time_unit", "columns", "unit", "axes", "sign", "limit", "topic")
 _CAMERA = ("name", "video", "pictures", "times", "offset")
 # Of which force the readings are: what the tool does to the object, or the object to the tool.
 _SIGNS = ("on object", "on tool")
@@ -40,12 +40,14 @@ class Places:
     poses : Path or None            log of the tool's tip: time, x, y, z
     patch : dict                    other keys of a probing's contact, as they will be written
     radii : tuple of float or None  one a press in place of a common one, the session's unit
+    topic : str or None             of the poses in a bag; None: its only one of poses
     """
 
     points: Float[np.ndarray, "k 3"] | None
     poses: Path | None
     patch: dict[str, Any]
     radii: tuple[float, ...] | None
+    topic: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +149,7 @@ def _gauge(table: TomlTable) -> Gauge:
             np.array(vectors),
             on_tool=sign == _SIGNS[1],
             limit=table.optional("limit", table.number),
+            topic=table.optional("topic", table.text),
         )
 
 
@@ -187,7 +190,7 @@ def _footage(table: TomlTable, name: str) -> Footage:
 
 def _places(table: TomlTable, metres: float) -> Places:
     """Where the tool touches: points, a log of the tip, or still to be found."""
-    own = ("points", "poses", "radius")
+    own = ("points", "poses", "radius", "topic")
     patch = {key: value for key, value in table.values.items() if key not in own}
     for key in ("point", "triangles", "support"):
         if key in patch:
@@ -209,7 +212,7 @@ def _places(table: TomlTable, metres: float) -> Places:
     elif rows is not None:
         table.fail("points", "must be a list of points, one for each press")
     poses = table.existing_file("poses") if "poses" in table.values else None
-    return Places(points, poses, patch, radii)
+    return Places(points, poses, patch, radii, table.optional("topic", table.text))
 
 
 def check_count(recording: Recording, presses: int) -> None:

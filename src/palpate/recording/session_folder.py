@@ -126,7 +126,9 @@ def _placed(
     if places.points is not None:
         point = places.points[press.number - 1]
     elif places.poses is not None:
-        poses = read_poses(places.poses, metres_per_unit=recording.metres_per_unit)
+        poses = read_poses(
+            places.poses, metres_per_unit=recording.metres_per_unit, topic=places.topic
+        )
         point, travel, travel_std = tip_motion(poses, press.touch, press.reading)
     elif model is not None:
         point, std = _found(folder, recording, press, model)

@@ -95,6 +95,7 @@ def scan_surface(
     normals = np.concatenate([view.normals for view in views])
     sigma = np.concatenate([view.sigma for view in views])
     number = np.repeat(np.arange(len(views)), [len(view.points) for view in views])
+    shared = np.array([view.shared for view in views])
     if support is not None:
         if np.median(support.heights(points)) < 0.0:
             support = Plane(support.point, -support.normal)
@@ -110,7 +111,7 @@ def scan_surface(
     if support is not None:
         fixed = abs(support.heights(even.vertices)) < 1e-4 * bounding_diagonal(even)
     progress("fitting", 0.9)
-    result = fitted(even, points, normals, sigma, view=number, fixed=fixed)
+    result = fitted(even, points, normals, sigma, view=number, shared=shared[number], fixed=fixed)
     mesh = checked_mesh(result.mesh)[0]
     gap = distances(points, mesh)
     return ScannedSurface(

@@ -14,6 +14,7 @@ from palpate.vision.cameras import (
     Triangulation as Triangulation,
     calibration_numbers as calibration_numbers,
     camera_sigma as camera_sigma,
+    moved_rig as moved_rig,
     normalised as normalised,
     pixel_grid as pixel_grid,
     project as project,
@@ -25,10 +26,13 @@ from palpate.vision.cameras import (
     visible as visible,
 )
 from palpate.vision.images import (
+    VIDEO_SUFFIXES as VIDEO_SUFFIXES,
     Pictures as Pictures,
+    open_video as open_video,
     prepare_pictures as prepare_pictures,
     read_grey as read_grey,
     read_pictures as read_pictures,
+    video_frames as video_frames,
 )
 from palpate.vision.joint import (
     JointFlow as JointFlow,
@@ -54,8 +58,11 @@ from palpate.vision.range_flow import (
 )
 from palpate.vision.stereo import (
     RigCheck as RigCheck,
+    StereoMatches as StereoMatches,
     StereoPoints as StereoPoints,
     StereoSettings as StereoSettings,
     check_rig as check_rig,
+    joined_matches as joined_matches,
+    stereo_matches as stereo_matches,
     stereo_points as stereo_points,
 )

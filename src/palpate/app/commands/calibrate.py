@@ -15,19 +15,25 @@ from palpate.calibration import (
     Chessboard,
     Circles,
     Target,
+    baseline_text,
     board_frame,
     calibrate as calibrate_cameras,
     camera_quality,
     find_boards,
     find_pictures,
+    find_videos,
     length_check,
     length_sigma,
+    motion_note,
+    still_frames,
+    without_repeats,
     write_calibration,
 )
 from palpate.disk import placed
 from palpate.errors import InputError
 from palpate.figures import board_figure, residual_figure, rig_figure, save_figure, save_page
 from palpate.probe import metres_from_text
+from palpate.progress import Progress, part_of
 from palpate.records import default_folder, record_inputs, result_folder
 
 _PAGES = (".pdf", ".png")
@@ -47,6 +53,7 @@ def calibrate(
     dictionary: str | None = None,
     boards: int = 1,
     table: str | None = None,
+    baseline: str | None = None,
     out: Path | None = None,
     force: bool = False,
 ) -> int:
@@ -59,7 +66,8 @@ def calibrate(
     ----------
     pictures
         Folder with a folder of pictures for every camera; pictures of one instant have the same
-        name, the camera's own name within it apart.
+        name, the camera's own name within it apart. Or a folder with a video for every camera,
+        named like it, whose frames of one number are of one instant.
     columns
         Squares in a row of a ChArUco board, inner corners of a chessboard, circles, tags.
     rows
@@ -81,6 +89,9 @@ def calibrate(
         View in which the board lies where the object will stand. The rig's frame is then the
         board's: its middle is the origin, x leads along its rows and z up. Default: the frame of
         the first camera.
+    baseline
+        Distance between the first two cameras with its unit, measured otherwise: it tells whether
+        the board has the size that was said.
     out
         Result folder. Default: the pictures' folder name followed by -rig, in the current folder.
     force
@@ -93,26 +104,48 @@ def calibrate(
     """
     named = _named_target(target, columns, rows, square, marker, gap, dictionary)
     targets = _boards(named, boards)
+    told = None if baseline is None else metres_from_text(baseline, name="--baseline")
     place = out or default_folder(pictures, "rig")
     with result_folder(place, kind="calibrate", force=force) as folder:
-        files = find_pictures(pictures)
-        record_inputs(
-            folder, [path for by_instant in files.values() for path in by_instant.values()]
-        )
         with progress_bar() as progress:
-            found = find_boards(files, targets, progress=progress)
-            progress("adjustment", 1.0)
-            calibration = calibrate_cameras(found, targets)
+            calibration, notes = _calibrated(pictures, targets, folder, progress)
+        lengths = "" if told is None else baseline_text(calibration, told)
         frame = None if table is None else board_frame(calibration, targets, table)
         write_calibration(folder, calibration, frame=frame)
         save_figure(residual_figure(calibration), folder / "residuals.png")
         save_figure(rig_figure(calibration), folder / "rig.png")
-    print_notes(calibration.notes)
+    print_notes([*calibration.notes, *notes])
     quality = camera_quality(calibration)
     print_tables(_table(calibration, quality))
     print_notes([text for camera in quality for text in camera.missing])
-    print_text(f"{_lengths(calibration)}Result in {place}")
+    print_text(f"{_lengths(calibration)}{lengths}Result in {place}")
     return 0
+
+
+def _calibrated(
+    pictures: Path, targets: list[Target], folder: Path, progress: Progress
+) -> tuple[Calibration, list[str]]:
+    """Calibration from pictures or videos, and what else to say; used frames stay in the result."""
+    videos = find_videos(pictures)
+    if not videos:
+        files = find_pictures(pictures)
+        every = [path for by_instant in files.values() for path in by_instant.values()]
+        record_inputs(folder, every)
+        found = find_boards(files, targets, progress=part_of(progress, 0.0, 0.9))
+        progress("adjustment", 0.9)
+        return calibrate_cameras(found, targets), []
+    record_inputs(folder, list(videos.values()))
+    still = still_frames(videos, folder / "frames", progress=part_of(progress, 0.0, 0.6))
+    found = find_boards(still.files, targets, progress=part_of(progress, 0.6, 0.9))
+    progress("adjustment", 0.9)
+    calibration = calibrate_cameras(without_repeats(found), targets)
+    used = {view.split(" ")[0] for view in calibration.found.views}
+    for by_instant in still.files.values():
+        for instant, path in by_instant.items():
+            if instant not in used:
+                path.unlink()
+    note = motion_note(calibration, still.motion)
+    return calibration, [note] if note else []
 
 
 def board(

@@ -7,6 +7,10 @@ Depends on : nothing but the ground floor.
 Read first : `registration.py`, `surface_fit.py`.
 """
 
+from palpate.geometry.registration.coarse_pose import (
+    compact_groups as compact_groups,
+    rough_pose as rough_pose,
+)
 from palpate.geometry.registration.registration import (
     Registration as Registration,
     RegistrationSettings as RegistrationSettings,

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from palpate.geometry.closest_point import SurfaceSearch, small_pieces
+from palpate.geometry.closest_point import SurfaceSearch, small_pieces, surface_search
 from palpate.geometry.registration.surface_fit import Pose, motion_pose, motion_scale, placed
 from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
@@ -140,6 +140,37 @@ def coarse_pose(
         width = max(_SHRINK * width, spacing)
     best = _nearest_of_the_best(search, place, first)
     return _rigid(points, place[best])
+
+
+def rough_pose(
+    points: Points,
+    mesh: TriangleMesh,
+    *,
+    start: Pose,
+    eye: Vector3,
+    angle: float,
+    distance: float,
+    count: int,
+) -> Pose:
+    """Pose of points near a mesh, to begin a registration with: one of many tries.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]       of the surface, in any frame
+    mesh : TriangleMesh
+    start : (4, 4) float            guess of the pose
+    eye : (3,) float [m]            where the points were seen from, in their frame
+    angle : float [rad]             how far the guess may be turned from the truth
+    distance : float [m]            how far shifted
+    count : int                     points that are tried
+
+    Returns
+    -------
+    (4, 4) float [m]                as of `coarse_pose`
+    """
+    seen = facing_surface(mesh, placed(start, eye[None])[0], angle=angle)
+    few = points[even_sample(points, count)]
+    return coarse_pose(surface_search(seen), few, start, angle=angle, distance=distance)
 
 
 def _surface_samples(mesh: TriangleMesh, spacing: float) -> tuple[Points, Points]:

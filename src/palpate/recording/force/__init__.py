@@ -1,12 +1,17 @@
 """What a force gauge's log says: when the tool touches, when it rests, with what force.
 
 Purpose    : forces on the object, without the tool's weight and the gauge's drift, with sigmas.
-Takes      : a table of times and forces, and how to read it (`Gauge`).
+Takes      : a table of times and forces, or a robot's bag, and how to read it (`Gauge`).
 Gives      : `ForceLog`, `Touch`, `Zero`, `Reading`.
 Depends on : `probe`, `records`.
-Read first : `log.py`, `touches.py`, `plateaus.py`.
+Read first : `log.py`, `bags.py`, `touches.py`, `plateaus.py`.
 """
 
+from palpate.recording.force.bags import (
+    BAG_SUFFIXES as BAG_SUFFIXES,
+    PLACES as PLACES,
+    read_log_table as read_log_table,
+)
 from palpate.recording.force.log import (
     SECONDS as SECONDS,
     ForceLog as ForceLog,

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError, quoted
 from palpate.probe import NEWTONS
-from palpate.records import Column, TextTable, read_text_table
+from palpate.recording.force.bags import FORCES, read_log_table
+from palpate.records import Column, TextTable
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_WORDS = ("time", "t", "timestamp", "seconds", "elapsed", "elapsed time")
@@ -45,6 +46,7 @@ class Gauge:
                                     perpendicular, made unit vectors
     on_tool : bool                  readings are of the force on the tool, not on the object
     limit : float or None [N]       end of the gauge's range, both ways; readings there say nothing
+    topic : str or None             of a bag; None: its only one with forces
 
     Raises
     ------
@@ -59,6 +61,7 @@ class Gauge:
     axes: Float[np.ndarray, "k 3"]
     on_tool: bool = False
     limit: float | None = None
+    topic: str | None = None
 
     def __post_init__(self) -> None:
         for name, value, known in (
@@ -134,7 +137,7 @@ def read_force_log(gauge: Gauge) -> ForceLog:
     RecordError                     no such file, no such columns, two units that contradict each
                                     other, times that run backwards, forces that no probing has
     """
-    table = read_text_table(gauge.file, cure=_CURE)
+    table = read_log_table(gauge.file, topic=gauge.topic, wanted=FORCES, cure=_CURE)
     time = _time_column(table, gauge.time)
     columns = _force_columns(table, gauge.columns, len(gauge.axes))
     notes: list[str] = []

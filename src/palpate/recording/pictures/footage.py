@@ -1,6 +1,5 @@
 """What a camera recorded: a video, or pictures with the times at which they were taken."""
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +10,11 @@ from jaxtyping import Float, Shaped
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError
-from palpate.files import checked_file
 from palpate.records import read_text_table
-from palpate.vision import read_grey
+from palpate.vision import open_video, read_grey, video_frames
 
 # Times of a recording run over no more than this [s].
 _LONGEST = 86400.0
-# FFmpeg's own remarks on the terminal: none.
-_QUIET = {"OPENCV_FFMPEG_LOGLEVEL": "-8"}
-_CURE = "copy it again, or convert it, e.g. to MP4 with H.264 or to AVI with MJPEG"
 _TIMES_CURE = "times of pictures are a table with a heading and a column of seconds, a line each"
 
 
@@ -124,54 +119,20 @@ def _pictures(footage: Footage) -> Iterator[Frame]:
 
 
 def _video_frames(footage: Footage) -> Iterator[Frame]:
-    capture, times, number = open_video(footage.source), footage.times, 0
-    try:
-        while True:
-            good, picture = capture.read()
-            if not good:
-                break
-            time = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-            if times is not None:
-                if number == len(times):
-                    raise RecordError(
-                        f"{footage.source}: has more frames than there are times, {len(times)};"
-                        " was a frame dropped from the list, or is it that of another video?"
-                    )
-                time = float(times[number])
-            grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            yield Frame(number, time, grey)
-            number += 1
-    finally:
-        capture.release()
-    if number < 2:
-        raise RecordError(f"{footage.source}: not one frame can be decoded; {_CURE}")
-    if times is not None and number < len(times):
+    times, count = footage.times, 0
+    for number, (time, grey) in enumerate(video_frames(footage.source)):
+        if times is not None and number == len(times):
+            raise RecordError(
+                f"{footage.source}: has more frames than there are times, {len(times)};"
+                " was a frame dropped from the list, or is it that of another video?"
+            )
+        yield Frame(number, time if times is None else float(times[number]), grey)
+        count = number + 1
+    if times is not None and count < len(times):
         raise RecordError(
-            f"{footage.source}: has {number} frames that can be decoded and {len(times)} times; is"
+            f"{footage.source}: has {count} frames that can be decoded and {len(times)} times; is"
             " it cut off, or are the times those of another video?"
         )
-
-
-def open_video(path: Path) -> "cv2.VideoCapture":
-    """A video that is ready to be read.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    RecordError                     not there, or no video that can be decoded
-    """
-    checked_file(path)
-    for name, value in _QUIET.items():
-        os.environ.setdefault(name, value)
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not capture.isOpened():
-        raise RecordError(
-            f"{path}: cannot be decoded as a video ({path.stat().st_size} bytes); {_CURE}"
-        )
-    return capture
 
 
 def promised_frames(footage: Footage) -> int:

@@ -2,6 +2,7 @@
 
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,7 +31,7 @@ def covariance_file(rig: Path) -> Path | None:
 
 
 def write_rig_covariance(
-    folder: Path, known: RigCovariance, corner_noise: Float[np.ndarray, " c"]
+    folder: Path, known: RigCovariance, corner_noise: Float[np.ndarray, " c"] | None = None
 ) -> None:
     """Write `rig_covariance.npz`.
 
@@ -38,16 +39,17 @@ def write_rig_covariance(
     ----------
     folder : Path                   exists
     known : RigCovariance
-    corner_noise : (c,) float [px]  of a coordinate of a corner, in every camera
+    corner_noise : (c,) float [px] or None  of a coordinate of a corner, in every camera
     """
-    np.savez_compressed(
-        folder / _FILE,
-        format=np.array(COVARIANCE_FORMAT),
-        names=np.array(known.names),
-        value=known.value,
-        covariance=known.covariance,
-        corner_noise=corner_noise,
-    )
+    content: dict[str, Any] = {
+        "format": np.array(COVARIANCE_FORMAT),
+        "names": np.array(known.names),
+        "value": known.value,
+        "covariance": known.covariance,
+    }
+    if corner_noise is not None:
+        content["corner_noise"] = corner_noise
+    np.savez_compressed(folder / _FILE, **content)
 
 
 def read_rig_covariance(path: Path) -> RigCovariance:

@@ -14,6 +14,8 @@ _NEIGHBOURS, _FEWEST = 60, 15
 # Tukey's constant: 95 % efficient for normal noise.
 _TUKEY = 4.685
 _ROUNDS = 3
+# Vertices whose pairs of points are in memory at once.
+_AT_ONCE = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +40,7 @@ def fitted(
     sigma: PointScalars,
     *,
     view: PointIndices,
+    shared: Float[np.ndarray, " n"],
     fixed: Bool[np.ndarray, " v"] | None = None,
 ) -> FittedSurface:
     """Move vertices along their normals onto the smooth surface through the points around.
@@ -50,8 +53,9 @@ def fitted(
     mesh : TriangleMesh             of v vertices, near the points
     points, normals : (n, 3) float [m]
     sigma : (n,) float [m]          of the points along their normals
-    view : (n,) int                 that each point is of: neighbours of one view err together, by
-                                    as much as the residuals show
+    view : (n,) int                 that each point is of
+    shared : (n,) float [m]         points of a view that are nearer to each other share errors, all
+                                    of them where they are one; and where the residuals show more
     fixed : (v,) bool or None       vertices that stay
 
     Returns
@@ -73,8 +77,12 @@ def fitted(
     radius = np.maximum(np.where(near, gap, 0.0).max(axis=1), 1e-12)[:, None]
     weight = np.where(near, (1.0 - (np.where(near, gap, 0.0) / (1.0001 * radius)) ** 2) ** 2, 0.0)
     weight /= sigma[index] ** 2
-    move, std, pull = _solved(base, height, weight, sigma[index])
-    std = std * _correlation(pull, view[index])
+    move, error, pull = _solved(base, height, weight, sigma[index])
+    std = _deviation(error, points[index], view[index], shared[index])
+    # What the residuals show of it: less, for the fit takes a part of what neighbours share.
+    alone = float((error**2).sum())
+    if alone > 0.0:
+        std *= max(1.0, _correlation(pull, view[index]) / np.sqrt((std**2).sum() / alone))
     known = (near.sum(axis=1) >= _FEWEST) & (abs(move) < 0.5 * edge)
     # Points on one side only would be led on into nothing.
     middle = np.linalg.norm((weight[..., None] * offset).sum(axis=1), axis=1)
@@ -105,8 +113,9 @@ def _solved(
     height: Float[np.ndarray, "v k"],
     weight: Float[np.ndarray, "v k"],
     sigma: Float[np.ndarray, "v k"],
-) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, " v"], Float[np.ndarray, "v k"]]:
-    """Height of the surface at each vertex, its deviation, and each residual's part in it [m]."""
+) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
+    """Height of the surface at each vertex, and the parts in it of each point's standard deviation
+    and of its residual [m]."""
     robust = weight.copy()
     damping = 1e-9 * np.eye(6)
     for _ in range(_ROUNDS):
@@ -125,15 +134,32 @@ def _solved(
     # What each height adds to the result; their noise is the larger of claimed and seen.
     gain = np.einsum("vi,vki,vk->vk", inverse[:, 0], base, robust) / total[:, :, 0]
     noise = sigma * np.maximum(level, 1.0)
-    std = np.sqrt((gain**2 * noise**2).sum(axis=1))
-    return coefficients[:, 0], std, gain * residual
+    return coefficients[:, 0], gain * noise, gain * residual
+
+
+def _deviation(
+    error: Float[np.ndarray, "v k"],
+    place: Float[np.ndarray, "v k 3"],
+    view: Int[np.ndarray, "v k"],
+    shared: Float[np.ndarray, "v k"],
+) -> Float[np.ndarray, " v"]:
+    """Standard deviation of sums of errors of which those of near points of a view go together.
+
+    Two windows of a picture have as much noise in common as they overlap.
+    """
+    variance = np.empty(len(error))
+    for rows in np.array_split(np.arange(len(error)), len(error) // _AT_ONCE + 1):
+        apart = np.linalg.norm(place[rows, :, None] - place[rows, None], axis=3)
+        width = np.maximum(shared[rows][:, :, None], 1e-12)
+        same = view[rows][:, :, None] == view[rows][:, None]
+        common = np.where(same, np.maximum(1.0 - apart / width, 0.0), 0.0)
+        common[:, np.arange(error.shape[1]), np.arange(error.shape[1])] = 1.0
+        variance[rows] = np.einsum("vi,vij,vj->v", error[rows], common, error[rows])
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def _correlation(pull: Float[np.ndarray, "v k"], view: Int[np.ndarray, "v k"]) -> float:
-    """By how much the residuals' parts of one view add up to more than independent ones, >= 1.
-
-    The windows of neighbouring pixels overlap, and the points of a view share its pose.
-    """
+    """By how much the residuals' parts of one view add up to more than independent ones, >= 1."""
     alone = float((pull**2).sum())
     together = 0.0
     for one in range(int(view.max()) + 1):

@@ -1,4 +1,4 @@
-"""Points in files: PLY, PCD, XYZ and other columns of text, NPY."""
+"""Points in files: PLY, PCD, E57, XYZ and other columns of text, NPY."""
 
 from io import BytesIO
 from pathlib import Path
@@ -11,7 +11,7 @@ from palpate.files import damage, read_bytes
 from palpate.optional_imports import late_import
 from palpate.shapes import Points
 
-POINT_SUFFIXES = (".ply", ".pcd", ".npy", ".xyz", ".txt", ".csv", ".asc")
+POINT_SUFFIXES = (".ply", ".pcd", ".e57", ".npy", ".xyz", ".txt", ".csv", ".asc")
 _MOST_BYTES = 2**30
 # Objects and their scans, [m]: beyond, a unit is wrong.
 _SPAN = (1e-6, 1e4)
@@ -23,8 +23,9 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
 
     Parameters
     ----------
-    path : Path                     .ply .pcd .npy, or columns x y z of text: .xyz .txt .csv .asc
-    metres_per_unit : float         length of the file's unit; > 0
+    path : Path                     .ply .pcd .e57 .npy, or text with columns x y z: .xyz .txt .csv
+                                    .asc
+    metres_per_unit : float         length of the file's unit; > 0; E57 is in metres always
 
     Returns
     -------
@@ -42,9 +43,12 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
             f" {' '.join(POINT_SUFFIXES)}"
         )
     content = read_bytes(path, most=_MOST_BYTES)
+    if suffix == ".e57":
+        late_import("pye57", extra="e57", purpose=f"reading {path.name}")
+        metres_per_unit = 1.0
     what = f"cannot be read as points of type {suffix[1:].upper()}"
     with damage(path, "three columns x y z of text are read, too", what=what):
-        points = np.asarray(_read(content, suffix), dtype=np.float64)
+        points = np.asarray(_read(path, content, suffix), dtype=np.float64)
         if points.ndim != 2 or points.shape[1] < 3:
             raise ValueError(f"its numbers have the shape {points.shape}, not three columns")
     points = points[:, :3]
@@ -64,7 +68,9 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
     return points
 
 
-def _read(content: bytes, suffix: str) -> np.ndarray:
+def _read(path: Path, content: bytes, suffix: str) -> np.ndarray:
+    if suffix == ".e57":
+        return _e57(path)
     if suffix == ".npy":
         return np.load(BytesIO(content), allow_pickle=False)
     if suffix == ".pcd":
@@ -74,6 +80,22 @@ def _read(content: bytes, suffix: str) -> np.ndarray:
         loaded = trimesh.load(BytesIO(content), file_type="ply", process=False)
         return np.asarray(loaded.vertices)
     return _text(content.decode("utf-8", errors="replace"))
+
+
+def _e57(path: Path) -> Float[np.ndarray, "n 3"]:
+    """The one scan of a file, in the file's frame, without points that are marked as invalid."""
+    pye57 = late_import("pye57", extra="e57", purpose=f"reading {path.name}")
+    file = pye57.E57(str(path))
+    try:
+        if file.scan_count != 1:
+            raise ValueError(
+                f"it has {file.scan_count} scans, each from a place of its own; export each as a"
+                " file, and give each its [[view]]"
+            )
+        found = file.read_scan(0, ignore_missing_fields=True)
+    finally:
+        file.close()
+    return np.stack([found[f"cartesian{axis}"] for axis in "XYZ"], axis=1)
 
 
 def _text(text: str) -> Float[np.ndarray, "n 3"]:

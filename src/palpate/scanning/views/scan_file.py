@@ -1,7 +1,7 @@
 """`scan.toml`: which views there are, where they were taken from, and what the object stood on."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from palpate.scanning.views.depth_maps import DEPTH_SUFFIXES, depth_points
 from palpate.scanning.views.point_files import POINT_SUFFIXES, read_points
 from palpate.scanning.views.turntable import Turntable
 from palpate.scanning.views.view import Pose, View, make_view
-from palpate.vision import prepare_pictures, read_pictures, stereo_points
+from palpate.vision import StereoSettings, prepare_pictures, read_pictures, stereo_points
 
 SCAN_FORMAT = "palpate-scan/1"
 SCAN_FILE = "scan.toml"
@@ -192,4 +192,6 @@ def _stereo_view(table: TomlTable, setup: _Setup, pose: Pose | None) -> tuple[Vi
         pose=pose,
     )  # fmt: skip
     along = np.einsum("na,nab,nb->n", view.normals, found.covariance, view.normals)
-    return View(view.name, view.points, view.normals, np.sqrt(along), view.eye, pose), files
+    # Windows overlap as far as they are wide.
+    width = StereoSettings().subset * float(np.median(found.spacing)) / found.step
+    return replace(view, sigma=np.sqrt(along), shared=width), files

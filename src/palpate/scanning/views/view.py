@@ -28,6 +28,8 @@ class View:
     sigma : (n,) float [m]          standard deviation along the normal, > 0
     eye : (3,) float [m]            viewpoint
     T_object_view : (4, 4) float or None    None where it is not known
+    shared : float [m]              points nearer to each other share a part of their errors; 0:
+                                    each errs by itself
     """
 
     name: str
@@ -36,6 +38,7 @@ class View:
     sigma: PointScalars
     eye: Vector3
     T_object_view: Pose | None = None
+    shared: float = 0.0
 
     def placed(self, pose: Pose) -> "View":
         """The view with points, normals and eye in the frame that a pose leads to.

@@ -30,6 +30,7 @@ from palpate.vision.cameras.rectification import (
 )
 from palpate.vision.cameras.space_strain import (
     calibration_numbers as calibration_numbers,
+    moved_rig as moved_rig,
     space_strains as space_strains,
 )
 from palpate.vision.cameras.surface_map import (

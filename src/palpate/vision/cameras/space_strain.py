@@ -94,7 +94,7 @@ def space_strains(rig: Rig, known: RigCovariance, points: Points) -> Float[np.nd
 
     def stretch(step: Float[np.ndarray, " p"]) -> Float[np.ndarray, "3 3"]:
         after, before = (
-            triangulate(_moved(rig, known.names, sign * _STEP * step), pixels, 1.0).point
+            triangulate(moved_rig(rig, known.names, sign * _STEP * step), pixels, 1.0).point
             for sign in (1.0, -1.0)
         )
         gradient = (inverse @ (after - before)).T / (2.0 * _STEP)
@@ -162,8 +162,19 @@ def _check_same(rig: Rig, known: RigCovariance) -> None:
         )
 
 
-def _moved(rig: Rig, names: Sequence[str], step: Float[np.ndarray, " p"]) -> Rig:
-    """The rig with its numbers off by a step; poses with respect to the first camera."""
+def moved_rig(rig: Rig, names: Sequence[str], step: Float[np.ndarray, " p"]) -> Rig:
+    """The rig with its numbers off by a step; poses with respect to the first camera.
+
+    Parameters
+    ----------
+    rig : Rig
+    names : sequence of p str       as in `RigCovariance`
+    step : (p,) float               a turn is added after that of the pose
+
+    Returns
+    -------
+    Rig
+    """
     change = dict(zip(names, step, strict=True))
     first = _first(rig.cameras, names).T_camera_object
     cameras = []

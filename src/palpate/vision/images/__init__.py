@@ -36,3 +36,8 @@ from palpate.vision.images.spline import (
     smoothing_gain as smoothing_gain,
     spline_pictures as spline_pictures,
 )
+from palpate.vision.images.video import (
+    VIDEO_SUFFIXES as VIDEO_SUFFIXES,
+    open_video as open_video,
+    video_frames as video_frames,
+)

@@ -9,7 +9,10 @@ Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by its
 
 from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
 from palpate.vision.stereo.stereo import (
+    StereoMatches as StereoMatches,
     StereoPoints as StereoPoints,
     StereoSettings as StereoSettings,
+    joined_matches as joined_matches,
+    stereo_matches as stereo_matches,
     stereo_points as stereo_points,
 )

@@ -94,6 +94,82 @@ class StereoPoints:
     step: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoMatches:
+    """Where all cameras see the points of a grid in the reference camera's picture.
+
+    What a rig is judged by: the matches rest on the pictures, its poses only tell where to search.
+
+    Attributes
+    ----------
+    pixel : (n, 2) float [px]           column and row in the reference camera
+    pixels : (c, n, 2) float [px]       in every camera; NaN where it was not found
+    covariance : (c, n, 2, 2) float [px^2]  of the match; NaN there, and in the reference
+    outcome : (n,) int                  an `Outcome`, of the camera that came farthest
+    blank : int                         points of the grid without texture, which are not among n
+    """
+
+    pixel: Float[np.ndarray, "n 2"]
+    pixels: Float[np.ndarray, "c n 2"]
+    covariance: Float[np.ndarray, "c n 2 2"]
+    outcome: PointIndices
+    blank: int
+
+
+def stereo_matches(
+    pictures: PreparedPictures,
+    *,
+    mask: Bool[np.ndarray, "rows columns"] | None = None,
+    settings: StereoSettings = StereoSettings(),
+) -> StereoMatches:
+    """Match a grid of windows of the reference camera in all others.
+
+    Parameters
+    ----------
+    pictures : PreparedPictures     of 2 or more cameras
+    mask, settings                  as of `stereo_points`
+
+    Returns
+    -------
+    StereoMatches
+
+    Raises
+    ------
+    InputError, CalibrationError    as of `stereo_points`
+    """
+    reference = pictures.rig.reference
+    shape = pictures.grey[reference].shape
+    wanted = np.ones(shape, dtype=bool) if mask is None else mask
+    if wanted.shape != shape:
+        raise InputError(f"mask is of {wanted.shape} pixels; the reference picture of {shape}")
+    cell, pixel = _grid(wanted & pictures.normalised[reference].textured, settings.step)
+    blank = len(_grid(wanted, settings.step)[0]) - len(pixel)
+    splines = [make_spline_picture(grey) for grey in pictures.grey]
+    found: dict[int, WindowMatches] = {}
+    failures: list[InputError] = []
+    for k, spline in enumerate(splines):
+        if k == reference:
+            continue
+        try:
+            start = stereo_start(pictures, k, pixel, half=settings.subset // 2)
+        except InputError as failure:
+            failures.append(failure)
+            continue
+        matches = window_matches(splines[reference], spline, pixel, start, subset=settings.subset)
+        found[k] = confirmed_matches(matches, cell, pixel)
+    if not found:
+        raise failures[0]
+    # The reason of the camera that came farthest: the outcomes are in the order of the steps.
+    outcome = np.max([matches.outcome for matches in found.values()], axis=0)
+    pixels = np.full((len(splines), len(pixel), 2), np.nan)
+    covariance = np.full((*pixels.shape, 2), np.nan)
+    pixels[reference] = pixel
+    for k, matches in found.items():
+        pixels[k] = pixel + matches.displacement
+        covariance[k] = matches.covariance
+    return StereoMatches(pixel, pixels, covariance, outcome, blank)
+
+
 def stereo_points(
     pictures: PreparedPictures,
     *,
@@ -120,29 +196,8 @@ def stereo_points(
     CalibrationError                no camera can be paired with the reference: at one place, or
                                     looking along the line between
     """
-    reference = pictures.rig.reference
-    shape = pictures.grey[reference].shape
-    wanted = np.ones(shape, dtype=bool) if mask is None else mask
-    if wanted.shape != shape:
-        raise InputError(f"mask is of {wanted.shape} pixels; the reference picture of {shape}")
-    cell, pixel = _grid(wanted & pictures.normalised[reference].textured, settings.step)
-    blank = len(_grid(wanted, settings.step)[0]) - len(pixel)
-    splines = [make_spline_picture(grey) for grey in pictures.grey]
-    found: dict[int, WindowMatches] = {}
-    failures: list[InputError] = []
-    for k, spline in enumerate(splines):
-        if k == reference:
-            continue
-        try:
-            start = stereo_start(pictures, k, pixel, half=settings.subset // 2)
-        except InputError as failure:
-            failures.append(failure)
-            continue
-        matches = window_matches(splines[reference], spline, pixel, start, subset=settings.subset)
-        found[k] = confirmed_matches(matches, cell, pixel)
-    if not found:
-        raise failures[0]
-    return _joined(pictures, found, pixel, blank, settings)
+    matches = stereo_matches(pictures, mask=mask, settings=settings)
+    return joined_matches(pictures.rig, matches, settings=settings)
 
 
 def joined_cameras(
@@ -236,34 +291,35 @@ def _grid(
     return cell, (first + step * cell[:, ::-1]).astype(np.float64)
 
 
-def _joined(
-    pictures: PreparedPictures,
-    found: dict[int, WindowMatches],
-    pixel: Float[np.ndarray, "n 2"],
-    blank: int,
-    settings: StereoSettings,
+def joined_matches(
+    rig: Rig, matches: StereoMatches, *, settings: StereoSettings = StereoSettings()
 ) -> StereoPoints:
-    """One point from the matches of all cameras."""
-    rig = pictures.rig
-    # The reason of the camera that came farthest: the outcomes are in the order of the steps.
-    outcome = np.max([matches.outcome for matches in found.values()], axis=0)
-    pixels = np.full((len(rig.cameras), len(pixel), 2), np.nan)
-    covariance = np.full((*pixels.shape, 2), np.nan)
-    pixels[rig.reference] = pixel
-    for k, matches in found.items():
-        pixels[k] = pixel + matches.displacement
-        covariance[k] = matches.covariance
-    rows = np.flatnonzero(np.isfinite(pixels[list(found)]).all(axis=2).any(axis=0))
+    """One point from the matches of all cameras.
+
+    Parameters
+    ----------
+    rig : Rig
+    matches : StereoMatches         of its cameras
+    settings : StereoSettings       that they were made with
+
+    Returns
+    -------
+    StereoPoints
+    """
+    outcome = matches.outcome.copy()
+    others = np.delete(matches.pixels, rig.reference, axis=0)
+    rows = np.flatnonzero(np.isfinite(others).all(axis=2).any(axis=0))
     outcome[rows] = Outcome.REPROJECTION
     joint, used = joined_cameras(
-        rig, pixels[:, rows], covariance[:, rows], reprojection=settings.reprojection
-    )
+        rig, matches.pixels[:, rows], matches.covariance[:, rows],
+        reprojection=settings.reprojection,
+    )  # fmt: skip
     good = used.any(axis=0)
     outcome[rows[good]] = Outcome.VALID
     counts = np.bincount(outcome, minlength=len(Outcome))
-    counts[Outcome.TEXTURE] += blank
+    counts[Outcome.TEXTURE] += matches.blank
     return StereoPoints(
-        pixel=pixel[rows[good]],
+        pixel=matches.pixel[rows[good]],
         point=joint.point[good],
         covariance=joint.covariance[good],
         residual=joint.residual[good],

@@ -1,0 +1,116 @@
+"""An object whose surface is known, as what its seen points say of a rig."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from palpate.calibration.known_object.ties import Ties, places, shared_factor, slopes
+from palpate.geometry import TriangleMesh, closest_points, compact_groups, unit_normals
+from palpate.records import Rig, RigCovariance
+from palpate.shapes import Vector3
+
+# How well the size of a mesh is known; points of it farther off than so many robust standard
+# deviations are of something else.
+_MESH_SIZE, _OFF = 0.003, 4.0
+# Compact groups of points: those that share errors of the matching lie in one of them.
+GROUPS = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownSurface:
+    """The surface of the object, and points that the cameras saw of it at one instant.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+    pose : (4, 4) float [m]         about where it is: x_mesh = pose x, x in the rig's frame
+    ties : Ties
+    """
+
+    mesh: TriangleMesh
+    pose: Float[np.ndarray, "4 4"]
+    ties: Ties
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """Where the object is, and how much larger than its mesh.
+
+    Attributes
+    ----------
+    surface : KnownSurface
+    pose : (4, 4) float [m]         as in `KnownSurface`
+    larger : float [-]
+    """
+
+    surface: KnownSurface
+    pose: Float[np.ndarray, "4 4"]
+    larger: float
+
+    def equations(
+        self, rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"]
+    ) -> tuple[Float[np.ndarray, "u u"], Float[np.ndarray, " u"]]:
+        """Normal equations of the points' distances from the mesh: of steps of the rig, then of a
+        turn, a shift and the size.
+
+        Parameters
+        ----------
+        rig : Rig
+        prior : RigCovariance       names of its p numbers, with their standard deviations
+        scale : (p, k) float        independent steps
+
+        Returns
+        -------
+        (k + 7, k + 7) float, (k + 7,) float    matrix and right side
+        """
+        ties, mesh = self.surface.ties, self.surface.mesh
+        offset, centre = self._offsets(rig)
+        found = closest_points(mesh, centre + offset / (1.0 + self.larger))
+        normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
+        gap = np.einsum("na,na->n", normal, centre + offset / (1.0 + self.larger) - found.position)
+        inside = (found.barycentric > 0.0).all(axis=1)
+        noise = 1.4826 * float(np.median(np.abs(gap[inside])))
+        _, shift = slopes(rig, prior, scale, ties)
+        rows = np.concatenate(
+            [
+                np.einsum("na,ab,nbk->nk", normal, self.pose[:3, :3], shift),
+                np.cross(offset, normal), normal,
+                -np.einsum("na,na->n", normal, offset)[:, None],
+            ],
+            axis=1,
+        )  # fmt: skip
+        weight = (inside & (np.abs(gap) < _OFF * noise)) / noise**2
+        score = (weight * gap)[:, None] * rows
+        # Neighbours err together, by overlapping windows and by the mesh.
+        weight /= max(shared_factor(score[:, -7:], compact_groups(offset, GROUPS)), 1.0)
+        matrix = rows.T @ (weight[:, None] * rows)
+        right = -rows.T @ (weight * gap)
+        matrix[-1, -1] += _MESH_SIZE**-2
+        right[-1] -= self.larger / _MESH_SIZE**2
+        return matrix, right
+
+    def moved(self, rig: Rig, change: Float[np.ndarray, "7"]) -> "Body":
+        """After a turn about the middle of the points, a shift, and a change of the size.
+
+        Parameters
+        ----------
+        rig : Rig
+        change : (7,) float
+
+        Returns
+        -------
+        Body
+        """
+        _, centre = self._offsets(rig)
+        step = np.eye(4)
+        step[:3, :3] = Rotation.from_rotvec(change[:3]).as_matrix()
+        step[:3, 3] = centre - step[:3, :3] @ centre + change[3:6]
+        return replace(self, pose=step @ self.pose, larger=self.larger + float(change[6]))
+
+    def _offsets(self, rig: Rig) -> tuple[Float[np.ndarray, "n 3"], Vector3]:
+        """Points about their middle, and this, in the frame of the mesh."""
+        place = places(rig, self.surface.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
+        centre = place.mean(axis=0)
+        return place - centre, centre

@@ -1,0 +1,138 @@
+"""Points of an object where all cameras see them, and how what is left goes with the rig."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from palpate.records import Rig, RigCovariance
+from palpate.vision import moved_rig, project, project_jacobian, triangulate
+
+# Derivatives are differences over so many standard deviations each way.
+_DIFFERENCE = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ties:
+    """Points of objects where cameras see them.
+
+    Attributes
+    ----------
+    pixels : (c, n, 2) float [px]           NaN where a camera does not see it
+    covariance : (c, n, 2, 2) float [px^2]  of each; the reference's is not zero
+    """
+
+    pixels: Float[np.ndarray, "c n 2"]
+    covariance: Float[np.ndarray, "c n 2 2"]
+
+    def chosen(self, rows: Bool[np.ndarray, " n"]) -> "Ties":
+        """Some of the points.
+
+        Parameters
+        ----------
+        rows : (n,) bool
+
+        Returns
+        -------
+        Ties
+        """
+        return Ties(self.pixels[:, rows], self.covariance[:, rows])
+
+
+def slopes(
+    rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"], ties: Ties
+) -> tuple[Float[np.ndarray, "n r k"], Float[np.ndarray, "n 3 k"]]:
+    """Derivatives of the residuals by steps of a standard deviation, and of the points, which
+    follow.
+
+    Parameters
+    ----------
+    rig : Rig
+    prior : RigCovariance           names of its p numbers, with their standard deviations
+    scale : (p, k) float            independent steps
+    ties : Ties
+
+    Returns
+    -------
+    (n, r, k) float [-]             of `residuals`
+    (n, 3, k) float [m]             of `places`
+    """
+    point = places(rig, ties)
+    by_point = _white(
+        np.stack([project_jacobian(camera, point)[1] for camera in rig.cameras]), ties
+    )
+    by_number = np.zeros((len(rig.cameras), *ties.pixels.shape[1:], len(prior.names)))
+    sizes = _DIFFERENCE * np.sqrt(np.diag(prior.covariance))
+    index = {camera.name: c for c, camera in enumerate(rig.cameras)}
+    for k in np.flatnonzero(sizes).tolist():
+        c = index[prior.names[k].rpartition(".")[0]]
+        step = sizes * np.eye(len(sizes))[k]
+        ends = [
+            project(moved_rig(rig, prior.names, side * step).cameras[c], point)
+            for side in (1.0, -1.0)
+        ]
+        by_number[c, :, :, k] = (ends[1] - ends[0]) / (2.0 * sizes[k])
+    slope = _white(by_number, ties) @ scale
+    base, upper = np.linalg.qr(by_point)
+    along = base.transpose(0, 2, 1) @ slope
+    return slope - base @ along, np.linalg.solve(upper, along)
+
+
+def _white(values: Float[np.ndarray, "c n 2 k"], ties: Ties) -> Float[np.ndarray, "n r k"]:
+    """Pixels in standard deviations of the match, those of all cameras in one row; 0 where a camera
+    does not see the point."""
+    seen = np.isfinite(ties.pixels).all(axis=2)[..., None, None]
+    root = np.linalg.cholesky(np.where(seen, ties.covariance, np.eye(2)))
+    white = np.linalg.solve(root, np.where(seen, values, 0.0))
+    return white.transpose(1, 0, 2, 3).reshape(white.shape[1], -1, white.shape[3])
+
+
+def places(rig: Rig, ties: Ties) -> Float[np.ndarray, "n 3"]:
+    """Where the points are, by what all cameras see.
+
+    Parameters
+    ----------
+    rig : Rig
+    ties : Ties
+
+    Returns
+    -------
+    (n, 3) float [m]                NaN where fewer than two cameras see one
+    """
+    return triangulate(rig, ties.pixels, ties.covariance).point
+
+
+def residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
+    """What all cameras miss each point by, in standard deviations of the match.
+
+    Parameters
+    ----------
+    rig : Rig
+    ties : Ties
+
+    Returns
+    -------
+    (n, 2 c) float [-]              0 where a camera does not see it, NaN where fewer than two do
+    """
+    point = places(rig, ties)
+    away = ties.pixels - np.stack([project(camera, point) for camera in rig.cameras])
+    return _white(away[..., None], ties)[..., 0]
+
+
+def shared_factor(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, " n"]) -> float:
+    """Variance of sums over groups of neighbours over that of as many independent points.
+
+    Parameters
+    ----------
+    score : (n, k) float            what each point adds to the gradient
+    label : (n,) int                its group
+
+    Returns
+    -------
+    float                           1 where neighbours err by themselves
+    """
+    alone = score.T @ score
+    sums = np.stack([np.bincount(label, column) for column in score.T], axis=1)
+    kept = np.linalg.pinv(alone, rcond=1e-8, hermitian=True)
+    rank = max(np.linalg.matrix_rank(alone, tol=1e-8 * np.trace(alone), hermitian=True), 1)
+    return float(np.trace(kept @ (sums.T @ sums))) / rank

@@ -1,0 +1,130 @@
+"""Logs of robots: topics of ROS 1 and ROS 2 bags and of MCAP files, as tables."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from palpate.errors import RecordError, quoted
+from palpate.files import checked_file, damage
+from palpate.optional_imports import late_import
+from palpate.records import TextTable, make_table, read_text_table
+
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+_CURE = "record it again, or export the topic as a table"
+_AXES = ("x", "y", "z")
+# A stamp that nobody set.
+_NEVER = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What is looked for in a bag.
+
+    Attributes
+    ----------
+    name : str                      "force" or "pose", for messages
+    columns : tuple of str          headings of the table's columns after the time, x y z
+    kinds : mapping of str to str   message types that hold it and where: attributes with dots
+    """
+
+    name: str
+    columns: tuple[str, str, str]
+    kinds: Mapping[str, str]
+
+
+FORCES = Quantity(
+    "force",
+    ("fx [N]", "fy [N]", "fz [N]"),
+    {
+        "geometry_msgs/msg/WrenchStamped": "wrench.force",
+        "geometry_msgs/msg/Wrench": "force",
+        "geometry_msgs/msg/Vector3Stamped": "vector",
+        "geometry_msgs/msg/Vector3": "",
+        "std_msgs/msg/Float64": "data",
+        "std_msgs/msg/Float32": "data",
+    },
+)
+PLACES = Quantity(
+    "pose",
+    _AXES,
+    {
+        "geometry_msgs/msg/PoseStamped": "pose.position",
+        "geometry_msgs/msg/Pose": "position",
+        "geometry_msgs/msg/PointStamped": "point",
+        "geometry_msgs/msg/TransformStamped": "transform.translation",
+        "nav_msgs/msg/Odometry": "pose.pose.position",
+    },
+)
+
+
+def read_log_table(path: Path, *, topic: str | None, wanted: Quantity, cure: str) -> TextTable:
+    """The table of a log: a text file, or one topic of a bag.
+
+    Parameters
+    ----------
+    path : Path                     a table of text, or a file ending in `BAG_SUFFIXES`
+    topic : str or None             of a bag; None: the only one that holds what is wanted
+    wanted : Quantity
+    cure : str                      what a table must be, for messages
+
+    Returns
+    -------
+    TextTable                       of a bag: time [s], by the stamps of the messages where they
+                                    have some, else as they were recorded; then the wanted columns,
+                                    one alone of messages that hold one number
+
+    Raises
+    ------
+    RecordError                     not there, damaged; no such topic, several that could be meant;
+                                    a topic of a text table
+    InputError                      a bag, and the extra that reads bags is not installed
+    """
+    if path.suffix.lower() not in BAG_SUFFIXES:
+        if topic is not None:
+            raise RecordError(
+                f"{path}: is taken for a table of text, which has no topic {quoted(topic)}; bags"
+                f" end in {', '.join(BAG_SUFFIXES)}"
+            )
+        return read_text_table(path, cure=cure)
+    checked_file(path)
+    highlevel = late_import("rosbags.highlevel", extra="bags", purpose=f"reading {path.name}")
+    with (
+        damage(path, _CURE, what="cannot be read as a bag"),
+        highlevel.AnyReader([path]) as reader,
+    ):
+        meant = _connections(path, reader.connections, topic, wanted)
+        rows = list(_rows(reader, meant, wanted.kinds[meant[0].msgtype]))
+    names = wanted.columns if rows and rows[0].count(",") == len(_AXES) else (wanted.name,)
+    head = ("time [s]", *names)
+    return make_table(path, [",".join(head), *rows], head, first=1, delimiter=",", cure=cure)
+
+
+def _connections(path: Path, connections: Any, topic: str | None, wanted: Quantity) -> list[Any]:
+    """Those of the one topic that is meant."""
+    listed = ", ".join(f"{one.topic} ({one.msgtype})" for one in connections) or "none"
+    fitting = [one for one in connections if one.msgtype in wanted.kinds]
+    if topic is not None:
+        fitting = [one for one in fitting if one.topic == topic]
+    if len({one.topic for one in fitting}) == 1:
+        return fitting
+    what = "no topic" if not fitting else f"{len(fitting)} topics"
+    named = f" called {quoted(topic)}" if topic is not None else ""
+    raise RecordError(
+        f"{path}: {what}{named} with a {wanted.name} ({', '.join(wanted.kinds)}); its topics are"
+        f" {listed}; name one as `topic`"
+    )
+
+
+def _rows(reader: Any, connections: list[Any], place: str) -> Iterator[str]:
+    """Lines of the table."""
+    for connection, recorded, raw in reader.messages(connections=connections):
+        message = reader.deserialize(raw, connection.msgtype)
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        time = 1e-9 * recorded
+        if stamp is not None and stamp.sec + stamp.nanosec > _NEVER:
+            time = stamp.sec + 1e-9 * stamp.nanosec
+        found = reduce(getattr, filter(None, place.split(".")), message)
+        values = [getattr(found, axis) for axis in _AXES] if hasattr(found, "x") else [found]
+        yield ",".join(f"{value:.9f}" for value in (time, *values))

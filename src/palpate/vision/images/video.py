@@ -1,0 +1,69 @@
+"""Frames of a video, one after the other."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from palpate.errors import RecordError
+from palpate.files import checked_file
+
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
+# FFmpeg's own remarks on the terminal: none.
+_QUIET = {"OPENCV_FFMPEG_LOGLEVEL": "-8"}
+_CURE = "copy it again, or convert it, e.g. to MP4 with H.264 or to AVI with MJPEG"
+
+
+def open_video(path: Path) -> "cv2.VideoCapture":
+    """A video that is ready to be read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    RecordError                     not there, or no video that can be decoded
+    """
+    checked_file(path)
+    for name, value in _QUIET.items():
+        os.environ.setdefault(name, value)
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise RecordError(
+            f"{path}: cannot be decoded as a video ({path.stat().st_size} bytes); {_CURE}"
+        )
+    return capture
+
+
+def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
+    """All frames of a video; no more than one of them is in memory.
+
+    Parameters
+    ----------
+    path : Path
+
+    Yields
+    ------
+    float [s], (rows, columns) uint8    its time as the file says, grey levels
+
+    Raises
+    ------
+    RecordError                     as `open_video`; fewer than two frames that can be decoded
+    """
+    capture, number = open_video(path), 0
+    try:
+        while True:
+            good, picture = capture.read()
+            if not good:
+                break
+            number += 1
+            grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, np.asarray(grey)
+    finally:
+        capture.release()
+    if number < 2:
+        raise RecordError(f"{path}: not one frame can be decoded; {_CURE}")
