@@ -129,8 +129,8 @@ def _shown(subject: Subject, probe: str | None) -> _Shown:
     moved = field.moved if one.surface is None and field else one.surface
     largest = 0.0 if moved is None else float(np.linalg.norm(moved, axis=1).max())
     if one.surface is not None and field is not None:
-        # A model has no wrong matches: its largest displacement ends the scale.
-        field = replace(field, top=1e3 * largest)
+        # Under the tool it is far more than elsewhere: the scale ends at half of that.
+        field = replace(field, top=0.5e3 * largest)
     size = bounding_diagonal(subject.session.mesh)
     return _Shown(subject, one, field, _SHOWN * size / largest if largest else 1.0)
 
@@ -237,8 +237,8 @@ def _turned(direction: Vector3, angle: float) -> Vector3:
 
 
 def _write_gif(path: Path, views: list[np.ndarray]) -> None:
-    """A film for every page, of 128 colours a picture."""
-    pictures = [Image.fromarray(view).quantize(128) for view in views]
+    """A film for every page, of 255 colours a picture."""
+    pictures = [Image.fromarray(view).quantize(255) for view in views]
     pictures[0].save(
         path, "GIF", save_all=True, append_images=pictures[1:], duration=round(1e3 * _PACE), loop=0
     )
