@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 PYTHON_FILES := src tests benchmarks examples docs
 SOURCES := $(shell find src -name '*.py')
 
-.PHONY: demo test fuzz benchmark lint format contract types tests map reference docs wheel lock \
+.PHONY: demo test fuzz benchmark lint format contract types tests map reference docs notebooks wheel lock \
     clean clean-cache
 .DEFAULT_GOAL := help
 
@@ -20,6 +20,7 @@ help:
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about an hour)"
 	@echo "make docs   build the documentation site in build/docs (opens from the disk, no network)"
 	@echo "make reference  make docs/reference and the gallery again from the code that reads the files"
+	@echo "make notebooks  run docs/notebooks, all of them (some minutes)"
 	@echo "make wheel  build a wheel, install it in a fresh environment, fit an example there"
 	@echo "make map    make docs/developer/map.md again, after a change of rooms or imports"
 	@echo "make lock   choose new pinned versions"
@@ -106,6 +107,9 @@ reference: $(VENV)/dev.stamp
 $(VENV)/docs.stamp: requirements-docs.lock $(VENV)/run.stamp
 	$(PIP) install -r requirements-docs.lock
 	touch $@
+
+notebooks: $(VENV)/dev.stamp
+	PALPATE_NOTEBOOKS=1 $(BIN)/python -m pytest tests/docs/test_notebooks.py
 
 docs: $(VENV)/docs.stamp
 	$(BIN)/python -m sphinx -W --keep-going -q -c docs/site docs build/docs

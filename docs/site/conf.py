@@ -50,11 +50,25 @@ def _outside(app, page, source):
 
 
 def _readable(app, what, name, target, options, lines):
-    """Docstrings as reStructuredText has them: shapes are no emphasis, bars no substitutions, the
-    fields of a room a list."""
-    lines[:] = [re.sub(r"(?<!`)([*|])", r"\\\1", line) for line in lines]
+    """Docstrings as Sphinx reads them: what follows a type on its line goes to the next, names in
+    backticks are code, shapes are no emphasis, the fields of a room are a list."""
+    found, in_section = [], False
+    for line in lines:
+        in_section = in_section or (bool(line) and set(line) == {"-"})
+        entry = re.match(r"(\w[\w, ]*(?: : \S.*?)?)  +(\S.*)$", line) if in_section else None
+        parts = [entry[1], f"    {entry[2]}"] if entry else [line]
+        found += [_escaped(part) for part in parts]
     if what == "module":
-        lines[:] = [re.sub(r"^(\w[\w ]*?) +: ", r":\1: ", line) for line in lines]
+        found = [re.sub(r"^(\w[\w ]*?) +: ", r":\1: ", line) for line in found]
+    lines[:] = found
+
+
+def _escaped(line):
+    """A line with its code as code, and stars and bars elsewhere as they are."""
+    parts = re.split(r"`+([^`]+)`+", line)
+    plain = [re.sub(r"([*|])", r"\\\1", part) for part in parts[::2]]
+    code = [f"``{part}``" for part in parts[1::2]]
+    return "".join(part for pair in zip(plain, [*code, ""], strict=True) for part in pair)
 
 
 def setup(app):
