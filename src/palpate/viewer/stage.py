@@ -4,6 +4,7 @@ from typing import Any, cast
 
 import numpy as np
 import trimesh
+from jaxtyping import Float
 from matplotlib.colors import to_rgb
 
 from palpate.figures import BLUE, GREY, HELD, INK, ORANGE, PALE_BLUE, best_direction
@@ -15,6 +16,11 @@ from palpate.viewer.colours import ColouredField, Colours, colours_of, linear_li
 from palpate.viewer.drawings import camera_picture, frames
 from palpate.viewer.subject import Subject
 
+# Where a tab looks from at first.
+OBJECT = "the first probing's side"
+# Columns and rows of cameras whose calibration does not say.
+_CHIP = (640, 480)
+_FOV = np.pi / 3
 _BODY, _SET = "#c9ccd2", "#e69f00"
 # Of the object's size.
 _POINT, _ARROW, _TIP, _FRUSTUM = 0.012, 0.2, 0.006, 0.12
@@ -38,7 +44,7 @@ class Stage:
     """
 
     def __init__(self, client: Any, subject: Subject) -> None:
-        self.scene, self.subject = client.scene, subject
+        self.scene, self.subject, self._client = client.scene, subject, client
         mesh = subject.session.mesh
         self.size = 1e3 * bounding_diagonal(mesh)
         self._held = subject.session.held_triangles
@@ -51,7 +57,25 @@ class Stage:
         }
         self.draw_body(np.zeros_like(mesh.vertices), None)
         _light(self.scene, self.size)
-        look(client, subject, self.size)
+        self.look_from(OBJECT)
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Where the object can be looked at from."""
+        rig = self.subject.rig
+        return (OBJECT,) if rig is None else (OBJECT, *(one.name for one in rig.cameras))
+
+    def look_from(self, view: str) -> None:
+        """Have the tab look from the side of the first probing, or as one of the cameras does."""
+        rig = self.subject.rig
+        for camera in rig.cameras if rig is not None and view != OBJECT else ():
+            if camera.name == view:
+                turn, place, fov = camera_place(camera)
+                with self._client.atomic():
+                    self._client.camera.wxyz, self._client.camera.position = turn, place
+                    self._client.camera.fov = fov
+                return
+        look(self._client, self.subject, self.size)
 
     @property
     def body(self) -> Any:
@@ -164,14 +188,11 @@ class Stage:
             self._draw_camera(camera, seen)
 
     def _draw_camera(self, camera: Camera, seen: Any) -> None:
-        pose = camera.T_camera_object
-        turn = trimesh.transformations.quaternion_from_matrix(np.linalg.inv(pose))
-        columns, rows = camera.size or (640, 480)
+        turn, place, fov = camera_place(camera)
+        columns, rows = camera.size or _CHIP
         self.scene.add_camera_frustum(
-            f"/cameras/{camera.name}",
-            fov=float(2 * np.arctan(0.5 * rows / camera.matrix[1, 1])), aspect=columns / rows,
-            scale=_FRUSTUM * self.size, thickness=0.002 * self.size, color=rgb(BLUE), image=seen,
-            wxyz=turn, position=tuple(-1e3 * pose[:3, :3].T @ pose[:3, 3]),
+            f"/cameras/{camera.name}", fov=fov, aspect=columns / rows, scale=_FRUSTUM * self.size,
+            thickness=0.002 * self.size, color=rgb(BLUE), image=seen, wxyz=turn, position=place,
         )  # fmt: skip
 
     def draw_ball(self, centre: Vector3, radius: float, force: Vector3, text: str) -> None:
@@ -208,6 +229,26 @@ class Stage:
                 handle.remove()
 
 
+def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float]:
+    """How a camera is turned, where it stands and how wide it sees, as viser has it.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    (4,) float                      quaternion w, x, y, z of the turn from its frame to the object's
+    (3,) float [mm]
+    float [rad]                     vertical field of view
+    """
+    pose = camera.T_camera_object
+    turn = trimesh.transformations.quaternion_from_matrix(np.linalg.inv(pose))
+    rows = (camera.size or _CHIP)[1]
+    place = -1e3 * pose[:3, :3].T @ pose[:3, 3]
+    return turn, place, float(2 * np.arctan(0.5 * rows / camera.matrix[1, 1]))
+
+
 def _light(scene: Any, size: float) -> None:
     """Light from above and a little from everywhere."""
     scene.configure_default_lights(enabled=True, cast_shadow=False)
@@ -226,7 +267,7 @@ def look(client: Any, subject: Subject, size: float) -> None:
     mesh = subject.session.mesh
     middle = 1e3 * 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     camera = client.camera
-    camera.near, camera.far = 0.01 * size, 100.0 * size
+    camera.near, camera.far, camera.fov = 0.01 * size, 100.0 * size, _FOV
     camera.up_direction = (0.0, 0.0, 1.0)
     camera.position = tuple(middle + size * direction_of(subject))
     camera.look_at = tuple(middle)

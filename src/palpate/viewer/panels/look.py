@@ -41,6 +41,8 @@ class LookPanel:
         self.stretch = gui.add_slider(
             "deformation drawn, times", 0, _MOST_STRETCH, 1, self._first_stretch()
         )
+        self.view = gui.add_dropdown("seen from", stage.views)
+        self.view.on_update(lambda _: stage.look_from(self.view.value))
         self.toggles = {
             name: gui.add_checkbox(name, name != "arrows")
             for name in ("points", "arrows", "probings", "cameras")

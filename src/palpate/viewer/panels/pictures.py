@@ -3,6 +3,8 @@
 import threading
 from typing import Any
 
+import numpy as np
+
 from palpate.viewer.drawings import camera_picture, frames
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.stage import Stage
@@ -73,7 +75,8 @@ class PicturesPanel:
             self.image.image = seen
         when = "at rest" if number == 0 else f"{number} of {len(patterns) - 1} under load"
         if seen is not None:
-            self.text.content = when + ("; arrows: measured displacement" if last else "")
+            drawn = last and np.isfinite(probing.displacement).all(axis=1).any()
+            self.text.content = when + ("; arrows: measured displacement" if drawn else "")
 
     def _play(self) -> None:
         """Go through the pictures once."""
