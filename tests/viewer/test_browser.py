@@ -81,6 +81,6 @@ def test_two_tabs_do_not_disturb_each_other_and_a_closed_one_goes(page, viewer, 
     second.close()
     until(lambda: set(viewer.tabs) == others)
     # The server goes on for the other.
-    again = mine.touching.pressed
-    page.mouse.click(410, 255)
-    until(lambda: mine.touching.pressed is not again)
+    page.get_by_role("tab", name="Touch").click()
+    page.get_by_role("button", name="take the ball away").click()
+    until(lambda: mine.touching.pressed is None)

@@ -1,5 +1,6 @@
 """What one browser tab shows of the object in space; lengths in millimetres."""
 
+import threading
 from typing import Any, cast
 
 import numpy as np
@@ -45,6 +46,8 @@ class Stage:
 
     def __init__(self, client: Any, subject: Subject) -> None:
         self.scene, self.subject, self._client = client.scene, subject, client
+        # Controls call from threads of their own: what is drawn together holds this.
+        self.lock = threading.RLock()
         mesh = subject.session.mesh
         self.size = 1e3 * bounding_diagonal(mesh)
         self._held = subject.session.held_triangles

@@ -49,8 +49,12 @@ class LookPanel:
         }
         for control in (self.probing, self.field, self.stretch, *self.toggles.values()):
             control.on_update(lambda _: self.draw())
-        self.probing.on_update(lambda _: self._stage.draw_cameras(self.probing.value))
+        self.probing.on_update(lambda _: self._draw_cameras())
         stage.draw_cameras(names[0])
+
+    def _draw_cameras(self) -> None:
+        with self._stage.lock:
+            self._stage.draw_cameras(self.probing.value)
 
     @property
     def shown(self) -> FittedProbing | None:
@@ -75,6 +79,10 @@ class LookPanel:
 
     def draw(self) -> None:
         """Draw everything anew."""
+        with self._stage.lock:
+            self._draw()
+
+    def _draw(self) -> None:
         for name, toggle in self.toggles.items():
             self._stage.show(name, toggle.value)
         one = self.shown

@@ -71,9 +71,10 @@ class SettingPanel:
 
     def _show(self) -> None:
         session, draft = self._stage.subject.session, self.draft
-        self._stage.mark_support(draft.support)
-        self._stage.draw_marks(draft.contacts)
-        self._look.draw()
+        with self._stage.lock:
+            self._stage.mark_support(draft.support)
+            self._stage.draw_marks(draft.contacts)
+            self._look.draw()
         lines = []
         if draft.support is not None:
             count = len(session.mesh.triangles)

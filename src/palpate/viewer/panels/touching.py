@@ -1,6 +1,5 @@
 """A click presses a ball into the object, a drag presses deeper; the force is shown."""
 
-import threading
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,6 @@ class TouchPanel:
 
     def __init__(self, gui: Any, workshop: Workshop, stage: Stage, look: LookPanel) -> None:
         self._workshop, self._stage, self._look = workshop, stage, look
-        self._lock = threading.Lock()
         self.pressed: Pressed | None = None
         size = stage.size
         self.text = gui.add_markdown("")
@@ -62,7 +60,7 @@ class TouchPanel:
         if green is None:
             self.update()
             return
-        with self._lock:
+        with self._stage.lock:
             try:
                 ball = put_ball(green, point, 1e-3 * float(self.radius.value))
                 self.pressed = press(green, ball, 1e-3 * float(self.depth.value))
@@ -81,7 +79,7 @@ class TouchPanel:
         green = self._workshop.green
         if green is None or self.pressed is None:
             return
-        with self._lock:
+        with self._stage.lock:
             depth = 1e-3 * float(self.depth.value)
             if depth == self.pressed.depth:
                 return
@@ -108,7 +106,7 @@ class TouchPanel:
 
     def release(self) -> None:
         """Take the ball away; the object is shown as before."""
-        with self._lock:
+        with self._stage.lock:
             self.pressed = None
             self._stage.clear_ball()
             self.scale.content = ""
