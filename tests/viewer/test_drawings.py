@@ -50,6 +50,9 @@ def test_arrows_go_where_the_points_went(seen, cube_session):
     assert abs(drawn[:, 1].min() - (199.5 - reach)) < 8.0
     assert 199.5 + reach < drawn[:, 1].max() < 199.5 + reach + way + 6.0
     assert len(drawn) > 50
+    # Half as far drawn: half of the way less along the columns, and it ends a little farther out.
+    less = orange(camera_picture(session, rig, 0, "rest_{camera}.png", flow=shown, stretch=5.0))
+    assert 4.0 <= drawn[:, 1].max() - less[:, 1].max() <= 0.5 * way + 1.0
 
 
 def test_without_a_measurement_there_are_no_arrows(seen):
