@@ -8,7 +8,8 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 PYTHON_FILES := src tests benchmarks examples docs
 SOURCES := $(shell find src -name '*.py')
 
-.PHONY: demo test fuzz benchmark lint format contract types tests map lock clean clean-cache
+.PHONY: demo test fuzz benchmark lint format contract types tests map reference docs notebooks wheel lock \
+    clean clean-cache
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -17,6 +18,10 @@ help:
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
 	@echo "make fuzz   read ten thousand damaged files of every kind (some ten minutes)"
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about an hour)"
+	@echo "make docs   build the documentation site in build/docs (opens from the disk, no network)"
+	@echo "make reference  make docs/reference and the gallery again from the code that reads the files"
+	@echo "make notebooks  run docs/notebooks, all of them (some minutes)"
+	@echo "make wheel  build a wheel, install it in a fresh environment, fit an example there"
 	@echo "make map    make docs/developer/map.md again, after a change of rooms or imports"
 	@echo "make lock   choose new pinned versions"
 	@echo "make clean  remove the environment and every cache"
@@ -75,12 +80,17 @@ PIN := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-anno
 DEV_GROUP := import tomllib; \
     print(*tomllib.load(open('pyproject.toml', 'rb'))['dependency-groups']['dev'], sep='\n')
 
+DOCS_GROUP := $(subst 'dev','docs',$(DEV_GROUP))
+
 lock:
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install pip-tools
 	$(PIN) --output-file requirements.lock pyproject.toml requirements-build.in
 	$(BIN)/python -c "$(DEV_GROUP)" > $(VENV)/dev.in
 	$(PIN) --constraint requirements.lock --output-file requirements-dev.lock $(VENV)/dev.in
+	$(BIN)/python -c "$(DOCS_GROUP)" > $(VENV)/docs.in
+	$(PIN) --constraint requirements.lock --constraint requirements-dev.lock \
+	    --output-file requirements-docs.lock $(VENV)/docs.in
 	$(PIN) --constraint requirements-dev.lock --extra lab --output-file $(VENV)/lab.all pyproject.toml
 	grep -vxFf requirements.lock $(VENV)/lab.all > requirements-lab.lock
 
@@ -89,6 +99,29 @@ benchmark: $(VENV)/dev.stamp
 
 map: $(VENV)/dev.stamp
 	$(BIN)/python docs/developer/make_map.py
+
+# Pages that follow from the code; `make test` checks that they are current.
+reference: $(VENV)/dev.stamp
+	$(BIN)/python docs/site/make_reference.py
+
+$(VENV)/docs.stamp: requirements-docs.lock $(VENV)/run.stamp
+	$(PIP) install -r requirements-docs.lock
+	touch $@
+
+notebooks: $(VENV)/dev.stamp
+	PALPATE_NOTEBOOKS=1 $(BIN)/python -m pytest tests/docs/test_notebooks.py
+
+docs: $(VENV)/docs.stamp
+	$(BIN)/python -m sphinx -W --keep-going -q -c docs/site docs build/docs
+	@echo "Open build/docs/index.html"
+
+# Outside the tree: an installed Palpate has nothing beside it.
+wheel: $(VENV)/run.stamp
+	rm -rf build/wheel
+	$(BIN)/python -m hatchling build -t wheel -d build/wheel
+	$(PYTHON) -m venv build/wheel/fresh
+	build/wheel/fresh/bin/python -m pip install --quiet build/wheel/*.whl
+	cd build/wheel && fresh/bin/palpate --version && fresh/bin/palpate fit ../../examples/half_ball --out result
 
 clean-cache:
 	find src -name '*.nb[ic]' -delete

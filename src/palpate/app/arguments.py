@@ -60,6 +60,10 @@ _COMMANDS = {
         "outcome.report:report",
         "Make the report of a result again: one HTML file that needs nothing else.",
     ),
+    "view": (
+        "use.view:view",
+        "Look at a session or a result in a browser: turn it, touch it, ask its model.",
+    ),
     "export": (
         "use.export:export",
         "Write an estimated object for a simulator: MuJoCo, CalculiX, FEBio, SOFA, OpenUSD, ...",

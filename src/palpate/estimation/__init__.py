@@ -13,9 +13,12 @@ from palpate.estimation.fit import (
     fit as fit,
 )
 from palpate.estimation.intervals import (
+    FittedModel as FittedModel,
     Information as Information,
     IntervalSet as IntervalSet,
     LikelihoodMap as LikelihoodMap,
+    ModelState as ModelState,
+    PredictedProbing as PredictedProbing,
     ProbeFit as ProbeFit,
     cramer_rao_bound as cramer_rao_bound,
     fisher_information as fisher_information,

@@ -8,12 +8,14 @@ import numpy as np
 
 from palpate.errors import InputError
 from palpate.estimation.intervals import (
+    FittedModel,
     IntervalSet,
     LikelihoodMap,
     ProbeFit,
     Uncertainty,
     contradiction,
     error_estimates,
+    fitted_model,
     identifiable_constants,
     interval_set,
     likelihood_map,
@@ -60,12 +62,14 @@ class FitResult:
     probes : tuple of ProbeFit
     intervals : IntervalSet or None     of the joint constants as the data give them: without prior
                                         ranges for what is not identifiable
+    model : FittedModel or None         that can be asked at other constants
     """
 
     estimate: Estimate
     likelihood: LikelihoodMap
     probes: tuple[ProbeFit, ...]
     intervals: IntervalSet | None = None
+    model: FittedModel | None = None
 
     def __repr__(self) -> str:
         return f"FitResult of {len(self.probes)} probings: {self.estimate!r}"
@@ -131,7 +135,8 @@ def fit(
         notes=fit_notes(misfit, joint, identifiable, contradictions, every),
         errors=errors,
     )
-    return FitResult(estimate, likelihood_map(joint, reported), fits, intervals)
+    model = fitted_model(tuple(probes), misfit, minimum)
+    return FitResult(estimate, likelihood_map(joint, reported), fits, intervals, model)
 
 
 def best_constants_of(

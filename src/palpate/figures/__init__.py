@@ -20,10 +20,15 @@ from palpate.figures.checks import (
     predictions_figure as predictions_figure,
 )
 from palpate.figures.displacement import (
+    HELD as HELD,
+    LENGTHS as LENGTHS,
     MOST_SIGMAS as MOST_SIGMAS,
     OUTLIER_WEIGHT as OUTLIER_WEIGHT,
+    RESIDUALS as RESIDUALS,
     best_direction as best_direction,
     displacement_figure as displacement_figure,
+    make_view as make_view,
+    projected as projected,
 )
 from palpate.figures.estimate import (
     likelihood_figure as likelihood_figure,
@@ -41,6 +46,7 @@ from palpate.figures.style import (
     BLUE as BLUE,
     GREY as GREY,
     INK as INK,
+    MIDDLE_BLUE as MIDDLE_BLUE,
     ORANGE as ORANGE,
     PALE_BLUE as PALE_BLUE,
     Picture as Picture,

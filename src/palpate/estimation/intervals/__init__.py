@@ -2,7 +2,8 @@
 
 Purpose    : intervals, what is identifiable, the likelihood's map, how probings are predicted.
 Takes      : a `Misfit` and its `Minimum`.
-Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, `Information`, the Cramer-Rao bound.
+Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, `FittedModel`, `Information`, the
+             Cramer-Rao bound.
 Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.search`, `records`, `geometry`;
              files of its room.
 Read first : `sandwich.py`, then `uncertainty.py`.
@@ -11,6 +12,12 @@ Read first : `sandwich.py`, then `uncertainty.py`.
 from palpate.estimation.intervals.contradiction import (
     Contradiction as Contradiction,
     contradiction as contradiction,
+)
+from palpate.estimation.intervals.fitted_model import (
+    FittedModel as FittedModel,
+    ModelState as ModelState,
+    PredictedProbing as PredictedProbing,
+    fitted_model as fitted_model,
 )
 from palpate.estimation.intervals.identifiability import (
     identifiable_combination as identifiable_combination,

@@ -1,7 +1,7 @@
 """How well the model explains each probing, and predicts one that it has not seen."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +10,7 @@ from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.noise import relative_weight
 from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.search import LocalProbe, Minimum, Misfit, best_constants
+from palpate.estimation.search import LocalProbe, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices
 
@@ -95,15 +95,13 @@ def probe_fits(
     """
     minimum = uncertainty.minimum
     left_out = left_out_constants(uncertainty) if len(probes) > 1 else None
-    names = [one.name for one in misfit.shared]
     fits = []
     for k, (probe, local) in enumerate(zip(probes, minimum.probes, strict=True)):
         n = len(probe.position)
         own = 3 + len(probe.motion)
-        known = dict(zip(names, minimum.errors, strict=True))
-        mine = [one.name for one in misfit.own(local.rows)]
-        sigmas = known | dict(zip(mine, local.shift[own:], strict=True))
-        predicted = _predicted(probe, minimum, local, local.shift, sigmas)
+        constants = minimum.poisson_ratio, minimum.shear_modulus
+        shared, sigmas = found_errors(misfit, local, minimum.errors)
+        predicted = predicted_points(probe, constants, local, local.shift, sigmas)
         factor = np.zeros(n + 1)
         factor[local.rows.point] = relative_weight(
             misfit.noise, local.squared, local.rows.components
@@ -114,8 +112,7 @@ def probe_fits(
             # The motion of its support cannot come from the others.
             shift = np.where(np.arange(len(local.shift)) < 3, 0.0, local.shift)
             nu, modulus = left_out[k].tolist()
-            elsewhere = replace(minimum, poisson_ratio=nu, shear_modulus=modulus)
-            left = _predicted(probe, elsewhere, local, shift, known)
+            left = predicted_points(probe, (nu, modulus), local, shift, shared)
         load = local.rows.load(minimum.shear_modulus, local.shift)
         std = _shift_std(local, uncertainty)
         motion_std = local.rows.motion_std * std[3:own]
@@ -131,7 +128,7 @@ def probe_fits(
                 motion_std=motion_std,
                 errors=errors,
                 sigma=_sigma(local, misfit, n),
-                surface=_surface(probe, minimum.poisson_ratio, load),
+                surface=predicted_surface(probe, minimum.poisson_ratio, load),
             )
         )
     return tuple(fits)
@@ -144,10 +141,42 @@ def _sigma(local: LocalProbe, misfit: Misfit, count: int) -> Points:
     return sigma[: 3 * count].reshape(-1, 3)
 
 
-def _surface(
+def found_errors(
+    misfit: Misfit, local: LocalProbe, errors: Float[np.ndarray, " m"]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Errors by their names, in sigmas: those that probings share, and with a probing's own.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    local : LocalProbe              of this misfit
+    errors : (m,) float             that probings share
+
+    Returns
+    -------
+    two dict
+    """
+    shared = dict(zip((one.name for one in misfit.shared), errors.tolist(), strict=True))
+    own = [one.name for one in misfit.own(local.rows)]
+    first = 3 + len(local.rows.motion)
+    return shared, shared | dict(zip(own, local.shift[first:].tolist(), strict=True))
+
+
+def predicted_surface(
     probe: ProbeObservations, poisson_ratio: float, load: Float[np.ndarray, " c"]
 ) -> Vertices | None:
-    """Displacement of all vertices of the mesh, where their response is known."""
+    """Displacement of all vertices of the mesh, where their response is known.
+
+    Parameters
+    ----------
+    probe : ProbeObservations
+    poisson_ratio : float [-]
+    load : (c,) float               `ObservedRows.load`
+
+    Returns
+    -------
+    (v, 3) float [m] or None
+    """
     if probe.vertices is None:
         return None
     response = probe.vertices.value(poisson_ratio)
@@ -190,17 +219,30 @@ def _shift_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray,
     return np.sqrt(np.minimum(own, np.maximum(np.diag(inverse), 1.0)) + shared)
 
 
-def _predicted(
+def predicted_points(
     probe: ProbeObservations,
-    minimum: Minimum,
+    constants: tuple[float, float],
     local: LocalProbe,
     shift: Float[np.ndarray, " s"],
     errors: Mapping[str, float],
 ) -> Points:
-    """Displacement of every point of the probing, measured or not, under some shifts and errors."""
-    rows, nu = np.arange(3 * len(probe.position)), minimum.poisson_ratio
-    response = probe.response_at(nu, minimum.shear_modulus)[: len(rows)]
-    load = local.rows.load(minimum.shear_modulus, shift)
+    """Displacement of every point of the probing, measured or not, under some shifts and errors.
+
+    Parameters
+    ----------
+    probe : ProbeObservations
+    constants : (float [-], float [Pa])     Poisson's ratio and shear modulus
+    local : LocalProbe                      of this probing
+    shift : (s,) float                      `LocalProbe.shift`
+    errors : name -> float                  in sigmas; one that is missing is zero
+
+    Returns
+    -------
+    (n, 3) float [m]
+    """
+    rows, (nu, modulus) = np.arange(3 * len(probe.position)), constants
+    response = probe.response_at(nu, modulus)[: len(rows)]
+    load = local.rows.load(modulus, shift)
     moved = response @ load
     for nuisance in probe.nuisances:
         sigmas = np.array([errors.get(one.name, 0.0) for one in nuisance.parameters])

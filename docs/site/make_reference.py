@@ -1,0 +1,366 @@
+"""Writes docs/reference/*.md and docs/gallery.md from the code that reads files: `make reference`.
+
+Tables are found where a reader refuses unknown keys (`TomlTable.check_keys`): what is allowed there
+is what the page lists. What a key holds is found where it is read (`table.vector("force")`), what
+it means in the docstring of the record that it becomes. A table or a key about which nothing is
+found ends this program, and so the tests: say it there or in `reference_words.py`.
+"""
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from reference_words import COLUMNS, FORMS, READS, WORDS
+
+from palpate.records.programs.registry import PROGRAMS
+from palpate.records.text import TomlTable
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+FILES = "palpate.records.files."
+RECORDS = "palpate.records."
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of a file: where its keys are checked, and what they become.
+
+    Attributes
+    ----------
+    title : str                     as it stands in the file
+    module, function : str          that calls `check_keys`
+    number : int                    which of its calls
+    records : tuple of str          classes whose docstrings explain the keys: module and name
+    keys : tuple of str             in place of what the call allows, where only running would tell
+    """
+
+    title: str
+    module: str
+    function: str
+    number: int = 0
+    records: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()
+
+
+SESSION = (
+    Table("the file itself", FILES + "session", "read_session", 0, (RECORDS + "session.Session",)),
+    Table("[object]", FILES + "session", "read_session", 1, (RECORDS + "session.Session",)),
+    Table(
+        "[support], or several [[support]]", FILES + "support", "read_supports", 0,
+        (RECORDS + "contact.Support",),
+    ),
+    Table("plane of a support: one table, or a list", FILES + "support", "_plane_distance"),
+    Table("box of a support: one table, or a list", FILES + "support", "_inside_box"),
+    Table("[gravity]", FILES + "session", "_only_key", 0, (), ("acceleration",)),
+    Table("[rig]", FILES + "session", "_only_key", 0, (), ("cameras",)),
+    Table(
+        "[errors]", RECORDS + "error_priors", "read_error_priors", 0,
+        (RECORDS + "error_priors.ErrorPriors",),
+    ),
+    Table("pose of [errors]", RECORDS + "error_priors", "_pose"),
+    Table(
+        "[[probe]]", FILES + "session", "_named_tables", 0,
+        (RECORDS + "probing.Probing",), ("_PROBE_KEYS",),
+    ),
+    Table(
+        "contact of a probe: a round patch", FILES + "loads", "_contact", 1,
+        (RECORDS + "contact.Contact",),
+    ),
+    Table(
+        "contact of a probe: a tool", FILES + "loads", "_tool", 0,
+        (RECORDS + "contact.Tool", RECORDS + "contact.Contact"),
+    ),
+    Table("contact of a probe: a face", FILES + "loads", "_contact", 0),
+    Table("contact of a probe: a grip", FILES + "loads", "read_push"),
+    Table("[[probe.load]]", FILES + "loads", "read_loads", 0, (RECORDS + "probing.Load",)),
+    Table(
+        "support_motion of a probe", FILES + "loads", "read_support_motion", 0,
+        (RECORDS + "contact.RigidMotion",),
+    ),
+    Table("images of a probe", FILES + "session", "_images", 0, (RECORDS + "probing.Images",)),
+    Table(
+        "[[step]], of a rigid-motion sequence", FILES + "session", "_named_tables", 0,
+        (RECORDS + "session.Step",), ("_STEP_KEYS",),
+    ),
+)  # fmt: skip
+RIG = (
+    Table("the file itself", FILES + "rig", "_read_toml_rig", 0, (RECORDS + "rig.Rig",)),
+    Table("[[camera]]", FILES + "rig", "_camera", 0, (RECORDS + "rig.Camera",)),
+)
+POSE = (Table("the file itself", FILES + "import_pose", "read_import_pose"),)
+# Calls that only repeat a check for one selector, or stand for several tables above.
+REPEATED = {(FILES + "support", "read_support")}
+
+
+def checks(module: ModuleType) -> Iterator[tuple[str, ast.Call]]:
+    """Calls of `check_keys` in a module, with the function that they stand in."""
+    for function in ast.walk(ast.parse(inspect.getsource(module))):
+        if isinstance(function, ast.FunctionDef):
+            calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
+            for node in sorted(calls, key=lambda call: call.lineno):
+                if _called(node) == "check_keys":
+                    yield function.name, node
+
+
+def _called(node: ast.Call) -> str:
+    return node.func.attr if isinstance(node.func, ast.Attribute) else ""
+
+
+def allowed_keys(table: Table) -> list[str]:
+    """Keys that a table may have, as its reader has them."""
+    module = import_module(table.module)
+    calls = [call for name, call in checks(module) if name == table.function]
+    if table.keys:
+        return [key for name in table.keys for key in getattr(module, name, [name])]
+    expression = ast.Expression(calls[table.number].args[0])
+    return list(eval(compile(ast.fix_missing_locations(expression), "", "eval"), vars(module)))
+
+
+def readers() -> set[str]:
+    """Methods of `TomlTable` that read a key."""
+    members = inspect.getmembers(TomlTable, inspect.isfunction)
+    return {
+        name
+        for name, function in members
+        if list(inspect.signature(function).parameters)[:2] == ["self", "key"]
+    } - {"fail", "get", "optional"}
+
+
+def forms(modules: Sequence[str]) -> dict[Any, str]:
+    """What a key holds, found where it is read: by function and key, and by key alone."""
+    if missing := readers() - set(READS):
+        raise SystemExit(f"no words for these readers of TOML: {missing}")
+    found: dict[Any, str] = {}
+    for name in modules:
+        module = import_module(name)
+        for function in ast.walk(ast.parse(inspect.getsource(module))):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            for key, text in _read_keys(module, function):
+                found.setdefault((name, function.name, key), text)
+                found.setdefault(key, text)
+    return found
+
+
+def _read_keys(module: ModuleType, function: ast.FunctionDef) -> Iterator[tuple[str, str]]:
+    """Keys that a function reads, and as what."""
+    for node in ast.walk(function):
+        if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            key, reader = node.args[0].value, _called(node)
+            if reader == "optional":
+                reader, node = _optional(node)
+            if isinstance(key, str) and reader in READS:
+                form = READS[reader] + _choices(module, reader, node)
+                if form != READS["choice"]:
+                    yield key, form
+
+
+def _optional(node: ast.Call) -> tuple[str, ast.Call]:
+    """The reader that `table.optional(key, reader)` hands the key to."""
+    inner = node.args[1]
+    if isinstance(inner, ast.Lambda) and isinstance(inner.body, ast.Call):
+        return _called(inner.body), inner.body
+    name = inner.attr if isinstance(inner, ast.Attribute) else ""
+    return name, ast.Call(node.func, [node.args[0]], [])
+
+
+def _choices(module: ModuleType, reader: str, node: ast.Call) -> str:
+    """The words or units that a reader takes, where they are constants."""
+    if reader not in ("choice", "quantity") or len(node.args) < 2:
+        return ""
+    try:
+        values = eval(ast.unparse(node.args[1]), vars(module))
+    except NameError:
+        return ""
+    words = ", ".join(f"`{value}`" for value in values)
+    return f" {words}" if reader == "choice" else f" ({words})"
+
+
+def meanings(record: str) -> dict[str, str]:
+    """What the fields of a record mean, from the lines of its docstring."""
+    module, _, name = record.rpartition(".")
+    lines = inspect.getdoc(getattr(import_module(module), name)).splitlines()
+    found: dict[str, str] = {}
+    field = ""
+    for line in lines[lines.index("Parameters") + 2 :]:
+        heading = re.match(r"(\w[\w, ]*?) : (\S.*?)(?:  +(.*))?$", line)
+        if heading:
+            field = heading[1]
+            for one in field.split(", "):
+                found[one] = heading[3] or ""
+        elif line.startswith("    ") and field:
+            for one in field.split(", "):
+                found[one] = f"{found[one]} {line.strip()}".strip()
+        elif line:
+            break
+    return {key: text for key, text in found.items() if text}
+
+
+def defaults(records: Sequence[str]) -> dict[str, Any]:
+    """Numbers that a record has where nothing is said, with their units."""
+    found = {}
+    for record in records:
+        module, _, name = record.rpartition(".")
+        kind = getattr(import_module(module), name)
+        for one in inspect.signature(kind).parameters.values():
+            unit = re.search(rf"^{one.name} : float \[(.*?)\]", inspect.getdoc(kind), re.M)
+            if isinstance(one.default, float) and unit:
+                found[one.name] = f"{one.default:.3g} {unit[1].strip('-')}".strip()
+    return found
+
+
+def rows(table: Table, found: dict[Any, str]) -> Iterator[str]:
+    """The lines of a table of the page."""
+    explained: dict[str, str] = {}
+    for record in table.records:
+        explained = meanings(record) | explained
+    standard = defaults(table.records)
+    for key in allowed_keys(table):
+        here = found.get((table.module, table.function, key))
+        form = FORMS.get((table.title, key)) or here or FORMS.get(key) or found.get(key)
+        text = WORDS.get((table.title, key)) or WORDS.get(key) or explained.get(key)
+        if not form or not text:
+            raise SystemExit(f"{table.title}: nothing is known about '{key}': {form}, {text}")
+        if key in standard:
+            text += f"; default {standard[key]}"
+        yield f"| `{key}` | {form} | {text} |"
+
+
+def file_section(tables: Sequence[Table]) -> Iterator[str]:
+    """All tables of a file."""
+    found = forms(sorted({table.module for table in tables} | {FILES + "session", FILES + "loads"}))
+    for table in tables:
+        yield f"### {table.title}\n"
+        yield "| key | form | meaning |\n| --- | --- | --- |"
+        yield from rows(table, found)
+        yield ""
+
+
+def unlisted() -> list[str]:
+    """Places where keys are checked that no table names."""
+    tables = (*SESSION, *RIG, *POSE)
+    listed = {(table.module, table.function) for table in tables} | REPEATED
+    modules = {table.module for table in tables}
+    return [
+        f"{module}.{name}" for module in sorted(modules)
+        for name, _ in checks(import_module(module)) if (module, name) not in listed
+    ]  # fmt: skip
+
+
+def prose(function: Any) -> str:
+    """A docstring without its parameters: what a person reads."""
+    text = inspect.getdoc(function) or ""
+    kept, skip = [], False
+    lines = text.splitlines()
+    for number, line in enumerate(lines):
+        after = lines[number + 1] if number + 1 < len(lines) else ""
+        if after and set(after) == {"-"}:
+            skip = line not in ("Source",)
+            if not skip:
+                kept.append("\nSource:")
+            continue
+        if not skip and not (line and set(line) == {"-"}):
+            kept.append(line)
+    return textwrap.dedent("\n".join(kept)).strip()
+
+
+def program_sections() -> Iterator[str]:
+    """What is read of every other program."""
+    for program in PROGRAMS:
+        yield f"## {', '.join(program.kinds) or program.calibrations}\n"
+        facts = [
+            ("kind", ", ".join(f"`{kind}`" for kind in program.kinds)),
+            ("results", f"`{program.results}`" if program.results else ""),
+            ("calibrations", program.calibrations),
+            ("unit where the file says none", program.usual_unit),
+            ("least score", program.least_score),
+        ]
+        for name, value in facts:
+            if value not in (None, ""):
+                yield f"- {name}: {value}"
+        for heading, function in (
+            ("Results", program.read_points),
+            ("Calibration", program.read_rig),
+        ):
+            if function is not None:
+                yield f"\n### {heading} of {(program.kinds or (program.calibrations,))[0]}\n"
+                yield prose(function)
+        yield ""
+
+
+HEAD = (
+    "<!-- Made by `make reference` from the code that reads the files; `make test` checks it. -->\n"
+)
+
+
+def session_page() -> str:
+    """docs/reference/files.md."""
+    known = import_module(FILES + "displacement")._COLUMNS
+    if set(known) != {name for names in COLUMNS for name in names.split(", ")}:
+        raise SystemExit(f"the columns of a displacement file are {known}: say what they are")
+    columns = "\n".join(f"| `{names}` | {text} |" for names, text in COLUMNS.items())
+    parts = [
+        HEAD, "# session.toml, rig.toml and what they name, key by key\n",
+        "Every key that is read; any other is refused by name. Lengths are in the file's",
+        '`length_unit`, or texts with a unit of their own ("0.5 mm") where the form says so. How',
+        "to write a session: [first session](../howto/first_session.md).\n",
+        "## session.toml\n", *file_section(SESSION), "## rig.toml\n", *file_section(RIG),
+        "## pose.toml, for imported displacements\n", *file_section(POSE),
+        "## Displacement CSV\n", "| column | meaning |\n| --- | --- |", columns, "",
+    ]  # fmt: skip
+    return "\n".join(parts)
+
+
+def programs_page() -> str:
+    """docs/reference/programs.md."""
+    parts = [
+        HEAD, "# Files of other programs\n",
+        "What is read of each program's files, and where that is known from. How to import:",
+        "[displacements from another program](../howto/import.md).\n", *program_sections(),
+    ]  # fmt: skip
+    return "\n".join(parts)
+
+
+def gallery_page() -> str:
+    """docs/gallery.md: every picture, with its words and the page that explains it."""
+    parts = [HEAD, "# Gallery\n", "Every picture of these pages, and where it is explained.\n"]
+    shown: set[Path] = set()
+    for page in sorted(DOCS.rglob("*.md")):
+        if page.name == "gallery.md":
+            continue
+        title = next(
+            (x[2:] for x in page.read_text().splitlines() if x.startswith("# ")), page.stem
+        )
+        for words, target in re.findall(r"!\[([^]]*)\]\(([^)]+)\)", page.read_text()):
+            file = (page.parent / target).resolve()
+            if file.suffix in (".png", ".svg", ".gif") and file not in shown:
+                shown.add(file)
+                place, source = file.relative_to(DOCS), page.relative_to(DOCS)
+                parts.append(f"![{words}]({place})\n\n{words}: [{title}]({source}).\n")
+    return "\n".join(parts)
+
+
+PAGES = {
+    DOCS / "reference" / "files.md": session_page,
+    DOCS / "reference" / "programs.md": programs_page,
+    DOCS / "gallery.md": gallery_page,
+}
+
+
+def main() -> None:
+    """Write all pages."""
+    if missing := unlisted():
+        raise SystemExit(f"keys are checked where no table is named: {', '.join(missing)}")
+    for path, make in PAGES.items():
+        path.write_text(make().rstrip() + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""`palpate view`: a session or a result in a browser, or as a picture."""
+
+import time
+from pathlib import Path
+
+from palpate.app.terminal import print_text, progress_bar
+from palpate.errors import InputError
+from palpate.viewer import Viewer, read_subject, write_screenshot, write_turntable
+
+
+def view(
+    subject: Path,
+    /,
+    *,
+    session: Path | None = None,
+    port: int | None = None,
+    screenshot: Path | None = None,
+    turntable: Path | None = None,
+    probe: str | None = None,
+    cache: Path | None = None,
+) -> int:
+    """Look at an object in a browser: its probings, what the model says, how it feels.
+
+    Colours show what was measured and predicted; sliders ask the model at other constants; a click
+    presses a ball into the object; support and contacts are set by clicking. The page comes from
+    this computer, for this computer alone. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    subject
+        Session folder, or result folder of `palpate fit`.
+    session
+        Where the session of a result is now, if it was moved.
+    port
+        Port of the page. Default: 8080, or the next that is free.
+    screenshot
+        Write a picture (.png, .jpg) instead; no browser or display is needed.
+    turntable
+        Write a film (.mp4, .gif) in which the object turns instead.
+    probe
+        Probing that a picture or film shows. Default: the first.
+    cache
+        Folder that keeps the surface integrals of this object for the next time.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    if screenshot is None and turntable is None and probe is not None:
+        raise InputError("--probe is for --screenshot and --turntable; choose it in the page")
+    found = read_subject(subject, session)
+    if screenshot is not None:
+        write_screenshot(found, screenshot, probe=probe)
+        print_text(f"Picture in {screenshot}", wrapped=False)
+    if turntable is not None:
+        with progress_bar() as progress:
+            write_turntable(found, turntable, probe=probe, progress=progress)
+        print_text(f"Film in {turntable}", wrapped=False)
+    if screenshot is None and turntable is None:
+        _serve(Viewer(found, port=port, cache=cache))
+    return 0
+
+
+def _serve(viewer: Viewer) -> None:
+    """Until somebody ends it."""
+    print_text(f"Open {viewer.address} in a browser; Ctrl-C ends it", wrapped=False)
+    try:
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        print_text("The viewer has ended")
+    finally:
+        viewer.stop()

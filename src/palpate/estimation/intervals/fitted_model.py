@@ -1,0 +1,108 @@
+"""The model of a fit, asked at other constants than the best: what sliders need."""
+
+from dataclasses import dataclass
+
+from palpate.estimation.intervals.validation import (
+    found_errors,
+    predicted_points,
+    predicted_surface,
+)
+from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.search import Minimum, Misfit
+from palpate.shapes import Points, Vertices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedProbing:
+    """What the model says of one probing at some constants.
+
+    Attributes
+    ----------
+    name : str
+    predicted : (n, 3) float [m]            under the true force and the errors that fit best there
+    residual : (n, 3) float [m]             measured minus predicted, NaN where not measured
+    surface : (v, 3) float [m] or None      displacement of all vertices of the model's mesh
+    """
+
+    name: str
+    predicted: Points
+    residual: Points
+    surface: Vertices | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelState:
+    """The model at some constants.
+
+    Attributes
+    ----------
+    misfit : float                  minus twice the logarithm of the likelihood, above its lowest
+    probings : tuple of PredictedProbing
+    """
+
+    misfit: float
+    probings: tuple[PredictedProbing, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedModel:
+    """The model that a fit used, with its noise levels.
+
+    Attributes
+    ----------
+    observations : tuple of ProbeObservations
+    misfit : Misfit                 of these
+    lowest : float                  its value at the best constants
+    """
+
+    observations: tuple[ProbeObservations, ...]
+    misfit: Misfit
+    lowest: float
+
+    def at(self, poisson_ratio: float, shear_modulus: float) -> ModelState:
+        """What the model says at other constants; some milliseconds.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]       within the range of the fit
+        shear_modulus : float [Pa]      > 0
+
+        Returns
+        -------
+        ModelState
+
+        Raises
+        ------
+        NotConvergedError               the true force of a probing did not settle
+        """
+        errors, local = self.misfit.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
+        value = float(sum(probe.loss for probe in local) + errors @ errors)
+        probings = []
+        for probe, found in zip(self.observations, local, strict=True):
+            _, sigmas = found_errors(self.misfit, found, errors)
+            constants = poisson_ratio, shear_modulus
+            predicted = predicted_points(probe, constants, found, found.shift, sigmas)
+            load = found.rows.load(shear_modulus, found.shift)
+            surface = predicted_surface(probe, poisson_ratio, load)
+            residual = probe.displacement - predicted
+            probings.append(PredictedProbing(probe.name, predicted, residual, surface))
+        return ModelState(value - self.lowest, tuple(probings))
+
+
+def fitted_model(
+    probes: tuple[ProbeObservations, ...], misfit: Misfit, minimum: Minimum
+) -> FittedModel:
+    """The model of a fit, to be asked at other constants.
+
+    Parameters
+    ----------
+    probes : tuple of ProbeObservations
+    misfit : Misfit                 of these, at the noise levels of its minimum
+    minimum : Minimum
+
+    Returns
+    -------
+    FittedModel
+    """
+    lowest = sum(probe.loss for probe in minimum.probes) + minimum.errors @ minimum.errors
+    return FittedModel(probes, misfit, float(lowest))

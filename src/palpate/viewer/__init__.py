@@ -1,0 +1,16 @@
+"""The viewer: an object, its probings and its model in a browser, and pictures without one.
+
+Purpose    : look at a session or a result, ask the model at other constants, touch the object, set
+             support and contacts by clicking.
+Takes      : a session, or a result folder of `palpate fit`.
+Gives      : `Viewer`, a page on one port of this computer; a picture, a turntable.
+Depends on : `figures`, `simulation`, `pipeline`, `vision`, `estimation`, `records`, `geometry`.
+Read first : `server.py`, then `stage.py` and `workshop.py`.
+"""
+
+from palpate.viewer.server import Viewer as Viewer
+from palpate.viewer.stills import (
+    write_screenshot as write_screenshot,
+    write_turntable as write_turntable,
+)
+from palpate.viewer.subject import Subject as Subject, read_subject as read_subject

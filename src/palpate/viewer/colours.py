@@ -1,0 +1,128 @@
+"""Numbers as colours: what the points of a probing show, and the scale beside them."""
+
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.colors import to_hex
+
+from palpate.figures import LENGTHS, MOST_SIGMAS, RESIDUALS
+from palpate.pipeline import FittedProbing
+from palpate.shapes import Points, PointScalars
+
+MEASURED, PREDICTED, RESIDUAL, SIGMA = FIELDS = (
+    "displacement, measured", "displacement, predicted", "residual, in sigmas", "sigma",
+)  # fmt: skip
+_STOPS = 12
+# Share of the points within the scale: a wrong match does not set its end.
+_TOP = 0.97
+
+Colours = UInt8[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColouredField:
+    """Points with a number each, as they are drawn.
+
+    Attributes
+    ----------
+    points : (n, 3) float [m]           at rest
+    moved : (n, 3) float [m]            displacement along which they are drawn
+    values : (n,) float                 in the unit
+    top : float                         value at the end of the scale
+    unit : str
+    cmap : str                          colour map of matplotlib
+    """
+
+    points: Points
+    moved: Points
+    values: PointScalars
+    top: float
+    unit: str
+    cmap: str
+
+
+def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
+    """What the points of a probing show.
+
+    Parameters
+    ----------
+    probing : FittedProbing
+    what : str                          one of `FIELDS`
+
+    Returns
+    -------
+    ColouredField, or None where it is not known for any point
+    """
+    moved, cmap, unit = probing.displacement, LENGTHS, "mm"
+    if what == PREDICTED:
+        moved = probing.predicted
+    values = 1e3 * np.linalg.norm(moved, axis=1)
+    if what == RESIDUAL:
+        scaled = (probing.displacement - probing.predicted) / probing.sigma
+        values, cmap, unit = np.sqrt(np.mean(scaled**2, axis=1)), RESIDUALS, "sigmas"
+    elif what == SIGMA:
+        values = 1e3 * np.sqrt(np.mean(probing.sigma**2, axis=1))
+    known = np.isfinite(values) & np.isfinite(moved).all(axis=1)
+    if not known.any():
+        return None
+    top = MOST_SIGMAS if what == RESIDUAL else float(np.quantile(values[known], _TOP))
+    return ColouredField(
+        probing.points[known], moved[known], values[known], max(top, 1e-6), unit, cmap
+    )
+
+
+def colours_of(values: PointScalars, top: float, cmap: str) -> Colours:
+    """Red, green and blue of numbers from zero to the end of a scale.
+
+    Parameters
+    ----------
+    values : (n,) float
+    top : float                         > 0
+    cmap : str
+
+    Returns
+    -------
+    (n, 3) uint8
+    """
+    share = np.clip(np.nan_to_num(values) / top, 0.0, 1.0)
+    return np.asarray(np.rint(255 * mpl.colormaps[cmap](share)[:, :3]), dtype=np.uint8)
+
+
+def scale_html(top: float, unit: str, cmap: str) -> str:
+    """A bar of colours with its numbers, as HTML.
+
+    Parameters
+    ----------
+    top : float                         at its right end
+    unit : str
+    cmap : str
+
+    Returns
+    -------
+    str
+    """
+    stops = ", ".join(to_hex(c) for c in mpl.colormaps[cmap](np.linspace(0.0, 1.0, _STOPS)))
+    numbers = "".join(f"<span>{value:.3g}</span>" for value in (0.0, top / 2))
+    return (
+        '<div style="margin:.3em 1em;font-size:.8em">'
+        '<div style="height:.9em;border:1px solid #888;'
+        f'background:linear-gradient(to right,{stops})">'
+        '</div><div style="display:flex;justify-content:space-between">'
+        f"{numbers}<span>{top:.3g} {unit} and more</span></div></div>"
+    )
+
+
+def linear_light(colours: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Colours as the amounts of light that glTF asks for, not as screens take them.
+
+    Parameters
+    ----------
+    colours : (n, 3) float              0 to 1, sRGB
+
+    Returns
+    -------
+    (n, 3) float                        0 to 1
+    """
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)

@@ -1,0 +1,191 @@
+"""Flat pictures of the viewer: the likelihood with a cross, camera pictures with arrows."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image, ImageDraw
+
+from palpate.errors import PalpateError
+from palpate.estimation import LikelihoodMap
+from palpate.figures import INK, MIDDLE_BLUE, ORANGE, PALE_BLUE, styled
+from palpate.pipeline import FittedProbing
+from palpate.records import Camera, Rig, Session, modulus_unit
+from palpate.vision import project, read_grey
+
+# Pixels along the longer side of a picture in the page.
+_LARGEST = 640
+_REGIONS = (0.5, 0.95)
+_MOST_DEVIANCE = 16.0
+# Arrows across a picture.
+_ARROWS = 26
+
+RGB = UInt8[np.ndarray, "_ _ 3"]
+
+
+class LikelihoodPlot:
+    """The pairs of constants that the data allow, drawn once; a cross is put on copies of it.
+
+    Parameters
+    ----------
+    likelihood : LikelihoodMap
+    """
+
+    def __init__(self, likelihood: LikelihoodMap) -> None:
+        factor, self._unit = modulus_unit(float(np.median(likelihood.shear_modulus)))
+        self._factor = factor
+        self._plain, self._to_pixel = _likelihood_pixels(likelihood, factor, self._unit)
+
+    def marked(self, poisson_ratio: float, shear_modulus: float) -> RGB:
+        """The plot with a cross at a pair of constants.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]
+        shear_modulus : float [Pa]
+
+        Returns
+        -------
+        (rows, columns, 3) uint8
+        """
+        picture = Image.fromarray(self._plain)
+        column, row = self._to_pixel(poisson_ratio, shear_modulus / self._factor)
+        draw = ImageDraw.Draw(picture)
+        for dx, dy in ((9, 0), (0, 9)):
+            draw.line((column - dx, row - dy, column + dx, row + dy), fill=ORANGE, width=3)
+        return np.asarray(picture)
+
+
+@styled
+def _likelihood_pixels(
+    likelihood: LikelihoodMap, factor: float, unit: str
+) -> tuple[RGB, Callable[[float, float], tuple[float, float]]]:
+    """The plot's pixels, and where on them a pair of constants is."""
+    figure = Figure(figsize=(3.4, 2.7), dpi=150, layout="constrained")
+    axes = figure.subplots()
+    modulus = likelihood.shear_modulus / factor
+    levels = [0.0, *(likelihood.height(share) for share in _REGIONS)]
+    deviance = np.minimum(likelihood.deviance.T, _MOST_DEVIANCE)
+    axes.contourf(
+        likelihood.poisson_ratio, modulus, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE]
+    )
+    axes.contour(
+        likelihood.poisson_ratio, modulus, deviance, levels=levels[1:], colors=INK, linewidths=0.6
+    )
+    axes.set(xlabel="Poisson's ratio", ylabel=f"shear modulus, {unit}")
+    axes.set_title("50 and 95 % regions; cross: the sliders", fontsize=8)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    transform, rows = axes.transData, len(pixels)
+
+    def to_pixel(nu: float, value: float) -> tuple[float, float]:
+        x, y = transform.transform((nu, value))
+        return float(x), float(rows - y)
+
+    return pixels, to_pixel
+
+
+def frames(session: Session, probing: str) -> list[str]:
+    """File patterns of a probing's pictures in time, at rest first.
+
+    Parameters
+    ----------
+    session : Session
+    probing : str                   its name
+
+    Returns
+    -------
+    list of str                     empty where it has none
+    """
+    images = next(one for one in session.probings if one.name == probing).images
+    return [] if images is None else [images.rest, *images.loaded]
+
+
+def camera_picture(
+    session: Session,
+    rig: Rig,
+    camera: int,
+    pattern: str,
+    *,
+    flow: FittedProbing | None = None,
+    share: float = 1.0,
+    stretch: float = 1.0,
+) -> RGB | None:
+    """A camera's picture, small enough for a page, with arrows of the measured displacement.
+
+    Parameters
+    ----------
+    session : Session
+    rig : Rig
+    camera : int                    its number in the rig
+    pattern : str                   of the file
+    flow : FittedProbing or None    whose displacement is drawn; None: no arrows
+    share : float                   of the displacement that had happened by then
+    stretch : float                 how many times longer than they are arrows are drawn
+
+    Returns
+    -------
+    (rows, columns, 3) uint8, or None where the picture cannot be read
+    """
+    try:
+        name = pattern.replace("{camera}", rig.cameras[camera].name)
+        grey = np.clip(read_grey(session.path.parent / name), 0, 255).astype(np.uint8)
+    except PalpateError:
+        return None
+    shrink = min(1.0, _LARGEST / max(grey.shape))
+    size = (round(grey.shape[1] * shrink), round(grey.shape[0] * shrink))
+    picture = Image.fromarray(grey).resize(size).convert("RGB")
+    if flow is not None:
+        _draw_flow(picture, rig.cameras[camera], flow, session, shrink, share, stretch)
+    return np.asarray(picture)
+
+
+def _draw_flow(
+    picture: Image.Image,
+    camera: Camera,
+    flow: FittedProbing,
+    session: Session,
+    shrink: float,
+    share: float,
+    stretch: float,
+) -> None:
+    """Arrows from where points were at rest along the way that they went."""
+    known = np.isfinite(flow.displacement).all(axis=1) & _facing(camera, flow, session)
+    points, moved = flow.points[known], flow.displacement[known]
+    start = project(camera, points) * shrink
+    way = (project(camera, points + moved) * shrink - start) * share * stretch
+    draw = ImageDraw.Draw(picture)
+    for row in _spread(start, max(picture.size) / _ARROWS):
+        _arrow(draw, start[row], way[row])
+
+
+def _facing(camera: Camera, flow: FittedProbing, session: Session) -> np.ndarray:
+    """Points on the side of the object that a camera is on."""
+    pose = camera.T_camera_object
+    centre = -pose[:3, :3].T @ pose[:3, 3]
+    mesh = session.mesh
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    return np.asarray((flow.points - middle) @ (centre - middle) > 0.0)
+
+
+def _spread(place: Float[np.ndarray, "n 2"], pitch: float) -> np.ndarray:
+    """One point a cell."""
+    known = np.flatnonzero(np.isfinite(place).all(axis=1))
+    _, first = np.unique(np.floor(place[known] / pitch), axis=0, return_index=True)
+    return known[first]
+
+
+def _arrow(draw: ImageDraw.ImageDraw, start: np.ndarray, way: np.ndarray) -> None:
+    """A line with a head, dark around a bright core."""
+    length = float(np.linalg.norm(way))
+    if not np.isfinite(length) or length < 1.0:
+        return
+    end, along = start + way, way / length
+    across = np.array([-along[1], along[0]])
+    head = [end - 5 * along + 3 * across, end, end - 5 * along - 3 * across]
+    for colour, width in (("black", 3), (ORANGE, 1)):
+        draw.line([*start, *end], fill=colour, width=width)
+        draw.line([tuple(map(float, corner)) for corner in head], fill=colour, width=width)

@@ -1,0 +1,113 @@
+"""What is shown: which probing, which numbers as colours, how far the deformation is stretched."""
+
+from typing import Any
+
+import numpy as np
+
+from palpate.pipeline import FittedProbing
+from palpate.viewer.colours import (
+    FIELDS,
+    MEASURED,
+    PREDICTED,
+    coloured_field,
+    scale_html,
+)
+from palpate.viewer.stage import Stage, length_colours
+from palpate.viewer.workshop import Workshop
+
+# Of the object's size: how far the largest displacement is drawn at first.
+_SHOWN = 0.06
+_MOST_STRETCH = 50
+
+
+class LookPanel:
+    """Controls of what is shown.
+
+    Parameters
+    ----------
+    gui : GuiApi of viser           of the tab
+    workshop : Workshop
+    stage : Stage
+    """
+
+    def __init__(self, gui: Any, workshop: Workshop, stage: Stage) -> None:
+        self._workshop, self._stage = workshop, stage
+        self._override: dict[str, FittedProbing] = {}
+        names = [one.name for one in workshop.probings] or ["-"]
+        self.probing = gui.add_dropdown("probing", names, hint="Which push is shown.")
+        self.field = gui.add_dropdown("colours", FIELDS)
+        self.scale = gui.add_html("")
+        self.note = gui.add_markdown("")
+        self.stretch = gui.add_slider(
+            "deformation drawn, times", 0, _MOST_STRETCH, 1, self._first_stretch()
+        )
+        self.view = gui.add_dropdown("seen from", stage.views)
+        self.view.on_update(lambda _: stage.look_from(self.view.value))
+        self.toggles = {
+            name: gui.add_checkbox(name, name != "arrows")
+            for name in ("points", "arrows", "probings", "cameras")
+        }
+        for control in (self.probing, self.field, self.stretch, *self.toggles.values()):
+            control.on_update(lambda _: self.draw())
+        self.probing.on_update(lambda _: self._draw_cameras())
+        stage.draw_cameras(names[0])
+
+    def _draw_cameras(self) -> None:
+        with self._stage.lock:
+            self._stage.draw_cameras(self.probing.value)
+
+    @property
+    def shown(self) -> FittedProbing | None:
+        """The probing that is chosen, as the sliders have it."""
+        name = self.probing.value
+        for one in self._workshop.probings:
+            if one.name == name:
+                return self._override.get(name, one)
+        return None
+
+    def override(self, probings: dict[str, FittedProbing]) -> None:
+        """Have probings shown as a model predicts them at other constants; none: as fitted."""
+        self._override = probings
+        self.draw()
+
+    def _first_stretch(self) -> int:
+        moved = [one.displacement for one in self._workshop.probings]
+        largest = max((float(np.nanmax(np.abs(m), initial=0.0)) for m in moved), default=0.0)
+        if not largest:
+            return 1
+        return int(np.clip(round(_SHOWN * self._stage.size / (1e3 * largest)), 1, _MOST_STRETCH))
+
+    def draw(self) -> None:
+        """Draw everything anew."""
+        with self._stage.lock:
+            self._draw()
+
+    def _draw(self) -> None:
+        for name, toggle in self.toggles.items():
+            self._stage.show(name, toggle.value)
+        one = self.shown
+        if one is None:
+            return
+        stretch, what = float(self.stretch.value), self.field.value
+        field = coloured_field(one, what)
+        self._stage.draw_points(field, stretch)
+        self._stage.draw_probings(self._workshop.probings, one.name)
+        self._draw_body(one, what, stretch)
+        known = field is not None
+        self.scale.content = scale_html(field.top, field.unit, field.cmap) if field else ""
+        self.note.content = "" if known else f"*{_why(what)}*"
+
+    def _draw_body(self, one: FittedProbing, what: str, stretch: float) -> None:
+        """The surface, moved as the model says; coloured where colours are lengths of that."""
+        if one.surface is None:
+            self._stage.draw_body(np.zeros_like(self._stage.subject.session.mesh.vertices), None)
+            return
+        colours = length_colours(one.surface)[0] if what == PREDICTED else None
+        self._stage.draw_body(stretch * one.surface, colours)
+
+
+def _why(what: str) -> str:
+    """Why a field has no colours."""
+    if what == MEASURED:
+        return "nothing is measured in this probing yet"
+    return "not known before the session is fitted; the fit may still be running"

@@ -1,0 +1,91 @@
+"""The pictures of the cameras in time, the measured flow on them."""
+
+import threading
+from typing import Any
+
+import numpy as np
+
+from palpate.viewer.drawings import camera_picture, frames
+from palpate.viewer.panels.look import LookPanel
+from palpate.viewer.stage import Stage
+
+# Seconds a picture when they are played.
+_PACE = 0.4
+_MOST_STRETCH = 30
+
+
+class PicturesPanel:
+    """Controls of the sequence.
+
+    Parameters
+    ----------
+    gui : GuiApi of viser           of the tab
+    stage : Stage
+    look : LookPanel                whose probing is played
+    """
+
+    def __init__(self, gui: Any, stage: Stage, look: LookPanel) -> None:
+        self._subject, self._look = stage.subject, look
+        self._stop = threading.Event()
+        rig = self._subject.rig
+        if rig is None:
+            self.text = gui.add_markdown("*This session has no pictures.*")
+            return
+        self._cameras = [camera.name for camera in rig.cameras]
+        self.camera = gui.add_dropdown("camera", self._cameras)
+        self.frame = gui.add_slider("picture", 0, 1, 1, 0)
+        self.stretch = gui.add_slider("flow drawn, times", 1, _MOST_STRETCH, 1, 5)
+        self.play = gui.add_button("play")
+        self.image: Any = None
+        self._gui = gui
+        self.text = gui.add_markdown("")
+        for control in (self.camera, self.frame, self.stretch):
+            control.on_update(lambda _: self.draw())
+        self.play.on_click(lambda _: self._play())
+        look.probing.on_update(lambda _: self._begin())
+        self._begin()
+
+    def _begin(self) -> None:
+        """Another probing is chosen."""
+        count = len(frames(self._subject.session, self._look.probing.value))
+        self.frame.max = max(1, count - 1)
+        self.frame.value = max(0, count - 1)
+        self.draw()
+
+    def draw(self) -> None:
+        """Show the picture that the controls name."""
+        rig, probing = self._subject.rig, self._look.shown
+        if rig is None or probing is None:
+            return
+        patterns = frames(self._subject.session, probing.name)
+        if not patterns:
+            self.text.content = f"*{probing.name} has no pictures.*"
+            return
+        number = min(int(self.frame.value), len(patterns) - 1)
+        last = number == len(patterns) - 1
+        seen = camera_picture(
+            self._subject.session, rig, self._cameras.index(self.camera.value), patterns[number],
+            flow=probing if last else None, stretch=float(self.stretch.value),
+        )  # fmt: skip
+        if seen is None:
+            self.text.content = f"*{patterns[number]} cannot be read.*"
+        elif self.image is None:
+            self.image = self._gui.add_image(seen, format="jpeg")
+        else:
+            self.image.image = seen
+        when = "at rest" if number == 0 else f"{number} of {len(patterns) - 1} under load"
+        if seen is not None:
+            drawn = last and np.isfinite(probing.displacement).all(axis=1).any()
+            self.text.content = when + ("; arrows: measured displacement" if drawn else "")
+
+    def _play(self) -> None:
+        """Go through the pictures once."""
+        for number in range(int(self.frame.max) + 1):
+            if self._stop.wait(_PACE if number else 0.0):
+                return
+            self.frame.value = number
+            self.draw()
+
+    def close(self) -> None:
+        """The tab is gone: nothing is played any more."""
+        self._stop.set()

@@ -1,0 +1,98 @@
+"""Support and contacts set by clicking, and written into session.toml."""
+
+from typing import Any
+
+import numpy as np
+
+from palpate.errors import PalpateError
+from palpate.geometry import closest_points
+from palpate.shapes import Vector3
+from palpate.viewer.panels.look import LookPanel
+from palpate.viewer.placement import Draft, flat_face, triangles_near, write_draft
+from palpate.viewer.stage import Stage
+
+PRESS, CONTACT, FACE, HOLD, FREE = WHAT = (
+    "presses the object", "sets the contact of the probing", "holds the flat face",
+    "holds what is near", "frees what is near",
+)  # fmt: skip
+# Of the object's size.
+_NEAR = 0.06
+
+
+class SettingPanel:
+    """What a click means, and the button that writes.
+
+    Parameters
+    ----------
+    gui : GuiApi of viser           of the tab
+    stage : Stage
+    look : LookPanel                whose probing's contact is set
+    """
+
+    def __init__(self, gui: Any, stage: Stage, look: LookPanel) -> None:
+        self._stage, self._look = stage, look
+        self.draft = Draft()
+        self.click = gui.add_dropdown("a click", WHAT)
+        size = stage.size
+        self.near = gui.add_slider(
+            "near is, mm", float(f"{0.01 * size:.2g}"), float(f"{0.3 * size:.2g}"),
+            float(f"{0.005 * size:.2g}"), float(f"{_NEAR * size:.2g}"),
+        )  # fmt: skip
+        self.text = gui.add_markdown("")
+        write = gui.add_button("write session.toml")
+        forget = gui.add_button("forget what was set")
+        write.on_click(lambda _: self._write())
+        forget.on_click(lambda _: self._forget())
+
+    @property
+    def presses(self) -> bool:
+        """Whether a click presses."""
+        return bool(self.click.value == PRESS)
+
+    def clicked(self, point: Vector3) -> None:
+        """Set what a click at a place of the surface [m] means."""
+        session, what = self._stage.subject.session, self.click.value
+        place = closest_points(session.mesh, point[None])
+        if what == CONTACT:
+            self.draft = self.draft.with_contact(self._look.probing.value, place.position[0])
+        else:
+            held = self.draft.support
+            held = session.held_triangles if held is None else held
+            near = triangles_near(session.mesh, place.position[0], 1e-3 * float(self.near.value))
+            near = np.append(near, place.triangle[0])
+            if what == FACE:
+                held = flat_face(session.mesh, int(place.triangle[0]))
+            elif what == HOLD:
+                held = np.union1d(held, near)
+            else:
+                held = np.setdiff1d(held, near)
+            self.draft = self.draft.with_support(held)
+        self._show()
+
+    def _show(self) -> None:
+        session, draft = self._stage.subject.session, self.draft
+        with self._stage.lock:
+            self._stage.mark_support(draft.support)
+            self._stage.draw_marks(draft.contacts)
+            self._look.draw()
+        lines = []
+        if draft.support is not None:
+            count = len(session.mesh.triangles)
+            lines.append(f"support: {len(draft.support)} of {count} triangles")
+        for name, point in draft.contacts.items():
+            here = ", ".join(f"{x / session.metres_per_unit:.4g}" for x in point)
+            lines.append(f"contact of {name}: [{here}]")
+        self.text.content = "  \n".join(lines)
+
+    def _write(self) -> None:
+        try:
+            written = write_draft(self._stage.subject.session, self.draft)
+        except PalpateError as error:
+            self.text.content = f"*not written: {error}*"
+            return
+        self.draft = Draft()
+        self.text.content = f"Written to {written.path}. Fit the session again, and open it anew."
+
+    def _forget(self) -> None:
+        self.draft = Draft()
+        self._show()

@@ -1,0 +1,119 @@
+"""A click presses a ball into the object, a drag presses deeper; the force is shown."""
+
+from typing import Any
+
+import numpy as np
+
+from palpate.errors import PalpateError
+from palpate.shapes import Vector3
+from palpate.viewer.colours import scale_html
+from palpate.viewer.panels.look import LookPanel
+from palpate.viewer.stage import Stage, length_colours
+from palpate.viewer.touch import Pressed, force_text, press, put_ball
+from palpate.viewer.workshop import Workshop
+
+# Of the object's size: the ball, how deep a click presses, and the deepest.
+_RADIUS, _DEPTH, _DEEPEST = 0.12, 0.02, 0.1
+
+
+class TouchPanel:
+    """Controls of the ball.
+
+    Parameters
+    ----------
+    gui : GuiApi of viser           of the tab
+    workshop : Workshop
+    stage : Stage
+    look : LookPanel                that is drawn again when the ball goes
+    """
+
+    def __init__(self, gui: Any, workshop: Workshop, stage: Stage, look: LookPanel) -> None:
+        self._workshop, self._stage, self._look = workshop, stage, look
+        self.pressed: Pressed | None = None
+        size = stage.size
+        self.text = gui.add_markdown("")
+        self.scale = gui.add_html("")
+        self.radius = gui.add_slider(
+            "ball's radius, mm", _round(0.02 * size), _round(0.4 * size), _round(0.005 * size),
+            _round(_RADIUS * size),
+        )  # fmt: skip
+        self.depth = gui.add_slider(
+            "depth, mm", 0.0, _round(_DEEPEST * size), _round(0.001 * size), _round(_DEPTH * size)
+        )
+        self.away = gui.add_button("take the ball away")
+        self.depth.on_update(lambda _: self._press_deeper())
+        self.away.on_click(lambda _: self.release())
+        self.update()
+
+    def update(self) -> None:
+        """Say whether the object can be touched yet."""
+        if self.pressed is None:
+            known = self._workshop.green is not None
+            how = "Click on the object to press it; drag to press deeper."
+            if known and self._workshop.assumed:
+                how += " Nothing was estimated: G 20 kPa and nu 0.3 are assumed."
+            self.text.content = how if known else f"*{self._workshop.touch_text}*"
+
+    def put(self, point: Vector3) -> None:
+        """Press the ball at a place of the surface [m], as deep as the slider says."""
+        green = self._workshop.green
+        if green is None:
+            self.update()
+            return
+        with self._stage.lock:
+            try:
+                ball = put_ball(green, point, 1e-3 * float(self.radius.value))
+                self.pressed = press(green, ball, 1e-3 * float(self.depth.value))
+            except PalpateError as error:
+                self.text.content = f"*{error}*"
+                return
+            self._show(self.pressed)
+
+    def deepen(self, way: float) -> None:
+        """Press so deep as the pointer was dragged [m]."""
+        deepest = 1e-3 * float(self.depth.max)
+        self.depth.value = 1e3 * float(np.clip(way, 0.0, deepest))
+        self._press_deeper()
+
+    def _press_deeper(self) -> None:
+        green = self._workshop.green
+        if green is None or self.pressed is None:
+            return
+        with self._stage.lock:
+            depth = 1e-3 * float(self.depth.value)
+            if depth == self.pressed.depth:
+                return
+            try:
+                self.pressed = press(green, self.pressed, depth)
+            except PalpateError as error:
+                self.text.content = f"*{error}*"
+                return
+            self._show(self.pressed)
+
+    def _show(self, pressed: Pressed) -> None:
+        """The object as it is deformed, true to scale."""
+        colours, _, top = length_colours(pressed.moved)
+        self._stage.draw_points(None, 1.0)
+        self._stage.show("probings", False)
+        self._stage.draw_body(pressed.moved, colours)
+        text = force_text(pressed)
+        newtons = text.partition("\n")[0].replace("*", "")
+        self._stage.draw_ball(
+            pressed.centre, pressed.state.tools[0].tool.reach, pressed.force, newtons
+        )
+        self.text.content = text
+        self.scale.content = scale_html(top, "mm", "viridis")
+
+    def release(self) -> None:
+        """Take the ball away; the object is shown as before."""
+        with self._stage.lock:
+            self.pressed = None
+            self._stage.clear_ball()
+            self.scale.content = ""
+        self.update()
+        self._look.draw()
+
+
+def _round(length: float) -> float:
+    """Two digits: sliders with long numbers are hard to read."""
+    return float(f"{length:.2g}")

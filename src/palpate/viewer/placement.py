@@ -1,0 +1,182 @@
+"""Support and contacts that were set by clicking, written into session.toml."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from palpate.disk import placed
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, unit_normals
+from palpate.records import Session, read_session, read_text
+from palpate.shapes import Indices, Vector3
+
+SUPPORT_FILE = "support_triangles.txt"
+_SELECTORS = ("plane", "box", "triangles")
+# Cosine between neighbours of one flat face.
+_FLAT = 0.985
+_DIGITS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What was set and is not written yet.
+
+    Attributes
+    ----------
+    support : (k,) int or None      triangles that are held; None: as in the session
+    contacts : name -> (3,) float [m]   of probings
+    """
+
+    support: Indices | None = None
+    contacts: dict[str, Vector3] = field(default_factory=dict)
+
+    def with_support(self, triangles: Indices) -> "Draft":
+        """The same with another support."""
+        return replace(self, support=np.unique(triangles))
+
+    def with_contact(self, probe: str, point: Vector3) -> "Draft":
+        """The same with another contact of a probing."""
+        return replace(self, contacts=self.contacts | {probe: point})
+
+
+def flat_face(mesh: TriangleMesh, triangle: int) -> Indices:
+    """The triangles around one that go on in its direction, edge by edge.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    triangle : int
+
+    Returns
+    -------
+    (k,) int                        it is one of them
+    """
+    normals = unit_normals(mesh)
+    rows = np.flatnonzero(normals @ normals[triangle] > _FLAT)
+    corners = mesh.triangles[rows]
+    sides = np.sort(np.stack([corners, np.roll(corners, 1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    side = np.unique(sides, axis=0, return_inverse=True)[1].ravel()
+    of_side = csr_array((np.ones(len(side)), (np.repeat(np.arange(len(rows)), 3), side)))
+    part = connected_components(of_side @ of_side.T)[1]
+    return np.asarray(rows[part == part[np.searchsorted(rows, triangle)]])
+
+
+def triangles_near(mesh: TriangleMesh, point: Vector3, radius: float) -> Indices:
+    """Triangles whose middle lies within a ball.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    point : (3,) float [m]
+    radius : float [m]
+
+    Returns
+    -------
+    (k,) int
+    """
+    middle = mesh.vertices[mesh.triangles].mean(axis=1)
+    return np.flatnonzero(np.linalg.norm(middle - point, axis=1) <= radius)
+
+
+def write_draft(session: Session, draft: Draft) -> Session:
+    """Write what was set into session.toml; comments, order and all else stay.
+
+    The support becomes a list of triangles in a file beside it. Both files change together, and
+    only if the new session can be read.
+
+    Parameters
+    ----------
+    session : Session
+    draft : Draft
+
+    Returns
+    -------
+    Session                         as it is read anew, without displacements and pictures
+
+    Raises
+    ------
+    InputError                      nothing was set; several supports, or a contact that is no point
+    RecordError                     the new session is refused, or cannot be written
+    """
+    if draft.support is None and not draft.contacts:
+        raise InputError("nothing was set; click on the object first")
+    text = session_text(read_text(session.path), session, draft)
+    lines = "".join(f"{row}\n" for row in draft.support) if draft.support is not None else ""
+    folder = session.path.parent
+    targets = [folder / SUPPORT_FILE] * bool(lines) + [session.path]
+    with placed(targets) as staged:
+        if lines:
+            staged[0].write_text(lines, encoding="utf-8")
+        staged[-1].write_text(text, encoding="utf-8", newline="")
+        _check(staged, lines)
+    return read_session(session.path, observations=False)
+
+
+def _check(staged: tuple[Path, ...], lines: str) -> None:
+    """Refuse a session that could not be read."""
+    path = staged[-1]
+    whole = path.read_text(encoding="utf-8")
+    if lines:
+        path.write_text(whole.replace(f'"{SUPPORT_FILE}"', f'"{staged[0].name}"'), encoding="utf-8")
+    try:
+        read_session(path, observations=False)
+    finally:
+        path.write_text(whole, encoding="utf-8", newline="")
+
+
+def session_text(text: str, session: Session, draft: Draft) -> str:
+    """A session's text with another support and other contacts.
+
+    Parameters
+    ----------
+    text : str                      of session.toml
+    session : Session               that was read from it
+    draft : Draft
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError                      several supports, or a contact that is no point
+    """
+    document: Any = tomlkit.parse(text)
+    if draft.support is not None:
+        _set_support(document, session)
+    for name, point in draft.contacts.items():
+        _set_contact(document, session, name, point)
+    return tomlkit.dumps(document)
+
+
+def _set_support(document: Any, session: Session) -> None:
+    tables = document.get("support", [])
+    if isinstance(tables, list) and len(tables) > 1:
+        raise InputError(
+            f"{session.path}: has {len(tables)} supports; which of them is meant cannot be said by"
+            " clicking: change their triangles there"
+        )
+    if not tables:
+        document["support"] = tomlkit.table()
+    table = document["support"]
+    table = table[0] if isinstance(table, list) else table
+    for key in _SELECTORS:
+        table.pop(key, None)
+    table["triangles"] = SUPPORT_FILE
+
+
+def _set_contact(document: Any, session: Session, name: str, point: Vector3) -> None:
+    probes = document["probe"]
+    probes = probes if isinstance(probes, list) else [probes]
+    contact = next(one for one in probes if one["name"] == name).get("contact", {})
+    if "point" not in contact:
+        raise InputError(
+            f"{session.path}: the contact of probing '{name}' is no point; change it there"
+        )
+    value = np.round(np.asarray(point) / session.metres_per_unit, _DIGITS)
+    contact["point"] = [float(f"{x:.6g}") + 0.0 for x in value]

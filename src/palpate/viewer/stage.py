@@ -1,0 +1,314 @@
+"""What one browser tab shows of the object in space; lengths in millimetres."""
+
+import threading
+from typing import Any, cast
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from matplotlib.colors import to_rgb
+
+from palpate.figures import BLUE, GREY, HELD, INK, ORANGE, PALE_BLUE, best_direction
+from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
+from palpate.pipeline import FittedProbing
+from palpate.records import Camera
+from palpate.shapes import Indices, PointScalars, Vector3, Vertices
+from palpate.viewer.colours import ColouredField, Colours, colours_of, linear_light
+from palpate.viewer.drawings import camera_picture, frames
+from palpate.viewer.subject import Subject
+
+# Where a tab looks from at first.
+OBJECT = "the first probing's side"
+# Columns and rows of cameras whose calibration does not say.
+_CHIP = (640, 480)
+_FOV = np.pi / 3
+_BODY, _SET = "#c9ccd2", "#e69f00"
+# Of the object's size.
+_POINT, _ARROW, _TIP, _FRUSTUM = 0.012, 0.2, 0.006, 0.12
+# More arrows hide the points.
+_MOST_ARROWS = 250
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """A colour by its name or number as three bytes."""
+    red, green, blue = (round(255 * share) for share in to_rgb(colour))
+    return red, green, blue
+
+
+class Stage:
+    """The object, its points, forces, cameras and the ball in one tab.
+
+    Parameters
+    ----------
+    client : ClientHandle of viser  the tab
+    subject : Subject
+    """
+
+    def __init__(self, client: Any, subject: Subject) -> None:
+        self.scene, self.subject, self._client = client.scene, subject, client
+        # Controls call from threads of their own: what is drawn together holds this.
+        self.lock = threading.RLock()
+        mesh = subject.session.mesh
+        self.size = 1e3 * bounding_diagonal(mesh)
+        self._held = subject.session.held_triangles
+        self._marked: Indices | None = None
+        self._body: Any = None
+        self._loose: dict[str, Any] = {}
+        self._groups = {
+            name: self.scene.add_frame(f"/{name}", show_axes=False)
+            for name in ("points", "arrows", "probings", "cameras")
+        }
+        self.draw_body(np.zeros_like(mesh.vertices), None)
+        _light(self.scene, self.size)
+        self.look_from(OBJECT)
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Where the object can be looked at from."""
+        rig = self.subject.rig
+        return (OBJECT,) if rig is None else (OBJECT, *(one.name for one in rig.cameras))
+
+    def look_from(self, view: str) -> None:
+        """Have the tab look from the side of the first probing, or as one of the cameras does."""
+        rig = self.subject.rig
+        for camera in rig.cameras if rig is not None and view != OBJECT else ():
+            if camera.name == view:
+                turn, place, fov = camera_place(camera)
+                with self._client.atomic():
+                    self._client.camera.wxyz, self._client.camera.position = turn, place
+                    self._client.camera.fov = fov
+                return
+        look(self._client, self.subject, self.size)
+
+    @property
+    def body(self) -> Any:
+        """The handle of the surface, which can be clicked and dragged."""
+        return self._body
+
+    def show(self, group: str, visible: bool) -> None:
+        """Show or hide points, arrows, probings or cameras."""
+        self._groups[group].visible = visible
+
+    def mark_support(self, triangles: Indices | None) -> None:
+        """Colour other triangles as held, as they would be after writing; None: those of the
+        session."""
+        self._marked = triangles
+
+    def draw_body(self, moved: Vertices, colours: Colours | None) -> None:
+        """Draw the surface.
+
+        Parameters
+        ----------
+        moved : (v, 3) float [m]        displacement as it is drawn
+        colours : (v, 3) uint8 or None  None: that of clay
+        """
+        mesh = self.subject.session.mesh
+        self._moved = moved
+        glb = self._glb(1e3 * (mesh.vertices + moved), colours)
+        if self._body is None:
+            self._body = self.scene.add_glb("/body", glb)
+        else:
+            self._body.glb_data = glb
+
+    @property
+    def shown_mesh(self) -> TriangleMesh:
+        """The surface as it is drawn [m]."""
+        mesh = self.subject.session.mesh
+        return TriangleMesh(mesh.vertices + self._moved, mesh.triangles)
+
+    def at_rest(self, place: Vector3) -> Vector3:
+        """Where a place of the drawn surface [m] is at rest."""
+        found = closest_points(self.shown_mesh, place[None])
+        corners = self.subject.session.mesh.triangles[found.triangle[0]]
+        return np.asarray(place - found.barycentric[0] @ self._moved[corners])
+
+    def _glb(self, vertices: Vertices, colours: Colours | None) -> bytes:
+        """The surface as a file of glTF, its corners apart: facets stay flat, edges sharp."""
+        triangles = self.subject.session.mesh.triangles
+        plain = np.tile(np.array(rgb(_BODY)), (len(vertices), 1))
+        corner = (plain if colours is None else colours)[triangles].astype(float)
+        corner[self._held if self._marked is None else self._marked] = rgb(HELD)
+        if self._marked is not None:
+            corner[np.setdiff1d(self._marked, self._held)] = rgb(_SET)
+        light = np.rint(255 * linear_light(corner.reshape(-1, 3) / 255))
+        faces = np.arange(3 * len(triangles)).reshape(-1, 3)
+        shape = trimesh.Trimesh(vertices[triangles].reshape(-1, 3), faces, process=False)
+        shape.visual = trimesh.visual.ColorVisuals(shape, vertex_colors=light.astype(np.uint8))
+        return cast(bytes, shape.export(file_type="glb", include_normals=True))
+
+    def draw_points(self, field: ColouredField | None, stretch: float) -> None:
+        """Draw the points of a probing, moved by so many times their displacement."""
+        self._clear("points", "arrows")
+        if field is None:
+            return
+        colours = colours_of(field.values, field.top, field.cmap)
+        mesh = self.subject.session.mesh
+        # Above the surface, or half of each would be under it.
+        lift = _POINT * self.size * unit_normals(mesh)[closest_points(mesh, field.points).triangle]
+        place = 1e3 * (field.points + stretch * field.moved) + 0.5 * lift
+        self._loose["points"] = self.scene.add_point_cloud(
+            "/points/measured", place, colours,
+            point_size=_POINT * self.size, point_shape="circle", precision="float32",
+        )  # fmt: skip
+        length = 1e3 * np.linalg.norm(field.moved, axis=1)
+        shown = np.linspace(0, len(length) - 1, min(len(length), _MOST_ARROWS)).astype(int)
+        longest = max(float(length.max()), 1e-9)
+        way = 1e3 * field.moved[shown] * (0.5 * _ARROW * self.size / longest)
+        start = 1e3 * field.points[shown]
+        self._loose["arrows"] = self._arrows("/arrows/moved", start, start + way, rgb(INK), 0.5)
+
+    def _arrows(
+        self, name: str, start: np.ndarray, end: np.ndarray, colour: Any, thick: float = 1.0
+    ) -> Any:
+        """Arrows of the scene's own size [mm]."""
+        unit = thick * _TIP * self.size
+        return self.scene.add_arrows(
+            name, np.stack([start, end], axis=1), colour,
+            shaft_radius=0.5 * unit, head_radius=1.5 * unit, head_length=3.0 * unit,
+        )  # fmt: skip
+
+    def draw_probings(self, probings: tuple[FittedProbing, ...], chosen: str) -> None:
+        """Draw the force of every probing, the chosen one orange with its newtons."""
+        for one in probings:
+            newtons = float(np.linalg.norm(one.force))
+            if not newtons:
+                continue
+            end, here = 1e3 * one.contact, one.name == chosen
+            start = end - _ARROW * self.size * one.force / newtons
+            colour = rgb(ORANGE if here else GREY)
+            self._arrows(f"/probings/{one.name}/force", start[None], end[None], colour)
+            text = f"{one.name}: {newtons:.3g} N" if here else one.name
+            self.scene.add_label(f"/probings/{one.name}/name", text, position=tuple(start))
+
+    def draw_cameras(self, probing: str) -> None:
+        """Draw where the cameras are, with what they saw of a probing at rest."""
+        session, rig = self.subject.session, self.subject.rig
+        if rig is None:
+            return
+        patterns = frames(session, probing)
+        for number, camera in enumerate(rig.cameras):
+            seen = camera_picture(session, rig, number, patterns[0]) if patterns else None
+            self._draw_camera(camera, seen)
+
+    def _draw_camera(self, camera: Camera, seen: Any) -> None:
+        turn, place, fov = camera_place(camera)
+        columns, rows = camera.size or _CHIP
+        self.scene.add_camera_frustum(
+            f"/cameras/{camera.name}", fov=fov, aspect=columns / rows, scale=_FRUSTUM * self.size,
+            thickness=0.002 * self.size, color=rgb(BLUE), image=seen, wxyz=turn, position=place,
+        )  # fmt: skip
+
+    def draw_ball(self, centre: Vector3, radius: float, force: Vector3, text: str) -> None:
+        """Draw the ball that presses, its force and what it says [m, N]."""
+        self.clear_ball()
+        middle, newtons = 1e3 * centre, float(np.linalg.norm(force))
+        self._loose["ball"] = self.scene.add_icosphere(
+            "/ball", radius=1e3 * radius, color=rgb(PALE_BLUE), opacity=0.45, position=tuple(middle)
+        )
+        if newtons:
+            # Outside the ball, toward it.
+            end = middle - 1e3 * radius * force / newtons
+            start = end - _ARROW * self.size * force / newtons
+            self._loose["push"] = self._arrows("/push", start[None], end[None], rgb(ORANGE))
+            self._loose["newtons"] = self.scene.add_label("/newtons", text, position=tuple(start))
+
+    def clear_ball(self) -> None:
+        """Take the ball away."""
+        self._clear("ball", "push", "newtons")
+
+    def draw_marks(self, places: dict[str, Vector3]) -> None:
+        """Draw contacts that were set and are not written yet [m]."""
+        self._clear("marks")
+        if places:
+            self._loose["marks"] = self.scene.add_point_cloud(
+                "/marks", 1e3 * np.array(list(places.values())), rgb(_SET),
+                point_size=4 * _POINT * self.size, point_shape="circle", precision="float32",
+            )  # fmt: skip
+
+    def _clear(self, *names: str) -> None:
+        for name in names:
+            handle = self._loose.pop(name, None)
+            if handle is not None:
+                handle.remove()
+
+
+def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float]:
+    """How a camera is turned, where it stands and how wide it sees, as viser has it.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    (4,) float                      quaternion w, x, y, z of the turn from its frame to the object's
+    (3,) float [mm]
+    float [rad]                     vertical field of view
+    """
+    pose = camera.T_camera_object
+    turn = trimesh.transformations.quaternion_from_matrix(np.linalg.inv(pose))
+    rows = (camera.size or _CHIP)[1]
+    place = -1e3 * pose[:3, :3].T @ pose[:3, 3]
+    return turn, place, float(2 * np.arctan(0.5 * rows / camera.matrix[1, 1]))
+
+
+def _light(scene: Any, size: float) -> None:
+    """Light from above and a little from everywhere."""
+    scene.configure_default_lights(enabled=True, cast_shadow=False)
+    scene.add_light_ambient("/light", intensity=0.15)
+
+
+def look(client: Any, subject: Subject, size: float) -> None:
+    """Have a tab look at the object from where most of the first probing is seen.
+
+    Parameters
+    ----------
+    client : ClientHandle of viser
+    subject : Subject
+    size : float [mm]               of the object
+    """
+    mesh = subject.session.mesh
+    middle = 1e3 * 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    camera = client.camera
+    camera.near, camera.far, camera.fov = 0.01 * size, 100.0 * size, _FOV
+    camera.up_direction = (0.0, 0.0, 1.0)
+    camera.position = tuple(middle + size * direction_of(subject))
+    camera.look_at = tuple(middle)
+
+
+def direction_of(subject: Subject) -> Vector3:
+    """Direction toward the viewer, so that most points of the first probing are seen.
+
+    Parameters
+    ----------
+    subject : Subject
+
+    Returns
+    -------
+    (3,) float, unit
+    """
+    session = subject.session
+    normals = unit_normals(session.mesh)
+    field = session.probings[0].displacement if session.probings else None
+    seen = normals if field is None else normals[field.surface.triangle]
+    touched = normals.mean(axis=0)
+    if session.probings:
+        force = session.probings[0].force
+        touched = -force / max(float(np.linalg.norm(force)), 1e-300)
+    return best_direction(seen, touched)
+
+
+def length_colours(moved: Vertices) -> tuple[Colours, PointScalars, float]:
+    """Colours of vertices by how far they move, their lengths [mm], and the end of the scale.
+
+    Parameters
+    ----------
+    moved : (v, 3) float [m]
+
+    Returns
+    -------
+    (v, 3) uint8; (v,) float [mm]; float [mm]
+    """
+    length = 1e3 * np.linalg.norm(moved, axis=1)
+    top = max(float(length.max()), 1e-6)
+    return colours_of(length, top, "viridis"), length, top

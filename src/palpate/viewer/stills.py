@@ -1,0 +1,264 @@
+"""The object as a picture, or as a film that turns it, without a browser or a display."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
+from PIL import Image
+
+from palpate.disk import placed
+from palpate.errors import InputError, RecordError
+from palpate.figures import (
+    GREY,
+    HELD,
+    INK,
+    LENGTHS,
+    ORANGE,
+    figure_pixels,
+    make_view,
+    projected,
+    styled,
+)
+from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
+from palpate.pipeline import FittedProbing
+from palpate.progress import Progress, silent
+from palpate.shapes import Vector3
+from palpate.viewer.colours import MEASURED, PREDICTED, ColouredField, coloured_field, colours_of
+from palpate.viewer.stage import direction_of
+from palpate.viewer.subject import Subject, shown_probings
+
+# Pictures of one turn, and seconds of a picture.
+_VIEWS, _PACE = 72, 0.06
+# Of the object's size: how far the largest displacement is drawn, the arrow, half a picture.
+_SHOWN, _ARROW, _REACH = 0.06, 0.22, 0.6
+_CLAY = "#d4d7db"
+# A codec that browsers play, and one that every OpenCV has.
+_CODECS = ("vp09", "mp4v")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """What every view shows of one probing."""
+
+    subject: Subject
+    probing: FittedProbing | None
+    field: ColouredField | None
+    stretch: float
+
+    @property
+    def surface(self) -> np.ndarray | None:
+        """Displacement of the vertices, where the model gives it."""
+        return None if self.probing is None else self.probing.surface
+
+
+def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) -> None:
+    """Write a picture of an object: moved as the fitted model says, or with what was measured.
+
+    Parameters
+    ----------
+    subject : Subject
+    path : Path                     .png or .jpg; a file of that name is replaced
+    probe : str or None             probing that is shown; None: the first
+
+    Raises
+    ------
+    InputError                      another kind of file, no such probing
+    RecordError                     it cannot be written
+    """
+    _check_kind(path, (".png", ".jpg", ".jpeg"))
+    shown = _shown(subject, probe)
+    pixels = _pixels(shown, direction_of(subject))
+    with placed([path]) as (partial,):
+        form = "PNG" if path.suffix.lower() == ".png" else "JPEG"
+        Image.fromarray(pixels).save(partial, form)
+
+
+def write_turntable(
+    subject: Subject, path: Path, *, probe: str | None = None, progress: Progress = silent
+) -> None:
+    """Write a film in which the object turns once about the vertical.
+
+    Parameters
+    ----------
+    subject : Subject
+    path : Path                     .mp4 or .gif; a file of that name is replaced
+    probe : str or None             probing that is shown; None: the first
+    progress : callable             told what is done (text) and how far it is (0 to 1)
+
+    Raises
+    ------
+    InputError                      another kind of file, no such probing
+    RecordError                     it cannot be written
+    """
+    _check_kind(path, (".mp4", ".gif"))
+    shown = _shown(subject, probe)
+    start = direction_of(subject)
+    views = []
+    for number in range(_VIEWS):
+        progress("turntable", number / _VIEWS)
+        views.append(_pixels(shown, _turned(start, 2 * np.pi * number / _VIEWS)))
+    with placed([path]) as (partial,):
+        write: Callable[[Path, list[np.ndarray]], None]
+        write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+        write(partial, views)
+
+
+def _check_kind(path: Path, kinds: tuple[str, ...]) -> None:
+    if path.suffix.lower() not in kinds:
+        raise InputError(f"{path}: must end in {' or '.join(kinds)}")
+
+
+def _shown(subject: Subject, probe: str | None) -> _Shown:
+    probings = shown_probings(subject)
+    names = [one.name for one in probings]
+    if probe is not None and probe not in names:
+        raise InputError(f"there is no probing '{probe}'; there are: {', '.join(names) or 'none'}")
+    if not probings:
+        return _Shown(subject, None, None, 1.0)
+    one = probings[names.index(probe) if probe else 0]
+    field = coloured_field(one, MEASURED if one.surface is None else PREDICTED)
+    moved = field.moved if one.surface is None and field else one.surface
+    largest = 0.0 if moved is None else float(np.linalg.norm(moved, axis=1).max())
+    if one.surface is not None and field is not None:
+        # Under the tool it is far more than elsewhere: the scale ends at half of that.
+        field = replace(field, top=0.5e3 * largest)
+    size = bounding_diagonal(subject.session.mesh)
+    return _Shown(subject, one, field, _SHOWN * size / largest if largest else 1.0)
+
+
+@styled
+def _pixels(shown: _Shown, direction: Vector3) -> np.ndarray:
+    """One view."""
+    mesh = shown.subject.session.mesh
+    moved = np.zeros_like(mesh.vertices) if shown.surface is None else shown.surface
+    drawn = TriangleMesh(mesh.vertices + shown.stretch * moved, mesh.triangles)
+    figure = Figure(figsize=(5.6, 5.2))
+    axes = figure.add_axes((0.02, 0.12, 0.96, 0.8))
+    axes.set_axis_off()
+    _surface(axes, shown, drawn, direction)
+    if shown.probing is not None:
+        _force(axes, shown.probing, drawn, direction)
+    reach = 1e3 * _REACH * bounding_diagonal(mesh)
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    middle = 1e3 * projected(make_view(mesh, direction), middle)
+    axes.set(
+        xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - reach, middle[1] + reach),
+        aspect="equal",
+    )  # fmt: skip
+    _texts(figure, shown)
+    return figure_pixels(figure)[..., :3]
+
+
+def _surface(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
+    """Shaded triangles, coloured by the model's displacement; or clay with measured points."""
+    view = make_view(drawn, direction)
+    light = (0.62 + 0.38 * view.brightness)[:, None]
+    colours = np.tile(np.array(to_rgb(_CLAY)), (len(view.triangle), 1))
+    field = shown.field
+    if shown.surface is not None and field is not None:
+        length = 1e3 * np.linalg.norm(shown.surface, axis=1)
+        of_faces = length[drawn.triangles[view.triangle]].mean(axis=1)
+        colours = colours_of(of_faces, field.top, LENGTHS) / 255
+    colours[np.isin(view.triangle, shown.subject.session.held_triangles)] = to_rgb(HELD)
+    polygons = cast(Any, 1e3 * view.polygons)
+    axes.add_collection(
+        PolyCollection(polygons, facecolors=colours * light, edgecolors=INK, linewidths=0.12)
+    )
+    if shown.surface is None and field is not None:
+        _points(axes, shown, drawn, direction)
+
+
+def _points(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
+    """Measured points on the near side."""
+    field, view, mesh = shown.field, make_view(drawn, direction), shown.subject.session.mesh
+    if field is None:
+        return
+    normals = unit_normals(mesh)[closest_points(mesh, field.points).triangle]
+    near = normals @ direction > 0.05
+    place = 1e3 * projected(view, field.points + shown.stretch * field.moved)
+    rest = 1e3 * projected(view, field.points)
+    ways = np.stack([rest[near, :2], place[near, :2]], axis=1)
+    axes.add_collection(LineCollection(cast(Any, ways), colors=GREY, linewidths=0.5))
+    axes.scatter(
+        place[near, 0], place[near, 1], c=field.values[near], cmap=field.cmap, s=9.0, zorder=3,
+        norm=Normalize(0.0, field.top), edgecolors=INK, linewidths=0.15,
+    )  # fmt: skip
+
+
+def _force(axes: Axes, one: FittedProbing, drawn: TriangleMesh, direction: Vector3) -> None:
+    """The arrow of the force with its newtons; pale where the object hides its tip."""
+    newtons = float(np.linalg.norm(one.force))
+    if not newtons:
+        return
+    view, size = make_view(drawn, direction), bounding_diagonal(drawn)
+    tip = 1e3 * projected(view, one.contact)
+    tail = tip - 1e3 * _ARROW * size * projected(view, one.force / newtons)
+    hidden = float(one.force @ direction) > 0.0
+    style = {"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate(
+        "", xy=tuple(tip[:2]), xytext=tuple(tail[:2]), arrowprops=style,
+        zorder=-1 if hidden else 5, annotation_clip=False,
+    )  # fmt: skip
+    axes.annotate(
+        f"{newtons:.3g} N", tuple(tail[:2]), (4, 2), textcoords="offset points", zorder=6,
+        path_effects=[Stroke(linewidth=2.0, foreground="white"), Normal()],
+    )  # fmt: skip
+
+
+def _texts(figure: Figure, shown: _Shown) -> None:
+    """Name, constants, scale."""
+    subject, field = shown.subject, shown.field
+    name = subject.session.name + (f": {shown.probing.name}" if shown.probing else "")
+    figure.text(0.5, 0.975, name, ha="center", va="top", weight="bold", parse_math=False)
+    if field is None:
+        return
+    axes = figure.add_axes((0.3, 0.075, 0.4, 0.016))
+    scale = ScalarMappable(Normalize(0.0, field.top), field.cmap)
+    bar = figure.colorbar(scale, cax=axes, orientation="horizontal", extend="max")
+    what = "as the fitted model says" if shown.surface is not None else "measured"
+    bar.set_label(f"displacement in mm, {what}; drawn {shown.stretch:.2g} times", labelpad=2)
+    bar.outline.set_linewidth(0.4)
+
+
+def _turned(direction: Vector3, angle: float) -> Vector3:
+    """A direction turned about the vertical."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y, z = direction
+    return np.array([cos * x - sin * y, sin * x + cos * y, z])
+
+
+def _write_gif(path: Path, views: list[np.ndarray]) -> None:
+    """A film for every page, of 255 colours a picture."""
+    pictures = [Image.fromarray(view).quantize(255) for view in views]
+    pictures[0].save(
+        path, "GIF", save_all=True, append_images=pictures[1:], duration=round(1e3 * _PACE), loop=0
+    )
+
+
+def _write_mp4(path: Path, views: list[np.ndarray]) -> None:
+    """A film for players."""
+    rows, columns = (2 * (n // 2) for n in views[0].shape[:2])
+    # OpenCV takes the kind of film from the name.
+    film_path = path.with_name(path.name + ".mp4")
+    try:
+        for codec in _CODECS:
+            code = cv2.VideoWriter.fourcc(*codec)
+            film = cv2.VideoWriter(str(film_path), code, 1.0 / _PACE, (columns, rows))
+            if film.isOpened():
+                for view in views:
+                    film.write(np.ascontiguousarray(view[:rows, :columns, ::-1]))
+                film.release()
+                film_path.replace(path)
+                return
+        raise RecordError(f"{path}: this OpenCV writes no film; choose a name that ends in .gif")
+    finally:
+        film_path.unlink(missing_ok=True)

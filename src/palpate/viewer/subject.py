@@ -1,0 +1,152 @@
+"""What is looked at: a session, or a result of `palpate fit` with its session."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from palpate.errors import RecordError
+from palpate.estimation import FitResult, PredictedProbing
+from palpate.pipeline import (
+    SURFACE_FILE,
+    FittedProbing,
+    FittedSurface,
+    read_fitted_surface,
+    with_kept_motion,
+)
+from palpate.records import Estimate, Probing, Rig, Session, read_rig, read_session
+from palpate.simulation import read_fit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """An object with its probings, and what a fit found of it, if there was one.
+
+    Attributes
+    ----------
+    session : Session               with the displacements that were measured, as far as known
+    estimate : Estimate or None
+    surface : FittedSurface or None
+    rig : Rig or None               its cameras, where it has pictures
+    """
+
+    session: Session
+    estimate: Estimate | None
+    surface: FittedSurface | None
+    rig: Rig | None
+
+
+def read_subject(path: Path, session: Path | None = None) -> Subject:
+    """Read what is to be looked at.
+
+    Parameters
+    ----------
+    path : Path                     a session's folder or file, or a result folder of `palpate fit`
+    session : Path or None          where the session of a result is now; None: where it was
+
+    Returns
+    -------
+    Subject
+
+    Raises
+    ------
+    RecordError                     neither of both; a damaged result; one whose session has another
+                                    mesh by now
+    """
+    if not (path / SURFACE_FILE).is_file() and not (path / "estimate.json").is_file():
+        found = read_session(path)
+        return Subject(found, None, None, _rig(found))
+    source, surface = read_fit(path, session), read_fitted_surface(path)
+    found = source.session
+    same = np.array_equal(found.mesh.vertices, surface.vertices)
+    if not same or not np.array_equal(found.mesh.triangles, surface.triangles):
+        raise RecordError(
+            f"{path}: was fitted to another mesh than {found.path} names now; fit the session again"
+        )
+    found = with_kept_motion(found, path) or found
+    return Subject(found, source.estimate, surface, _rig(found))
+
+
+def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
+    """Every probing with what is known of it; NaN where nothing is.
+
+    Parameters
+    ----------
+    subject : Subject
+
+    Returns
+    -------
+    tuple of FittedProbing          in the session's order
+    """
+    fitted = {one.name: one for one in subject.surface.probings} if subject.surface else {}
+    return tuple(
+        fitted.get(one.name) or _measured(one, subject.session) for one in subject.session.probings
+    )
+
+
+def fitted_probings(session: Session, result: FitResult) -> tuple[FittedProbing, ...]:
+    """Every probing with what a fit found of it.
+
+    Parameters
+    ----------
+    session : Session               that was fitted
+    result : FitResult
+
+    Returns
+    -------
+    tuple of FittedProbing
+    """
+    found = []
+    for probing, fit in zip(session.probings, result.probes, strict=True):
+        plain = _measured(probing, session)
+        sigma = plain.sigma if fit.sigma is None else fit.sigma
+        found.append(
+            replace(
+                plain, predicted=fit.predicted, left_out=fit.left_out_predicted, sigma=sigma,
+                weight=fit.weight, surface=fit.surface,
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def with_prediction(shown: FittedProbing, predicted: PredictedProbing) -> FittedProbing:
+    """A probing as the model predicts it at other constants.
+
+    Parameters
+    ----------
+    shown : FittedProbing
+    predicted : PredictedProbing    of this probing; its mesh may have more vertices behind those
+                                    of the session
+
+    Returns
+    -------
+    FittedProbing
+    """
+    surface = predicted.surface
+    if surface is not None and shown.surface is not None:
+        surface = surface[: len(shown.surface)]
+    return replace(shown, predicted=predicted.predicted, surface=surface)
+
+
+def _measured(probing: Probing, session: Session) -> FittedProbing:
+    """A probing of which nothing but the measurement is known."""
+    field = probing.displacement
+    points = np.zeros((0, 3)) if field is None else field.points
+    unknown = np.full(points.shape, np.nan)
+    std = None if field is None else field.std
+    return FittedProbing(
+        name=probing.name,
+        contact=probing.contact.point,
+        force=probing.force,
+        points=points,
+        displacement=unknown if field is None else field.displacement,
+        predicted=unknown,
+        left_out=None,
+        sigma=unknown if std is None else std,
+        weight=np.ones(points.shape),
+        surface=None,
+    )
+
+
+def _rig(session: Session) -> Rig | None:
+    return None if session.rig is None else read_rig(session.rig)

@@ -1,0 +1,179 @@
+"""A ball pressed into the object where somebody points: its force, and how the surface moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, closest_points, unit_normals
+from palpate.shapes import Vector3, Vertices
+from palpate.simulation import (
+    ContactState,
+    GreenFunctions,
+    PlacedTool,
+    Sphere,
+    force_deviation,
+    start_contact,
+    surface_displacement,
+    touch,
+)
+
+# Of its radius: the ball starts so far off, and goes at most so far in a step.
+_OFF, _STEP = 1e-3, 0.02
+# Fewer vertices than these do not resolve a contact.
+FEW_VERTICES = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pressed:
+    """A ball on the object.
+
+    Attributes
+    ----------
+    point : (3,) float [m]          of the surface at rest that was pointed at
+    normal : (3,) float             outward unit normal there
+    depth : float [m]               of the ball below that point
+    state : ContactState
+    moved : (v, 3) float [m]        displacement of all vertices
+    force : (3,) float [N]          of the ball on the object
+    sigma : float [N]               1 sigma of its length, as far as the constants go
+    """
+
+    point: Vector3
+    normal: Vector3
+    depth: float
+    state: ContactState
+    moved: Vertices
+    force: Vector3
+    sigma: float
+
+    @property
+    def centre(self) -> Vector3:
+        """Of the ball [m]."""
+        return self.state.tools[0].place
+
+    @property
+    def touching(self) -> int:
+        """Vertices that the ball touches."""
+        return len(self.state.touching)
+
+
+def put_ball(green: GreenFunctions, point: Vector3, radius: float) -> Pressed:
+    """Bring a ball next to a point of the surface, where it does not touch yet.
+
+    Parameters
+    ----------
+    green : GreenFunctions
+    point : (3,) float [m]          the nearest place of the surface counts
+    radius : float [m]              of the ball
+
+    Returns
+    -------
+    Pressed
+
+    Raises
+    ------
+    InputError                      a place that is held, or whose Green's functions are not known;
+                                    one where the ball would be inside the object
+    """
+    place = closest_points(green.mesh, point[None])
+    corners = green.mesh.triangles[place.triangle[0]]
+    if not np.isin(corners, green.nodes).any():
+        held = np.isin(corners, green.mesh.triangles[green.held_triangles]).all()
+        why = "it is held there" if held else "only the part about the contacts is prepared"
+        raise InputError(f"the object cannot be pressed there: {why}; choose another place")
+    normal = unit_normals(green.mesh)[place.triangle[0]]
+    where = place.position[0]
+    ball = PlacedTool(Sphere(radius), where + (1.0 + _OFF) * radius * normal)
+    state = start_contact(green, [ball])
+    none = np.zeros_like(green.mesh.vertices)
+    return Pressed(where, normal, -_OFF * radius, state, none, np.zeros(3), 0.0)
+
+
+def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
+    """Move the ball along the normal to another depth, in small steps.
+
+    Parameters
+    ----------
+    green : GreenFunctions
+    before : Pressed
+    depth : float [m]
+
+    Returns
+    -------
+    Pressed
+
+    Raises
+    ------
+    NotConvergedError               the contact does not settle
+    """
+    ball = before.state.tools[0].tool
+    steps = max(1, int(np.ceil(abs(depth - before.depth) / (_STEP * ball.reach))))
+    state = before.state
+    for at in np.linspace(before.depth, depth, steps + 1)[1:]:
+        place = before.point + (ball.reach - at) * before.normal
+        state = touch(green, [PlacedTool(ball, place)], state)
+    force = -state.on_tool[0]
+    length = float(np.linalg.norm(force))
+    along = force / length if length else np.zeros(3)
+    variance = float(along @ force_deviation(green, state)[0] @ along)
+    moved = surface_displacement(green, state)
+    return Pressed(
+        before.point, before.normal, depth, state, moved, force, float(np.sqrt(max(variance, 0.0)))
+    )
+
+
+def force_text(pressed: Pressed) -> str:
+    """The force in words, with what its reader should know.
+
+    Parameters
+    ----------
+    pressed : Pressed
+
+    Returns
+    -------
+    str                             a line or two of Markdown
+    """
+    length = float(np.linalg.norm(pressed.force))
+    doubt = f" \N{PLUS-MINUS SIGN} {pressed.sigma:.2g}" if pressed.sigma else ""
+    text = f"**{length:.3g}{doubt} N** at {1e3 * pressed.depth:.2f} mm"
+    if 0 < pressed.touching < FEW_VERTICES:
+        text += (
+            f"\n\nThe ball touches {pressed.touching} of the mesh's vertices: too few for a force"
+            " that can be trusted. Take a larger ball, or a finer mesh."
+        )
+    return text
+
+
+def place_on_ray(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vector3 | None:
+    """The first place of a surface that a ray meets from outside.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    origin : (3,) float [m]
+    direction : (3,) float          of any length
+
+    Returns
+    -------
+    (3,) float [m], or None where it meets none
+
+    Source
+    ------
+    Moeller and Trumbore, J. Graphics Tools 2 (1997) 21
+    """
+    first, second, third = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
+    side, other = second - first, third - first
+    across = np.cross(direction, other)
+    scale = np.einsum("ma,ma->m", side, across)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = origin - first
+        u = np.einsum("ma,ma->m", offset, across) / scale
+        turned = np.cross(offset, side)
+        v = turned @ direction / scale
+        far = np.einsum("ma,ma->m", other, turned) / scale
+        # Seen from outside: the ray goes against the normal.
+        met = (scale > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (far > 0.0)
+    if not met.any():
+        return None
+    return np.asarray(origin + far[met].min() * direction)

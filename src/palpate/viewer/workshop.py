@@ -1,0 +1,145 @@
+"""What is computed while people look: the fit's model and Green's functions, once for all tabs."""
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from palpate.errors import PalpateError
+from palpate.estimation import FitResult
+from palpate.pipeline import FittedProbing, fit_session
+from palpate.records import Session
+from palpate.simulation import (
+    GreenFunctions,
+    Material,
+    estimated_material,
+    exact_material,
+    make_green_functions,
+    nearest_nodes,
+)
+from palpate.viewer.subject import Subject, fitted_probings, shown_probings
+
+# Green's functions that a laptop holds and computes in a few seconds [bytes].
+_LARGEST_GREEN = 3e8
+# Where nothing was fitted: something soft.
+ASSUMED = exact_material(20e3, 0.3)
+
+
+class Workshop:
+    """The work behind the pictures, in a thread of its own.
+
+    What is not ready yet is None; `on_change` tells when that changes.
+
+    Parameters
+    ----------
+    subject : Subject
+    cache : Path or None            folder that keeps the surface integrals
+    """
+
+    def __init__(self, subject: Subject, cache: Path | None) -> None:
+        self.subject = subject
+        self.cache = cache
+        self.probings: tuple[FittedProbing, ...] = shown_probings(subject)
+        self.fitted: FitResult | None = None
+        self.green: GreenFunctions | None = None
+        self.assumed = subject.estimate is None
+        self.model_text = "starting"
+        self.touch_text = "after the model"
+        self._watchers: list[Callable[[], None]] = []
+        self._thread = threading.Thread(target=self._work, daemon=True)
+
+    def start(self) -> None:
+        """Begin the work."""
+        self._thread.start()
+
+    def on_change(self, watcher: Callable[[], None]) -> Callable[[], None]:
+        """Have a function called whenever something is ready.
+
+        Parameters
+        ----------
+        watcher : callable
+
+        Returns
+        -------
+        callable                    that ends this
+        """
+        self._watchers.append(watcher)
+
+        def end() -> None:
+            with suppress(ValueError):
+                self._watchers.remove(watcher)
+
+        return end
+
+    def _changed(self) -> None:
+        for watcher in tuple(self._watchers):
+            watcher()
+
+    def _work(self) -> None:
+        session = self.subject.session
+        if session.probings and all(one.displacement is not None for one in session.probings):
+            self._fit(session)
+        else:
+            self.model_text = (
+                "nothing is measured yet in some probing; `palpate fit` measures the pictures,"
+                " then look at its result"
+            )
+        self._changed()
+        self._prepare_touch(session)
+        self._changed()
+
+    def _fit(self, session: Session) -> None:
+        """Fit, for the model that the sliders ask."""
+
+        def say(text: str, share: float) -> None:
+            self.model_text = f"{text}, {share:.0%}"
+            self._changed()
+
+        try:
+            fitted = fit_session(session, cache=self.cache, progress=say)
+        except PalpateError as error:
+            self.model_text = f"the session cannot be fitted: {error}"
+            return
+        if self.subject.surface is None:
+            self.probings = fitted_probings(session, fitted)
+        self.model_text, self.fitted = "", fitted
+
+    def _prepare_touch(self, session: Session) -> None:
+        """Green's functions of what may be touched."""
+        material = self._material()
+        self.touch_text = "preparing the surface"
+        self._changed()
+        try:
+            self.green = make_green_functions(
+                session, material, nodes=_touchable(session), cache=self.cache
+            )
+            self.touch_text = ""
+        except PalpateError as error:
+            self.touch_text = f"the object cannot be touched: {error}"
+
+    def _material(self) -> Material:
+        """That of the estimate; something soft where there is none."""
+        estimate = self.subject.estimate or (self.fitted.estimate if self.fitted else None)
+        if estimate is not None:
+            with suppress(PalpateError):
+                material = estimated_material(estimate)
+                self.assumed = False
+                return material
+        self.assumed = True
+        return ASSUMED
+
+
+def _touchable(session: Session) -> np.ndarray | None:
+    """Vertices about the contacts, as many as a laptop can take; None: all that are free."""
+    count = len(session.mesh.vertices)
+    nodes = count
+    while 72.0 * nodes * (count + 4 * nodes) > _LARGEST_GREEN:
+        nodes = int(0.9 * nodes)
+    if nodes == count:
+        return None
+    points = np.array([one.contact.point for one in session.probings])
+    if not len(points):
+        points = session.mesh.vertices[session.mesh.vertices[:, 2].argmax()][None]
+    return nearest_nodes(session, points, nodes)

@@ -1,0 +1,58 @@
+"""A wheel holds all that the program reads of itself, and nothing else."""
+
+import subprocess
+import sys
+import zipfile
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# More, and something is in it that belongs beside it.
+MOST_BYTES = 1_500_000
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
+        cwd=ROOT, check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    (found,) = folder.glob("*.whl")
+    with zipfile.ZipFile(found) as opened:
+        yield found, opened
+
+
+def test_every_file_of_the_source_is_in_it(wheel):
+    _, opened = wheel
+    source = ROOT / "src"
+    kept = {
+        path.relative_to(source).as_posix()
+        for path in (source / "palpate").rglob("*")
+        if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc")
+    }
+    inside = {name for name in opened.namelist() if ".dist-info/" not in name}
+    assert inside == kept
+    # Templates and configurations, which no import would miss.
+    assert {Path(name).suffix for name in inside} >= {".py", ".html", ".js", ".css", ".toml"}
+    assert "palpate/py.typed" in inside
+
+
+def test_it_is_small(wheel):
+    path, _ = wheel
+    assert path.stat().st_size < MOST_BYTES
+
+
+def test_what_it_says_of_itself(wheel):
+    _, opened = wheel
+    (name,) = [name for name in opened.namelist() if name.endswith("/METADATA")]
+    said = Parser().parsestr(opened.read(name).decode())
+    needed = [line for line in said.get_all("Requires-Dist") if "extra ==" not in line]
+    heavy = ("viser", "mitsuba", "mujoco", "libigl", "meshio", "playwright", "sphinx", "pytest")
+    assert [line for line in needed if line.startswith(heavy)] == []
+    assert set(said.get_all("Provides-Extra")) == {"fem", "lab", "mesh", "surface", "view"}
+    assert said["License-Expression"] == "BSD-3-Clause"
+    points = opened.read(name.replace("METADATA", "entry_points.txt")).decode()
+    assert "palpate = palpate.app.cli:main" in points

@@ -1,0 +1,54 @@
+"""A cube with Green's functions, and one viewer that all browser tests share."""
+
+import shutil
+
+import pytest
+from browser_help import until
+from cube_green import green as green, session as session
+from cube_session import cube_session as cube_session, write_cube_session
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chrome")
+# Software draws: no graphics card, no display.
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+@pytest.fixture(scope="session")
+def viewer(tmp_path_factory):
+    """A running viewer of the cube, its model and Green's functions ready."""
+    pytest.importorskip("viser", reason="needs viser, the extra `view`, which is not installed")
+    from palpate.viewer import Viewer, read_subject  # noqa: PLC0415
+
+    folder = write_cube_session(tmp_path_factory.mktemp("viewer") / "cube")
+    running = Viewer(read_subject(folder))
+    yield running
+    running.stop()
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium."""
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="needs playwright to drive a browser, which is not installed"
+    )
+    if CHROMIUM is None:
+        pytest.skip("needs a Chromium browser, which is not installed")
+    with sync_api.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="session")
+def page(browser, viewer):
+    """A tab that shows the cube, and the addresses that it asked for, as `page.asked`."""
+    before = set(viewer.tabs)
+    found = browser.new_page(viewport={"width": 800, "height": 500})
+    found.asked = []
+    found.on("request", lambda request: found.asked.append(request.url))
+    found.goto(viewer.address)
+    until(lambda: set(viewer.tabs) - before)
+    found.number = max(viewer.tabs)
+    found.wait_for_selector("canvas")
+    until(lambda: viewer.workshop.green is not None)
+    yield found
+    found.close()

@@ -1,0 +1,86 @@
+"""The viewer in a real browser without a display."""
+
+import io
+
+import numpy as np
+import pytest
+from browser_help import until
+from PIL import Image
+
+pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
+
+
+def canvas(page):
+    """What the page shows of the object: the middle, as pixels."""
+    shot = page.screenshot(clip={"x": 250, "y": 100, "width": 200, "height": 300})
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), dtype=float)
+
+
+def changed(page, before):
+    """Whether the picture is another one by now."""
+    return np.abs(canvas(page) - before).mean() > 2.0
+
+
+def drawn(page):
+    """Whether something stands before the white ground."""
+    return (canvas(page).min(axis=2) < 200).mean() > 0.02
+
+
+def test_the_mesh_is_there_and_no_other_host_is_asked(page, viewer):
+    until(lambda: drawn(page))
+    hosts = {address.removeprefix("blob:") for address in page.asked}
+    assert all(one.startswith((viewer.address, "data:")) for one in hosts), hosts
+
+
+def test_a_click_presses_and_a_drag_presses_deeper(page, viewer):
+    tab = viewer.tabs[page.number]
+    until(lambda: drawn(page))
+    page.get_by_role("tab", name="Touch").click()
+    before = canvas(page)
+    page.mouse.click(400, 250)
+    until(lambda: tab.touching.pressed is not None and tab.touching.pressed.force.any())
+    first = tab.touching.pressed
+    page.get_by_text(f"{np.linalg.norm(first.force):.3g}").first.wait_for(timeout=10_000)
+    until(lambda: changed(page, before))
+    page.mouse.down()
+    for step in range(1, 8):
+        page.mouse.move(400 + 8 * step, 250)
+        page.wait_for_timeout(60)
+    page.mouse.up()
+    # More depth, more force: the drag's length is that of the ball's way.
+    until(lambda: tab.touching.pressed.depth > first.depth)
+    assert np.linalg.norm(tab.touching.pressed.force) > np.linalg.norm(first.force)
+
+
+def test_a_slider_asks_the_model(page, viewer):
+    tab = viewer.tabs[page.number]
+    page.get_by_role("tab", name="Material").click()
+    until(lambda: tab.material.modulus is not None)
+    before, was = float(tab.material.modulus.value), tab.material.text.content
+    assert "misfit 0.0" in was
+    thumb = page.get_by_role("slider").first
+    thumb.focus()
+    for _ in range(20):
+        page.keyboard.press("ArrowRight")
+    until(lambda: float(tab.material.modulus.value) > before)
+    until(lambda: tab.material.text.content != was)
+
+
+def test_two_tabs_do_not_disturb_each_other_and_a_closed_one_goes(page, viewer, browser):
+    others = set(viewer.tabs)
+    second = browser.new_page(viewport={"width": 800, "height": 500})
+    second.goto(viewer.address)
+    until(lambda: len(viewer.tabs) > len(others))
+    mine, theirs = viewer.tabs[page.number], viewer.tabs[max(viewer.tabs)]
+    until(lambda: drawn(page))
+    until(lambda: drawn(second))
+    before = mine.touching.pressed
+    page.mouse.click(390, 245)
+    until(lambda: mine.touching.pressed is not before)
+    assert theirs.touching.pressed is None
+    second.close()
+    until(lambda: set(viewer.tabs) == others)
+    # The server goes on for the other.
+    page.get_by_role("tab", name="Touch").click()
+    page.get_by_role("button", name="take the ball away").click()
+    until(lambda: mine.touching.pressed is None)
