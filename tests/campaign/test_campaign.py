@@ -1,0 +1,131 @@
+"""A campaign as a whole: on workers, interrupted, gone on with."""
+
+import csv
+import errno
+
+import pytest
+
+from palpate.campaign import Store, read_items, run_campaign
+from palpate.campaign.engine import Engine
+from palpate.disk import InUseError, placed
+from palpate.errors import InputError, RecordError
+from palpate.records import folder_changes
+from palpate.records.files import results
+
+
+@pytest.fixture
+def begun(monkeypatch):
+    """Works that were handed to workers, by kind and session."""
+    works, begin = [], Engine.begin
+
+    def seen(self, work):
+        works.append((work.kind, work.session.session))
+        begin(self, work)
+
+    monkeypatch.setattr(Engine, "begin", seen)
+    return works
+
+
+def _tree(folder):
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.suffix != ".sqlite"
+    }
+
+
+def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
+    items = read_items(cubes)
+    folder = tmp_path / "campaign"
+    rows = run_campaign(items, folder, scheduler=scheduler)
+    assert [(row.session, row.state) for row in rows] == [
+        ("bad", "failed"), ("c0", "done"), ("c1", "done"), ("c2", "done")
+    ]  # fmt: skip
+    assert f"{cubes}/bad/session.toml: format: is 'palpate-session/0'" in rows[0].message
+    assert len({row.young_modulus for row in rows}) == 4
+    with (folder / "table.csv").open() as file:
+        read = list(csv.DictReader(file))
+    assert [row["session"] for row in read] == [row.session for row in rows]
+    assert float(read[1]["young_modulus"]) == rows[1].young_modulus
+    kinds = {folder_changes(path)[:2] == ("fit", {}) for path in (folder / "results").iterdir()}
+    assert kinds == {True}
+
+    # What is done is not done again, even where the table is lost; what failed is tried again.
+    before, handed = _tree(folder), list(begun)
+    begun.clear()
+    (folder / "campaign.sqlite").unlink()
+    (cubes / "bad" / "session.toml").write_text((cubes / "c0" / "session.toml").read_text())
+    again = run_campaign(items, folder, scheduler=scheduler)
+    assert sorted(handed) == [("fit", f"{name}/session.toml") for name in ("bad", "c0", "c1", "c2")]
+    assert begun == [("fit", "bad/session.toml")]
+    assert [row.young_modulus for row in again[1:]] == [row.young_modulus for row in rows[1:]]
+    results = {name: text for name, text in _tree(folder).items() if name.parts[0] == "results"}
+    assert results == {name: text for name, text in before.items() if name.parts[0] == "results"}
+
+
+def test_two_sessions_of_the_same_content_are_one_piece_of_work(cubes, scheduler, tmp_path, begun):
+    listed = tmp_path / "list.txt"
+    other = tmp_path / "copy" / "c0"
+    other.mkdir(parents=True)
+    for file in (cubes / "c0").iterdir():
+        (other / file.name).write_bytes(file.read_bytes())
+    listed.write_text("cubes/c0\ncopy/c0, again\nnowhere\n")
+    rows = run_campaign(read_items(listed), tmp_path / "campaign", scheduler=scheduler)
+    assert len(begun) == 1
+    assert [row.state for row in rows] == ["done", "done", "failed"]
+    assert rows[0].address == rows[1].address != ""
+    assert "nowhere: no such file or folder" in rows[2].message
+
+
+def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, monkeypatch):
+    items, folder = read_items(cubes), tmp_path / "campaign"
+    kept = []
+
+    def stopped(self, work, package, keep=Store.keep):
+        keep(self, work, package)
+        kept.append(work.session.session)
+        # After the result is there and before its row is: the worst moment.
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Store, "keep", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            run_campaign(items, folder, scheduler=scheduler)
+    assert {row.state for row in Store(folder).rows()} <= {"waiting", "failed"}
+    begun.clear()
+    rows = run_campaign(items, folder, scheduler=scheduler)
+    assert [row.state for row in rows] == ["failed", "done", "done", "done"]
+    handed = {session for _, session in begun} - {"bad/session.toml"}
+    assert handed == {f"c{k}/session.toml" for k in range(3)} - {kept[0]}
+
+
+def test_only_one_process_works_on_a_campaign(cubes, tmp_path):
+    folder = tmp_path / "campaign"
+    folder.mkdir()
+    with placed([folder / "table.csv"]), pytest.raises(InUseError, match="is being written by"):
+        run_campaign(read_items(cubes), folder)
+
+
+def test_what_is_no_campaign_is_left_alone(cubes, tmp_path):
+    with pytest.raises(InputError, match="is there and no campaign"):
+        run_campaign(read_items(cubes), cubes)
+    with pytest.raises(RecordError, match=r"holds no campaign.sqlite"):
+        Store(tmp_path).rows()
+
+
+def test_a_disk_that_fills_ends_it(cubes, scheduler, tmp_path, monkeypatch):
+    items, folder = read_items(cubes), tmp_path / "campaign"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(results, "write_text", full)
+        with pytest.raises(RecordError) as raised:
+            run_campaign(items, folder, scheduler=scheduler)
+    assert "No space left on device" in str(raised.value)
+    assert "make room" in str(raised.value)
+    assert list((folder / "results").iterdir()) == []
+    (folder / "campaign.sqlite").write_bytes(b"cut off")
+    with pytest.raises(RecordError, match="which is made anew from the results"):
+        Store(folder).rows()
