@@ -91,8 +91,12 @@ def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, far: set[st
         markersize=4,
         transform=axes.get_xaxis_transform(),
     )
-    known = [value for row in rows if (value := getattr(row, name)) is not None]
-    if name != "poisson_ratio" and known and max(known) > _MANY_TIMES * min(known):
+    _set_scale(axes, [v for row in rows if (v := getattr(row, name)) is not None])
+
+
+def _set_scale(axes: Axes, values: Sequence[float]) -> None:
+    """Numbers at the side; ratios where the values differ by much."""
+    if values and 0.0 < _MANY_TIMES * min(values) < max(values):
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -127,4 +131,4 @@ def _mark_groups(upper: Axes, lower: Axes, rows: Sequence[Row]) -> None:
         names = [row.session for row in rows]
         lower.set_xticklabels(names, rotation=60, ha="right", fontsize=6.5, parse_math=False)
     else:
-        lower.set_xlabel("session, in the order of the list")
+        lower.set_xlabel("session, group by group")

@@ -191,8 +191,12 @@ class Store:
         """The table, for one change that is made whole or not at all."""
         path = self.folder / TABLE_FILE
         try:
-            with closing(sqlite3.connect(path, timeout=_PATIENCE)) as table, table:
-                yield table
+            with closing(sqlite3.connect(path, timeout=_PATIENCE)) as table:
+                # A crash of the whole machine may cost the table, which the results make again; to
+                # wait for the disk after every row would cost more time than the rest of it.
+                table.execute("PRAGMA synchronous = OFF")
+                with table:
+                    yield table
         except sqlite3.Error as error:
             raise RecordError(
                 f"{path}: cannot be read or written ({error}); what is there stays: make room and"

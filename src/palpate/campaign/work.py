@@ -29,7 +29,6 @@ from palpate.pipeline import (
     with_kept_motion,
     with_pictures_measured,
     write_fitted_surface,
-    write_residuals,
 )
 from palpate.records import (
     Session,
@@ -198,7 +197,7 @@ def _fit(work: Work, session: Session, result: Path, own: Path, bodies: Path | N
     notes = tuple(_as_at_home(note, work, own) for note in found.estimate.notes)
     # How long it took is no part of the result; the table has it.
     write_estimate(result / ESTIMATE_FILE, replace(found.estimate, notes=notes, seconds={}))
-    write_residuals(result, session, found)
+    # Holds the residuals too: few files are kept sooner than many.
     write_fitted_surface(result, session, found)
     if bodies is not None:
         _bound(sorted(bodies.glob("*.npz"), key=lambda file: file.stat().st_mtime))
