@@ -41,11 +41,14 @@ TASK = 2.0  # s, of a piece of work that the engine may cost 5 % of
 # A worker that notes every file it opens below the folder that the sessions lie in.
 WATCH = """
 import sys
+def noted(what):
+    with open({log!r}, "a") as file:
+        file.write(what + "\\n")
 def seen(event, given):
     if event == "open" and str(given[0]).startswith({home!r}):
-        with open({log!r}, "a") as file:
-            file.write(str(given[0]) + "\\n")
+        noted(str(given[0]))
 sys.addaudithook(seen)
+noted("watching")
 """
 
 
@@ -130,7 +133,7 @@ def _written(campaign: Path, address: str) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file() and path.name != "contents.txt"
+        if path.is_file() and path.suffix != ".txt"
     }
 
 
@@ -270,7 +273,8 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
         for name in ("w1", "w2"):
             stack.enter_context(_dask(["worker", scheduler, *_WORKER, str(watch)], folder / name))
         _palpate(["campaign", *words], folder).wait()
-    opened = len(seen.read_text().splitlines()) if seen.exists() else 0
+    noted = seen.read_text().splitlines()
+    watching = noted.count("watching")
     return [
         Figure(
             CAMPAIGN,
@@ -278,8 +282,9 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
             _missing(items, campaign),
             must=0.0,
             reach=0.0,
-            note=f"{len(items)} half balls; the workers, with a folder each, opened {opened} files"
-            f" where the sessions lie; the first run ended with code {first.returncode}: {told}",
+            note=f"{len(items)} half balls; {watching} workers, watched, opened"
+            f" {len(noted) - watching} files where the sessions lie; the first run ended with code"
+            f" {first.returncode}: {told.strip()}",
         )
     ]
 

@@ -66,6 +66,6 @@ def packed_cube(cube: Path) -> PackedSession:
 def scheduler() -> Iterator[str]:
     """Address of a scheduler with two workers, in this process."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
     ) as cluster:
         yield cluster.scheduler_address

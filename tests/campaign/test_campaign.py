@@ -9,7 +9,7 @@ from palpate.campaign import Store, read_items, run_campaign
 from palpate.campaign.engine import Engine
 from palpate.disk import InUseError, placed
 from palpate.errors import InputError, RecordError
-from palpate.records import folder_changes
+from palpate.records import verify_result
 from palpate.records.files import results
 
 
@@ -47,8 +47,11 @@ def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
         read = list(csv.DictReader(file))
     assert [row["session"] for row in read] == [row.session for row in rows]
     assert float(read[1]["young_modulus"]) == rows[1].young_modulus
-    kinds = {folder_changes(path)[:2] == ("fit", {}) for path in (folder / "results").iterdir()}
-    assert kinds == {True}
+    results = sorted((folder / "results").iterdir())
+    found = [one for path in results for one in verify_result(path)]
+    # Estimate, surface and list of inputs; session, mesh and displacements.
+    assert len(found) == 3 * (3 + 3)
+    assert all(one.is_whole for one in found)
 
     # What is done is not done again, even where the table is lost; what failed is tried again.
     before, handed = _tree(folder), list(begun)

@@ -26,7 +26,7 @@ def test_a_scheduler_without_workers(monkeypatch):
     monkeypatch.setattr(engine_file, "_WORKER", 0.2)
     with (
         distributed.LocalCluster(
-            n_workers=0, processes=False, protocol="tcp", dashboard_address=None
+            n_workers=0, processes=False, protocol="tcp", dashboard_address=":0"
         ) as cluster,
         pytest.raises(InputError, match=r"has no workers after 0.2 s; start some with `dask"),
         started_engine(cluster.scheduler_address, None),
@@ -117,3 +117,22 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
 def _threads():
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
     return (*(os.environ.get(name) for name in names), numba.get_num_threads())
+
+
+class _Gone:
+    """A client whose scheduler has gone."""
+
+    status = "closed"
+
+    def nthreads(self):
+        raise OSError("connection closed")
+
+
+def test_a_scheduler_that_goes_away_is_said(packed_cube):
+    workers = Engine(_Gone(), "tcp://there", distributed)
+    said = "the scheduler at tcp://there does not answer any more; all results that had come are"
+    with pytest.raises(InputError, match=said):
+        assert workers.threads
+    with pytest.raises(InputError, match=said):
+        workers.begin(Work("fit", packed_cube, FitOptions()))
+    assert not workers.is_busy

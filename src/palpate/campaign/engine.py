@@ -69,7 +69,10 @@ class Engine:
     @property
     def threads(self) -> int:
         """Pieces of work that can be done at a time."""
-        return sum(self.client.nthreads().values())
+        try:
+            return sum(self.client.nthreads().values())
+        except OSError as error:
+            raise self._gone() from error
 
     def begin(self, work: Work) -> None:
         """Have a piece of work done.
@@ -77,7 +80,13 @@ class Engine:
         Parameters
         ----------
         work : Work
+
+        Raises
+        ------
+        InputError                  the scheduler has gone
         """
+        if self.client.status not in ("running", "connecting"):
+            raise self._gone()
         # A key of its own: another client that has the same work done must not be mixed up with us.
         future = self.client.submit(_on_worker, work, pure=False)
         self._begun[future] = work
@@ -193,7 +202,7 @@ def _local(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
     with (
         library.LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, memory_limit=share,
-            dashboard_address=None, local_directory=folder, silence_logs=50,
+            dashboard_address="127.0.0.1:0", local_directory=folder, silence_logs=50,
         ) as cluster,
         library.Client(cluster, set_as_default=False) as client,
     ):  # fmt: skip

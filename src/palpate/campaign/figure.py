@@ -128,7 +128,7 @@ def _mark_groups(upper: Axes, lower: Axes, rows: Sequence[Row]) -> None:
     lower.set_xlim(-0.8, len(rows) - 0.2)
     if len(rows) <= _MOST_NAMES:
         lower.set_xticks(range(len(rows)))
-        names = [row.session for row in rows]
+        names = [row.session.removeprefix(f"{row.group}/") for row in rows]
         lower.set_xticklabels(names, rotation=60, ha="right", fontsize=6.5, parse_math=False)
     else:
         lower.set_xlabel("session, group by group")

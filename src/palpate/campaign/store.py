@@ -1,5 +1,6 @@
 """A campaign's folder: a table in SQLite, and every result under the digest of what it rests on."""
 
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -16,7 +17,15 @@ from palpate.disk import write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
 from palpate.pipeline import MOTION_FILE
-from palpate.records import disk_errors, folder_changes, read_estimate, result_folder
+from palpate.records import (
+    INPUTS_FILE,
+    disk_errors,
+    folder_changes,
+    read_estimate,
+    result_folder,
+    sums_text,
+    write_text,
+)
 
 TABLE_FILE, TABLE_TEXT = "campaign.sqlite", "table.csv"
 _RESULTS, _MOTIONS = "results", "motions"
@@ -160,6 +169,12 @@ class Store:
             for name, content in package.files.items():
                 (folder / name).parent.mkdir(exist_ok=True)
                 (folder / name).write_bytes(content)
+            # As they were when they were packed, whatever has become of them since.
+            here = {
+                Path(os.path.relpath(Path(work.session.root) / name, folder)).as_posix(): value
+                for name, value in work.session.package.sums.items()
+            }
+            write_text(folder / INPUTS_FILE, sums_text(here))
 
     def row_of(self, item: CampaignItem, work: Work | None, outcome: Outcome | None) -> Row:
         """The row of a session whose fit has ended.

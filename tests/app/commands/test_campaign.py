@@ -38,7 +38,7 @@ def test_status_counts_and_names(palpate, campaign):
     code, out, err = palpate("campaign", "status", campaign)
     assert code == 0
     assert err == "palpate: note: lost: lost/session.toml: cannot be read\n"
-    assert "Outlier: part 9 (Young modulus)" in out
+    assert "Outlier: part 9 (Young's modulus)" in out
     lines = [line.split() for line in out.splitlines()]
     assert ["a", "10", "10", "0", "0"] in [line[:5] for line in lines]
     assert ["all", "21", "20", "1", "0"] in [line[:5] for line in lines]

@@ -32,6 +32,7 @@ from palpate.figures import save_figure
 from palpate.records import disk_errors, modulus_unit
 
 _NOT_OK = 3
+_WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
 # A message in a table is for knowing what it is about; the files have all of it.
 _MOST_LETTERS = 160
 
@@ -195,8 +196,7 @@ def _print_summary(rows: Sequence[Row]) -> None:
     failed = [f"{row.session}: {_short(row.message)}" for row in rows if row.state == FAILED]
     print_notes(failed)
     for session, names in outliers(rows).items():
-        words = " and ".join(name.replace("_", " ") for name in names)
-        print_text(f"Outlier: {session} ({words.replace('young modulus', 'Young modulus')})")
+        print_text(f"Outlier: {session} ({' and '.join(_WORDS[name] for name in names)})")
 
 
 def _line(group: str, rows: Sequence[Row], factor: float) -> tuple[str, ...]:
