@@ -13,7 +13,8 @@ pivoting.
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import get_blas_funcs, get_lapack_funcs
+from scipy.linalg.blas import dtrsm
+from scipy.linalg.lapack import dgetrf, dlaswp
 
 # Unknowns up to which LAPACK's own is used; it is safe with one thread, and from 2 on up to 21 800.
 LARGEST_WHOLE = 15_000
@@ -27,7 +28,7 @@ def lu_by_panels(
 
     Parameters
     ----------
-    matrix : (k, k) float         in Fortran order, of double or single precision; overwritten
+    matrix : (k, k) float         in Fortran order; overwritten
     panel : int                   columns that are factorised together
     chunk : int                   columns that are updated together
 
@@ -38,24 +39,24 @@ def lu_by_panels(
     """
     size = len(matrix)
     pivots = np.empty(size, dtype=np.int32)
-    getrf, laswp = get_lapack_funcs(("getrf", "laswp"), (matrix,))
-    trsm = get_blas_funcs("trsm", (matrix,))
-
-    def exchange(columns: np.ndarray, begin: int, end: int) -> None:
-        """Exchange rows of some whole columns, in place, as the pivots from begin to end say."""
-        if columns.size:
-            laswp(columns, pivots[:end], k1=begin, k2=end - 1, overwrite_a=True)
-
     for begin in range(0, size, panel):
         end = min(begin + panel, size)
-        block, order, _ = getrf(matrix[begin:, begin:end].copy(order="F"), overwrite_a=True)
+        block, order, _ = dgetrf(matrix[begin:, begin:end].copy(order="F"), overwrite_a=True)
         matrix[begin:, begin:end] = block
         pivots[begin:end] = begin + order
-        exchange(matrix[:, :begin], begin, end)
+        _exchange(matrix[:, :begin], pivots, begin, end)
         for first in range(end, size, chunk):
             columns = matrix[:, first : first + chunk]
-            exchange(columns, begin, end)
-            upper = trsm(1.0, block[: end - begin], columns[begin:end], lower=True, diag=True)
+            _exchange(columns, pivots, begin, end)
+            upper = dtrsm(1.0, block[: end - begin], columns[begin:end], lower=True, diag=True)
             columns[begin:end] = upper
             columns[end:] -= block[end - begin :] @ upper
     return matrix, pivots
+
+
+def _exchange(
+    columns: Float[np.ndarray, "k c"], pivots: Int[np.ndarray, " k"], begin: int, end: int
+) -> None:
+    """Exchange rows of some whole columns, in place, as the pivots from begin to end say."""
+    if columns.size:
+        dlaswp(columns, pivots[:end], k1=begin, k2=end - 1, overwrite_a=True)

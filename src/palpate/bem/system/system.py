@@ -1,10 +1,9 @@
 """The linear system of a held object, linear in Poisson's ratio, and its factorisation."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 from scipy.linalg import get_lapack_funcs, lu_factor, lu_solve
 
 from palpate.bem.integrals import (
@@ -23,7 +22,6 @@ from palpate.bem.integrals import (
 )
 from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
 from palpate.bem.system.large_lu import LARGEST_WHOLE, lu_by_panels
-from palpate.bem.system.refinement import Product, refined_solution, refines
 from palpate.bem.system.rollers import Elimination, make_elimination
 from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes, triangle_areas
@@ -31,8 +29,6 @@ from palpate.threads import in_threads
 
 # A body that floats has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
 SMALLEST_RCOND = 1e-13
-# What one unit of slack adds to an integral equation.
-_SLACK = 8 * np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,16 +85,13 @@ class FactorisedSystem:
     elimination : Elimination or None     where supports hold some directions only: what of the
                                           system is factorised
     reciprocal_condition : float          estimate in the 1-norm
-    product : callable or None            the matrix times vectors, where `lu` is in single
-                                          precision: solutions are refined with it
     """
 
     poisson_ratio: float
-    lu: Shaped[np.ndarray, "k k"]
+    lu: Float[np.ndarray, "k k"]
     pivots: Int[np.ndarray, " k"]
     elimination: Elimination | None
     reciprocal_condition: float
-    product: Product | None
 
 
 def assemble_system(
@@ -178,16 +171,13 @@ def restricted_nodes(
     return QuadraticNodes(np.concatenate([corner, middle], axis=1), count, nodes.weights[:, order])
 
 
-def system_matrix(
-    system: BoundarySystem, poisson_ratio: float, *, precision: type = np.float64
-) -> Float[np.ndarray, "r k"]:
+def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndarray, "r k"]:
     """The matrix at one Poisson's ratio, multiplied by 8 pi (1 - nu).
 
     Parameters
     ----------
     system : BoundarySystem
     poisson_ratio : float
-    precision : type          of its numbers, float64 or float32
 
     Returns
     -------
@@ -196,49 +186,17 @@ def system_matrix(
     """
     n_rows = system.collocation.point.shape[0]
     n_free = system.unknowns.free_vertices.size
-    matrix = np.zeros((system.size, 3 * n_rows + 3), dtype=precision)
+    matrix = np.zeros((system.size, 3 * n_rows + 3))
     # The transpose is filled: by node and component, then by component and collocation point.
     entries = matrix[:-3, :-3].reshape(-1, 3, 3, n_rows)
     n_blocks = len(system.traction_kernel.rows)
     in_threads(_fill_rows, n_blocks, system, poisson_ratio, entries)
-    share = _share_of_balance(system)
+    weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
+    share = weights[system.unknowns.held_sides] / system.traction_length**2
     for axis in range(3):
         matrix[3 * n_free + axis : -3 : 3, 3 * n_rows + axis] = share
-        matrix[axis - 3, axis * n_rows : (axis + 1) * n_rows] = _SLACK
+        matrix[axis - 3, axis * n_rows : (axis + 1) * n_rows] = 8 * np.pi
     return matrix.T
-
-
-def system_product(
-    system: BoundarySystem, poisson_ratio: float, unknowns: Float[np.ndarray, "k c"]
-) -> Float[np.ndarray, "r c"]:
-    """The matrix at one Poisson's ratio times vectors; it is made block by block and never whole.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    poisson_ratio : float
-    unknowns : (k, c) float
-
-    Returns
-    -------
-    (r, c) float              rows in the order of `system_matrix`
-    """
-    n_rows = system.collocation.point.shape[0]
-    n_free = system.unknowns.free_vertices.size
-    found = np.empty((3, n_rows, unknowns.shape[1]))
-    in_threads(
-        _multiply_rows, len(system.traction_kernel.rows), system, poisson_ratio, unknowns, found
-    )
-    found += _SLACK * unknowns[-3:, None]
-    held = unknowns[3 * n_free : -3].reshape(-1, 3, unknowns.shape[1])
-    balance = np.einsum("s,sic->ic", _share_of_balance(system), held)
-    return np.concatenate([found.reshape(3 * n_rows, -1), balance])
-
-
-def _share_of_balance(system: BoundarySystem) -> Float[np.ndarray, " s"]:
-    """What the scaled traction at each held side adds to the support's force."""
-    weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
-    return weights[system.unknowns.held_sides] / system.traction_length**2
 
 
 def _fill_rows(
@@ -246,44 +204,21 @@ def _fill_rows(
     end: int,
     system: BoundarySystem,
     poisson_ratio: float,
-    entries: Shaped[np.ndarray, "n 3 3 r"],
+    entries: Float[np.ndarray, "n 3 3 r"],
 ) -> None:
     """The integral equations of some blocks of collocation points."""
-    for b in range(begin, end):
-        _fill_block(b, system, poisson_ratio, entries[..., b * LANES : (b + 1) * LANES])
-
-
-def _multiply_rows(
-    begin: int,
-    end: int,
-    system: BoundarySystem,
-    poisson_ratio: float,
-    unknowns: Float[np.ndarray, "k c"],
-    found: Float[np.ndarray, "3 r c"],
-) -> None:
-    """The integral equations of some blocks, times vectors."""
-    for b in range(begin, end):
-        rows = found[:, b * LANES : (b + 1) * LANES]
-        entries = np.empty((len(unknowns) // 3 - 1, 3, 3, rows.shape[1]))
-        _fill_block(b, system, poisson_ratio, entries)
-        flat = entries.reshape(len(unknowns) - 3, -1)
-        rows[:] = (flat.T @ unknowns[:-3]).reshape(rows.shape)
-
-
-def _fill_block(
-    b: int, system: BoundarySystem, poisson_ratio: float, entries: Shaped[np.ndarray, "n 3 3 lanes"]
-) -> None:
-    """The integral equations of one block of collocation points."""
     free = system.unknowns.free_vertices
-    lanes = slice(0, entries.shape[3])
-    h = np.moveaxis(system.traction_kernel.values[b, free][..., lanes], 1, 0)
-    scaled, constant = traction_parts(h)
-    traction = (1 - 2 * poisson_ratio) * scaled + constant
-    entries[: free.size] = traction.transpose(2, 1, 0, 3)
-    g = np.moveaxis(system.displacement_kernel.values[b][..., lanes], 1, 0)
-    constant, slope = displacement_parts(g)
-    displacement = -(constant + poisson_ratio * slope) / system.traction_length
-    entries[free.size :] = displacement.transpose(2, 1, 0, 3)
+    for b in range(begin, end):
+        rows = slice(b * LANES, min((b + 1) * LANES, entries.shape[3]))
+        lanes = slice(0, rows.stop - rows.start)
+        h = np.moveaxis(system.traction_kernel.values[b, free][..., lanes], 1, 0)
+        scaled, constant = traction_parts(h)
+        traction = (1 - 2 * poisson_ratio) * scaled + constant
+        entries[: free.size, :, :, rows] = traction.transpose(2, 1, 0, 3)
+        g = np.moveaxis(system.displacement_kernel.values[b][..., lanes], 1, 0)
+        constant, slope = displacement_parts(g)
+        displacement = -(constant + poisson_ratio * slope) / system.traction_length
+        entries[free.size :, :, :, rows] = displacement.transpose(2, 1, 0, 3)
 
 
 def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
@@ -302,45 +237,25 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
     ------
     SingularSystemError       the support does not hold the object
     """
+    matrix = system_matrix(system, poisson_ratio)
     order = system.traction_kernel.rows.ravel()[: system.traction_kernel.n_rows]
     elimination = make_elimination(system.surface, system.unknowns, system.collocation, order)
-    if elimination is None and system.size > LARGEST_WHOLE:
-        coarse = _in_single_precision(system, poisson_ratio)
-        if coarse is not None:
-            return coarse
-    matrix = system_matrix(system, poisson_ratio)
     if elimination is not None:
         matrix = elimination.matrix(matrix)
-    lu, pivots, rcond = _factors(matrix)
-    if not rcond > SMALLEST_RCOND:
-        raise SingularSystemError(
-            f"the system of {system.size} equations is singular (reciprocal condition {rcond:.1e}, "
-            f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate "
-            "parts: run `palpate check`"
-        )
-    return FactorisedSystem(poisson_ratio, lu, pivots, elimination, rcond, None)
-
-
-def _in_single_precision(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem | None:
-    """Factors of half the size; None where they are too coarse for the matrix."""
-    lu, pivots, rcond = _factors(system_matrix(system, poisson_ratio, precision=np.float32))
-    product = partial(system_product, system, poisson_ratio)
-    if not refines(product, lu, pivots):
-        return None
-    return FactorisedSystem(poisson_ratio, lu, pivots, None, rcond, product)
-
-
-def _factors(
-    matrix: Shaped[np.ndarray, "k k"],
-) -> tuple[Shaped[np.ndarray, "k k"], Int[np.ndarray, " k"], float]:
-    """LU, pivots, reciprocal condition; the matrix is overwritten."""
     gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
     norm = lange("1", matrix)
     if len(matrix) > LARGEST_WHOLE:
         lu, pivots = lu_by_panels(matrix)
     else:
         lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
-    return lu, pivots, float(gecon(lu, norm)[0])
+    rcond = float(gecon(lu, norm)[0])
+    if not rcond > SMALLEST_RCOND:
+        raise SingularSystemError(
+            f"the system of {system.size} equations is singular (reciprocal condition {rcond:.1e}, "
+            f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate "
+            "parts: run `palpate check`"
+        )
+    return FactorisedSystem(poisson_ratio, lu, pivots, elimination, rcond)
 
 
 def solve(
@@ -356,14 +271,8 @@ def solve(
     Returns
     -------
     (k, c) float [m]
-
-    Raises
-    ------
-    NotConvergedError         factors in single precision do not serve this right-hand side
     """
     pair, elimination = (factorised.lu, factorised.pivots), factorised.elimination
-    if factorised.product is not None:
-        return refined_solution(factorised.product, *pair, right)
     if elimination is None:
         return lu_solve(pair, right, check_finite=False)
     solution = lu_solve(pair, elimination.right(right), check_finite=False)
