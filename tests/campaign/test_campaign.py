@@ -2,14 +2,18 @@
 
 import csv
 import errno
+import shutil
+from dataclasses import replace
 
+import numpy as np
 import pytest
+from pipeline.kept.picture_session import with_pictures
 
-from palpate.campaign import Store, read_items, run_campaign
+from palpate.campaign import FitOptions, Store, read_items, run_campaign, work as work_file
 from palpate.campaign.engine import Engine
 from palpate.disk import InUseError, placed
 from palpate.errors import InputError, RecordError
-from palpate.records import verify_result
+from palpate.records import read_session, verify_result
 from palpate.records.files import results
 
 
@@ -49,8 +53,8 @@ def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
     assert float(read[1]["young_modulus"]) == rows[1].young_modulus
     results = sorted((folder / "results").iterdir())
     found = [one for path in results for one in verify_result(path)]
-    # Estimate, surface and list of inputs; session, mesh and displacements.
-    assert len(found) == 3 * (3 + 3)
+    # Estimate, surface, notes, list of inputs; session, mesh and displacements.
+    assert len(found) == 3 * (4 + 3)
     assert all(one.is_whole for one in found)
 
     # What is done is not done again, even where the table is lost; what failed is tried again.
@@ -78,6 +82,39 @@ def test_two_sessions_of_the_same_content_are_one_piece_of_work(cubes, scheduler
     assert [row.state for row in rows] == ["done", "done", "failed"]
     assert rows[0].address == rows[1].address != ""
     assert "nowhere: no such file or folder" in rows[2].message
+
+
+def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, begun, monkeypatch):
+    shutil.copytree(cube, tmp_path / "seen" / "cube")
+    with_pictures(tmp_path / "seen" / "cube")
+    asked = []
+
+    def with_pictures_measured(session):
+        """What the model says of the pictures, in the place of cameras."""
+        if all(one.displacement is not None for one in session.probings):
+            return session
+        asked.append(session.name)
+        field = read_session(cube).probings[0].displacement
+        field = replace(field, vertex=np.flatnonzero(session.mesh.vertices[:, 2] > 0))
+        probing = replace(session.probings[0], displacement=field)
+        note = f"{session.path.parent / 'rig.toml'}: was looked at"
+        return replace(session, probings=(probing,), notes=(*session.notes, note))
+
+    monkeypatch.setattr(work_file, "with_pictures_measured", with_pictures_measured)
+    items, folder = read_items(tmp_path / "seen"), tmp_path / "campaign"
+    (first,) = run_campaign(items, folder, scheduler=scheduler)
+    assert first.state == "done"
+    assert f"{tmp_path}/seen/cube/rig.toml: was looked at" in first.message
+    assert [kind for kind, _ in begun] == ["motion", "fit"]
+    # Other options ask for another fit, not for another look at the pictures.
+    other = FitOptions(poisson_range=(0.0, 0.45))
+    (second,) = run_campaign(items, folder, options=other, scheduler=scheduler)
+    assert [kind for kind, _ in begun] == ["motion", "fit", "fit"]
+    assert asked == ["a [bold] cube"]
+    assert second.address != first.address
+    plain = run_campaign(read_items(cube.parent), tmp_path / "plain", scheduler=scheduler)[0]
+    # Measured in pictures, a displacement has an error of scale besides: 0.7 %, and its interval.
+    assert first.young_modulus == pytest.approx(plain.young_modulus, rel=0.02)
 
 
 def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, monkeypatch):

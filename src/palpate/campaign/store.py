@@ -12,7 +12,7 @@ from typing import Any
 from palpate.campaign.items import CampaignItem
 from palpate.campaign.package import Package, check_package
 from palpate.campaign.rows import COLUMNS, Row, constants_of
-from palpate.campaign.work import ESTIMATE_FILE, Outcome, Work
+from palpate.campaign.work import ESTIMATE_FILE, LOG_FILE, Outcome, Work
 from palpate.disk import write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
@@ -22,6 +22,7 @@ from palpate.records import (
     disk_errors,
     folder_changes,
     read_estimate,
+    read_text,
     result_folder,
     sums_text,
     write_text,
@@ -193,9 +194,10 @@ class Store:
             head = replace(head, address=work.address)
         if work is None or (outcome is not None and outcome.failure):
             return replace(head, state="failed", message=outcome.failure if outcome else "")
-        estimate = read_estimate(self.result(work) / ESTIMATE_FILE)
+        folder = self.result(work)
+        estimate = read_estimate(folder / ESTIMATE_FILE)
         constants: dict[str, Any] = constants_of(estimate)
-        notes = " ".join(estimate.notes)
+        notes = " ".join([*read_text(folder / LOG_FILE).splitlines(), *estimate.notes])
         return replace(head, state="done", status=estimate.status.value, message=notes, **constants)
 
     def _motion_file(self, work: Work) -> Path:

@@ -36,9 +36,10 @@ from palpate.records import (
     require_probings,
     result_folder,
     write_estimate,
+    write_text,
 )
 
-ESTIMATE_FILE = "estimate.json"
+ESTIMATE_FILE, LOG_FILE = "estimate.json", "log.txt"
 # Integrals of bodies that a worker keeps [bytes]; the ones used longest ago go first.
 _MOST_KEPT = 4 * 2**30
 
@@ -159,7 +160,7 @@ def _files(work: Work, own: Path, bodies: Path, memory: float | None) -> Package
     result = own / "result"
     result.mkdir()
     if work.kind == "motion":
-        keep_motion(result, given, with_pictures_measured(given))
+        keep_motion(result, given, _with_notes_at_home(with_pictures_measured(given), work, own))
     else:
         _fit(
             work, _with_motion(work, given, own), result, own, bodies if work.shared_body else None
@@ -197,6 +198,7 @@ def _fit(work: Work, session: Session, result: Path, own: Path, bodies: Path | N
     notes = tuple(_as_at_home(note, work, own) for note in found.estimate.notes)
     # How long it took is no part of the result; the table has it.
     write_estimate(result / ESTIMATE_FILE, replace(found.estimate, notes=notes, seconds={}))
+    write_text(result / LOG_FILE, "\n".join([*session.notes, ""]))
     # Holds the residuals too: few files are kept sooner than many.
     write_fitted_surface(result, session, found)
     if bodies is not None:
@@ -209,6 +211,10 @@ def _bound(oldest_first: Sequence[Path]) -> None:
     for k, file in enumerate(oldest_first):
         if sum(sizes[k:]) > _MOST_KEPT:
             file.unlink(missing_ok=True)
+
+
+def _with_notes_at_home(session: Session, work: Work, own: Path) -> Session:
+    return replace(session, notes=tuple(_as_at_home(note, work, own) for note in session.notes))
 
 
 def _as_at_home(text: str, work: Work, own: Path) -> str:
