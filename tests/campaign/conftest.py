@@ -45,9 +45,9 @@ def write_displacements(folder: Path, points: np.ndarray, moved: np.ndarray) -> 
 
 @pytest.fixture
 def cubes(cube: Path, tmp_path: Path) -> Path:
-    """A folder of three sessions, each with a force of its own, and one that is none."""
+    """A folder of two sessions, each with a force of its own, and one that is none."""
     folder = tmp_path / "cubes"
-    for name, force in {"c0": "-1.2", "c1": "-1.3", "c2": "-1.1"}.items():
+    for name, force in {"c0": "-1.2", "c1": "-1.3"}.items():
         shutil.copytree(cube, folder / name)
         file = folder / name / "session.toml"
         file.write_text(file.read_text().replace("-1.2", force))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from campaign.conftest import NU, SHEAR
 from pipeline.kept.picture_session import with_pictures
 
 from palpate.campaign import FitOptions, Store, read_items, run_campaign, work as work_file
@@ -43,10 +44,10 @@ def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
     folder = tmp_path / "campaign"
     rows = run_campaign(items, folder, scheduler=scheduler)
     assert [(row.session, row.state) for row in rows] == [
-        ("bad", "failed"), ("c0", "done"), ("c1", "done"), ("c2", "done")
+        ("bad", "failed"), ("c0", "done"), ("c1", "done")
     ]  # fmt: skip
     assert f"{cubes}/bad/session.toml: format: is 'palpate-session/0'" in rows[0].message
-    assert len({row.young_modulus for row in rows}) == 4
+    assert len({row.young_modulus for row in rows}) == 3
     with (folder / "table.csv").open() as file:
         read = list(csv.DictReader(file))
     assert [row["session"] for row in read] == [row.session for row in rows]
@@ -54,7 +55,7 @@ def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
     results = sorted((folder / "results").iterdir())
     found = [one for path in results for one in verify_result(path)]
     # Estimate, surface, notes, list of inputs; session, mesh and displacements.
-    assert len(found) == 3 * (4 + 3)
+    assert len(found) == 2 * (4 + 3)
     assert all(one.is_whole for one in found)
 
     # What is done is not done again, even where the table is lost; what failed is tried again.
@@ -63,7 +64,7 @@ def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
     (folder / "campaign.sqlite").unlink()
     (cubes / "bad" / "session.toml").write_text((cubes / "c0" / "session.toml").read_text())
     again = run_campaign(items, folder, scheduler=scheduler)
-    assert sorted(handed) == [("fit", f"{name}/session.toml") for name in ("bad", "c0", "c1", "c2")]
+    assert sorted(handed) == [("fit", f"{name}/session.toml") for name in ("bad", "c0", "c1")]
     assert begun == [("fit", "bad/session.toml")]
     assert [row.young_modulus for row in again[1:]] == [row.young_modulus for row in rows[1:]]
     results = {name: text for name, text in _tree(folder).items() if name.parts[0] == "results"}
@@ -112,9 +113,8 @@ def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, begun, m
     assert [kind for kind, _ in begun] == ["motion", "fit", "fit"]
     assert asked == ["a [bold] cube"]
     assert second.address != first.address
-    plain = run_campaign(read_items(cube.parent), tmp_path / "plain", scheduler=scheduler)[0]
-    # Measured in pictures, a displacement has an error of scale besides: 0.7 %, and its interval.
-    assert first.young_modulus == pytest.approx(plain.young_modulus, rel=0.02)
+    # The fit knows nothing of where the displacements come from: the model's own constants.
+    assert first.young_modulus_low < 2 * SHEAR * (1 + NU) < first.young_modulus_high
 
 
 def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, monkeypatch):
@@ -134,9 +134,9 @@ def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, m
     assert {row.state for row in Store(folder).rows()} <= {"waiting", "failed"}
     begun.clear()
     rows = run_campaign(items, folder, scheduler=scheduler)
-    assert [row.state for row in rows] == ["failed", "done", "done", "done"]
+    assert [row.state for row in rows] == ["failed", "done", "done"]
     handed = {session for _, session in begun} - {"bad/session.toml"}
-    assert handed == {f"c{k}/session.toml" for k in range(3)} - {kept[0]}
+    assert handed == {f"c{k}/session.toml" for k in range(2)} - {kept[0]}
 
 
 def test_only_one_process_works_on_a_campaign(cubes, tmp_path):
