@@ -282,7 +282,7 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
             _missing(items, campaign),
             must=0.0,
             reach=0.0,
-            note=f"{len(items)} half balls; {watching} workers, watched, opened"
+            note=f"{len(items)} half balls; {watching} processes of workers, watched, opened"
             f" {len(noted) - watching} files where the sessions lie; the first run ended with code"
             f" {first.returncode}: {told.strip()}",
         )

@@ -5,6 +5,7 @@ import errno
 import shutil
 from dataclasses import replace
 
+import distributed
 import numpy as np
 import pytest
 from campaign.conftest import NU, SHEAR
@@ -137,6 +138,18 @@ def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, m
     assert [row.state for row in rows] == ["failed", "done", "done"]
     handed = {session for _, session in begun} - {"bad/session.toml"}
     assert handed == {f"c{k}/session.toml" for k in range(2)} - {kept[0]}
+
+
+def test_a_body_beyond_a_thread_s_share_of_memory_is_a_row(cube, tmp_path):
+    # The program itself counts 0.4 GB: a worker of 0.8 GiB has that, its two threads have not.
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp",
+        dashboard_address=":0", memory_limit="0.8GiB",
+    ) as cluster:  # fmt: skip
+        items = read_items(cube.parent)
+        (row,) = run_campaign(items, tmp_path / "c", scheduler=cluster.scheduler_address)
+    assert row.state == "failed"
+    assert "needs 0.4 GB of memory for one probing; 0.4 GB can be used here" in row.message
 
 
 def test_only_one_process_works_on_a_campaign(cubes, tmp_path):
