@@ -32,6 +32,9 @@ def run_campaign(
 ) -> tuple[Row, ...]:
     """Fit all sessions of a list; what an earlier run of the same campaign did is not done again.
 
+    Workers of its own are processes that load the calling script again: in a script, call it below
+    `if __name__ == "__main__":`.
+
     Parameters
     ----------
     items : sequence of CampaignItem
