@@ -8,6 +8,7 @@ ESTIMATION = "Estimation"
 FLOW = "Range flow"
 FACILITY = "Virtual facility"
 SIMULATION = "Simulation"
+CAMPAIGN = "Campaigns"
 Limit = float | tuple[float, float] | None
 
 
@@ -17,7 +18,7 @@ class Figure:
 
     Parameters
     ----------
-    section : str               BEM, ESTIMATION, FLOW, FACILITY or SIMULATION
+    section : str               BEM, ESTIMATION, FLOW, FACILITY, SIMULATION or CAMPAIGN
     name : str                  what was measured, on what
     reached : float or None     None where it could not be measured; the note says why
     unit : str                  "", "%", "s", "GB" or "x"; percentages are given as percentages

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from benchmarks.figure import (
     BEM,
+    CAMPAIGN,
     ESTIMATION,
     FACILITY,
     FLOW,
@@ -34,7 +35,7 @@ def as_markdown(
     failures : subject -> message   subjects that stopped before their figures
     """
     lines = [f"- {heading}: {text}" for heading, text in machine]
-    for section in (BEM, ESTIMATION, FLOW, FACILITY, SIMULATION):
+    for section in (BEM, ESTIMATION, FLOW, FACILITY, SIMULATION, CAMPAIGN):
         rows = [_row(figure) for figure in figures if figure.section == section]
         if rows:
             lines += ["", f"## {section}", "", HEAD, RULE, *rows]

@@ -40,6 +40,7 @@ PARTS = {
     ),
     "facility": ("facility_time", "table3_repeats"),
     "simulation": ("realtime", "replay"),
+    "campaign": ("campaign",),
 }
 SUBJECTS = tuple(name for names in PARTS.values() for name in names)
 

@@ -97,6 +97,18 @@ _GROUPS = {
             ),
         },
     ),
+    "campaign": (
+        "Many sessions at once, on the cores of this machine or on many machines.",
+        {
+            "run": (
+                "many.campaign:run",
+                "Fit all sessions of a list or folder, go on after whatever stops it.",
+            ),
+            "status": ("many.campaign:status", "Say how far a campaign is, also while it runs."),
+            "table": ("many.campaign:table", "Print a campaign's table, or write it."),
+            "plot": ("many.campaign:plot", "Draw the constants of all sessions."),
+        },
+    ),
     "calibrate": (
         "Cameras from pictures of a flat target, and the target to print.",
         {

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import correlate
 
 from palpate.errors import RecordError
 from palpate.recording.force import Touch
@@ -110,12 +109,14 @@ def coarse_offset(force: SizeOfForce, motion: CameraMotion) -> tuple[float, floa
     """
     gauge = _even(force.time, force.size)
     camera = _even(motion.time, motion.change)
-    product = correlate(gauge, camera, method="fft")
+    # The correlation by its transform; scipy.signal would take every command half a second to load.
+    size = len(gauge) + len(camera) - 1
+    product = np.fft.irfft(np.fft.rfft(gauge, size) * np.fft.rfft(camera[::-1], size), size)
     # Entry [len(camera) - 1] is where both begin together.
     lag = np.arange(len(product)) - (len(camera) - 1)
     shared = np.minimum(len(gauge), lag + len(camera)) - np.maximum(lag, 0)
     product[shared < _OVERLAP * min(len(gauge), len(camera))] = -np.inf
-    quality = product / max(np.linalg.norm(gauge) * np.linalg.norm(camera), 1e-300)
+    quality = product / max(float(np.linalg.norm(gauge) * np.linalg.norm(camera)), 1e-300)
     best = int(quality.argmax())
     correlation = float(quality[best])
     if correlation < _LEAST_CORRELATION:

@@ -36,6 +36,7 @@ from palpate.records.estimate import (
     SupportEstimate as SupportEstimate,
 )
 from palpate.records.files import (
+    INPUTS_FILE as INPUTS_FILE,
     SESSION_FORMAT as SESSION_FORMAT,
     Finding as Finding,
     ImportItem as ImportItem,
@@ -62,6 +63,7 @@ from palpate.records.files import (
     result_folder as result_folder,
     sealed as sealed,
     session_files as session_files,
+    sums_text as sums_text,
     verify_result as verify_result,
     with_displacements as with_displacements,
     write_displacement as write_displacement,

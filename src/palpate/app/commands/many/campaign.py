@@ -1,0 +1,235 @@
+"""`palpate campaign`: many sessions on many workers; how far it is, its table, its picture."""
+
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from palpate.app.terminal import (
+    number_text,
+    print_notes,
+    print_tables,
+    print_text,
+    progress_bar,
+    terminal_table,
+)
+from palpate.campaign import (
+    DONE,
+    FAILED,
+    WAITING,
+    FitOptions,
+    Row,
+    Store,
+    campaign_figure,
+    groups_of,
+    outliers,
+    read_items,
+    run_campaign,
+    write_table,
+)
+from palpate.errors import InputError
+from palpate.figures import save_figure
+from palpate.records import disk_errors, modulus_unit
+
+_NOT_OK = 3
+_WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
+# A message in a table is for knowing what it is about; the files have all of it.
+_MOST_LETTERS = 160
+
+
+def run(
+    sessions: Path,
+    /,
+    *,
+    out: Path | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    poisson_range: tuple[float, float] = (0.0, 0.4999),
+    surface: Literal["smooth", "flat"] = "smooth",
+    strain: Literal["small", "finite"] = "small",
+) -> int:
+    """Fit all sessions of a list or below a folder, several at a time, and make one table of them.
+
+    Start it again after anything that stopped it, a kill among them: it goes on, and what is done
+    is not done again. A session that cannot be fitted is a row with its message.
+
+    Parameters
+    ----------
+    sessions
+        Text file with the path of a session a line, from the file's folder, and a group behind a
+        comma if there are any; or a folder that holds sessions, however deep.
+    out
+        Folder of the campaign, made or gone on with. Default: the list's or folder's name followed
+        by -campaign, in the current folder.
+    scheduler
+        Address of a Dask scheduler that is running, such as tcp://192.168.1.7:8786. Default: a
+        cluster of this machine's cores, for as long as the command runs.
+    workers
+        Processes of that cluster, one thread each. Default: one for every core. Fewer have more
+        memory each.
+    poisson_range
+        As in `palpate fit`.
+    surface
+        As in `palpate fit`.
+    strain
+        As in `palpate fit`.
+
+    Returns
+    -------
+    int
+        0, or 3 where a session has no result.
+    """
+    if workers is not None and (scheduler is not None or workers < 1):
+        raise InputError(
+            f"--workers is {workers}; must be 1 or more, and is for the cluster that the command"
+            " starts itself, not for one with --scheduler"
+        )
+    items = read_items(sessions)
+    folder = out or Path(f"{sessions.resolve().stem}-campaign")
+    options = FitOptions(poisson_range, surface, strain)
+    with progress_bar() as progress:
+        rows = run_campaign(
+            items, folder, options=options, scheduler=scheduler, workers=workers, progress=progress
+        )
+    _print_summary(rows)
+    print_text(
+        f"Table in {folder / 'table.csv'}; all of it: palpate campaign table {folder}; a picture:"
+        f" palpate campaign plot {folder}",
+        wrapped=False,
+    )
+    return _NOT_OK if any(row.state == FAILED for row in rows) else 0
+
+
+def status(folder: Path, /) -> int:
+    """Say how far a campaign is, also while it runs: what is done, what failed, what stands out.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    _print_summary(Store(folder).rows())
+    return 0
+
+
+def table(folder: Path, /, *, out: Path | None = None) -> int:
+    """Print a campaign's table, or write it as CSV or Parquet.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+    out
+        File to write instead, ending .csv or .parquet (which needs palpate[parquet]); one of that
+        name is replaced.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    rows = Store(folder).rows()
+    if out is not None:
+        write_table(out, rows)
+        print_text(f"{len(rows)} rows in {out}", wrapped=False)
+        return 0
+    far = outliers(rows)
+    factor, unit = _unit(rows)
+    cells = [
+        (
+            row.session, row.group or "-", row.state if row.state != DONE else row.status or "-",
+            _constant(row, "young_modulus", factor), _constant(row, "poisson_ratio", 1.0),
+            " ".join(far.get(row.session, ())) or "-", number_text(row.seconds, ".1f"),
+        )
+        for row in rows
+    ]  # fmt: skip
+    columns = ("session", "group", "outcome", f"E {unit}", "nu", "outlier", "time s")
+    caption = "E, nu: value and 95 % interval; outlier: the constants that lie far out of the group"
+    print_tables(terminal_table("Campaign", columns, cells, caption=caption))
+    return 0
+
+
+def plot(folder: Path, /, *, out: Path | None = None) -> int:
+    """Draw both constants of all sessions with their intervals, group beside group.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+    out
+        File to write, ending .png, .svg or .pdf. Default: the folder's name followed by .png, in
+        the current folder.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    rows = Store(folder).rows()
+    name = folder.resolve().name
+    target = out or Path(f"{name}.png")
+    if target.suffix not in (".png", ".svg", ".pdf"):
+        raise InputError(f"{target}: ends in '{target.suffix}'; give a .png, .svg or .pdf file")
+    if all(row.state != DONE for row in rows):
+        raise InputError(f"{folder}: no session has a result yet; there is nothing to draw")
+    with disk_errors(target):
+        save_figure(campaign_figure(rows, name), target)
+    print_text(f"Picture in {target}", wrapped=False)
+    return 0
+
+
+def _print_summary(rows: Sequence[Row]) -> None:
+    """A line for every group, then what failed and what stands out."""
+    factor, unit = _unit(rows)
+    groups = groups_of(rows)
+    lines = [_line(group, [row for row in rows if row.group == group], factor) for group in groups]
+    if len(groups) > 1:
+        lines.append(_line("all", rows, factor))
+    columns = ("group", "sessions", "done", "failed", "waiting", f"E {unit}", "nu", "time s")
+    caption = "E, nu: median over the sessions, and the middle half of them; time: median of one"
+    print_tables(terminal_table("Campaign", columns, lines, caption=caption, total=len(groups) > 1))
+    failed = [f"{row.session}: {_short(row.message)}" for row in rows if row.state == FAILED]
+    print_notes(failed)
+    for session, names in outliers(rows).items():
+        print_text(f"Outlier: {session} ({' and '.join(_WORDS[name] for name in names)})")
+
+
+def _line(group: str, rows: Sequence[Row], factor: float) -> tuple[str, ...]:
+    counts = [sum(row.state == state for row in rows) for state in (DONE, FAILED, WAITING)]
+    young = [row.young_modulus / factor for row in rows if row.young_modulus is not None]
+    ratio = [row.poisson_ratio for row in rows if row.poisson_ratio is not None]
+    seconds = [row.seconds for row in rows if row.seconds is not None and row.state == DONE]
+    return (
+        group or "-", str(len(rows)), *map(str, counts), _middle(young), _middle(ratio),
+        number_text(statistics.median(seconds) if seconds else None, ".1f"),
+    )  # fmt: skip
+
+
+def _middle(values: list[float]) -> str:
+    """Median and quartiles."""
+    if len(values) < 2:
+        return number_text(values[0] if values else None, ".4g")
+    low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
+    return f"{middle:.4g} ({low:.4g} to {high:.4g})"
+
+
+def _unit(rows: Sequence[Row]) -> tuple[float, str]:
+    known = [row.young_modulus for row in rows if row.young_modulus is not None]
+    return modulus_unit(statistics.median(known)) if known else (1.0, "Pa")
+
+
+def _constant(row: Row, name: str, factor: float) -> str:
+    value, low, high = (getattr(row, name + end) for end in ("", "_low", "_high"))
+    if value is None:
+        return "-"
+    ends = [number_text(end / factor if end is not None else None, ".4g") for end in (low, high)]
+    return f"{value / factor:.4g} ({ends[0]} to {ends[1]})"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _MOST_LETTERS else f"{text[:_MOST_LETTERS]} ..."

@@ -1,0 +1,30 @@
+"""Many sessions at once, on the cores of one machine or on many machines.
+
+Purpose    : fit every session of a list, go on after whatever stops it, and see all at a glance.
+Takes      : a list of sessions, or a folder with sessions below it; workers.
+Gives      : a folder with a table in SQLite and CSV and every result; a picture over all.
+Depends on : `pipeline`, `estimation`, `bem`, `figures`, `records`.
+Read first : `campaign.py`, then `work.py`, then `engine.py`.
+"""
+
+from palpate.campaign.campaign import run_campaign as run_campaign
+from palpate.campaign.engine import Engine as Engine, started_engine as started_engine
+from palpate.campaign.figure import campaign_figure as campaign_figure
+from palpate.campaign.items import CampaignItem as CampaignItem, read_items as read_items
+from palpate.campaign.package import pack_session as pack_session
+from palpate.campaign.rows import (
+    DONE as DONE,
+    FAILED as FAILED,
+    WAITING as WAITING,
+    Row as Row,
+    groups_of as groups_of,
+    outliers as outliers,
+)
+from palpate.campaign.store import Store as Store
+from palpate.campaign.table import write_table as write_table
+from palpate.campaign.work import (
+    FitOptions as FitOptions,
+    Outcome as Outcome,
+    Work as Work,
+    do_work as do_work,
+)

@@ -1,0 +1,265 @@
+"""Workers that do a campaign's work: a cluster of this machine's cores, or one that is running.
+
+Dask distributed starts, feeds and watches them; work that a dying worker had begun is given to
+another one.
+"""
+
+import os
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from palpate import __version__
+from palpate.campaign.package import packed
+from palpate.campaign.work import Outcome, Work, do_work
+from palpate.errors import InputError
+from palpate.optional_imports import late_import
+
+# Time for a scheduler to answer, and for a first worker to come [s].
+_ANSWER, _WORKER = 10, 60
+# What each worker has in hand, so that none waits for the next piece.
+_IN_HAND = 2
+# A piece of work that ended so many workers, each several times, is what ends them.
+_MOST_DEATHS = 3
+_USABLE_SHARE = 0.9
+# One thread for whatever a worker calls, before it loads it.
+_ONE_THREAD = {
+    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
+}
+_SETTINGS = {
+    "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
+    # Pictures travel with the work; there is no graph that one would keep small.
+    "distributed.admin.large-graph-warning-threshold": "4 GiB",
+    "distributed.comm.timeouts.connect": f"{_ANSWER}s",
+}
+_SAME = ("python", "dask", "distributed")
+
+
+@dataclass(slots=True, eq=False)
+class Engine:
+    """Workers at hand.
+
+    Attributes
+    ----------
+    client : distributed.Client
+    address : str                   of the scheduler
+    """
+
+    client: Any
+    address: str
+    _library: ModuleType
+    _begun: dict[Any, Work] = field(default_factory=dict)
+    _deaths: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def has_room(self) -> bool:
+        """Whether more work would not wait for long; what waits takes memory."""
+        return len(self._begun) < max(_IN_HAND, _IN_HAND * self.threads)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether there is work that has not ended."""
+        return bool(self._begun)
+
+    @property
+    def threads(self) -> int:
+        """Pieces of work that can be done at a time."""
+        try:
+            return sum(self.client.nthreads().values())
+        except OSError as error:
+            raise self._gone() from error
+
+    def begin(self, work: Work) -> None:
+        """Have a piece of work done.
+
+        Parameters
+        ----------
+        work : Work
+
+        Raises
+        ------
+        InputError                  the scheduler has gone
+        """
+        if self.client.status not in ("running", "connecting"):
+            raise self._gone()
+        # A key of its own: another client that has the same work done must not be mixed up with us.
+        future = self.client.submit(_on_worker, work, pure=False)
+        self._begun[future] = work
+
+    def ended(self) -> list[tuple[Work, Outcome]]:
+        """Wait until a piece of work has ended.
+
+        Returns
+        -------
+        list of pairs               all that have ended, in no order
+
+        Raises
+        ------
+        InputError                  the scheduler has gone, or a worker lacks Palpate
+        """
+        try:
+            with self.client.as_current():
+                found = self._library.wait(list(self._begun), return_when="FIRST_COMPLETED")
+        except (OSError, self._library.CancelledError) as error:
+            raise self._gone() from error
+        ended = []
+        for future in found.done:
+            work = self._begun.pop(future)
+            outcome = self._outcome(future, work)
+            if outcome is None:
+                self.begin(work)
+            else:
+                ended.append((work, outcome))
+        return ended
+
+    def _outcome(self, future: Any, work: Work) -> Outcome | None:
+        """What came of a piece of work; None where it is to be tried again."""
+        if future.status == "finished":
+            found: Outcome = future.result()
+            return found
+        if future.status != "error":
+            raise self._gone()
+        error = future.exception()
+        if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("palpate"):
+            raise InputError(f"a worker at {self.address} has no Palpate; {_same_everywhere()}")
+        if isinstance(error, self._library.KilledWorker):
+            self._deaths[work.address] = self._deaths.get(work.address, 0) + 1
+            if self._deaths[work.address] < _MOST_DEATHS:
+                return None
+            text = (
+                "every worker that took it died, as when memory runs out; use a coarser mesh, or"
+                " workers with more memory"
+            )
+            return Outcome(packed({}), text, 0.0)
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:400]
+        return Outcome(packed({}), f"an error of the program, not of yours ({text})", 0.0)
+
+    def _gone(self) -> InputError:
+        return InputError(
+            f"the scheduler at {self.address} does not answer any more; all results that had come"
+            " are kept: start the same command again when it is back, and it goes on"
+        )
+
+
+def _on_worker(work: Work) -> Outcome:
+    """Do a piece of work in a worker's own folder, within its share of memory."""
+    distributed = late_import("distributed", extra="batch", purpose="a campaign's worker")
+    worker = distributed.get_worker()
+    limit = worker.memory_manager.memory_limit
+    share = None if not limit else limit / worker.state.nthreads
+    return do_work(work, folder=Path(worker.local_directory) / "palpate", memory=share)
+
+
+@contextmanager
+def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engine]:
+    """Workers for as long as the block lasts.
+
+    Parameters
+    ----------
+    scheduler : str or None         address of one that runs, `tcp://HOST:PORT`; None: a cluster of
+                                    this machine's cores is started, and ended with the block
+    workers : int or None           of the started cluster; None: one for every core
+
+    Raises
+    ------
+    InputError                      Dask is not installed; no scheduler at that address, or another
+                                    version; no worker, or one without Palpate
+    """
+    library = late_import("distributed", extra="batch", purpose="a campaign")
+    with ExitStack() as stack:
+        settings = late_import("dask.config", extra="batch", purpose="a campaign")
+        stack.enter_context(settings.set(_SETTINGS))
+        # Versions are compared below, with a message of our own.
+        stack.enter_context(warnings.catch_warnings(action="ignore"))
+        if scheduler is None:
+            folder = stack.enter_context(
+                tempfile.TemporaryDirectory(prefix="palpate-workers-", ignore_cleanup_errors=True)
+            )
+            client = stack.enter_context(_local(library, workers or cores(), folder))
+        else:
+            client = stack.enter_context(_connected(library, scheduler))
+        address = scheduler or str(client.scheduler.address)
+        _check_workers(client, address)
+        yield Engine(client, address, library)
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def _local(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
+    """A client of a cluster of processes, each with one thread and an equal share of memory."""
+    share = int(_USABLE_SHARE * library.system.MEMORY_LIMIT / workers)
+    with (
+        library.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=share,
+            dashboard_address="127.0.0.1:0", local_directory=folder, silence_logs=50,
+        ) as cluster,
+        library.Client(cluster, set_as_default=False) as client,
+    ):  # fmt: skip
+        yield client
+
+
+@contextmanager
+def _connected(library: ModuleType, address: str) -> Iterator[Any]:
+    """A client of a scheduler that runs somewhere."""
+    try:
+        client = library.Client(address, timeout=_ANSWER, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        why = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"no scheduler answers at {address} ({why}); start one with `dask scheduler` and give"
+            " the address that it prints, as in tcp://192.168.1.7:8786"
+        ) from error
+    with client:
+        yield client
+
+
+def _check_workers(client: Any, address: str) -> None:
+    """Refuse workers that would not give what this machine would give."""
+    try:
+        client.wait_for_workers(1, timeout=_WORKER)
+    except TimeoutError as error:
+        raise InputError(
+            f"the scheduler at {address} has no workers after {_WORKER} s; start some with"
+            f" `dask worker {address} --nworkers auto --nthreads 1`"
+        ) from error
+    found = client.get_versions(check=False, packages=["palpate"])
+    ours = found["client"]["packages"]
+    others = {f"the scheduler at {address}": found["scheduler"]} | {
+        f"the worker at {name}": there for name, there in found["workers"].items()
+    }
+    for who, there in others.items():
+        theirs = there["packages"] if there else {}
+        wrong = [
+            f"{name} {theirs.get(name) or 'not at all'} instead of {ours[name]}"
+            for name in _SAME
+            if _minor(name, theirs.get(name)) != _minor(name, ours[name])
+        ]
+        if theirs.get("palpate") != __version__:
+            wrong.append(
+                f"Palpate {theirs.get('palpate') or 'not at all'} instead of {__version__}"
+            )
+        if wrong:
+            raise InputError(f"{who} has {', '.join(wrong)}; {_same_everywhere()}")
+
+
+def _minor(name: str, version: str | None) -> str:
+    """A version as far as it matters: of Python without its last number."""
+    return ".".join((version or "").split(".")[:2]) if name == "python" else version or ""
+
+
+def _same_everywhere() -> str:
+    return (
+        "install the same everywhere, scheduler and workers: pip install"
+        f" 'palpate[batch]=={__version__}'"
+    )

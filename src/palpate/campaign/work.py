@@ -1,0 +1,222 @@
+"""One piece of a campaign's work: the motion in a session's pictures, or the fit of a session.
+
+What it gives depends on what it is given and on nothing else: neither on the machine, nor on the
+folder that it is done in, nor on when.
+"""
+
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numba
+
+from palpate.bem import SurfaceSettings, check_memory
+from palpate.campaign.package import Package, PackedSession, packed, unpack
+from palpate.errors import PalpateError
+from palpate.estimation import FitSettings
+from palpate.files import read_bytes
+from palpate.parts import content_digest
+from palpate.pipeline import (
+    MOTION_FILE,
+    fit_session,
+    keep_motion,
+    with_kept_motion,
+    with_pictures_measured,
+    write_fitted_surface,
+)
+from palpate.records import (
+    Session,
+    read_session,
+    require_probings,
+    result_folder,
+    write_estimate,
+    write_text,
+)
+
+ESTIMATE_FILE, LOG_FILE = "estimate.json", "log.txt"
+# Integrals of bodies that a worker keeps [bytes]; the ones used longest ago go first.
+_MOST_KEPT = 4 * 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """How the sessions of a campaign are fitted.
+
+    Attributes
+    ----------
+    poisson_range : (float, float)      Poisson's ratios that are possible
+    surface : "smooth" or "flat"        what the meshes mean
+    strain : "small" or "finite"        as in `fit_session`
+    """
+
+    poisson_range: tuple[float, float] = (0.0, 0.4999)
+    surface: Literal["smooth", "flat"] = "smooth"
+    strain: Literal["small", "finite"] = "small"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """A piece of work with all that it needs.
+
+    Attributes
+    ----------
+    kind : "motion" or "fit"
+    session : PackedSession
+    options : FitOptions
+    motion : bytes or None          what the work "motion" gave for the same session
+    shared_body : bool              others have the same mesh: its integrals are worth keeping
+    """
+
+    kind: Literal["motion", "fit"]
+    session: PackedSession
+    options: FitOptions
+    motion: bytes | None = None
+    shared_body: bool = False
+
+    @property
+    def address(self) -> str:
+        """Digest of all that the outcome depends on: files, options, version; 64 digits."""
+        sums = dict(self.session.package.sums)
+        options = self.options if self.kind == "fit" else None
+        return content_digest((self.kind, self.session.session, sums, options))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What came of a piece of work.
+
+    Attributes
+    ----------
+    package : Package               files of the result; none where it failed
+    failure : str                   why there is none; empty: there is
+    seconds : float                 that the work took
+    """
+
+    package: Package
+    failure: str
+    seconds: float
+
+
+def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome:
+    """Do a piece of work, with one thread.
+
+    Parameters
+    ----------
+    work : Work
+    folder : Path                   to work in; what is kept there is worth something to later work
+    memory : float or None [byte]   that the work may take; None: all of the machine's
+
+    Returns
+    -------
+    Outcome                         bad input is a failure with its message, not an error
+    """
+    start = time.perf_counter()
+    package, failure = packed({}), ""
+    with _own_folder(folder) as own, _one_thread():
+        try:
+            unpack(work.session.package, own / "given")
+            package = _files(work, own, folder / "bodies", memory)
+        except PalpateError as error:
+            failure = _as_at_home(str(error), work, own)
+        except MemoryError:
+            failure = "memory ran out; use a coarser mesh, or workers with more memory"
+    return Outcome(package, failure, time.perf_counter() - start)
+
+
+@contextmanager
+def _own_folder(folder: Path) -> Iterator[Path]:
+    """A folder for one piece of work, gone with it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    own = Path(tempfile.mkdtemp(prefix="work-", dir=folder))
+    (own / "given").mkdir()
+    try:
+        yield own
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """As many workers as cores, each with one thread, lose less than one with all of them."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def _files(work: Work, own: Path, bodies: Path, memory: float | None) -> Package:
+    """The files that a piece of work gives."""
+    allow = partial(check_memory, available=memory)
+    given = read_session(own / "given" / work.session.session, allow=allow)
+    require_probings(given)
+    result = own / "result"
+    result.mkdir()
+    if work.kind == "motion":
+        keep_motion(result, given, _with_notes_at_home(with_pictures_measured(given), work, own))
+    else:
+        _fit(
+            work, _with_motion(work, given, own), result, own, bodies if work.shared_body else None
+        )
+    return packed(
+        {
+            file.relative_to(result).as_posix(): read_bytes(file)
+            for file in result.rglob("*")
+            if file.is_file()
+        }
+    )
+
+
+def _with_motion(work: Work, given: Session, own: Path) -> Session:
+    """The session with what was measured in its pictures."""
+    if work.motion is not None:
+        with result_folder(own / "motion", kind="fit") as kept:
+            (kept / MOTION_FILE).write_bytes(work.motion)
+        found = with_kept_motion(given, own / "motion")
+        if found is not None:
+            return found
+    return with_pictures_measured(given)
+
+
+def _fit(work: Work, session: Session, result: Path, own: Path, bodies: Path | None) -> None:
+    """Fit a session and write what another machine would write, to the last bit."""
+    options = work.options
+    found = fit_session(
+        session,
+        settings=FitSettings(poisson_range=options.poisson_range),
+        surface=SurfaceSettings(smooth=options.surface == "smooth"),
+        cache=bodies,
+        finite_strain=options.strain == "finite",
+    )
+    notes = tuple(_as_at_home(note, work, own) for note in found.estimate.notes)
+    # How long it took is no part of the result; the table has it.
+    write_estimate(result / ESTIMATE_FILE, replace(found.estimate, notes=notes, seconds={}))
+    write_text(result / LOG_FILE, "\n".join([*session.notes, ""]))
+    # Holds the residuals too: few files are kept sooner than many.
+    write_fitted_surface(result, session, found)
+    if bodies is not None:
+        _bound(sorted(bodies.glob("*.npz"), key=lambda file: file.stat().st_mtime))
+
+
+def _bound(oldest_first: Sequence[Path]) -> None:
+    """Remove files that there is no room for."""
+    sizes = [file.stat().st_size for file in oldest_first]
+    for k, file in enumerate(oldest_first):
+        if sum(sizes[k:]) > _MOST_KEPT:
+            file.unlink(missing_ok=True)
+
+
+def _with_notes_at_home(session: Session, work: Work, own: Path) -> Session:
+    return replace(session, notes=tuple(_as_at_home(note, work, own) for note in session.notes))
+
+
+def _as_at_home(text: str, work: Work, own: Path) -> str:
+    """A text that names files as they are called where the session comes from."""
+    return text.replace(str(own / "given"), work.session.root)

@@ -1,0 +1,184 @@
+"""A campaign as a whole: on workers, interrupted, gone on with."""
+
+import csv
+import errno
+import shutil
+from dataclasses import replace
+
+import distributed
+import numpy as np
+import pytest
+from campaign.conftest import NU, SHEAR
+from pipeline.kept.picture_session import with_pictures
+
+from palpate.campaign import FitOptions, Store, read_items, run_campaign, work as work_file
+from palpate.campaign.engine import Engine
+from palpate.disk import InUseError, placed
+from palpate.errors import InputError, RecordError
+from palpate.records import read_session, verify_result
+from palpate.records.files import results
+
+
+@pytest.fixture
+def begun(monkeypatch):
+    """Works that were handed to workers, by kind and session."""
+    works, begin = [], Engine.begin
+
+    def seen(self, work):
+        works.append((work.kind, work.session.session))
+        begin(self, work)
+
+    monkeypatch.setattr(Engine, "begin", seen)
+    return works
+
+
+def _tree(folder):
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.suffix != ".sqlite"
+    }
+
+
+def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
+    items = read_items(cubes)
+    folder = tmp_path / "campaign"
+    rows = run_campaign(items, folder, scheduler=scheduler)
+    assert [(row.session, row.state) for row in rows] == [
+        ("bad", "failed"), ("c0", "done"), ("c1", "done")
+    ]  # fmt: skip
+    assert f"{cubes}/bad/session.toml: format: is 'palpate-session/0'" in rows[0].message
+    assert len({row.young_modulus for row in rows}) == 3
+    with (folder / "table.csv").open() as file:
+        read = list(csv.DictReader(file))
+    assert [row["session"] for row in read] == [row.session for row in rows]
+    assert float(read[1]["young_modulus"]) == rows[1].young_modulus
+    results = sorted((folder / "results").iterdir())
+    found = [one for path in results for one in verify_result(path)]
+    # Estimate, surface, notes, list of inputs; session, mesh and displacements.
+    assert len(found) == 2 * (4 + 3)
+    assert all(one.is_whole for one in found)
+
+    # What is done is not done again, even where the table is lost; what failed is tried again.
+    before, handed = _tree(folder), list(begun)
+    begun.clear()
+    (folder / "campaign.sqlite").unlink()
+    (cubes / "bad" / "session.toml").write_text((cubes / "c0" / "session.toml").read_text())
+    again = run_campaign(items, folder, scheduler=scheduler)
+    assert sorted(handed) == [("fit", f"{name}/session.toml") for name in ("bad", "c0", "c1")]
+    assert begun == [("fit", "bad/session.toml")]
+    assert [row.young_modulus for row in again[1:]] == [row.young_modulus for row in rows[1:]]
+    results = {name: text for name, text in _tree(folder).items() if name.parts[0] == "results"}
+    assert results == {name: text for name, text in before.items() if name.parts[0] == "results"}
+
+
+def test_two_sessions_of_the_same_content_are_one_piece_of_work(cubes, scheduler, tmp_path, begun):
+    listed = tmp_path / "list.txt"
+    other = tmp_path / "copy" / "c0"
+    other.mkdir(parents=True)
+    for file in (cubes / "c0").iterdir():
+        (other / file.name).write_bytes(file.read_bytes())
+    listed.write_text("cubes/c0\ncopy/c0, again\nnowhere\n")
+    rows = run_campaign(read_items(listed), tmp_path / "campaign", scheduler=scheduler)
+    assert len(begun) == 1
+    assert [row.state for row in rows] == ["done", "done", "failed"]
+    assert rows[0].address == rows[1].address != ""
+    assert "nowhere: no such file or folder" in rows[2].message
+
+
+def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, begun, monkeypatch):
+    shutil.copytree(cube, tmp_path / "seen" / "cube")
+    with_pictures(tmp_path / "seen" / "cube")
+    asked = []
+
+    def with_pictures_measured(session):
+        """What the model says of the pictures, in the place of cameras."""
+        if all(one.displacement is not None for one in session.probings):
+            return session
+        asked.append(session.name)
+        field = read_session(cube).probings[0].displacement
+        field = replace(field, vertex=np.flatnonzero(session.mesh.vertices[:, 2] > 0))
+        probing = replace(session.probings[0], displacement=field)
+        note = f"{session.path.parent / 'rig.toml'}: was looked at"
+        return replace(session, probings=(probing,), notes=(*session.notes, note))
+
+    monkeypatch.setattr(work_file, "with_pictures_measured", with_pictures_measured)
+    items, folder = read_items(tmp_path / "seen"), tmp_path / "campaign"
+    (first,) = run_campaign(items, folder, scheduler=scheduler)
+    assert first.state == "done"
+    assert f"{tmp_path}/seen/cube/rig.toml: was looked at" in first.message
+    assert [kind for kind, _ in begun] == ["motion", "fit"]
+    # Other options ask for another fit, not for another look at the pictures.
+    other = FitOptions(poisson_range=(0.0, 0.45))
+    (second,) = run_campaign(items, folder, options=other, scheduler=scheduler)
+    assert [kind for kind, _ in begun] == ["motion", "fit", "fit"]
+    assert asked == ["a [bold] cube"]
+    assert second.address != first.address
+    # The fit knows nothing of where the displacements come from: the model's own constants.
+    assert first.young_modulus_low < 2 * SHEAR * (1 + NU) < first.young_modulus_high
+
+
+def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, monkeypatch):
+    items, folder = read_items(cubes), tmp_path / "campaign"
+    kept = []
+
+    def stopped(self, work, package, keep=Store.keep):
+        keep(self, work, package)
+        kept.append(work.session.session)
+        # After the result is there and before its row is: the worst moment.
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Store, "keep", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            run_campaign(items, folder, scheduler=scheduler)
+    assert {row.state for row in Store(folder).rows()} <= {"waiting", "failed"}
+    begun.clear()
+    rows = run_campaign(items, folder, scheduler=scheduler)
+    assert [row.state for row in rows] == ["failed", "done", "done"]
+    handed = {session for _, session in begun} - {"bad/session.toml"}
+    assert handed == {f"c{k}/session.toml" for k in range(2)} - {kept[0]}
+
+
+def test_a_body_beyond_a_thread_s_share_of_memory_is_a_row(cube, tmp_path):
+    # The program itself counts 0.4 GB: a worker of 0.8 GiB has that, its two threads have not.
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp",
+        dashboard_address=":0", memory_limit="0.8GiB",
+    ) as cluster:  # fmt: skip
+        items = read_items(cube.parent)
+        (row,) = run_campaign(items, tmp_path / "c", scheduler=cluster.scheduler_address)
+    assert row.state == "failed"
+    assert "needs 0.4 GB of memory for one probing; 0.4 GB can be used here" in row.message
+
+
+def test_only_one_process_works_on_a_campaign(cubes, tmp_path):
+    folder = tmp_path / "campaign"
+    folder.mkdir()
+    with placed([folder / "table.csv"]), pytest.raises(InUseError, match="is being written by"):
+        run_campaign(read_items(cubes), folder)
+
+
+def test_what_is_no_campaign_is_left_alone(cubes, tmp_path):
+    with pytest.raises(InputError, match="is there and no campaign"):
+        run_campaign(read_items(cubes), cubes)
+    with pytest.raises(RecordError, match=r"holds no campaign.sqlite"):
+        Store(tmp_path).rows()
+
+
+def test_a_disk_that_fills_ends_it(cubes, scheduler, tmp_path, monkeypatch):
+    items, folder = read_items(cubes), tmp_path / "campaign"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(results, "write_text", full)
+        with pytest.raises(RecordError) as raised:
+            run_campaign(items, folder, scheduler=scheduler)
+    assert "No space left on device" in str(raised.value)
+    assert "make room" in str(raised.value)
+    assert list((folder / "results").iterdir()) == []
+    (folder / "campaign.sqlite").write_bytes(b"cut off")
+    with pytest.raises(RecordError, match="which is made anew from the results"):
+        Store(folder).rows()

@@ -1,0 +1,72 @@
+"""What a piece of work gives depends on what it is given, and on nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.bem import check_memory
+from palpate.campaign import FitOptions, Work, do_work, pack_session
+from palpate.campaign.package import packed
+from palpate.errors import InputError
+from palpate.pipeline import fit_session
+from palpate.records import read_estimate, read_session
+
+
+@pytest.fixture(scope="module")
+def fitted(cube, tmp_path_factory):
+    """One session, fitted plainly, and twice in another folder with kept integrals."""
+    folder = tmp_path_factory.mktemp("fitted")
+    work = Work("fit", pack_session(cube), FitOptions())
+    plain = do_work(work, folder=folder / "one")
+    shared = replace(work, shared_body=True)
+    return folder, plain, [do_work(shared, folder=folder / "two") for _ in range(2)]
+
+
+def test_the_files_are_the_same_to_the_last_byte(fitted):
+    _, plain, others = fitted
+    assert plain.failure == ""
+    assert "estimate.json" in plain.package.files
+    assert all(dict(one.package.files) == dict(plain.package.files) for one in others)
+
+
+def test_the_estimate_is_that_of_a_plain_fit(fitted, cube, tmp_path):
+    _, plain, _ = fitted
+    (tmp_path / "e.json").write_bytes(plain.package.files["estimate.json"])
+    expected = fit_session(read_session(cube)).estimate
+    found = read_estimate(tmp_path / "e.json")
+    # Several threads may add in another order: rounding, times the condition of the model.
+    assert found.young_modulus.value == pytest.approx(expected.young_modulus.value, rel=1e-9)
+    assert found.young_modulus.ci95 == pytest.approx(expected.young_modulus.ci95, rel=1e-6)
+
+
+def test_only_what_others_can_use_stays_behind(fitted):
+    folder, _, _ = fitted
+    assert list((folder / "one").iterdir()) == []
+    assert [path.name for path in (folder / "two").iterdir()] == ["bodies"]
+    assert len(list((folder / "two" / "bodies").glob("*.npz"))) == 2  # the given mesh, the graded
+
+
+def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_path):
+    files = dict(packed_cube.package.files)
+    files["cube/n01.csv"] = b"x,y\n1,2\n"
+    bad = replace(packed_cube, package=packed(files))
+    outcome = do_work(Work("fit", bad, FitOptions()), folder=tmp_path / "there")
+    assert outcome.package.files == {}
+    assert outcome.failure.startswith(f"{packed_cube.root}/cube/n01.csv: ")
+    assert "there" not in outcome.failure
+
+
+def test_a_body_that_memory_cannot_hold_is_refused_before_any_work(packed_cube, tmp_path):
+    work = Work("fit", packed_cube, FitOptions())
+    outcome = do_work(work, folder=tmp_path, memory=4e8)
+    with pytest.raises(InputError) as expected:
+        check_memory(98, 1, available=4e8)
+    assert "needs 0.4 GB of memory for one probing; 0.4 GB can be used here" in outcome.failure
+    assert outcome.failure == f"{packed_cube.root}/cube/mesh.ply: {expected.value}"
+
+
+def test_motion_that_was_measured_is_taken(packed_cube, tmp_path):
+    # What is no motion of these pictures is measured again, not believed: here there are none.
+    work = Work("fit", packed_cube, FitOptions(), motion=np.random.default_rng(0).bytes(100))
+    assert do_work(work, folder=tmp_path).failure == ""
