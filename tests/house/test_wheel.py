@@ -52,7 +52,17 @@ def test_what_it_says_of_itself(wheel):
     needed = [line for line in said.get_all("Requires-Dist") if "extra ==" not in line]
     heavy = ("viser", "mitsuba", "mujoco", "libigl", "meshio", "playwright", "sphinx", "pytest")
     assert [line for line in needed if line.startswith(heavy)] == []
-    assert set(said.get_all("Provides-Extra")) == {"fem", "lab", "mesh", "surface", "view"}
+    assert set(said.get_all("Provides-Extra")) == {
+        "bags",
+        "batch",
+        "e57",
+        "fem",
+        "lab",
+        "mesh",
+        "parquet",
+        "surface",
+        "view",
+    }
     assert said["License-Expression"] == "BSD-3-Clause"
     points = opened.read(name.replace("METADATA", "entry_points.txt")).decode()
     assert "palpate = palpate.app.cli:main" in points

@@ -7,7 +7,9 @@ from palpate.estimation.intervals.validation import (
     predicted_points,
     predicted_surface,
 )
-from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.observations import (
+    ProbeObservations,
+)
 from palpate.estimation.search import Minimum, Misfit
 from palpate.shapes import Points, Vertices
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.observations import (
+from palpate.estimation.observed_rows import (
     CLAIMED_GROUPS,
     GROUP_COUNT,
     TIP_GROUP,

@@ -17,7 +17,9 @@ from palpate.arrays import weighted_square
 from palpate.errors import NotConvergedError
 from palpate.estimation.noise import NoiseModel
 from palpate.estimation.nuisance import NuisanceParameter
-from palpate.estimation.observations import ObservedRows
+from palpate.estimation.observed_rows import (
+    ObservedRows,
+)
 
 _MAX_FORCE_STEPS = 200
 _FORCE_TOLERANCE = 1e-12

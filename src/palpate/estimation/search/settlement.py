@@ -10,7 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.estimation.observations import ObservedRows
+from palpate.estimation.observed_rows import (
+    ObservedRows,
+)
 from palpate.estimation.responses import ResponseTable
 from palpate.estimation.search.scoring import Minimum
 

@@ -1,0 +1,264 @@
+"""The measured components of a probing as one stack of rows, ready for the misfit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.errors import InputError
+from palpate.estimation.nuisance import Nuisance, NuisanceParameter
+from palpate.estimation.observations import ProbeObservations, ResponseModel, Settlement
+from palpate.shapes import Vector3
+
+# Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
+GROUP_COUNT = 8
+CLAIMED_GROUPS = slice(4, 8)
+TIP_GROUP = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedRows:
+    """The measured components of one probing as one stack of rows, ready for the misfit.
+
+    A point has up to three rows that stand or fall together: a wrong match spoils all of them.
+    Where a point's covariance is known its three rows are mixed so that their errors are
+    independent and equal.
+
+    Parameters
+    ----------
+    name : str
+    rows : (r,) int                         rows of the response that were measured
+    measured : (r,) float [m]               mixed, as everything that its methods give
+    unit : (r,) float [m]                   claimed 1 sigma, or 1 where the level is estimated
+    group : (r,) int                        noise group, see GROUP_COUNT
+    start : (p,) int                        first row of each point
+    components : (p,) float                 measured components of each point, 1 to 3
+    point : (p,) int                        index of the point in the probing; n = the tip
+    position : (p, 3) float [m]             NaN for the tip
+    force, force_std : (3,) float [N]
+    motion, motion_std : (q,) float
+    response : ResponseModel
+    nuisances : tuple of Nuisance
+    settlement : Settlement or None
+    mixing : (k, 3, 3) float [-] or None    of the first k points, which have three rows each: their
+                                            covariance to the power -1/2, times `unit`
+    """
+
+    name: str
+    rows: Int[np.ndarray, " r"]
+    measured: Float[np.ndarray, " r"]
+    unit: Float[np.ndarray, " r"]
+    group: Int[np.ndarray, " r"]
+    start: Int[np.ndarray, " p"]
+    components: Float[np.ndarray, " p"]
+    point: Int[np.ndarray, " p"]
+    position: Float[np.ndarray, "p 3"]
+    force: Vector3
+    force_std: Vector3
+    motion: Float[np.ndarray, " q"]
+    motion_std: Float[np.ndarray, " q"]
+    response: ResponseModel
+    nuisances: tuple[Nuisance, ...] = ()
+    settlement: Settlement | None = None
+    mixing: Float[np.ndarray, "k 3 3"] | None = None
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """Parameters of the errors that its points share, in the order of `nuisance_columns`."""
+        return tuple(one for nuisance in self.nuisances for one in nuisance.parameters)
+
+    def nuisance_columns(
+        self,
+        response: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p"]:
+        """Change of the displacements for one prior standard deviation of each parameter [m]."""
+        if not self.nuisances:
+            return np.zeros((len(self.measured), 0))
+        plain = response
+        if self.mixing is not None:
+            plain = _mixed(np.linalg.inv(self.mixing), response)
+        found = [n.columns(self.rows, plain, load, poisson_ratio) for n in self.nuisances]
+        return _mixed(self.mixing, np.concatenate(found, axis=1))
+
+    @property
+    def force_components(self) -> int:
+        """How many components of the force are uncertain."""
+        return int(np.count_nonzero(self.force_std))
+
+    @property
+    def fitted_components(self) -> int:
+        """How many components of the force and of the motions are fitted along."""
+        return self.force_components + int(np.count_nonzero(self.motion_std))
+
+    def load(self, shear_modulus: float, shift: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
+        """What the response's columns are multiplied with: force and known loads over the shear
+        modulus, motions; force and motions shifted by some of their sigmas (further ones, of
+        nuisance parameters, do not enter)."""
+        force = self.force + self.force_std * shift[:3]
+        pushed = np.append(force, 1.0) / shear_modulus
+        moved = self.motion + self.motion_std * shift[3 : 3 + len(self.motion)]
+        return np.concatenate([pushed, moved])
+
+    def per_shift(
+        self, response: Float[np.ndarray, "r c"], shear_modulus: float
+    ) -> Float[np.ndarray, "r n"]:
+        """Displacement per sigma of each component of the force and of the motions."""
+        forces = response[:, :3] * (self.force_std / shear_modulus)
+        return np.concatenate([forces, response[:, 4:] * self.motion_std], axis=1)
+
+    def prior(self, force_weight: float) -> Float[np.ndarray, " n"]:
+        """Weight of what was known before about each shift of the force and of the motions."""
+        return np.append(np.full(3, force_weight), np.ones(len(self.motion)))
+
+    @property
+    def has_claims(self) -> bool:
+        """Whether every measured row came with a standard deviation of its own."""
+        return bool((self.group >= CLAIMED_GROUPS.start).all())
+
+    def sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
+        """1 sigma of every row [m] at the noise level of each group."""
+        return self.unit * level[self.group]
+
+    def component_sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
+        """The same of the components x, y and z as they were measured."""
+        sigma = self.sigma(level)
+        if self.mixing is None:
+            return sigma
+        k = len(self.mixing)
+        share = np.linalg.inv(self.mixing) ** 2
+        own = np.einsum("kab,kb->ka", share, sigma[: 3 * k].reshape(k, 3) ** 2)
+        return np.append(np.sqrt(own).ravel(), sigma[3 * k :])
+
+    def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
+        """The value of its point for every row."""
+        return np.repeat(values, self.components.astype(np.int64))
+
+    def squared_length(self, residual: Float[np.ndarray, " r"]) -> Float[np.ndarray, " p"]:
+        """Squared length of every point's vector of residuals, in the residuals' unit squared."""
+        return np.add.reduceat(residual**2, self.start)
+
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
+        """Response of the measured rows (`ResponseModel`)."""
+        return self._measured_rows(self.response.value(poisson_ratio), poisson_ratio)
+
+    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
+        """Derivative of `value` with respect to Poisson's ratio."""
+        return self._measured_rows(self.response.slope(poisson_ratio), poisson_ratio)
+
+    def settling(
+        self, poisson_ratio: float, shear_modulus: float
+    ) -> Float[np.ndarray, "r c"] | None:
+        """Derivative of the response of the measured rows with respect to log G; None: there is
+        none."""
+        if self.settlement is None:
+            return None
+        found = self._measured_rows(self.settlement.derivative(poisson_ratio), poisson_ratio)
+        return found * (shear_modulus / self.settlement.shear_modulus)
+
+    def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
+        # A copy of all rows costs more than the fit's own work.
+        whole = len(self.rows) == len(response)
+        chosen = response if whole else response[self.rows[self.rows < len(response)]]
+        shape = (len(self.measured), 4 + len(self.motion))
+        if chosen.shape != shape or not np.isfinite(chosen.sum()):
+            raise InputError(
+                f"probing {self.name!r}: the response at poisson_ratio {poisson_ratio:g} has shape"
+                f" {response.shape} and must be finite with three rows a point (and three for a"
+                f" measured tip) and {shape[1]} columns; check support, contact and mesh"
+            )
+        return _mixed(self.mixing, chosen)
+
+
+def _mixed(
+    mixing: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r c"]
+) -> Float[np.ndarray, "r c"]:
+    """Rows with the three of each of the first k points mixed; as they are where there is none."""
+    if mixing is None:
+        return rows
+    k = 3 * len(mixing)
+    first = mixing @ rows[:k].reshape(len(mixing), 3, -1)
+    return np.concatenate([first.reshape(k, -1), rows[k:]])
+
+
+def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
+    """Measured components of a probing, in the order of the response's rows.
+
+    Parameters
+    ----------
+    probe : ProbeObservations
+
+    Returns
+    -------
+    ObservedRows
+
+    Raises
+    ------
+    InputError                              nothing was measured, or nothing pushes
+    """
+    displacement, unit, group = _stacked(probe)
+    seen = np.isfinite(displacement)
+    if not seen.any():
+        raise InputError(
+            f"probing {probe.name!r} has no measured displacement among {len(probe.position)}"
+            " points; leave the probing out, or check why every row is NaN"
+        )
+    if not np.any(probe.force) and not np.any(probe.response.value(0.25)[:, 3]):
+        raise InputError(
+            f"probing {probe.name!r} has zero force and no other load, so it says nothing about"
+            " the constants; give the force on the object in newton, or leave the probing out"
+        )
+    rows = np.flatnonzero(seen)
+    point, start, count = np.unique(rows // 3, return_index=True, return_counts=True)
+    position = np.vstack([probe.position, np.full((1, 3), np.nan)])[point]
+    mixing = _mixing(probe)
+    return ObservedRows(
+        name=probe.name,
+        rows=rows,
+        measured=_mixed(mixing, displacement[rows, None])[:, 0],
+        unit=unit[rows],
+        group=group[rows],
+        start=start.astype(np.int64),
+        components=count.astype(np.float64),
+        point=point.astype(np.int64),
+        position=position,
+        force=probe.force,
+        force_std=probe.force_std,
+        motion=probe.motion,
+        motion_std=probe.motion_std,
+        response=probe.response,
+        nuisances=probe.nuisances,
+        settlement=probe.settlement,
+        mixing=mixing,
+    )
+
+
+def _mixing(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"] | None:
+    """`ObservedRows.mixing` of the points that were measured."""
+    if probe.covariance is None:
+        return None
+    known = probe.covariance[np.isfinite(probe.displacement).all(axis=1)]
+    value, vector = np.linalg.eigh(known)
+    size = np.sqrt(value.mean(axis=1, keepdims=True) / value)
+    return (vector * size[:, None, :]) @ vector.swapaxes(1, 2)
+
+
+def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Displacement, claimed 1 sigma (1 where none) and noise group of every row."""
+    n = len(probe.position)
+    claimed = probe.std is not None
+    unit = np.ones((n, 3)) if probe.std is None else probe.std
+    if probe.covariance is not None:
+        square = np.trace(probe.covariance, axis1=1, axis2=2) / 3.0
+        unit = np.tile(np.sqrt(square)[:, None], 3)
+    group = np.tile(np.arange(3), n) + (CLAIMED_GROUPS.start if claimed else 0)
+    displacement, unit = probe.displacement.ravel(), unit.ravel()
+    if probe.tip_displacement is not None:
+        claimed = probe.tip_displacement_std is not None
+        tip_unit = probe.tip_displacement_std if claimed else np.ones(3)
+        tip_group = TIP_GROUP + (CLAIMED_GROUPS.start if claimed else 0)
+        displacement = np.concatenate([displacement, probe.tip_displacement])
+        unit = np.concatenate([unit, tip_unit])
+        group = np.concatenate([group, np.full(3, tip_group)])
+    return displacement, unit, group.astype(np.int64)
