@@ -145,3 +145,32 @@ def test_what_cameras_contradict_each_other_by_beyond_noise_is_their_bias(camera
     assert _matching_bias(match, used) == pytest.approx(bias, rel=0.17 if cameras > 2 else 0.5)
     quiet = match._replace(own=0.3 * own)
     assert _matching_bias(quiet, used) == 0.005
+
+
+def test_points_beside_what_covers_the_surface_are_less_certain():
+    still = noisy_views(example_views("still"), NOISE, 1)
+    later = noisy_views(example().views(SHIFT), NOISE, 2)
+    rows, columns = SHAPE
+    covered = [view.copy() for view in later]
+    for view in covered:
+        view[rows // 3 : rows // 2, columns // 3 : columns // 2] = 30.0
+    plain = next(followed(first_instant(example(), still), [later]))
+    flow = next(followed(first_instant(example(), still), [covered]))
+    away, before = (
+        np.linalg.norm(
+            one.pixel[:, None] - one.pixel[np.isin(one.outcome, (Outcome.SCORE, Outcome.LOST))],
+            axis=2,
+        ).min(axis=1, initial=np.inf)
+        for one in (flow, plain)
+    )
+    both = is_valid(flow) & is_valid(plain) & (before > flow.subset / 2)
+    near, far = both & (away <= flow.subset / 2), both & (away > flow.subset / 2)
+    assert near.sum() > 10
+    assert far.sum() > 100
+    same = flow.cameras == plain.cameras
+    bias = np.trace(flow.bias, axis1=1, axis2=2) / np.trace(plain.bias, axis1=1, axis2=2)
+    # One number for all points is what the cameras show of their bias in each flow.
+    usual = np.median(bias[far & same])
+    assert 0.5 < usual < 2.0
+    np.testing.assert_allclose(bias[far & same], usual, rtol=1e-9)
+    np.testing.assert_allclose(bias[near & same], 9.0 * usual, rtol=1e-9)

@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from palpate.vision.cameras import pixel_sizes, project_jacobian
 from palpate.vision.images import moments, smoothing_gain
@@ -27,8 +28,10 @@ _MIN_CONTRAST = 3.0
 # standard deviations.
 _MAX_DISAGREEMENT = 5.0
 # Systematic error of one camera's match that no residual shows (interpolation, response of the
-# pixels), part of every covariance.
+# pixels), part of every covariance; and how many times as large it is beside what covers or shadows
+# the surface.
 _MATCHING_BIAS_PX = 0.005
+_BESIDE_CHANGE = 3.0
 
 
 def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) -> RangeFlow:
@@ -46,10 +49,11 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
     """
     used = used_cameras(match)
     bias_px = _matching_bias(match, used)
-    bias = _bias_covariance(scene, match.use, bias_px)
     by_noise = _noise_covariance(scene, match)
-    covariance = by_noise + bias
     outcome = _outcome(scene, match, by_noise, noise, bias_px)
+    factor = np.where(_beside_change(scene, outcome), _BESIDE_CHANGE, 1.0)
+    bias = _bias_covariance(scene, match.use, bias_px) * factor[:, None, None] ** 2
+    covariance = by_noise + bias
     valid = outcome == Outcome.VALID
     score = np.where(used, match.score, np.inf).min(axis=1)
     return RangeFlow(
@@ -120,6 +124,20 @@ def _outcome(
         alone = away > _MAX_DISAGREEMENT * np.hypot(around.scatter, sigma)
     outcome[ok & alone] = Outcome.NEIGHBOURS
     return outcome
+
+
+def _beside_change(scene: Scene, outcome: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Points within half a window of one whose window changed or was lost.
+
+    What covers a window, or the shadow in it, reaches into theirs, too, by too little to show in
+    what their match leaves, and their second derivatives come from one side alone. Beside a tool
+    that moves all points of its rim alike, toward it, and Poisson's ratio with them.
+    """
+    changed = np.isin(outcome, (Outcome.SCORE, Outcome.LOST))
+    if not changed.any():
+        return changed
+    away, _ = cKDTree(scene.pixel[changed]).query(scene.pixel)
+    return np.asarray(away <= scene.subset / 2)
 
 
 def _pixel_sizes(scene: Scene) -> Float[np.ndarray, " n"]:
