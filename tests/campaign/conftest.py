@@ -1,5 +1,6 @@
 """Small sessions that fit in a second, and a scheduler with workers in this process."""
 
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -60,6 +61,15 @@ def cubes(cube: Path, tmp_path: Path) -> Path:
 def packed_cube(cube: Path) -> PackedSession:
     """The files of one session."""
     return pack_session(cube)
+
+
+@pytest.fixture(scope="package", autouse=True)
+def _own_environment() -> Iterator[None]:
+    """Clusters that tests start themselves leave their workers' settings in our environment."""
+    before = dict(os.environ)
+    yield
+    os.environ.clear()
+    os.environ.update(before)
 
 
 @pytest.fixture(scope="module")

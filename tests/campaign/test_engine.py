@@ -106,11 +106,13 @@ def test_an_error_of_the_program_is_a_row(packed_cube):
 
 @pytest.mark.slow
 def test_a_cluster_of_ones_own_bounds_threads_and_memory():
+    before = dict(os.environ)
     with started_engine(None, 2) as workers:
         assert workers.threads == 2
         threads = workers.client.run(_threads)
         limits = [w["memory_limit"] for w in workers.client.scheduler_info()["workers"].values()]
     assert list(threads.values()) == [("1", "1", "1", 1)] * 2
+    assert dict(os.environ) == before
     assert sum(limits) <= 0.91 * distributed.system.MEMORY_LIMIT
 
 

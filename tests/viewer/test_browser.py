@@ -26,6 +26,18 @@ def drawn(page):
     return (canvas(page).min(axis=2) < 200).mean() > 0.02
 
 
+def click(page, column, row, happened):
+    """Click until something happens: a page that is still setting up its view loses a click."""
+    for _ in range(10):
+        page.mouse.click(column, row)
+        try:
+            until(happened, patience=6.0)
+        except AssertionError:
+            continue
+        return
+    until(happened, patience=1.0)
+
+
 def test_the_mesh_is_there_and_no_other_host_is_asked(page, viewer):
     until(lambda: drawn(page))
     hosts = {address.removeprefix("blob:") for address in page.asked}
@@ -37,8 +49,10 @@ def test_a_click_presses_and_a_drag_presses_deeper(page, viewer):
     until(lambda: drawn(page))
     page.get_by_role("tab", name="Touch").click()
     before = canvas(page)
-    page.mouse.click(400, 250)
-    until(lambda: tab.touching.pressed is not None and tab.touching.pressed.force.any())
+    click(
+        page, 400, 250,
+        lambda: tab.touching.pressed is not None and tab.touching.pressed.force.any(),
+    )  # fmt: skip
     first = tab.touching.pressed
     page.get_by_text(f"{np.linalg.norm(first.force):.3g}").first.wait_for(timeout=10_000)
     until(lambda: changed(page, before))
@@ -74,9 +88,12 @@ def test_two_tabs_do_not_disturb_each_other_and_a_closed_one_goes(page, viewer, 
     mine, theirs = viewer.tabs[page.number], viewer.tabs[max(viewer.tabs)]
     until(lambda: drawn(page))
     until(lambda: drawn(second))
-    before = mine.touching.pressed
-    page.mouse.click(390, 245)
-    until(lambda: mine.touching.pressed is not before)
+    page.get_by_role("tab", name="Touch").click()
+    if mine.touching.pressed is not None:
+        # A ball of the test before may stand where this one clicks.
+        page.get_by_role("button", name="take the ball away").click()
+        until(lambda: mine.touching.pressed is None)
+    click(page, 390, 245, lambda: mine.touching.pressed is not None)
     assert theirs.touching.pressed is None
     second.close()
     until(lambda: set(viewer.tabs) == others)

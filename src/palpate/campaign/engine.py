@@ -172,6 +172,7 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
     """
     library = late_import("distributed", extra="batch", purpose="a campaign")
     with ExitStack() as stack:
+        stack.enter_context(_own_environment())
         settings = late_import("dask.config", extra="batch", purpose="a campaign")
         stack.enter_context(settings.set(_SETTINGS))
         # Versions are compared below, with a message of our own.
@@ -186,6 +187,18 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
         address = scheduler or str(client.scheduler.address)
         _check_workers(client, address)
         yield Engine(client, address, library)
+
+
+@contextmanager
+def _own_environment() -> Iterator[None]:
+    """Dask puts what its workers are to find into our environment, and leaves it there: numba would
+    compile nothing more once the number of its threads had changed."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def cores() -> int:

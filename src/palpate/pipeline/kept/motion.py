@@ -47,7 +47,9 @@ def keep_motion(folder: Path, given: Session, measured: Session) -> None:
         if before.displacement is None and field is not None and field.vertex is not None:
             content[f"vertex {probing.name}"] = field.vertex
             content[f"displacement {probing.name}"] = field.displacement
-            content[f"covariance {probing.name}"] = field.covariance
+            content[f"std {probing.name}"] = field.std
+            if field.covariance is not None:
+                content[f"covariance {probing.name}"] = field.covariance
     packed = io.BytesIO()
     np.savez_compressed(packed, **content)
     write_bytes(folder / MOTION_FILE, packed.getvalue())
@@ -85,15 +87,16 @@ def _with_fields(session: Session, kept: dict[str, np.ndarray]) -> Session:
     for probing in session.probings:
         if probing.displacement is None and probing.images:
             rows = kept[f"vertex {probing.name}"]
+            points = session.mesh.vertices[rows]
             field = DisplacementField(
-                points=(points := session.mesh.vertices[rows]),
+                points=points,
                 displacement=kept[f"displacement {probing.name}"],
-                std=np.sqrt(np.einsum("vaa->va", covariance := kept[f"covariance {probing.name}"])),
+                std=kept[f"std {probing.name}"],
                 vertex=rows,
                 surface=closest_points(session.mesh, points),
                 source=f"images of {probing.name}",
                 scale_error=SCALE_ERROR,
-                covariance=covariance,
+                covariance=kept.get(f"covariance {probing.name}"),
             )
             probing = replace(probing, displacement=field)
         probings.append(probing)
