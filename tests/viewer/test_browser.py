@@ -88,16 +88,18 @@ def test_two_tabs_do_not_disturb_each_other_and_a_closed_one_goes(page, viewer, 
     mine, theirs = viewer.tabs[page.number], viewer.tabs[max(viewer.tabs)]
     until(lambda: drawn(page))
     until(lambda: drawn(second))
-    page.get_by_role("tab", name="Touch").click()
-    if mine.touching.pressed is not None:
-        # A ball of the test before may stand where this one clicks.
-        page.get_by_role("button", name="take the ball away").click()
-        until(lambda: mine.touching.pressed is None)
-    click(page, 390, 245, lambda: mine.touching.pressed is not None)
-    assert theirs.touching.pressed is None
+    page.bring_to_front()
+    page.get_by_role("tab", name="Material").click()
+    until(lambda: theirs.material.modulus is not None)
+    before, other = float(mine.material.modulus.value), float(theirs.material.modulus.value)
+    slider = page.get_by_role("slider").first
+    slider.focus()
+    page.keyboard.press("ArrowLeft")
+    until(lambda: float(mine.material.modulus.value) < before)
+    assert float(theirs.material.modulus.value) == other
     second.close()
     until(lambda: set(viewer.tabs) == others)
     # The server goes on for the other.
-    page.get_by_role("tab", name="Touch").click()
-    page.get_by_role("button", name="take the ball away").click()
-    until(lambda: mine.touching.pressed is None)
+    now = float(mine.material.modulus.value)
+    page.keyboard.press("ArrowLeft")
+    until(lambda: float(mine.material.modulus.value) < now)
