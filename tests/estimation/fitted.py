@@ -8,9 +8,7 @@ from jaxtyping import Float
 from palpate.estimation import ProbeObservations
 from palpate.estimation.intervals.uncertainty import Uncertainty, uncertainty_of
 from palpate.estimation.noise.registry import NOISE_MODELS
-from palpate.estimation.observed_rows import (
-    observed_rows_of,
-)
+from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.responses.table import response_table
 from palpate.estimation.search.misfit import LocalProbe, Misfit
 from palpate.estimation.search.scoring import Minimum, scored_minimum

@@ -8,9 +8,7 @@ from estimation.half_space import HalfSpace, half_space_probes
 
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations
-from palpate.estimation.observed_rows import (
-    observed_rows_of,
-)
+from palpate.estimation.observed_rows import observed_rows_of
 
 
 def _probe(**options: object) -> ProbeObservations:

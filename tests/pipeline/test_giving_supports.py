@@ -9,10 +9,7 @@ from surfaces import box
 
 from palpate.estimation import FitMethod, FitSettings, SupportCompliance
 from palpate.estimation.noise import Gaussian
-from palpate.estimation.observed_rows import (
-    GROUP_COUNT,
-    observed_rows_of,
-)
+from palpate.estimation.observed_rows import GROUP_COUNT, observed_rows_of
 from palpate.estimation.search import Misfit
 from palpate.geometry import closest_points
 from palpate.pipeline import (

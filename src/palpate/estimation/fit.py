@@ -28,13 +28,8 @@ from palpate.estimation.intervals import (
 )
 from palpate.estimation.noise import NOISE_MODELS, noise_levels
 from palpate.estimation.notes import fit_notes
-from palpate.estimation.observations import (
-    ProbeObservations,
-)
-from palpate.estimation.observed_rows import (
-    ObservedRows,
-    observed_rows_of,
-)
+from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.responses import ResponseTable, response_table
 from palpate.estimation.search import (
     FixedWeights,

@@ -5,10 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
-from palpate.estimation.observed_rows import (
-    CLAIMED_GROUPS,
-    GROUP_COUNT,
-)
+from palpate.estimation.observed_rows import CLAIMED_GROUPS, GROUP_COUNT
 from palpate.estimation.search import Misfit
 from palpate.records import SURPRISING, ErrorEstimate, error_texts, length_unit
 

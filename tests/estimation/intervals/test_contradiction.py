@@ -5,9 +5,7 @@ import pytest
 
 from palpate.estimation.intervals.contradiction import contradiction
 from palpate.estimation.intervals.validation import ProbeFit
-from palpate.estimation.observations import (
-    ProbeObservations,
-)
+from palpate.estimation.observations import ProbeObservations
 
 RADIUS = 0.04
 MOTION = 1e-3

@@ -8,10 +8,7 @@ from estimation.half_space import half_space_probes
 
 from palpate.estimation import ProbeObservations
 from palpate.estimation.noise.levels import noise_levels
-from palpate.estimation.observed_rows import (
-    ObservedRows,
-    observed_rows_of,
-)
+from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 
 # Median absolute deviation of Gaussian noise over its sigma, and the standard error of a sigma
 # from it, over sigma and times the root of the number of values.

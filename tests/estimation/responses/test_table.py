@@ -6,9 +6,7 @@ from estimation.fitted import misfit_of
 from estimation.half_space import half_space_probes
 from numpy.polynomial import Polynomial
 
-from palpate.estimation.observed_rows import (
-    ObservedRows,
-)
+from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.responses.table import interpolation_weights, response_table
 
 

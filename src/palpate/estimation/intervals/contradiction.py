@@ -15,9 +15,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from palpate.estimation.intervals.validation import ProbeFit
-from palpate.estimation.observations import (
-    ProbeObservations,
-)
+from palpate.estimation.observations import ProbeObservations
 from palpate.geometry import morton_order
 from palpate.shapes import Points, PointScalars, Vector3
 

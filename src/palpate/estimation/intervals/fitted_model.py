@@ -7,10 +7,8 @@ from palpate.estimation.intervals.validation import (
     predicted_points,
     predicted_surface,
 )
-from palpate.estimation.observations import (
-    ProbeObservations,
-)
-from palpate.estimation.search import Minimum, Misfit
+from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.search import Minimum, Misfit, total_loss
 from palpate.shapes import Points, Vertices
 
 
@@ -78,7 +76,7 @@ class FittedModel:
         NotConvergedError               the true force of a probing did not settle
         """
         errors, local = self.misfit.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
-        value = float(sum(probe.loss for probe in local) + errors @ errors)
+        value = total_loss(local, errors)
         probings = []
         for probe, found in zip(self.observations, local, strict=True):
             _, sigmas = found_errors(self.misfit, found, errors)
@@ -106,5 +104,4 @@ def fitted_model(
     -------
     FittedModel
     """
-    lowest = sum(probe.loss for probe in minimum.probes) + minimum.errors @ minimum.errors
-    return FittedModel(probes, misfit, float(lowest))
+    return FittedModel(probes, misfit, total_loss(minimum.probes, minimum.errors))

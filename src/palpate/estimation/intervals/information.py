@@ -9,13 +9,8 @@ from jaxtyping import Float
 from palpate.errors import InputError
 from palpate.estimation.intervals.sandwich import directions, projection
 from palpate.estimation.noise import Gaussian
-from palpate.estimation.observations import (
-    ProbeObservations,
-)
-from palpate.estimation.observed_rows import (
-    GROUP_COUNT,
-    observed_rows_of,
-)
+from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.observed_rows import GROUP_COUNT, observed_rows_of
 from palpate.estimation.search import Misfit
 
 

@@ -9,9 +9,7 @@ from jaxtyping import Float
 from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.noise import relative_weight
 from palpate.estimation.nuisance import NuisanceParameter
-from palpate.estimation.observations import (
-    ProbeObservations,
-)
+from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import LocalProbe, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices

@@ -5,12 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.observed_rows import (
-    CLAIMED_GROUPS,
-    GROUP_COUNT,
-    TIP_GROUP,
-    ObservedRows,
-)
+from palpate.estimation.observed_rows import CLAIMED_GROUPS, GROUP_COUNT, TIP_GROUP, ObservedRows
 
 _MAD_TO_SIGMA = 1.482602218505602
 # Relative standard error of a sigma from the median absolute deviation of n Gaussian values.

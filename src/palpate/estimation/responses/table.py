@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.observed_rows import (
-    ObservedRows,
-)
+from palpate.estimation.observed_rows import ObservedRows
 
 # Nodes for a range of 0.5, more in proportion. Nearest pole of an elastic response at nu about 1
 # or 0.6 at worst: error below 1e-4 of the response; the final estimate uses exact responses.

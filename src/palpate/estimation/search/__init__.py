@@ -12,7 +12,11 @@ from palpate.estimation.search.global_search import (
     fitted_parameters as fitted_parameters,
     global_start as global_start,
 )
-from palpate.estimation.search.misfit import LocalProbe as LocalProbe, Misfit as Misfit
+from palpate.estimation.search.misfit import (
+    LocalProbe as LocalProbe,
+    Misfit as Misfit,
+    total_loss as total_loss,
+)
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum as nelder_mead_minimum
 from palpate.estimation.search.scoring import (
     Minimum as Minimum,

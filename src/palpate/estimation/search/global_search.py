@@ -12,9 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation.noise import NoiseModel, noise_levels
-from palpate.estimation.observed_rows import (
-    ObservedRows,
-)
+from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.responses import ResponseTable
 from palpate.estimation.search.variable_projection import best_constants, fixed_weights
 

@@ -17,9 +17,7 @@ from palpate.arrays import weighted_square
 from palpate.errors import NotConvergedError
 from palpate.estimation.noise import NoiseModel
 from palpate.estimation.nuisance import NuisanceParameter
-from palpate.estimation.observed_rows import (
-    ObservedRows,
-)
+from palpate.estimation.observed_rows import ObservedRows
 
 _MAX_FORCE_STEPS = 200
 _FORCE_TOLERANCE = 1e-12
@@ -161,7 +159,7 @@ class Misfit:
         NotConvergedError                   the force of a probing did not settle
         """
         errors, local = self.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
-        return float(sum(probe.loss for probe in local) + errors @ errors)
+        return total_loss(local, errors)
 
     def at_best_forces(
         self, poisson_ratio: float, shear_modulus: float, *, with_slope: bool = True
@@ -284,6 +282,21 @@ def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParamete
         for one in probe.parameters:
             (shared if one.name in seen else seen)[one.name] = one
     return tuple(shared.values())
+
+
+def total_loss(local: Sequence[LocalProbe], errors: Float[np.ndarray, " m"]) -> float:
+    """The misfit of probings that are linearised already.
+
+    Parameters
+    ----------
+    local : sequence of LocalProbe
+    errors : (m,) float             that probings share, in sigmas
+
+    Returns
+    -------
+    float [-]
+    """
+    return float(sum(probe.loss for probe in local) + errors @ errors)
 
 
 def common_equations(

@@ -16,6 +16,7 @@ from palpate.estimation.search.misfit import (
     Misfit,
     ScaledRows,
     common_equations,
+    total_loss,
 )
 
 _MAX_LINEARISATIONS = 8
@@ -117,7 +118,7 @@ def _linear_minimum(
     about the start."""
     reference, best = start.poisson_ratio, start
     local = misfit.linearised(rows, 0.0, start.shear_modulus, shifts, start.errors)
-    best, loss = replace(start, probes=local), _loss(local, start.errors)
+    best, loss = replace(start, probes=local), total_loss(local, start.errors)
     for _ in range(_MAX_STEPS):
         step, moves, error = _step(misfit.noise, best, poisson_range)
         for factor in 0.5 ** np.arange(_MAX_HALVINGS):
@@ -128,7 +129,7 @@ def _linear_minimum(
                 probe.shift + factor * move for probe, move in zip(best.probes, moves, strict=True)
             ]
             trial = misfit.linearised(rows, nu - reference, modulus, new_shifts, errors)
-            new_loss = _loss(trial, errors)
+            new_loss = total_loss(trial, errors)
             if new_loss <= loss + 1e-12 * (1 + abs(loss)):
                 break
         else:
@@ -139,10 +140,6 @@ def _linear_minimum(
         if moved < max(_STEP_TOLERANCE, 0.1 * _STEP_OVER_ERROR * error):
             break
     return best, error
-
-
-def _loss(local: Sequence[LocalProbe], errors: Float[np.ndarray, " m"]) -> float:
-    return float(sum(probe.loss for probe in local) + errors @ errors)
 
 
 def _step(

@@ -10,9 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.estimation.observed_rows import (
-    ObservedRows,
-)
+from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.responses import ResponseTable
 from palpate.estimation.search.scoring import Minimum
 
