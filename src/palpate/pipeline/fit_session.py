@@ -89,7 +89,7 @@ def fit_session(
     if has_tools(resolved):
         resolved, coarser = _with_touched_circles(resolved, settings, surface, cache)
     else:
-        coarser = _on_the_mesh_itself(resolved, settings, surface, cache)
+        _, coarser = _on_the_mesh_itself(resolved, settings, surface, cache)
     compared = time.perf_counter()
     progress("integrals over the surface", 0.25)
     graded = graded_session(resolved, surface=surface)
@@ -153,12 +153,16 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
 
 
 def _on_the_mesh_itself(
-    session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
-) -> list[ProbeObservations]:
-    """What was seen beside the model of the mesh as it is, nothing else being wrong."""
+    session: Session,
+    settings: FitSettings,
+    surface: SurfaceSettings,
+    cache: Path | None,
+    like: ObjectModel | None = None,
+) -> tuple[ObjectModel, list[ProbeObservations]]:
+    """The model of the mesh as it is, nothing else being wrong, and what was seen beside it."""
     plain = replace(session, errors=EXACT)
-    model = make_object_model(plain, surface=surface, cache=cache)
-    return settled_observations(plain, model, settings=settings)
+    model = make_object_model(plain, surface=surface, cache=cache, nominal=True, like=like)
+    return model, settled_observations(plain, model, settings=settings)
 
 
 def _with_touched_circles(
@@ -166,8 +170,9 @@ def _with_touched_circles(
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session whose contacts are as wide as its tools touch, for the constants that it yields,
     and what was seen beside its model."""
+    model = None
     for _ in range(_MOST_TOUCHES):
-        observations = _on_the_mesh_itself(session, settings, surface, cache)
+        model, observations = _on_the_mesh_itself(session, settings, surface, cache, model)
         found = fit(observations, settings=settings).estimate
         touched = touched_session(
             session,

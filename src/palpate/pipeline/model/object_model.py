@@ -136,6 +136,8 @@ def make_object_model(
     *,
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
+    nominal: bool = False,
+    like: ObjectModel | None = None,
 ) -> ObjectModel:
     """Compute all integrals of a session's object, its loads, its weight and its supports.
 
@@ -144,6 +146,10 @@ def make_object_model(
     session : Session
     surface : SurfaceSettings
     cache : Path or None              folder that keeps the integrals for the next time
+    nominal : bool                    True: without contacts that differ a little from what is told,
+                                      and without what the mesh about them may be off by
+    like : ObjectModel or None        of the same mesh on the same supports under other contacts:
+                                      its integrals are used again
 
     Returns
     -------
@@ -163,13 +169,18 @@ def make_object_model(
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
     )
-    system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
+    if like is not None:
+        system = like.system
+    else:
+        system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
     weight = None
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
     dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
     numbers = _patch_numbers(session, patches)
-    changes = (*contact_changes(session, numbers), *dip_changes(session, numbers, dips))
+    changes: tuple[ContactChange, ...] = ()
+    if not nominal:
+        changes = (*contact_changes(session, numbers), *dip_changes(session, numbers, dips))
     moved = [one.patch for one in changes if one.patch is not None]
     changed_dips = [load_shape(boundary, surface_load(patch)) for patch in moved]
     pressures = tuple(pressed.values())
