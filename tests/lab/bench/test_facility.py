@@ -73,7 +73,7 @@ def test_a_probed_specimen_is_an_ordinary_session(made):
     (probing,) = session.probings
     assert session.notes == ()
     assert len(session.held_triangles) > 20
-    assert probing.contact.profile == "hertz"
+    assert (probing.contact.tool.shape, probing.contact.tool.radius) == ("sphere", 6e-3)
     np.testing.assert_array_equal(probing.contact.point, [0.0, 0.0, 0.04])
     assert len(probing.images.loaded) == 2
     rig = read_rig(session.rig)

@@ -48,8 +48,8 @@ def test_a_probing_comes_back_digit_by_digit(written):
     assert session["support"]["plane"] == {"point": [0, 0, 0], "normal": [0, 0, 1],
                                            "tolerance": 1e-9}  # fmt: skip
     (probe,), (true,) = session["probe"], truth["probe"]
-    assert probe["contact"] == {"point": [0.0, 0.0, 0.04], "radius": 1.0 / 300.0,
-                                "profile": "hertz"}  # fmt: skip
+    assert probe["contact"] == {"point": [0.0, 0.0, 0.04], "tool": "sphere",
+                                "tool_radius": 6e-3, "friction": "slides"}  # fmt: skip
     assert probe["images"]["loaded"] == ["images/n01_1_{camera}.png", "images/n01_{camera}.png"]
     rng = np.random.default_rng(0)
     assert true["force"] == rng.normal(size=(2, 3))[1].tolist()

@@ -43,7 +43,7 @@ def test_a_sphere_obeys_hertz():
     # However hard it is pressed, the circle is no wider than the ball.
     assert ball.half_space_radius(None, 1e3, MODULUS) == 0.006
     assert ball.max_depth == 0.006
-    assert ball.profile == "hertz"
+    assert ball.tool == "sphere"
 
 
 def test_a_punch_obeys_boussinesq():
@@ -52,7 +52,7 @@ def test_a_punch_obeys_boussinesq():
     assert depth == pytest.approx(0.3 / (2 * 0.006 * MODULUS), rel=1e-12)
     assert punch.half_space_radius(depth, None, MODULUS) == 0.006
     assert punch.max_depth == np.inf
-    assert punch.profile == "uniform"
+    assert punch.tool == "flat"
 
 
 @pytest.mark.parametrize(("radius", "shaft"), [(0.003, 0.003), (0.012, 0.004)])

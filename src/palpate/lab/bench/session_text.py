@@ -11,7 +11,7 @@ from jaxtyping import Float
 from palpate.geometry import closest_points
 from palpate.lab.bodies import Press, Tip
 from palpate.lab.config import LabConfig, Probe
-from palpate.records import SESSION_FORMAT, write_text
+from palpate.records import SESSION_FORMAT, SLIDES, STICKS, write_text
 
 Table = dict[str, Any]
 
@@ -36,8 +36,8 @@ def probe_tables(
 ) -> tuple[Table, Table]:
     """A probing as the bench knows it, from readings and where the arm was sent; and its truth.
 
-    The contact is what a person at the bench would write down: for a sphere Hertz's pressure over
-    the touched circle, for a punch an even one over its face.
+    The contact is what a person at the bench would write down: where the arm was sent, and what is
+    screwed to its rod. How wide it touches nobody sees.
 
     Parameters
     ----------
@@ -53,11 +53,15 @@ def probe_tables(
     """
     last, force, position = states[-1], config.force_sensor, config.position_sensor
     travel = last.depth * tip.direction
-    radius = tip.radius if tip.profile == "uniform" else last.radius
     loaded = [instant_name(probe, number) for number in range(1, probe.steps + 1)]
     session = {
         "name": probe.name,
-        "contact": {"point": probe.point.tolist(), "radius": radius, "profile": tip.profile},
+        "contact": {
+            "point": probe.point.tolist(),
+            "tool": tip.tool,
+            "tool_radius": tip.radius,
+            "friction": STICKS if config.arm.sticking else SLIDES,
+        },
         "force": force.read(last.force, rng=rng).tolist(),
         "force_std": force.std(last.force),
         "tip_displacement": position.read(travel, rng=rng).tolist(),

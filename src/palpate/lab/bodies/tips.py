@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
+from palpate.records import FLAT, SPHERE
 from palpate.shapes import Points, PointScalars, Vector3
 
 TipName = Literal["sphere", "punch"]
@@ -36,7 +37,7 @@ class Tip(ABC):
     radius: float
     point: Vector3
     direction: Vector3
-    profile: ClassVar[str]
+    tool: ClassVar[str]
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.radius) and self.radius > 0.0):
@@ -140,7 +141,7 @@ class Sphere(Tip):
     """A ball on a shaft of at most 4 mm radius."""
 
     __slots__ = ()
-    profile = "hertz"
+    tool = SPHERE
 
     @property
     def max_depth(self) -> float:
@@ -183,7 +184,7 @@ class Punch(Tip):
     """A flat round face, perpendicular to its motion, as wide as its shaft."""
 
     __slots__ = ()
-    profile = "uniform"
+    tool = FLAT
 
     def lead(self, beside: PointScalars) -> PointScalars:
         """Level up to its rim."""
