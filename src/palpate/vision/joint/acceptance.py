@@ -13,7 +13,7 @@ from palpate.vision.joint.match import (
     predicted_motion,
     used_cameras,
 )
-from palpate.vision.joint.refinement import Match
+from palpate.vision.joint.refinement import BLOCKS, Match
 from palpate.vision.joint.scene import Scene
 from palpate.vision.matching import median_around
 from palpate.vision.range_flow import Outcome, RangeFlow
@@ -28,10 +28,12 @@ _MIN_CONTRAST = 3.0
 # standard deviations.
 _MAX_DISAGREEMENT = 5.0
 # Systematic error of one camera's match that no residual shows (interpolation, response of the
-# pixels), part of every covariance; and how many times as large it is beside what covers or shadows
-# the surface.
-_MATCHING_BIAS_PX = 0.005
-_BESIDE_CHANGE = 3.0
+# pixels), part of every covariance; at least so much beside what covers or shadows the surface.
+_MATCHING_BIAS_PX = 0.002
+_BIAS_BESIDE_CHANGE_PX = 0.015
+# Derivatives that a window takes from its neighbours bring their noise along: variance of its
+# motion over that of a window whose derivatives are known (benchmarks/flow_sigma.py).
+_CARRIED_NOISE = 1.44
 
 
 def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) -> RangeFlow:
@@ -48,11 +50,13 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
     RangeFlow
     """
     used = used_cameras(match)
+    rough = _roughness(scene, match)
+    match = match._replace(own_variance=match.own_variance * rough[:, None])
+    by_noise = match.covariance * (_CARRIED_NOISE * rough)[:, None, None]
     bias_px = _matching_bias(match, used)
-    by_noise = _noise_covariance(scene, match)
     outcome = _outcome(scene, match, by_noise, noise, bias_px)
-    factor = np.where(_beside_change(scene, outcome), _BESIDE_CHANGE, 1.0)
-    bias = _bias_covariance(scene, match.use, bias_px) * factor[:, None, None] ** 2
+    beside = np.where(_beside_change(scene, outcome), _BIAS_BESIDE_CHANGE_PX, 0.0)
+    bias = _bias_covariance(scene, match.use, np.maximum(bias_px, beside))
     covariance = by_noise + bias
     valid = outcome == Outcome.VALID
     score = np.where(used, match.score, np.inf).min(axis=1)
@@ -145,13 +149,26 @@ def _pixel_sizes(scene: Scene) -> Float[np.ndarray, " n"]:
     return pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point)
 
 
-def _noise_covariance(scene: Scene, match: Match) -> Float[np.ndarray, "n 3 3"]:
-    """Covariance from what the match leaves, widened where that is rougher than white noise."""
+def _roughness(scene: Scene, match: Match) -> Float[np.ndarray, " n"]:
+    """Variance of a motion from what the match leaves over that from white noise, at least 1."""
     found = match.outcome == Outcome.VALID
     # One window's estimate of its roughness is itself rough: 27 blocks.
     rough = median_around(scene.point, match.rough, found, reach=neighbourhood(scene))
-    with np.errstate(invalid="ignore"):
-        return match.covariance * np.maximum(rough, 1.0)[:, None, None]
+    return np.asarray(np.maximum(rough, 1.0) / _share_in_blocks(scene))
+
+
+def _share_in_blocks(scene: Scene) -> float:
+    """How much of smoothed noise's roughness the blocks of a window catch (`window_blocks_kernel`).
+
+    The low-pass makes neighbouring pixels' noise alike, with the correlation exp(-(d / 2 s)^2); of
+    the pairs that are alike some lie on both sides of a block's edge.
+    """
+    if scene.smoothing <= 0.0:
+        return 1.0
+    side = scene.subset / BLOCKS
+    lag = np.arange(-int(side), int(side) + 1)
+    alike = np.exp(-((lag / (2.0 * scene.smoothing)) ** 2))
+    return float(((1.0 - np.abs(lag) / side) * alike).sum() / alike.sum()) ** 2
 
 
 def _contrast(scene: Scene) -> Float[np.ndarray, " n"]:
@@ -169,7 +186,7 @@ def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.n
 
 
 def _bias_covariance(
-    scene: Scene, use: Bool[np.ndarray, "n c"], bias: float
+    scene: Scene, use: Bool[np.ndarray, "n c"], bias: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3 3"]:
     """Covariance of the displacement if every camera's match were off by `bias` pixels.
 
@@ -185,6 +202,6 @@ def _bias_covariance(
     ray /= np.linalg.norm(ray, axis=1)[:, None]
     sideways = np.eye(3) - ray[:, :, None] * ray[:, None, :]
     common = _pixel_sizes(scene)[:, None, None] ** 2 * sideways
-    covariance = bias**2 * (np.linalg.inv(information) + common)
+    covariance = bias[:, None, None] ** 2 * (np.linalg.inv(information) + common)
     covariance[few] = np.nan
     return covariance

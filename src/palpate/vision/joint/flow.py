@@ -24,6 +24,7 @@ from palpate.vision.images import spline_pictures
 from palpate.vision.joint.acceptance import accepted_flow
 from palpate.vision.joint.match import match_scene
 from palpate.vision.joint.scene import Scene, advanced_scene, make_scene, scene_rows
+from palpate.vision.joint.sharpness import equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement
 from palpate.vision.matching import Scatter, dense_start, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
@@ -183,9 +184,8 @@ class JointFlow:
         start: Float[np.ndarray, "n 6 3"],
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
         """Range flow of a scene to later pictures, and the motion of every window."""
-        match, noise = match_scene(
-            scene, spline_pictures(now, scene.smoothing), start, shape=self.shape
-        )
+        scene, later = equally_sharp(scene, now, start)
+        match, noise = match_scene(scene, later, start, shape=self.shape)
         return accepted_flow(scene, match, noise), match.motion
 
     def _through_last(

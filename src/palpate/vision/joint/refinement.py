@@ -52,7 +52,7 @@ _LOST = int(Outcome.LOST)
 # Points that are worth a thread of their own: each takes some 0.2 ms.
 _MIN_POINTS_PER_THREAD = 8
 # Blocks along a side of a window whose residuals are taken as independent of each other.
-_BLOCKS = 3
+BLOCKS = 3
 # What a camera sees at the first instant, tuples of c arrays but for the packed cameras (c, 25).
 _First = namedtuple("_First", "cameras grey along_column along_row surface inner")
 # What is followed: (n, 3), (n, 2, 3) tangents, (n,) half side of a window on the surface [m].
@@ -217,7 +217,7 @@ def _make_work(views, half, bases):
         q=np.empty((6, 3)),
         frame=np.empty((3, 3)),
         active=np.empty(views, dtype=np.bool_),
-        blocks=np.empty((_BLOCKS * _BLOCKS, 2 * bases)),
+        blocks=np.empty((BLOCKS * BLOCKS, 2 * bases)),
         meat=np.empty((3 * bases, 3 * bases)),
         light=np.empty(5),
     )
@@ -349,7 +349,7 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
             own[c, 1] = -work.right[bases]
             found.own_variance[i, c] = left[c] * _mean_variance_kernel(work.normal[c], work.right)
     # Residuals of few blocks, bent toward zero by the fit of 3 bases unknowns.
-    blocks = seen * _BLOCKS * _BLOCKS
+    blocks = seen * BLOCKS * BLOCKS
     correction = blocks / max(blocks - 3.0 * bases, 1.0)
     robust = white = 0.0
     for a in range(3):

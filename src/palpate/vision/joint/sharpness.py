@@ -1,0 +1,155 @@
+"""Pictures that are blurred as a whole, by focus or motion, made equally sharp before a match.
+
+A window that has lost its fine structure still matches, off by a share of the blur: the surface's
+stretching and the light answer for what no motion explains. Blurring by a Gaussian adds half its
+squared width times the Laplacian to a picture, so the later picture less the first, beside its own
+Laplacian, shows by how much one is wider than the other. The sharper one is blurred by as much.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.vision.cameras import project
+from palpate.vision.images import (
+    SplinePicture,
+    interpolate,
+    make_spline_picture,
+    spline_pictures,
+)
+from palpate.vision.joint.refinement import Limits, Match, refine_joint
+from palpate.vision.joint.scene import Scene
+from palpate.vision.range_flow import Outcome
+
+# Windows that are looked at: enough for the width to 0.1 px, few beside those of the flow.
+_WINDOWS = 100
+# Fewer say nothing about the picture as a whole.
+_FEWEST = 8
+# Each round finds what the one before left, for the picture is not linear in a wide blur.
+_ROUNDS = 6
+# A width counts where it is this many of its standard errors.
+_SURE = 4.0
+# The Laplacian is that of pictures smoothed by so much, against noise [px].
+_SMOOTHING = 1.0
+
+Greys = Sequence[Float[np.ndarray, "_ _"]]
+
+
+def equally_sharp(
+    scene: Scene, now: Greys, start: Float[np.ndarray, "n 6 3"]
+) -> tuple[Scene, tuple[SplinePicture, ...]]:
+    """A scene and the later pictures, ready to be matched and equally sharp in each camera.
+
+    Parameters
+    ----------
+    scene : Scene                       of n points in c cameras
+    now : sequence of c (rows, columns) float [grey levels]     as they are
+    start : (n, 6, 3) float [m]         motion to start from; NaN where there is none
+
+    Returns
+    -------
+    Scene                               its own pictures blurred where the later one is
+    tuple of c SplinePicture            smoothed like the scene's, blurred where the first one is
+    """
+    width = np.zeros(len(now))
+    known = np.flatnonzero(np.isfinite(start).all(axis=(1, 2)))
+    rows = known[:: max(len(known) // _WINDOWS, 1)]
+    if len(rows) >= _FEWEST:
+        steady = replace(scene, smoothing=max(scene.smoothing, _SMOOTHING))
+        for _ in range(_ROUNDS):
+            there, later = _blurred(steady, now, width)
+            found, error = _relative_width(there, later, rows, start[rows])
+            sure = np.abs(found) > _SURE * error
+            if not sure.any():
+                break
+            width += np.where(sure, found, 0.0)
+    if not width.any():
+        return scene, spline_pictures(now, scene.smoothing)
+    there, later = _blurred(scene, now, width)
+    # One of the two is smoothed by this much more: half of it is what their difference shows.
+    usual = float(np.sqrt(scene.smoothing**2 + 0.5 * np.abs(width).mean()))
+    return replace(there, smoothing=usual), later
+
+
+def _blurred(
+    scene: Scene, now: Greys, width: Float[np.ndarray, " c"]
+) -> tuple[Scene, tuple[SplinePicture, ...]]:
+    """Both instants' pictures, smoothed, the first by a squared width more, or the later by one
+    less than zero [px^2]."""
+    square = scene.smoothing**2
+    first, later = (
+        tuple(
+            make_spline_picture(grey, smoothing=float(np.sqrt(square + max(more, 0.0))))
+            for grey, more in zip(pictures, sign * width, strict=True)
+        )
+        for pictures, sign in ((scene.grey, 1.0), (now, -1.0))
+    )
+    return replace(scene, pictures=first), later
+
+
+def _relative_width(
+    scene: Scene,
+    later: Sequence[SplinePicture],
+    rows: Int[np.ndarray, " k"],
+    start: Float[np.ndarray, "k 6 3"],
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
+    """Squared width of the later pictures' blur less that of the first ones, and its standard
+    error [px^2]; an infinite error where too little is seen."""
+    limits = Limits(scene.subset // 2)
+    noise = np.ones(len(later))
+    match = refine_joint(scene, rows, later, start, scene.seen[rows], noise, limits)
+    found, error = np.zeros(len(later)), np.full(len(later), np.inf)
+    for c, picture in enumerate(later):
+        each = _window_widths(scene, picture, rows, match, c)
+        if len(each) >= _FEWEST:
+            found[c] = np.median(each)
+            # The median's own error, from the spread of the middle half.
+            spread = np.subtract(*np.quantile(each, [0.75, 0.25])) / 1.349
+            error[c] = 1.2533 * spread / np.sqrt(len(each))
+    return found, error
+
+
+def _window_widths(
+    scene: Scene, later: SplinePicture, rows: Int[np.ndarray, " k"], match: Match, camera: int
+) -> Float[np.ndarray, " w"]:
+    """What each window that was found tells of the relative width in one camera [px^2]."""
+    first = scene.pictures[camera]
+    ours, theirs = (
+        make_spline_picture(cv2.Laplacian(picture.grey, cv2.CV_32F)) for picture in (first, later)
+    )
+    half = scene.subset // 2
+    line = np.arange(-half, half + 1)
+    offset = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    size = np.array(first.grey.shape[::-1])
+    widths = []
+    for i in np.flatnonzero((match.outcome == Outcome.VALID) & match.use[:, camera]):
+        row = int(rows[i])
+        place = project(scene.rig.cameras[camera], scene.point[row][None])[0]
+        pixel = np.rint(place).astype(int) + offset
+        pixel = pixel[((pixel >= 0) & (pixel < size)).all(axis=1)]
+        column, line_of = pixel.T
+        seen = scene.inner[camera][line_of, column] > 0.0
+        column, line_of = column[seen], line_of[seen]
+        there = _moved(scene, row, match.motion[i], scene.surface[camera][line_of, column])
+        target = project(scene.rig.cameras[camera], there)
+        light = np.stack([np.ones(len(target)), first.grey[line_of, column], column, line_of])
+        basis = np.linalg.qr(light.T)[0]
+        curved = 0.5 * (ours.grey[line_of, column] + interpolate(theirs, target))
+        change = interpolate(later, target)
+        curved, change = (x - basis @ (basis.T @ x) for x in (curved, change))
+        widths.append(2.0 * (curved @ change) / (curved @ curved))
+    return np.array(widths)
+
+
+def _moved(
+    scene: Scene,
+    row: int,
+    motion: Float[np.ndarray, "6 3"],
+    point: Float[np.ndarray, "p 3"],
+) -> Float[np.ndarray, "p 3"]:
+    """Where the surface around a point has gone, by the first derivatives of its motion [m]."""
+    away = (point - scene.point[row]) @ scene.tangent[row].T / scene.extent[row]
+    return np.asarray(point + motion[0] + away @ motion[1:3], dtype=np.float64)
