@@ -107,8 +107,14 @@ def test_the_board_on_the_table_is_the_frame() -> None:
 
 @pytest.mark.parametrize(
     "target",
-    [Chessboard(9, 6, 0.012), AprilGrid(5, 4, 0.016, 0.005), Circles(7, 5, 0.016)],
-    ids=["chessboard", "aprilgrid", "circles"],
+    [
+        Chessboard(9, 6, 0.012),
+        AprilGrid(5, 4, 0.016, 0.005),
+        Circles(7, 5, 0.016),
+        Circles(4, 8, 0.013, asymmetric=True),
+        Circles(4, 7, 0.013, asymmetric=True),
+    ],
+    ids=["chessboard", "aprilgrid", "circles", "asymmetric alike", "asymmetric unlike"],
 )
 def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles) -> None:
     rng = np.random.default_rng(4)
@@ -157,6 +163,24 @@ def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles
     assert np.sqrt((error**2).mean() / 2.0) < limit
 
 
+def test_corners_at_the_rim_need_one_marker() -> None:
+    """A board that reaches out of the picture on all sides: of a square that the rim cuts, the
+    marker is lost, and the corner that it shares with a whole one is not."""
+    board = Charuco(12, 9, 0.02, 0.015)
+    inner = np.array([900.0, 900.0, 319.5, 255.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    pose = np.eye(4)
+    pose[:3, 3] = [-0.12, -0.09, 0.41]
+    extent = (board.columns * board.square, board.rows * board.square)
+    rng = np.random.default_rng(5)
+    picture = draw_board(board.drawing(60), extent, inner, pose, _SIZE, rng=rng)
+    found = board.find(picture)
+    place = inner[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + inner[2:4]
+    # A corner needs a few pixels around it, and a whole marker of 33 on one side.
+    visible = ((place > 8.0) & (place < np.array(_SIZE) - 9.0)).all(axis=1)
+    np.testing.assert_array_equal(np.sort(found.mark), np.flatnonzero(visible))
+    assert np.abs(found.pixel - place[found.mark]).max() < 0.3
+
+
 def _synthetic(
     seed: int, *, cameras: int = 3, views: int = 14
 ) -> tuple[Sightings, Chessboard, Bundle]:
@@ -194,6 +218,18 @@ def test_a_board_that_moved_between_the_cameras_is_named() -> None:
     assert "move" in result.notes[0]
     assert len(result.found.views) == 13
     np.testing.assert_allclose(result.adjusted.noise, 0.1, rtol=0.15)
+
+
+def test_a_mark_found_beside_its_place_costs_no_view() -> None:
+    """Ten pixels, a hundred times the noise: the corner is left out and the view is not."""
+    found, board, _ = _synthetic(11)
+    pixel = found.corners.pixel.copy()
+    wrong = np.flatnonzero((found.corners.camera == 1) & (found.corners.view == 5))[7]
+    pixel[wrong] += [8.0, -6.0]
+    result = calibrate(replace(found, corners=replace(found.corners, pixel=pixel)), [board])
+    assert result.notes == ()
+    assert len(result.found.views) == 14
+    assert not result.adjusted.good[wrong]
 
 
 def test_pictures_of_different_instants_are_refused() -> None:

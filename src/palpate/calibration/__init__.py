@@ -13,7 +13,7 @@ from palpate.calibration.calibrate import (
     Calibration as Calibration,
     board_frame as board_frame,
     calibrate as calibrate,
-    view_rms as view_rms,
+    view_errors as view_errors,
 )
 from palpate.calibration.files import write_calibration as write_calibration
 from palpate.calibration.known_object import (

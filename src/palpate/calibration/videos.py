@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import spearmanr
 
-from palpate.calibration.calibrate import Calibration, view_rms
+from palpate.calibration.calibrate import Calibration, view_errors
 from palpate.calibration.sightings import Sightings
 from palpate.errors import CalibrationError, RecordError
 from palpate.progress import Progress, silent
@@ -222,7 +222,7 @@ def motion_note(calibration: Calibration, motion: Mapping[str, float]) -> str:
     -------
     str                             empty where it is not so
     """
-    left = view_rms(calibration.adjusted, calibration.corners, len(calibration.found.views))
+    left = view_errors(calibration.adjusted, calibration.corners, len(calibration.found.views))
     moved = [motion[name.split(" ")[0]] for name in calibration.found.views]
     if len(left) < 2 * _FEWEST_FRAMES:
         return ""

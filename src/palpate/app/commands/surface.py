@@ -57,17 +57,16 @@ def mesh(
     Parameters
     ----------
     file
-        A surface: .ply .obj .stl .off .msh .vtu .vtp
+        A surface: .ply .obj .stl .off .msh .vtu .vtp, or a drawing: .step .stp
     vertices
         How many the mesh is to have: 500 to 3000 are good for a fit.
     near
-        File of points, x y z in the unit of the mesh, that the mesh is to be finer near: where the
-        object will be touched.
+        File of points, x y z, that the mesh is to be finer near: where the object will be touched.
     support
-        Plane that the object stood on, in the unit of the mesh: z=0, or a point and a normal,
+        Plane that the object stood on: z=0, or a point and a normal,
         0,0,0,0,0,1. An open base is closed there; what is below is cut off.
     length_unit
-        Of the file.
+        Of the file, the points and the plane. A drawing says its own; this is then of the others.
     out
         Result folder. Default: the file's name followed by -mesh, in the current folder.
     force
