@@ -9,6 +9,7 @@ from drawn_ball import INCH, MILLIMETRE, written_ball
 from palpate.errors import MeshError
 from palpate.geometry import enclosed_volume, read_mesh
 
+
 @pytest.mark.parametrize(("unit", "metres"), [(MILLIMETRE, 1e-3), (INCH, 25.4e-3)])
 def test_a_drawing_has_its_own_unit(tmp_path: Path, unit: str, metres: float) -> None:
     """Whatever unit is said for files that have none."""
