@@ -18,6 +18,8 @@ from palpate.calibration import (
     board_frame,
     calibrate,
     camera_quality,
+    find_boards,
+    find_pictures,
     length_check,
     length_sigma,
     write_calibration,
@@ -87,6 +89,32 @@ def test_charuco_from_pictures_to_rig(
             again.cameras[1].T_camera_object, rig.cameras[1].T_camera_object, atol=1e-12
         )
         np.testing.assert_allclose(again.cameras[0].matrix, rig.cameras[0].matrix, rtol=1e-12)
+
+
+def test_several_boards_in_one_picture_are_views_of_their_own(tmp_path: Path) -> None:
+    """Two boards side by side, their markers numbered on."""
+    boards = [Charuco(5, 5, 0.016, 0.012), Charuco(5, 5, 0.016, 0.012, first=12)]
+    truth = _scene(np.random.default_rng(6), boards[0], 5)
+    (tmp_path / "c0").mkdir()
+    rng = np.random.default_rng(9)
+    for v, view in enumerate(truth.view):
+        pictures = []
+        for side, board in zip((-0.055, 0.03), boards, strict=True):
+            pose = view.copy()
+            pose[0, 3] += side
+            pictures.append(
+                draw_board(
+                    board.drawing(48), (0.08, 0.08), truth.inner[0], pose, _SIZE, rng=rng, noise=0.0
+                )
+            )
+        # White wherever no board is.
+        cv2.imwrite(str(tmp_path / "c0" / f"{v}.png"), np.minimum(*pictures))
+    result = calibrate(find_boards(find_pictures(tmp_path), boards), boards)
+    assert set(result.found.views) == {f"{v} board {k}" for v in range(5) for k in range(2)}
+    assert len(result.corners.pixel) > 0.9 * 5 * 2 * 16
+    sigma = np.sqrt(np.diag(result.covariance))[0]
+    assert abs(result.cameras[0].matrix[0, 0] - truth.inner[0, 0]) < 4.0 * sigma < 20.0
+    assert result.adjusted.noise[0] < 0.15
 
 
 def test_the_board_on_the_table_is_the_frame() -> None:

@@ -26,8 +26,7 @@ from palpate.scanning import (
     read_points,
     read_scan,
     scan_surface,
-    write_prepared,
-    write_scanned,
+    write_surface,
 )
 
 # A scan may have as many; they are remeshed to a thousandth.
@@ -89,7 +88,7 @@ def mesh(
             made = prepare_surface(
                 given, vertices=vertices, near=points, support=plane, progress=progress
             )
-        write_prepared(folder, made)
+        write_surface(folder, made)
         save_figure(surface_figure(file.name, made), folder / "mesh.png")
     if made.actions:
         print_tables(_actions_table(made))
@@ -145,7 +144,7 @@ def scan(
                 read.views, vertices=vertices, near=points, support=read.support,
                 progress=part_of(progress, 0.6, 1.0),
             )  # fmt: skip
-        write_scanned(folder, made)
+        write_surface(folder, made)
         save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
     print_tables(_views_table(made))
     print_tables(_scan_table(made))
