@@ -18,6 +18,8 @@ from palpate.calibration import (
     board_frame,
     calibrate,
     camera_quality,
+    find_boards,
+    find_pictures,
     length_check,
     length_sigma,
     write_calibration,
@@ -89,6 +91,32 @@ def test_charuco_from_pictures_to_rig(
         np.testing.assert_allclose(again.cameras[0].matrix, rig.cameras[0].matrix, rtol=1e-12)
 
 
+def test_several_boards_in_one_picture_are_views_of_their_own(tmp_path: Path) -> None:
+    """Two boards side by side, their markers numbered on."""
+    boards = [Charuco(5, 5, 0.016, 0.012), Charuco(5, 5, 0.016, 0.012, first=12)]
+    truth = _scene(np.random.default_rng(6), boards[0], 5)
+    (tmp_path / "c0").mkdir()
+    rng = np.random.default_rng(9)
+    for v, view in enumerate(truth.view):
+        pictures = []
+        for side, board in zip((-0.055, 0.03), boards, strict=True):
+            pose = view.copy()
+            pose[0, 3] += side
+            pictures.append(
+                draw_board(
+                    board.drawing(48), (0.08, 0.08), truth.inner[0], pose, _SIZE, rng=rng, noise=0.0
+                )
+            )
+        # White wherever no board is.
+        cv2.imwrite(str(tmp_path / "c0" / f"{v}.png"), np.minimum(*pictures))
+    result = calibrate(find_boards(find_pictures(tmp_path), boards), boards)
+    assert set(result.found.views) == {f"{v} board {k}" for v in range(5) for k in range(2)}
+    assert len(result.corners.pixel) > 0.9 * 5 * 2 * 16
+    sigma = np.sqrt(np.diag(result.covariance))[0]
+    assert abs(result.cameras[0].matrix[0, 0] - truth.inner[0, 0]) < 4.0 * sigma < 20.0
+    assert result.adjusted.noise[0] < 0.15
+
+
 def test_the_board_on_the_table_is_the_frame() -> None:
     """Its corners lie on z = 0 about the origin, and the cameras above it."""
     found, board, _ = _synthetic(3, cameras=2)
@@ -107,8 +135,14 @@ def test_the_board_on_the_table_is_the_frame() -> None:
 
 @pytest.mark.parametrize(
     "target",
-    [Chessboard(9, 6, 0.012), AprilGrid(5, 4, 0.016, 0.005), Circles(7, 5, 0.016)],
-    ids=["chessboard", "aprilgrid", "circles"],
+    [
+        Chessboard(9, 6, 0.012),
+        AprilGrid(5, 4, 0.016, 0.005),
+        Circles(7, 5, 0.016),
+        Circles(4, 8, 0.013, asymmetric=True),
+        Circles(4, 7, 0.013, asymmetric=True),
+    ],
+    ids=["chessboard", "aprilgrid", "circles", "asymmetric alike", "asymmetric unlike"],
 )
 def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles) -> None:
     rng = np.random.default_rng(4)
@@ -157,6 +191,24 @@ def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles
     assert np.sqrt((error**2).mean() / 2.0) < limit
 
 
+def test_corners_at_the_rim_need_one_marker() -> None:
+    """A board that reaches out of the picture on all sides: of a square that the rim cuts, the
+    marker is lost, and the corner that it shares with a whole one is not."""
+    board = Charuco(12, 9, 0.02, 0.015)
+    inner = np.array([900.0, 900.0, 319.5, 255.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    pose = np.eye(4)
+    pose[:3, 3] = [-0.12, -0.09, 0.41]
+    extent = (board.columns * board.square, board.rows * board.square)
+    rng = np.random.default_rng(5)
+    picture = draw_board(board.drawing(60), extent, inner, pose, _SIZE, rng=rng)
+    found = board.find(picture)
+    place = inner[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + inner[2:4]
+    # A corner needs a few pixels around it, and a whole marker of 33 on one side.
+    visible = ((place > 8.0) & (place < np.array(_SIZE) - 9.0)).all(axis=1)
+    np.testing.assert_array_equal(np.sort(found.mark), np.flatnonzero(visible))
+    assert np.abs(found.pixel - place[found.mark]).max() < 0.3
+
+
 def _synthetic(
     seed: int, *, cameras: int = 3, views: int = 14
 ) -> tuple[Sightings, Chessboard, Bundle]:
@@ -194,6 +246,18 @@ def test_a_board_that_moved_between_the_cameras_is_named() -> None:
     assert "move" in result.notes[0]
     assert len(result.found.views) == 13
     np.testing.assert_allclose(result.adjusted.noise, 0.1, rtol=0.15)
+
+
+def test_a_mark_found_beside_its_place_costs_no_view() -> None:
+    """Ten pixels, a hundred times the noise: the corner is left out and the view is not."""
+    found, board, _ = _synthetic(11)
+    pixel = found.corners.pixel.copy()
+    wrong = np.flatnonzero((found.corners.camera == 1) & (found.corners.view == 5))[7]
+    pixel[wrong] += [8.0, -6.0]
+    result = calibrate(replace(found, corners=replace(found.corners, pixel=pixel)), [board])
+    assert result.notes == ()
+    assert len(result.found.views) == 14
+    assert not result.adjusted.good[wrong]
 
 
 def test_pictures_of_different_instants_are_refused() -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from palpate.calibration import ObjectView, find_instants, view_object, write_object_view
-from palpate.errors import RecordError
+from palpate.errors import CalibrationError, RecordError
 from palpate.geometry import TriangleMesh, read_mesh
 from palpate.records import Rig, read_rig
 from palpate.vision import moved_rig
@@ -66,6 +66,13 @@ def test_an_object_is_found_from_nowhere(scene: tuple[Rig, TriangleMesh, str]) -
     turn, shift = _off(view, truth)
     assert turn < 0.12
     assert shift < 0.1
+
+
+def test_a_mesh_in_another_unit_is_refused(scene: tuple[Rig, TriangleMesh, str]) -> None:
+    rig, mesh, pictures = scene
+    small = TriangleMesh(1e-3 * mesh.vertices, mesh.triangles)
+    with pytest.raises(CalibrationError, match="is the unit of the mesh right"):
+        view_object(rig, small, [pictures])
 
 
 def test_a_star_stands_for_the_instants(scene: tuple[Rig, TriangleMesh, str]) -> None:

@@ -55,6 +55,7 @@ def test_what_it_says_of_itself(wheel):
     assert set(said.get_all("Provides-Extra")) == {
         "bags",
         "batch",
+        "cad",
         "e57",
         "fem",
         "lab",

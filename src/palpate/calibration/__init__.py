@@ -13,7 +13,6 @@ from palpate.calibration.calibrate import (
     Calibration as Calibration,
     board_frame as board_frame,
     calibrate as calibrate,
-    view_rms as view_rms,
 )
 from palpate.calibration.files import write_calibration as write_calibration
 from palpate.calibration.known_object import (
@@ -45,10 +44,9 @@ from palpate.calibration.targets import (
     Circles as Circles,
     Target as Target,
 )
+from palpate.calibration.timing import timing_note as timing_note
 from palpate.calibration.videos import (
-    StillFrames as StillFrames,
     find_videos as find_videos,
-    motion_note as motion_note,
     still_frames as still_frames,
     without_repeats as without_repeats,
 )

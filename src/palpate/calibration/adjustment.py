@@ -252,6 +252,21 @@ def _wanting(bundle: Bundle, corners: Corners) -> list[str]:
     return [side for side in _SIDES if side in found]
 
 
+def view_slopes(bundle: Bundle, corners: Corners) -> Float[np.ndarray, "m 2 6"]:
+    """How the pixel of every corner moves with its board.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    corners : Corners
+
+    Returns
+    -------
+    (m, 2, 6) float [px]            by a turn [rad] and a shift [m] in the frame of the cameras
+    """
+    return _linearised(bundle, corners).slope[:, :, -_POSE:]
+
+
 def missing_tilts(pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
     """Sides to which no board was tilted before a camera.
 

@@ -22,6 +22,8 @@ from palpate.vision import calibration_numbers
 _MAX_EXCESS = 3.0
 # Boards that two cameras see at one place differ by less, in rad and shares of the distance.
 _AGREED = 0.05
+# Median length of two normal errors of standard deviation 1.
+_RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 _POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
@@ -77,7 +79,7 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
     bundle, corners = without_views(bundle, corners, odd)
     while True:
         adjusted = adjust(bundle, corners)
-        excess = view_rms(adjusted, corners, len(bundle.view))
+        excess = view_errors(adjusted, corners, len(bundle.view))
         bad = excess > _MAX_EXCESS * np.median(excess)
         if not bad.any():
             break
@@ -166,8 +168,11 @@ def board_frame(
     return pose @ T_board_frame
 
 
-def view_rms(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarray, " v"]:
+def view_errors(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarray, " v"]:
     """What the adjustment leaves in every view, in units of the noise of its cameras.
+
+    Of each picture its median corner, so that a single mark that was found beside its place does
+    not condemn the others; of each view its worst picture.
 
     Parameters
     ----------
@@ -177,11 +182,14 @@ def view_rms(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarr
 
     Returns
     -------
-    (v,) float [-]                  root mean square of a coordinate
+    (v,) float [-]                  1 of normal errors; 0 of a view without corners
     """
-    square = (adjusted.residual**2).mean(axis=1) / adjusted.noise[corners.camera] ** 2
-    total = np.bincount(corners.view, square, count)
-    return np.sqrt(total / np.maximum(np.bincount(corners.view, minlength=count), 1))
+    away = np.linalg.norm(adjusted.residual, axis=1) / adjusted.noise[corners.camera]
+    worst = np.zeros(count)
+    for camera, view in set(zip(corners.camera.tolist(), corners.view.tolist(), strict=True)):
+        seen = away[(corners.camera == camera) & (corners.view == view)]
+        worst[view] = max(worst[view], float(np.median(seen)) / _RAYLEIGH_MEDIAN)
+    return worst
 
 
 def _cause(corners: Corners, cameras: Sequence[Camera]) -> str:

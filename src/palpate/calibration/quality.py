@@ -133,7 +133,8 @@ def length_check(calibration: Calibration) -> LengthCheck | None:
     except CalibrationError:
         return None
     rig = Rig(cameras_of(calibration.found, adjusted.bundle), 0, "calibration")
-    scales = [_scale(rig, corners.chosen(corners.view == v)) for v in np.flatnonzero(held)]
+    good = calibration.adjusted.good
+    scales = [_scale(rig, corners.chosen(good & (corners.view == v))) for v in np.flatnonzero(held)]
     known = np.array([scale for scale in scales if scale is not None])
     if len(known) < 2:
         return None

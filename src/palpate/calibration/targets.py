@@ -141,8 +141,8 @@ class Circles:
 
     @property
     def turned(self) -> Int[np.ndarray, " n"] | None:
-        """See `Target`; an asymmetric grid of an even number of rows looks different."""
-        if self.asymmetric and self.rows % 2 == 0:
+        """See `Target`; an asymmetric grid of an odd number of rows looks different."""
+        if self.asymmetric and self.rows % 2 == 1:
             return None
         return np.arange(self.columns * self.rows)[::-1].copy()
 
@@ -150,7 +150,12 @@ class Circles:
         """See `Target`; all circles or none."""
         kind = cv2.CALIB_CB_ASYMMETRIC_GRID if self.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
         found, pixel = cv2.findCirclesGrid(picture, (self.columns, self.rows), flags=kind)
-        return _whole(found, pixel)
+        seen = _whole(found, pixel)
+        if not (self.asymmetric and self.rows % 2 == 0 and len(seen.mark)):
+            return seen
+        # OpenCV begins an even number of rows with the second, then the first, the fourth, ...
+        pairs = seen.pixel.reshape(-1, 2, self.columns, 2)
+        return Sighting(seen.mark, np.ascontiguousarray(pairs[:, ::-1]).reshape(-1, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +189,11 @@ class Charuco:
 
     def find(self, picture: Grey) -> Sighting:
         """See `Target`."""
-        board = self._board()
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
+        # One marker beside a corner is enough: at the picture's rim the other is cut off, and rims
+        # say most of a lens.
+        ask = cv2.aruco.CharucoParameters()
+        ask.minMarkers = 1
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(self._board(), ask).detectBoard(picture)
         if ids is None or len(ids) < 4:
             return _NOTHING
         mark = ids.ravel().astype(np.int64)

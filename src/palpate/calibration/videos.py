@@ -6,15 +6,13 @@ milliseconds between the cameras matter.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import spearmanr
 
-from palpate.calibration.calibrate import Calibration, view_rms
 from palpate.calibration.sightings import Sightings
 from palpate.errors import CalibrationError, RecordError
 from palpate.progress import Progress, silent
@@ -28,24 +26,6 @@ _SMALL = 160
 _MAX_EXTRA = 0.02
 # A board that no camera sees this far from where it was says nothing new [share of the width].
 _NEWS = 0.015
-# What is left grows with the motion where ranks agree so much, by less chance than this.
-_AGREEMENT, _CHANCE = 0.5, 1e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StillFrames:
-    """Frames that were taken out of videos.
-
-    Attributes
-    ----------
-    files : dict of camera to dict of instant to Path   pictures, the number of the frame is the
-                                    name of the instant
-    motion : dict of instant to float   mean change of grey levels to the frame before, over that of
-                                    a typical frame, in the camera where most moves
-    """
-
-    files: dict[str, dict[str, Path]]
-    motion: dict[str, float]
 
 
 def find_videos(place: Path) -> dict[str, Path]:
@@ -81,7 +61,7 @@ def find_videos(place: Path) -> dict[str, Path]:
 
 def still_frames(
     videos: Mapping[str, Path], folder: Path, *, progress: Progress = silent
-) -> StillFrames:
+) -> dict[str, dict[str, Path]]:
     """Take the stillest frames out of videos and write them as pictures.
 
     Parameters
@@ -92,7 +72,8 @@ def still_frames(
 
     Returns
     -------
-    StillFrames
+    dict of camera to dict of instant to Path   pictures, the number of the frame is the name of the
+                                    instant
 
     Raises
     ------
@@ -114,7 +95,7 @@ def still_frames(
     for k, (camera, video) in enumerate(videos.items()):
         progress(f"frames of {camera}", 0.5 + 0.5 * k / len(videos))
         files[camera] = _written(video, chosen, folder / camera)
-    return StillFrames(files, {_name(number): float(most[number]) for number in chosen})
+    return files
 
 
 def _name(number: int) -> str:
@@ -208,30 +189,3 @@ def _same(
         return False
     away = [np.linalg.norm(first[key] - second[key]) / sizes[key[0]][0] for key in common]
     return bool(np.median(away) < _NEWS)
-
-
-def motion_note(calibration: Calibration, motion: Mapping[str, float]) -> str:
-    """Whether views leave the more, the more the board moved: then cameras did not see it at once.
-
-    Parameters
-    ----------
-    calibration : Calibration       of still frames
-    motion : mapping of instant to float
-
-    Returns
-    -------
-    str                             empty where it is not so
-    """
-    left = view_rms(calibration.adjusted, calibration.corners, len(calibration.found.views))
-    moved = [motion[name.split(" ")[0]] for name in calibration.found.views]
-    if len(left) < 2 * _FEWEST_FRAMES:
-        return ""
-    found = spearmanr(left, moved)
-    if not (found.statistic > _AGREEMENT and found.pvalue < _CHANCE):
-        return ""
-    return (
-        f"what is left grows with how fast the board moved (rank correlation {found.statistic:.2f}"
-        f" over {len(left)} views): the cameras do not take their frames at one instant, or a"
-        " shutter rolls; start them by one trigger, or hold the board still for a second in each"
-        " place"
-    )

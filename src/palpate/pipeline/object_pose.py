@@ -1,7 +1,6 @@
 """Where the object is in front of the cameras: believed, or registered from the first pictures."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,20 +10,20 @@ from palpate.errors import CalibrationError
 from palpate.geometry import (
     Registration,
     TriangleMesh,
-    bounding_diagonal,
     check_registration,
     closest_points,
     free_motions_text,
-    refined_surface,
-    register,
 )
 from palpate.records import Rig
 from palpate.vision import (
     StereoPoints,
     check_rig,
+    near_object,
+    object_frame,
     prepare_pictures,
     project,
-    rays,
+    register_object,
+    smooth_surface,
     stereo_points,
 )
 
@@ -37,12 +36,6 @@ _MAX_MEDIAN_RESIDUAL = 1.0
 # than 0.2 % of the diagonal, says that the given pose is right.
 _MIN_SIGNIFICANCE = 3.0
 _MIN_MOVE = 0.002
-# Parts of an edge of the mesh: its smooth surface, not its facets, is what the cameras see.
-_PIECES = 2
-# Points this far from the mesh, in diagonals, belong to the table or the wall behind.
-_MAX_CENTRE_DISTANCE = 0.6
-# Fewer points do not determine a pose.
-_MIN_POINTS = 50
 
 
 def posed_rig(
@@ -77,25 +70,19 @@ def posed_rig(
     if choice == "given":
         return rig, checked.notes
     stereo = stereo_points(prepared)
-    near, distance = _near_points(stereo, mesh)
-    if near.sum() < _MIN_POINTS:
+    found = register_object(rig, stereo, smooth_surface(mesh))
+    if found is None:
+        count = int(near_object(stereo.point, mesh).sum())
         if choice == "auto":
-            return rig, (*checked.notes, _unchecked(int(near.sum())))
+            return rig, (*checked.notes, _unchecked(count))
         raise CalibrationError(
-            f"{rig.source}: only {int(near.sum())} stereo points lie near the object, too few to"
-            " register it; is the object in view of two cameras, and the guess of its pose within"
-            " 5 degrees and 20 mm?"
+            f"{rig.source}: only {count} stereo points lie near the object, too few to register it;"
+            " is the object in view of two cameras, and the guess of its pose within 5 degrees and"
+            " 20 mm?"
         )
-    eye, _ = rays(rig.cameras[rig.reference], np.zeros((1, 2)))
-    found = register(
-        stereo.point[near],
-        stereo.covariance[near],
-        TriangleMesh(*refined_surface(mesh, pieces=_PIECES)),
-        eye=eye,
-    )
     free = free_motions_text(found)
     left = (f"the surface does not fix {free}: left as the pose of the rig says",) if free else ()
-    if choice == "auto" and _agrees(found, float(np.median(distance[near]))):
+    if choice == "auto" and _agrees(found, _distance(stereo, mesh)):
         return rig, (*checked.notes, *left)
     posed, note = _registered(rig, found)
     return posed, (*checked.notes, note, *left)
@@ -127,11 +114,7 @@ def _registered(rig: Rig, found: Registration) -> tuple[Rig, str]:
         raise CalibrationError(
             f"{rig.source}: {error} (`--pose given` takes the rig's pose as it is)"
         ) from error
-    # x_camera = T_camera_object x_object, and what the rig calls object is what was measured.
     back = np.linalg.inv(found.T_mesh_points)
-    cameras = tuple(
-        replace(camera, T_camera_object=camera.T_camera_object @ back) for camera in rig.cameras
-    )
     middle = found.centre - (back @ np.append(found.centre, 1.0))[:3]
     note = (
         f"the object was registered: turned by {np.degrees(_turn(back)):.2f} degrees and shifted by"
@@ -139,20 +122,13 @@ def _registered(rig: Rig, found: Registration) -> tuple[Rig, str]:
         f" {1e3 * found.residual:.2g} mm rms off the mesh, the pose is known to"
         f" {1e3 * found.weakest_std:.2g} mm in its weakest direction"
     )
-    return replace(rig, cameras=cameras), note
+    return object_frame(rig, found), note
 
 
-def _near_points(
-    stereo: StereoPoints, mesh: TriangleMesh
-) -> tuple[np.ndarray, Float[np.ndarray, " n"]]:
-    """Stereo points that may belong to the object, and their distance from the mesh [m]."""
-    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    away = np.linalg.norm(stereo.point - middle, axis=1)
-    near = away < _MAX_CENTRE_DISTANCE * bounding_diagonal(mesh)
-    distance = np.full(len(near), np.nan)
-    if near.any():
-        distance[near] = closest_points(mesh, stereo.point[near]).distance
-    return near, distance
+def _distance(stereo: StereoPoints, mesh: TriangleMesh) -> float:
+    """Median distance from the mesh of the points that may belong to the object [m]."""
+    near = stereo.point[near_object(stereo.point, mesh)]
+    return float(np.median(closest_points(mesh, near).distance))
 
 
 def _check_view(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], mesh: TriangleMesh) -> None:

@@ -25,14 +25,13 @@ from palpate.scanning.plane import (
 from palpate.scanning.prepare import (
     PreparedSurface as PreparedSurface,
     prepare_surface as prepare_surface,
-    write_prepared as write_prepared,
 )
 from palpate.scanning.remesh import remeshed as remeshed
 from palpate.scanning.scan import (
     ScannedSurface as ScannedSurface,
     scan_surface as scan_surface,
-    write_scanned as write_scanned,
 )
+from palpate.scanning.surface_file import write_surface as write_surface
 from palpate.scanning.views import (
     Scan as Scan,
     Turntable as Turntable,

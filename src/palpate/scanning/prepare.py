@@ -1,20 +1,16 @@
 """A surface mended and remeshed for the boundary element model, with what that cost."""
 
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool
 
-from palpate.geometry import MeshQuality, TriangleMesh, mesh_quality, triangle_areas, write_mesh
+from palpate.geometry import MeshQuality, TriangleMesh, mesh_quality, triangle_areas
 from palpate.progress import Progress, silent
-from palpate.records import json_text, write_text
 from palpate.scanning.mending import Action, Deviation, deviation, distances, mend
 from palpate.scanning.plane import Plane
 from palpate.scanning.remesh import remeshed
 from palpate.shapes import Points
-
-SURFACE_FORMAT = "palpate-surface/1"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,29 +86,3 @@ def _guessed(mesh: TriangleMesh, patches: TriangleMesh | None) -> Bool[np.ndarra
         return np.zeros(len(mesh.triangles), dtype=bool)
     centre = mesh.vertices[mesh.triangles].mean(axis=1)
     return distances(centre, patches) < 0.1 * np.sqrt(triangle_areas(mesh))
-
-
-def write_prepared(folder: Path, surface: PreparedSurface) -> None:
-    """Write mesh.ply, in metres, and surface.json: what was done, and how far off it is.
-
-    Parameters
-    ----------
-    folder : Path                   exists
-    surface : PreparedSurface
-
-    Raises
-    ------
-    RecordError                     a file cannot be written
-    """
-    write_mesh(folder / "mesh.ply", surface.mesh)
-    content = {
-        "format": SURFACE_FORMAT,
-        "actions": [
-            {"defect": a.defect, "count": a.count, "place": a.place, "done": a.done}
-            for a in surface.actions
-        ],
-        "guessed_triangles": np.flatnonzero(surface.guessed),
-        "deviation": asdict(surface.deviation),
-        "quality": asdict(surface.quality),
-    }
-    write_text(folder / "surface.json", json_text(content))

@@ -1,8 +1,7 @@
 """From the views of an object to its mesh, each vertex with its standard deviation."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,14 +15,11 @@ from palpate.geometry import (
     checked_mesh,
     mesh_quality,
     triangle_areas,
-    write_mesh,
 )
 from palpate.progress import Progress, part_of, silent
-from palpate.records import json_text, write_text
 from palpate.scanning.joining import Agreement, agreements, fitted, fused, posed
 from palpate.scanning.mending import above, distances, place_text
 from palpate.scanning.plane import Plane
-from palpate.scanning.prepare import SURFACE_FORMAT
 from palpate.scanning.remesh import remeshed
 from palpate.scanning.views import View
 from palpate.shapes import Points
@@ -158,31 +154,3 @@ def _volume_std(mesh: TriangleMesh, sigma: Float[np.ndarray, " v"]) -> float:
     np.add.at(share, mesh.triangles.ravel(), np.repeat(triangle_areas(mesh) / 3.0, 3))
     known = np.isfinite(sigma)
     return float(np.sqrt(((share * sigma)[known] ** 2).sum()))
-
-
-def write_scanned(folder: Path, surface: ScannedSurface) -> None:
-    """Write mesh.ply, surface.json and vertex_sigma.csv.
-
-    Parameters
-    ----------
-    folder : Path                   exists
-    surface : ScannedSurface
-
-    Raises
-    ------
-    RecordError                     a file cannot be written
-    """
-    write_mesh(folder / "mesh.ply", surface.mesh)
-    content = {
-        "format": SURFACE_FORMAT,
-        "views": [asdict(one) for one in surface.agreements],
-        "distance": {"median": surface.distance[0], "percentile_95": surface.distance[1]},
-        "volume_std": surface.volume_std,
-        "guessed_triangles": np.flatnonzero(surface.guessed),
-        "quality": asdict(surface.quality),
-    }
-    write_text(folder / "surface.json", json_text(content))
-    rows = np.column_stack([surface.mesh.vertices, surface.sigma])
-    lines = ["x_m,y_m,z_m,sigma_m"]
-    lines += [",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in rows]
-    write_text(folder / "vertex_sigma.csv", "\n".join(lines) + "\n")

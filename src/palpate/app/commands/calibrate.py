@@ -24,8 +24,8 @@ from palpate.calibration import (
     find_videos,
     length_check,
     length_sigma,
-    motion_note,
     still_frames,
+    timing_note,
     without_repeats,
     write_calibration,
 )
@@ -108,13 +108,14 @@ def calibrate(
     place = out or default_folder(pictures, "rig")
     with result_folder(place, kind="calibrate", force=force) as folder:
         with progress_bar() as progress:
-            calibration, notes = _calibrated(pictures, targets, folder, progress)
+            calibration = _calibrated(pictures, targets, folder, progress)
         lengths = "" if told is None else baseline_text(calibration, told)
         frame = None if table is None else board_frame(calibration, targets, table)
         write_calibration(folder, calibration, frame=frame)
         save_figure(residual_figure(calibration), folder / "residuals.png")
         save_figure(rig_figure(calibration), folder / "rig.png")
-    print_notes([*calibration.notes, *notes])
+    timing = timing_note(calibration)
+    print_notes([*calibration.notes, *([timing] if timing else [])])
     quality = camera_quality(calibration)
     print_tables(_table(calibration, quality))
     print_notes([text for camera in quality for text in camera.missing])
@@ -124,8 +125,8 @@ def calibrate(
 
 def _calibrated(
     pictures: Path, targets: list[Target], folder: Path, progress: Progress
-) -> tuple[Calibration, list[str]]:
-    """Calibration from pictures or videos, and what else to say; used frames stay in the result."""
+) -> Calibration:
+    """Calibration from pictures or videos; used frames stay in the result."""
     videos = find_videos(pictures)
     if not videos:
         files = find_pictures(pictures)
@@ -133,19 +134,18 @@ def _calibrated(
         record_inputs(folder, every)
         found = find_boards(files, targets, progress=part_of(progress, 0.0, 0.9))
         progress("adjustment", 0.9)
-        return calibrate_cameras(found, targets), []
+        return calibrate_cameras(found, targets)
     record_inputs(folder, list(videos.values()))
     still = still_frames(videos, folder / "frames", progress=part_of(progress, 0.0, 0.6))
-    found = find_boards(still.files, targets, progress=part_of(progress, 0.6, 0.9))
+    found = find_boards(still, targets, progress=part_of(progress, 0.6, 0.9))
     progress("adjustment", 0.9)
     calibration = calibrate_cameras(without_repeats(found), targets)
     used = {view.split(" ")[0] for view in calibration.found.views}
-    for by_instant in still.files.values():
+    for by_instant in still.values():
         for instant, path in by_instant.items():
             if instant not in used:
                 path.unlink()
-    note = motion_note(calibration, still.motion)
-    return calibration, [note] if note else []
+    return calibration
 
 
 def board(

@@ -26,8 +26,7 @@ from palpate.scanning import (
     read_points,
     read_scan,
     scan_surface,
-    write_prepared,
-    write_scanned,
+    write_surface,
 )
 
 # A scan may have as many; they are remeshed to a thousandth.
@@ -57,17 +56,16 @@ def mesh(
     Parameters
     ----------
     file
-        A surface: .ply .obj .stl .off .msh .vtu .vtp
+        A surface: .ply .obj .stl .off .msh .vtu .vtp, or a drawing: .step .stp
     vertices
         How many the mesh is to have: 500 to 3000 are good for a fit.
     near
-        File of points, x y z in the unit of the mesh, that the mesh is to be finer near: where the
-        object will be touched.
+        File of points, x y z, that the mesh is to be finer near: where the object will be touched.
     support
-        Plane that the object stood on, in the unit of the mesh: z=0, or a point and a normal,
+        Plane that the object stood on: z=0, or a point and a normal,
         0,0,0,0,0,1. An open base is closed there; what is below is cut off.
     length_unit
-        Of the file.
+        Of the file, the points and the plane. A drawing says its own; this is then of the others.
     out
         Result folder. Default: the file's name followed by -mesh, in the current folder.
     force
@@ -90,7 +88,7 @@ def mesh(
             made = prepare_surface(
                 given, vertices=vertices, near=points, support=plane, progress=progress
             )
-        write_prepared(folder, made)
+        write_surface(folder, made)
         save_figure(surface_figure(file.name, made), folder / "mesh.png")
     if made.actions:
         print_tables(_actions_table(made))
@@ -146,7 +144,7 @@ def scan(
                 read.views, vertices=vertices, near=points, support=read.support,
                 progress=part_of(progress, 0.6, 1.0),
             )  # fmt: skip
-        write_scanned(folder, made)
+        write_surface(folder, made)
         save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
     print_tables(_views_table(made))
     print_tables(_scan_table(made))

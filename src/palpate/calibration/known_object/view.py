@@ -24,8 +24,6 @@ from palpate.geometry import (
     check_registration,
     closest_points,
     free_motions_text,
-    refined_surface,
-    register,
     rough_pose,
     triangle_areas,
 )
@@ -41,12 +39,16 @@ from palpate.records import (
 )
 from palpate.shapes import Points, Vector3
 from palpate.vision import (
+    LEAST_POINTS,
     StereoMatches,
     StereoSettings,
     check_rig,
     joined_matches,
+    object_frame,
     prepare_pictures,
     read_pictures,
+    register_object,
+    smooth_surface,
     stereo_matches,
 )
 
@@ -56,11 +58,6 @@ _SETTINGS = StereoSettings()
 _APART = -(-_SETTINGS.subset // _SETTINGS.step)
 # A rig that has moved misses by pixels; what it is judged by must not be chosen by it.
 _LOOSE = 50.0
-# Points this far from the middle of the mesh, in diagonals, are of something else.
-_REACH = 0.6
-_MIN_POINTS = 50
-# Parts of an edge of the mesh: its smooth surface, not its facets, is what the cameras see.
-_PIECES = 2
 # Where the rig says nothing of the object, the turns of a cube are tried, and from each so far on:
 # no turn is farther than 63 degrees from one of them, and few are farther than this.
 _ANGLE = np.deg2rad(45.0)
@@ -187,15 +184,11 @@ def view_object(
                 rig, registration, points = refined.rig, trial, trial_points
             else:
                 refined = replace(refined, rig=rig, better=False)
-    back = np.linalg.inv(registration.T_mesh_points)
-    cameras = tuple(
-        replace(camera, T_camera_object=camera.T_camera_object @ back) for camera in rig.cameras
-    )
     free = free_motions_text(registration)
     if free:
         notes.append(f"the surface does not fix {free}: left as it was found first")
     return ObjectView(
-        replace(rig, cameras=cameras), registration, registration.covariance,
+        object_frame(rig, registration), registration, registration.covariance,
         points, refined, grey[0], tuple(notes),
     )  # fmt: skip
 
@@ -222,20 +215,22 @@ def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Reg
     """The points of an instant on the mesh, near the frame's own pose, or from many turns; and how
     many there are."""
     stereo = joined_matches(rig, found, settings=_SETTINGS)
-    points, covariance = stereo.point, stereo.covariance
-    if len(points) < _MIN_POINTS:
+    points = stereo.point
+    if len(points) < LEAST_POINTS:
         raise CalibrationError(
-            f"{len(points)} points of the object are seen by two cameras; {_MIN_POINTS} are needed:"
-            " is the object textured, and do the cameras see it together?"
+            f"{len(points)} points of the object are seen by two cameras; {LEAST_POINTS} are"
+            " needed: is the object textured, and do the cameras see it together?"
         )
-    smooth = TriangleMesh(*refined_surface(mesh, pieces=_PIECES))
+    smooth = smooth_surface(mesh)
     eye = camera_centre(rig.cameras[rig.reference])
-    made = []
-    for start in (None, *_searched(mesh, points, eye)) if _far(mesh, points) else (None,):
-        pose = np.eye(4) if start is None else start
-        near = _near(smooth, points, pose)
-        if near.sum() >= _MIN_POINTS:
-            made.append(register(points[near], covariance[near], smooth, start=pose, eye=eye))
+    starts = (None, *_searched(mesh, points, eye)) if _far(mesh, points) else (None,)
+    tried = [register_object(rig, stereo, smooth, start=start) for start in starts]
+    made = [one for one in tried if one is not None]
+    if not made:
+        raise CalibrationError(
+            f"of {len(points)} points that two cameras see, fewer than {LEAST_POINTS} lie together"
+            " as the object's would; is it in the pictures, and is the unit of the mesh right?"
+        )
     best = min(made, key=lambda one: one.residual / one.inliers)
     try:
         check_registration(best)
@@ -249,7 +244,7 @@ def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Reg
 
 def _surface(rig: Rig, mesh: TriangleMesh, registration: Registration, ties: Ties) -> KnownSurface:
     """The mesh with the seen points that lie near it."""
-    smooth, pose = TriangleMesh(*refined_surface(mesh, pieces=_PIECES)), registration.T_mesh_points
+    smooth, pose = smooth_surface(mesh), registration.T_mesh_points
     point = places(rig, ties) @ pose[:3, :3].T + pose[:3, 3]
     known = np.isfinite(point).all(axis=1)
     gap = closest_points(smooth, np.where(known[:, None], point, 0.0)).distance
@@ -260,14 +255,6 @@ def _far(mesh: TriangleMesh, points: Points) -> bool:
     """Whether the points do not lie on the mesh as the frame has it, nor nearly."""
     gap = closest_points(mesh, points[:: max(len(points) // _TRIAL_POINTS, 1)]).distance
     return bool(np.median(gap) > _FAR * bounding_diagonal(mesh))
-
-
-def _near(mesh: TriangleMesh, points: Points, start: Float[np.ndarray, "4 4"]) -> np.ndarray:
-    """Points that may belong to the object if it stands there."""
-    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    place = points @ start[:3, :3].T + start[:3, 3]
-    near = np.linalg.norm(place - middle, axis=1) < _REACH * bounding_diagonal(mesh)
-    return np.asarray(near)
 
 
 def _searched(mesh: TriangleMesh, points: Points, eye: Vector3) -> list[Float[np.ndarray, "4 4"]]:

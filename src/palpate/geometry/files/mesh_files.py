@@ -1,4 +1,4 @@
-"""Triangle surfaces from and to files: PLY, OBJ, STL, OFF, MSH, VTU, VTP."""
+"""Triangle surfaces from and to files: PLY, OBJ, STL, OFF, MSH, VTU, VTP; and from STEP."""
 
 import re
 from io import BytesIO
@@ -13,6 +13,7 @@ from palpate.disk import write_bytes
 from palpate.errors import InputError, MeshError
 from palpate.files import damage, read_bytes
 from palpate.geometry.files.obj_file import parse_obj
+from palpate.geometry.files.step_file import STEP_SUFFIXES, read_step
 from palpate.geometry.files.vtp_file import parse_vtp
 from palpate.geometry.triangle_mesh import TriangleMesh, connected_groups
 from palpate.optional_imports import late_import
@@ -21,7 +22,7 @@ from palpate.shapes import Triangles, Vertices
 _TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
 # And the format of meshio that is meant: for .msh it would try a reader that may never end.
 _MESHIO_SUFFIXES = {".msh": "gmsh", ".vtu": "vtu"}
-MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
+MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp", *STEP_SUFFIXES)
 
 # Flat triangles of each cell of a surface, in the cell's own numbering (VTK and gmsh agree here).
 _FACETS = {
@@ -60,18 +61,21 @@ def read_mesh(
 
     Vertices that no triangle uses are left out; the others keep their order. Quadrangles are cut
     in two, quadratic triangles in four; a file that holds tetrahedra and no triangles gives their
-    boundary. Whether the surface is closed is not asked here: see `checked_mesh`.
+    boundary. Faces of a STEP file are covered with triangles. Whether the surface is closed is not
+    asked here: see `checked_mesh`.
 
     Parameters
     ----------
-    path : path                     suffix .ply .obj .stl .off .msh .vtu .vtp
-    metres_per_unit : float         length of the file's unit, e.g. 0.001 for millimetres; > 0
+    path : path                     suffix .ply .obj .stl .off .msh .vtu .vtp .step .stp
+    metres_per_unit : float         length of the file's unit, e.g. 0.001 for millimetres; > 0;
+                                    not asked of a STEP file, which says its own
     most : int                      triangles; a file with more is refused
 
     Raises
     ------
     MeshError                       no such file, unknown suffix, unreadable, no triangles, too many
-    InputError                      unit not positive; the optional package for MSH/VTU is missing
+    InputError                      unit not positive; the optional package for MSH, VTU or STEP is
+                                    missing
     """
     path = Path(path)
     if not (np.isfinite(metres_per_unit) and metres_per_unit > 0.0):
@@ -85,6 +89,8 @@ def read_mesh(
     content = read_bytes(path, most=_MOST_BYTES, kind=MeshError)
     solid = suffix in _MESHIO_SUFFIXES
     _check_count(path, _claimed(content, suffix), most, solid=solid)
+    if suffix in STEP_SUFFIXES:
+        metres_per_unit = 1.0
     with damage(
         path,
         "open it in a mesh program and save it again",
@@ -198,7 +204,9 @@ def _check_span(path: Path, vertices: Vertices) -> None:
 def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
     """Vertices and triangles as the file holds them."""
     suffix = path.suffix.lower()
-    if suffix == ".vtp":
+    if suffix in STEP_SUFFIXES:
+        vertices, triangles = read_step(path)
+    elif suffix == ".vtp":
         vertices, triangles = parse_vtp(content)
     elif suffix == ".obj":
         vertices, triangles = parse_obj(content)

@@ -2,11 +2,18 @@
 
 Purpose    : to know where the object is before anything is known of its surface or pose.
 Takes      : `PreparedPictures` of one instant.
-Gives      : `StereoPoints` with covariance, `RigCheck`, a surface through the stereo points.
-Depends on : `records`, `vision.images`, `vision.cameras`, `vision.matching`.
+Gives      : `StereoPoints` with covariance, `RigCheck`; their `Registration` onto a known object.
+Depends on : `geometry`, `records`, `vision.images`, `vision.cameras`, `vision.matching`.
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
 """
 
+from palpate.vision.stereo.known_object import (
+    LEAST_POINTS as LEAST_POINTS,
+    near_object as near_object,
+    object_frame as object_frame,
+    register_object as register_object,
+    smooth_surface as smooth_surface,
+)
 from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
 from palpate.vision.stereo.stereo import (
     StereoMatches as StereoMatches,

@@ -1,0 +1,64 @@
+"""The files of a surface that is ready for a session: mesh.ply, surface.json, vertex_sigma.csv."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.geometry import write_mesh
+from palpate.records import json_text, write_text
+from palpate.scanning.prepare import PreparedSurface
+from palpate.scanning.scan import ScannedSurface
+
+SURFACE_FORMAT = "palpate-surface/1"
+
+
+def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> None:
+    """Write mesh.ply, in metres, and surface.json; of a scan the sigmas of its vertices, too.
+
+    Parameters
+    ----------
+    folder : Path                   exists
+    surface : PreparedSurface or ScannedSurface
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    write_mesh(folder / "mesh.ply", surface.mesh)
+    if isinstance(surface, ScannedSurface):
+        said = _of_views(surface)
+        rows = np.column_stack([surface.mesh.vertices, surface.sigma])
+        lines = ["x_m,y_m,z_m,sigma_m"]
+        lines += [",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in rows]
+        write_text(folder / "vertex_sigma.csv", "\n".join(lines) + "\n")
+    else:
+        said = _of_mending(surface)
+    content = {
+        "format": SURFACE_FORMAT,
+        **said,
+        "guessed_triangles": np.flatnonzero(surface.guessed),
+        "quality": asdict(surface.quality),
+    }
+    write_text(folder / "surface.json", json_text(content))
+
+
+def _of_mending(surface: PreparedSurface) -> dict[str, Any]:
+    """What was mended, and how far the mesh is from it."""
+    return {
+        "actions": [
+            {"defect": a.defect, "count": a.count, "place": a.place, "done": a.done}
+            for a in surface.actions
+        ],
+        "deviation": asdict(surface.deviation),
+    }
+
+
+def _of_views(surface: ScannedSurface) -> dict[str, Any]:
+    """How the views fit each other and the mesh."""
+    return {
+        "views": [asdict(one) for one in surface.agreements],
+        "distance": {"median": surface.distance[0], "percentile_95": surface.distance[1]},
+        "volume_std": surface.volume_std,
+    }
