@@ -53,7 +53,6 @@ from palpate.pipeline.observations import (
     settled_observations as settled_observations,
 )
 from palpate.pipeline.planning import (
-    MATCHING_NOISE as MATCHING_NOISE,
     MeasurementPlan as MeasurementPlan,
     NextProbings as NextProbings,
     plan_measurement as plan_measurement,
