@@ -1,8 +1,9 @@
 """The precision to expect of a measurement before it is made.
 
 The cameras' pictures are rendered as the object would move if its constants were known, with the
-tool and its shadow; they are followed as the pictures of a session are, and the constants estimated
-from them. What hides, darkens or blurs the surface costs points here as it will there.
+tool and its shadow; they are followed as the pictures of a session are, and Fisher's information of
+the points that they give is that of the fit's own model. What hides, darkens or blurs the surface
+costs points here as it will there.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, UInt
 
 from palpate.errors import InputError
+from palpate.estimation import Information, fisher_information
 from palpate.geometry import bounding_diagonal, closest_points
 from palpate.lab import Material, Pictures, Variant, planned_pictures
 from palpate.pipeline.fit_session import fit_session
@@ -20,10 +22,7 @@ from palpate.pipeline.model import make_object_model, resolved_session, touched_
 from palpate.pipeline.observations import session_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
-    CONSTANT_NAMES,
     DisplacementField,
-    Estimate,
-    ProbeEstimate,
     Probing,
     Rig,
     Session,
@@ -132,14 +131,16 @@ def plan_measurement(
     say("texture and light", 0.0)
     fields = _followed(session, rig, taken, show, say)
     measured = _measured(session, fields, [tip for _, tip in moved])
-    fitted = fit_session(measured, progress=part_of(progress, _CONSTANTS, 1.0)).estimate
+    information = _information(measured, material, part_of(progress, _CONSTANTS, 1.0))
     free = np.setdiff1d(
         np.arange(len(session.mesh.vertices)),
         session.mesh.triangles[session.held_triangles].ravel(),
     )
     return MeasurementPlan(
-        tuple(map(_planned, measured.probings, fitted.probes)),
-        _precision(fitted),
+        tuple(
+            _planned(probing, information.bound([k])) for k, probing in enumerate(measured.probings)
+        ),
+        information.bound(range(len(measured.probings))),
         {camera.name: float(seen[c, free].mean()) for c, camera in enumerate(rig.cameras)},
     )
 
@@ -235,7 +236,19 @@ def _measured(
     return replace(session, probings=tuple(probings))
 
 
-def _planned(probing: Probing, found: ProbeEstimate) -> PlannedProbing:
+def _information(session: Session, material: Material, progress: Progress) -> Information:
+    """What the points tell, beside the model and the noise levels that a fit finds."""
+    model = fit_session(session, progress=progress).model
+    if model is None:
+        raise InputError(f"{session.path}: no constant can be estimated from what will be seen")
+    return fisher_information(
+        model.observations,
+        poisson_ratio=material.poisson_ratio,
+        shear_modulus=material.shear_modulus,
+    )
+
+
+def _planned(probing: Probing, precision: dict[str, float]) -> PlannedProbing:
     field = probing.displacement
     if field is None or field.std is None:
         raise InputError(f"probing '{probing.name}' has no displacement")
@@ -244,13 +257,5 @@ def _planned(probing: Probing, found: ProbeEstimate) -> PlannedProbing:
         int(np.isfinite(field.displacement).all(axis=1).sum()),
         float(np.nanmedian(np.linalg.norm(field.displacement, axis=1))),
         float(np.nanmedian(np.sqrt((field.std**2).mean(axis=1)))),
-        _precision(found),
+        precision,
     )
-
-
-def _precision(found: Estimate | ProbeEstimate) -> dict[str, float]:
-    """Standard deviation of each constant, infinite where it is not determined."""
-    return {
-        name: getattr(found, name).std if found.identifiable.get(name, True) else np.inf
-        for name in CONSTANT_NAMES
-    }
