@@ -9,12 +9,12 @@ from lab.lab_configs import HALF_BALL
 from lab.planned_sessions import planned_session
 
 from palpate.errors import InputError
-from palpate.lab import Pictures, choose_variant, make_session, read_lab_config
+from palpate.lab import choose_variant, make_session, read_lab_config
 from palpate.pipeline import plan_measurement, with_pictures_measured
 from palpate.records import read_session
 
-GUESS = {"young_modulus": 5e4, "poisson_ratio": 0.2}
-FEW = """\
+GUESS = {"young_modulus": 52e3, "poisson_ratio": 0.21}
+FURTHER = """\
 [[probe]]
 name = "n02"
 point = [0.0, -0.02, 0.0346]
@@ -29,8 +29,14 @@ def variant():
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory):
-    return read_session(planned_session(tmp_path_factory.mktemp("plan")))
+def session(tmp_path_factory, variant):
+    """What the facility measured, in finite elements, with a texture and noise of its own."""
+    folder = tmp_path_factory.mktemp("plan")
+    (folder / "config.toml").write_text(HALF_BALL.replace("steps = 2", "steps = 1") + FURTHER)
+    made = folder / "made"
+    made.mkdir()
+    make_session(read_lab_config(folder / "config.toml"), made, variant=variant)
+    return read_session(made)
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +49,25 @@ def plan(session, variant, shown):
     return plan_measurement(session, variant=variant, show=shown.__setitem__, **GUESS)
 
 
+def test_a_plan_keeps_what_it_promises(session, plan):
+    fields = [one.displacement for one in with_pictures_measured(session).probings]
+    for one, field in zip(plan.probings, fields, strict=True):
+        measured = np.isfinite(field.displacement).all(axis=1)
+        # A quarter is what is asked of a plan; one that forgets the shaft has 1.3 times as many.
+        assert one.seen == pytest.approx(measured.sum(), rel=0.25)
+        sigma = np.median(np.sqrt((field.std[measured] ** 2).mean(axis=1)))
+        assert one.sigma == pytest.approx(sigma, rel=0.25)
+        moved = np.median(np.linalg.norm(field.displacement[measured], axis=1))
+        assert one.displacement == pytest.approx(moved, rel=0.1)
+
+
 def test_probings_together_tell_more_than_each(plan):
     assert [one.name for one in plan.probings] == ["n01", "n02"]
     for name, value in plan.precision.items():
         assert value < min(one.precision[name] for one in plan.probings)
-    # E / (2 (1 + nu)): half a ball pressed by half a newton at 50 kPa is told to a few percent.
-    assert 0.007 * 5e4 < plan.precision["young_modulus"] < 0.04 * 5e4
-    assert 0.002 < plan.precision["poisson_ratio"] < 0.02
+    # Pictures of a thumbnail's size: E to some per cent, nu to some hundredths.
+    assert 0.007 < plan.precision["young_modulus"] / GUESS["young_modulus"] < 0.1
+    assert 0.002 < plan.precision["poisson_ratio"] < 0.05
 
 
 def test_every_picture_is_shown_with_its_tool(plan, shown):
@@ -59,34 +77,6 @@ def test_every_picture_is_shown_with_its_tool(plan, shown):
     assert hidden.sum() > 50
     assert plan.visible.keys() == {"c0", "c1", "c2"}
     assert all(0.6 < share < 1.0 for share in plan.visible.values())
-
-
-def test_a_plan_keeps_what_it_promises(variant, tmp_path):
-    """The facility measures the object in finite elements, with a texture and noise of its own."""
-    (tmp_path / "config.toml").write_text(HALF_BALL.replace("steps = 2", "steps = 1") + FEW)
-    config = read_lab_config(tmp_path / "config.toml")
-    made = tmp_path / "made"
-    made.mkdir()
-    make_session(config, made, variant=variant)
-    given = read_session(made)
-    found = plan_measurement(given, young_modulus=52e3, poisson_ratio=0.21, variant=variant)
-    fields = [one.displacement for one in with_pictures_measured(given).probings]
-    for one, field in zip(found.probings, fields, strict=True):
-        measured = np.isfinite(field.displacement).all(axis=1)
-        # A quarter is what is asked of a plan; a plan that forgets the shaft has 1.3 times as many.
-        assert one.seen == pytest.approx(measured.sum(), rel=0.25)
-        sigma = np.median(np.sqrt((field.std[measured] ** 2).mean(axis=1)))
-        assert one.sigma == pytest.approx(sigma, rel=0.25)
-        moved = np.median(np.linalg.norm(field.displacement[measured], axis=1))
-        assert one.displacement == pytest.approx(moved, rel=0.1)
-
-
-def test_noise_of_the_cameras_costs_precision(session, plan, variant):
-    rough = plan_measurement(session, variant=variant, pictures=Pictures(noise=6.0), **GUESS)
-    for one, other in zip(plan.probings, rough.probings, strict=True):
-        assert other.sigma > 1.5 * one.sigma
-    # What is shared, force and scale, stays: E loses less than its points do.
-    assert rough.precision["poisson_ratio"] > 1.1 * plan.precision["poisson_ratio"]
 
 
 def test_what_cannot_be_planned_is_refused(session, tmp_path, variant):

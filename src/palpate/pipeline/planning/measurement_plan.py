@@ -16,12 +16,18 @@ from palpate.errors import InputError
 from palpate.estimation import Information, fisher_information
 from palpate.geometry import bounding_diagonal, closest_points
 from palpate.lab import Material, Pictures, Variant, planned_pictures
-from palpate.pipeline.fit_session import fit_session
+from palpate.pipeline.calibrated_space import calibration_strains, with_stretch
 from palpate.pipeline.measure_motion import vertex_field
-from palpate.pipeline.model import make_object_model, resolved_session, touched_session
-from palpate.pipeline.observations import session_observations
+from palpate.pipeline.model import (
+    graded_session,
+    make_object_model,
+    resolved_session,
+    touched_session,
+)
+from palpate.pipeline.observations import session_observations, settled_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
+    EXACT,
     DisplacementField,
     Probing,
     Rig,
@@ -35,8 +41,8 @@ from palpate.vision import JointFlow, measured_vertices, surface_map, visible
 
 # How far a vertex may lie behind the drawn surface and still be seen, over the object's size.
 _DEPTH_TOLERANCE = 2e-3
-# Shares of the work that are done when pictures are taken, and when constants are estimated.
-_PICTURES, _CONSTANTS = 0.1, 0.8
+# Shares of the work that are done when pictures are taken, and when their points are there.
+_PICTURES, _POINTS = 0.1, 0.8
 # What is told of a picture: its name and its grey levels.
 Show = Callable[[str, UInt[np.ndarray, "_ _"]], None]
 
@@ -127,11 +133,12 @@ def plan_measurement(
     taken = planned_pictures(
         session, [u for u, _ in moved], material=material, pictures=pictures, variant=variant
     )
-    say = part_of(progress, _PICTURES, _CONSTANTS)
+    say = part_of(progress, _PICTURES, _POINTS)
     say("texture and light", 0.0)
     fields = _followed(session, rig, taken, show, say)
     measured = _measured(session, fields, [tip for _, tip in moved])
-    information = _information(measured, material, part_of(progress, _CONSTANTS, 1.0))
+    progress("what the points tell", _POINTS)
+    information = _information(measured, material)
     free = np.setdiff1d(
         np.arange(len(session.mesh.vertices)),
         session.mesh.triangles[session.held_triangles].ravel(),
@@ -185,7 +192,7 @@ def _moved(session: Session, material: Material) -> list[tuple[Vertices, Vector3
         session, probings=tuple(replace(one, displacement=still) for one in session.probings)
     )
     shear, ratio = material.shear_modulus, material.poisson_ratio
-    touched = touched_session(resolved_session(asked), shear_modulus=shear, poisson_ratio=ratio)
+    touched = _at_guess(asked, material)
     moved = []
     for one in session_observations(touched, make_object_model(touched), shear_modulus=shear):
         load = np.concatenate([one.force / shear, [1.0 / shear], one.motion])
@@ -236,15 +243,24 @@ def _measured(
     return replace(session, probings=tuple(probings))
 
 
-def _information(session: Session, material: Material, progress: Progress) -> Information:
-    """What the points tell, beside the model and the noise levels that a fit finds."""
-    model = fit_session(session, progress=progress).model
-    if model is None:
-        raise InputError(f"{session.path}: no constant can be estimated from what will be seen")
-    return fisher_information(
-        model.observations,
-        poisson_ratio=material.poisson_ratio,
+def _information(session: Session, material: Material) -> Information:
+    """What the points tell, beside the model of a fit with all its errors."""
+    shear, ratio = material.shear_modulus, material.poisson_ratio
+    resolved = _at_guess(session, material)
+    plain = replace(resolved, errors=EXACT)
+    coarser = settled_observations(plain, make_object_model(plain))
+    graded = graded_session(resolved)
+    observed = settled_observations(graded, make_object_model(graded), coarser=coarser)
+    known = with_stretch(observed, calibration_strains(session))
+    return fisher_information(known, poisson_ratio=ratio, shear_modulus=shear)
+
+
+def _at_guess(session: Session, material: Material) -> Session:
+    """The session on a mesh that serves the model, with what its tools would touch."""
+    return touched_session(
+        resolved_session(session),
         shear_modulus=material.shear_modulus,
+        poisson_ratio=material.poisson_ratio,
     )
 
 
