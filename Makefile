@@ -128,7 +128,7 @@ wheel: $(VENV)/run.stamp
 # checked: that needs a newer jaxtyping than a run does. Kernels stay out of the tree.
 OLDEST := import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
     print(*(d.replace('>=', '==') for d in p['dependencies'] + p['optional-dependencies']['mesh']), sep='\n')
-OLDEST_TESTS := tests/api tests/geometry tests/records tests/probe tests/bem/system tests/estimation/search \
+OLDEST_TESTS := tests/api tests/geometry tests/records tests/bem/system tests/estimation/search \
     tests/figures tests/app/test_cli.py tests/app/commands/test_fit.py
 
 oldest:

@@ -10,7 +10,9 @@ Read first : `measure_motion.py`, then `fit_session.py`.
 
 from palpate.pipeline.camera_survey import (
     CameraSurvey as CameraSurvey,
+    ViewSurvey as ViewSurvey,
     survey_cameras as survey_cameras,
+    survey_view as survey_view,
 )
 from palpate.pipeline.fit_session import fit_session as fit_session
 from palpate.pipeline.imported_points import (
