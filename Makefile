@@ -9,7 +9,7 @@ PYTHON_FILES := src tests benchmarks examples docs
 SOURCES := $(shell find src -name '*.py')
 
 .PHONY: demo test fuzz benchmark lint format contract types tests map reference docs notebooks wheel lock \
-    clean clean-cache
+    oldest clean clean-cache
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -22,6 +22,7 @@ help:
 	@echo "make reference  make docs/reference and the gallery again from the code that reads the files"
 	@echo "make notebooks  run docs/notebooks, all of them (some minutes)"
 	@echo "make wheel  build a wheel, install it in a fresh environment, fit an example there"
+	@echo "make oldest install the oldest versions that the metadata promises, run some tests with them"
 	@echo "make map    make docs/developer/map.md again, after a change of rooms or imports"
 	@echo "make lock   choose new pinned versions"
 	@echo "make clean  remove the environment and every cache"
@@ -122,6 +123,20 @@ wheel: $(VENV)/run.stamp
 	$(PYTHON) -m venv build/wheel/fresh
 	build/wheel/fresh/bin/python -m pip install --quiet build/wheel/*.whl
 	cd build/wheel && fresh/bin/palpate --version && fresh/bin/palpate fit ../../examples/half_ball --out result
+
+# The oldest versions that the metadata promises, with the newest tools for testing. Shapes are not
+# checked: that needs a newer jaxtyping than a run does. Kernels stay out of the tree.
+OLDEST := import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
+    print(*(d.replace('>=', '==') for d in p['dependencies'] + p['optional-dependencies']['mesh']), sep='\n')
+OLDEST_TESTS := tests/api tests/geometry tests/records tests/bem/system tests/estimation/search \
+    tests/figures tests/app/test_cli.py tests/app/commands/test_fit.py
+
+oldest:
+	$(PYTHON) -m venv build/oldest
+	build/oldest/bin/python -c "$(OLDEST)" > build/oldest/run.in
+	build/oldest/bin/python -m pip install --quiet -r build/oldest/run.in pytest beartype hypothesis
+	NUMBA_CACHE_DIR=build/oldest/kernels PYTHONPATH=src build/oldest/bin/python -m pytest -q \
+	    -o addopts="--import-mode=importlib --strict-markers" -W ignore::DeprecationWarning $(OLDEST_TESTS)
 
 clean-cache:
 	find src -name '*.nb[ic]' -delete

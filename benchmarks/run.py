@@ -39,6 +39,7 @@ PARTS = {
         "flow_real",
     ),
     "facility": ("facility_time", "table3_repeats"),
+    "plans": ("plan_holds",),
     "simulation": ("realtime", "replay"),
     "campaign": ("campaign",),
 }

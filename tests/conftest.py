@@ -8,8 +8,9 @@ import pytest
 from jaxtyping import _import_hook
 
 # The import hook wraps every function; numba cannot compile a wrapper, so kernels go unwrapped.
-# They are arrays in, arrays out, and called by functions that are checked.
-_marked_unchecked = _import_hook._is_no_type_check
+# They are arrays in, arrays out, and called by functions that are checked. Versions of jaxtyping
+# that do not have it run without the hook (`make oldest`).
+_marked_unchecked = getattr(_import_hook, "_is_no_type_check", lambda _: False)
 
 
 def _is_unchecked(decorator: Any) -> bool:

@@ -49,7 +49,7 @@ _NO_NUMBERS = [
     ("poke", ".", "--at", "0.02", "0.02", "0.04", "--force", "0", "0", "nan"),
     ("poke", ".", "--at", "0.02", "0.02", "inf", "--force", "0", "0", "-1"),
     ("lab", "plan", ".", "--young-modulus", "nan"),
-    ("lab", "plan", ".", "--young-modulus", "1e4", "--matching-noise", "inf"),
+    ("lab", "plan", ".", "--young-modulus", "1e4", "--noise", "inf"),
 ]
 KINDS = [
     *(

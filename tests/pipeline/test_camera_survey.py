@@ -5,12 +5,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from flow_samples import SHAPE, SIDE, rig
+from flow_samples import ABOVE, FOCAL, SHAPE, SIDE, camera, rig
 from surfaces import box
 
 from palpate.errors import PalpateError
-from palpate.pipeline import survey_cameras
-from palpate.records import Contact, Images, Probing, Session, Step, write_rig
+from palpate.pipeline import survey_cameras, survey_view
+from palpate.records import Contact, Images, Probing, Rig, Session, Step, write_rig
+from palpate.vision import JointFlow
 
 
 @pytest.fixture
@@ -112,3 +113,63 @@ def test_the_rest_may_be_copied_for_every_probing(session, cube_probing):
 def cube_probing():
     contact = Contact(np.array([0.02, 0.02, 0.04]), 0.006, "smooth")
     return Probing("n01", contact, np.array([0.0, 0.0, -1.2]), None, None, None, None, None)
+
+
+# Wave number of the painted texture [1 / px].
+WAVE = 0.5
+
+
+def painted(session, *, contrast=30.0, blur=0.0):
+    """The session with a texture of one wave number on the upper face, which both cameras see."""
+    rng = np.random.default_rng(7)
+    angle, phase = 2 * np.pi * rng.random((2, 60))
+    across = WAVE * FOCAL / ABOVE * np.stack([np.cos(angle), np.sin(angle)])
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    cameras = camera(), camera("c1", x=0.7 * SIDE)
+    for one, middle in zip(cameras, (0.5 * SIDE, 0.7 * SIDE), strict=True):
+        x = middle + ABOVE * (column - 79.5) / FOCAL
+        y = 0.5 * SIDE - ABOVE * (row - 59.5) / FOCAL
+        waves = np.cos(x[..., None] * across[0] + y[..., None] * across[1] + phase)
+        on = (x > 0) & (x < SIDE) & (y > 0) & (y < SIDE)
+        grey = np.where(on, 120 + contrast * np.sqrt(2 / 60) * waves.sum(axis=2), 10.0)
+        grey = cv2.GaussianBlur(grey, (0, 0), blur) if blur else grey
+        grey = np.clip(grey + rng.normal(0.0, 1.0, SHAPE), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(session.path.parent / f"s0_{one.name}.png"), grey)
+    write_rig(session.path.parent / "rig.toml", Rig(cameras, 0, "rig.toml"))
+    return replace(session, mesh=box(size=(SIDE,) * 3, cells=8))
+
+
+def test_what_the_first_pictures_promise_is_told(session):
+    found, _ = survey_view(painted(session))
+    # The reference camera sees all of the face, the other one 0.92 of it; rims cut windows.
+    assert 0.6 * found.points < found.followed <= found.points
+    assert found.points == pytest.approx((SIDE * FOCAL / ABOVE / JointFlow().step) ** 2, rel=0.15)
+    assert 20 <= found.vertices <= 81
+    assert found.windows >= 12
+    # Of waves in all directions the slope along one of two axes has half of the square.
+    assert found.structure == pytest.approx([np.sqrt(2) / WAVE] * 2, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("look", "says"),
+    [
+        ({"contrast": 0.2}, "of the windows have too little texture"),
+        ({"blur": 12.0, "contrast": 200.0}, "is coarse or out of focus"),
+    ],
+)
+def test_pictures_that_cannot_be_followed_well_are_named(session, look, says):
+    _, notes = survey_view(painted(session, **look))
+    assert any(says in note for note in notes), notes
+
+
+def test_without_pictures_there_is_no_view(session, cube_probing):
+    measured = replace(
+        session, rig=None, steps=(), held_triangles=np.arange(2), probings=(cube_probing,)
+    )
+    assert survey_view(measured) == (None, ())
+
+
+def test_pictures_that_show_nothing_in_common_are_no_reason_to_stop(session):
+    found, notes = survey_view(session)
+    assert found.points > 0
+    assert notes[0].startswith("The rig cannot be checked against the pictures: cameras 'c0' and")

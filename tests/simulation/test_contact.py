@@ -242,6 +242,14 @@ def test_the_deviation_of_the_force_is_that_of_other_constants(neighbours, frict
     assert np.abs(found - wanted).max() < off * np.abs(wanted).max()
 
 
+def test_a_contact_of_few_nodes_is_said_not_to_be_resolved(green):
+    states = walked(green, [oblique(share) for share in np.linspace(0.0, 1.0, 12)])
+    count = [len(state.touching) for state in states]
+    assert [bool(state.resolved[0]) for state in states] == [n == 0 or n >= 10 for n in count]
+    assert count[0] == 0
+    assert 0 < count[2] < 10
+
+
 def test_a_tool_inside_the_object_is_refused(green):
     with pytest.raises(InputError, match=r"tool 1 is inside the object.*start it outside"):
         start_contact(green, [PlacedTool(BALL, ABOVE - [0, 0, 2e-3])])

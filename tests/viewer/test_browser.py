@@ -66,6 +66,18 @@ def test_a_click_presses_and_a_drag_presses_deeper(page, viewer):
     assert np.linalg.norm(tab.touching.pressed.force) > np.linalg.norm(first.force)
 
 
+def test_no_press_is_lost_while_the_object_is_drawn_anew(page, viewer, monkeypatch):
+    """A deformed body that a browser still takes in cannot be clicked, but the place can."""
+    tab, pressed = viewer.tabs[page.number], []
+    monkeypatch.setattr(tab.touching, "put", pressed.append)
+    until(lambda: drawn(page))
+    mesh = tab.stage.subject.session.mesh
+    for number in range(1, 9):
+        tab.stage.draw_body(np.full_like(mesh.vertices, 1e-6 * number), None)
+        page.mouse.click(400, 250)
+        until(lambda number=number: len(pressed) == number, patience=5.0)
+
+
 def test_a_slider_asks_the_model(page, viewer):
     tab = viewer.tabs[page.number]
     page.get_by_role("tab", name="Material").click()

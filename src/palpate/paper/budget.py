@@ -42,6 +42,7 @@ from palpate.lab import (
 )
 from palpate.paper.constants import constant_errors
 from palpate.paper.result import Cell, ResultTable
+from palpate.parts import Parts, content_digest
 from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, read_rig, read_session, write_rig
@@ -96,6 +97,7 @@ def error_budget(
     variant: Variant,
     draws: int = 5,
     progress: Progress = silent,
+    parts: Path | None = None,
 ) -> tuple[SourceErrors, ...]:
     """Errors of the constants, by source.
 
@@ -107,6 +109,7 @@ def error_budget(
     variant : Variant               of Mitsuba
     draws : int                     of the sources that change no picture, >= 1
     progress : callable             called with what is done (text) and how far it is (0 to 1)
+    parts : Path or None            folder that keeps what is finished, as for `make_sessions`
 
     Returns
     -------
@@ -125,9 +128,12 @@ def error_budget(
         [(source.bench, folders[source.name]) for source in sources if source.bench],
         variant=variant,
         progress=part_of(progress, 0.0, _MAKING),
+        parts=parts,
     )
+    finished = Parts(parts, "" if parts is None else content_digest((config, variant.name)))
     # Its motion serves every source that changes no picture and no camera.
-    exact = with_pictures_measured(read_session(folders[sources[0].name]), pose="given")
+    exact = read_session(folders[sources[0].name])
+    exact = with_pictures_measured(exact, pose="given", parts=parts)
     readings = [source for source in sources if source.change]
     found: list[SourceErrors] = []
     for source in sources:
@@ -144,7 +150,14 @@ def error_budget(
                 )
                 for seed in seeds
             ]
-        found.append(SourceErrors(source.name, source.size, *_errors(sessions, config.material)))
+        errors = [
+            finished.kept(
+                f"{source.name} {number}", partial(_errors, session, config.material, parts)
+            )
+            for number, session in enumerate(sessions)
+        ]
+        single, joint = (np.concatenate(each) for each in zip(*errors, strict=True))
+        found.append(SourceErrors(source.name, source.size, single, joint))
     return tuple(found)
 
 
@@ -237,13 +250,11 @@ def with_misjudged_rig(
 
 
 def _errors(
-    sessions: Sequence[Session], truth: Material
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "d 3"]]:
+    session: Session, truth: Material, parts: Path | None
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "1 3"]]:
     """Errors of single probings and of all; what was measured already is not measured anew."""
-    measured = (with_pictures_measured(session, pose="given") for session in sessions)
-    joint = [fit_session(session).estimate for session in measured]
-    single = [probe for estimate in joint for probe in estimate.probes]
-    return constant_errors(single, truth), constant_errors(joint, truth)
+    joint = fit_session(with_pictures_measured(session, pose="given", parts=parts)).estimate
+    return constant_errors(joint.probes, truth), constant_errors([joint], truth)
 
 
 def _plain(name: str) -> str:

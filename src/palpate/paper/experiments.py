@@ -69,12 +69,15 @@ class Workplace:
     variant : Variant               of Mitsuba
     quick : bool                    small pictures and few steps
     progress : callable             called with what is done (text) and how far it is (0 to 1)
+    parts : Path or None            folder, there or not, that keeps what is finished, for a run
+                                    that is interrupted and started again
     """
 
     folder: Path
     variant: Variant
     quick: bool
     progress: Progress
+    parts: Path | None = None
 
     def config(self, name: str) -> LabConfig:
         """A built-in configuration, for a quick look if so wanted.
@@ -144,7 +147,11 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
         folder = work.folder / name
         folder.mkdir()
         measured[name] = measured_session(
-            work.config(name), folder, variant=work.variant, progress=part.progress
+            work.config(name),
+            folder,
+            variant=work.variant,
+            progress=part.progress,
+            parts=work.parts,
         )
     for k, name in enumerate(names, start=len(needed)):
         part = work.part(k / count, (k + 1) / count, name)
@@ -248,6 +255,7 @@ def _budget(_measured: Measured, work: Workplace) -> PaperResult:
         variant=work.variant,
         draws=1 if work.quick else _DRAWS,
         progress=work.progress,
+        parts=work.parts,
     )
     return PaperResult(
         "What limits table 3",

@@ -107,6 +107,7 @@ def measured_session(
     methods: Sequence[Method] = METHODS,
     variant: Variant,
     progress: Progress = silent,
+    parts: Path | None = None,
 ) -> PaperSession:
     """Make a session in the facility and measure its motion.
 
@@ -119,6 +120,7 @@ def measured_session(
     methods : sequence of Method
     variant : Variant               of Mitsuba
     progress : callable             called with what is done (text) and how far it is (0 to 1)
+    parts : Path or None            folder that keeps what is finished, as for `make_session`
 
     Returns
     -------
@@ -128,7 +130,8 @@ def measured_session(
     ------
     InputError, RecordError         as `make_session` and `measure_motion`
     """
-    make_session(config, folder, variant=variant, progress=part_of(progress, 0.0, _MAKING))
+    making = part_of(progress, 0.0, _MAKING)
+    make_session(config, folder, variant=variant, progress=making, parts=parts)
     session, found = read_session(folder), {}
     for k, method in enumerate(methods):
         begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
@@ -137,6 +140,7 @@ def measured_session(
             method=FLOW_METHODS[method](),
             pose="given",
             progress=part_of(progress, begin, end, prefix=f"{method}: "),
+            parts=parts,
         )
     return PaperSession(session, found)
 

@@ -10,7 +10,9 @@ Read first : `measure_motion.py`, then `fit_session.py`.
 
 from palpate.pipeline.camera_survey import (
     CameraSurvey as CameraSurvey,
+    ViewSurvey as ViewSurvey,
     survey_cameras as survey_cameras,
+    survey_view as survey_view,
 )
 from palpate.pipeline.fit_session import fit_session as fit_session
 from palpate.pipeline.imported_points import (
@@ -53,7 +55,6 @@ from palpate.pipeline.observations import (
     settled_observations as settled_observations,
 )
 from palpate.pipeline.planning import (
-    MATCHING_NOISE as MATCHING_NOISE,
     MeasurementPlan as MeasurementPlan,
     NextProbings as NextProbings,
     plan_measurement as plan_measurement,

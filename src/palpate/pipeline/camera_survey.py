@@ -6,15 +6,34 @@ from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
 
+import cv2
 import numpy as np
+from jaxtyping import Float
 
-from palpate.errors import RecordError
+from palpate.errors import PalpateError, RecordError
+from palpate.pipeline.object_pose import posed_rig
 from palpate.records import Images, Rig, Session, read_rig
-from palpate.vision import project, read_pictures
+from palpate.vision import (
+    JointFlow,
+    Outcome,
+    RangeFlow,
+    cause_counts,
+    is_valid,
+    measured_vertices,
+    project,
+    read_pictures,
+)
 
 # With more pixels at the white end, or none above this grey level, texture is lost.
 _MAX_SATURATED = 0.02
 _DARK = 25.0
+# Structure of a picture [px], the length over which a grey level changes by its own spread: where
+# it is finer matches are biased, where it is coarser a window holds too little of it.
+_FINEST, _COARSEST = 0.8, 5.0
+# What a usual camera adds to each picture, 1 sigma [grey levels].
+_NOISE = 1.5
+# Of the points: with more of them without texture the paint or the light is at fault.
+_MAX_PLAIN = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +68,117 @@ class CameraSurvey:
     name: str
     sees: float
     pictures: tuple[PictureSurvey, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ViewSurvey:
+    """What can be followed in a session's first pictures.
+
+    Attributes
+    ----------
+    points : int                    windows that the reference camera has on the surface
+    followed : int                  of them, those that could be followed if nothing moved: texture
+                                    and a second camera are there
+    vertices : int                  vertices of the mesh that would be measured; a tool hides some
+    windows : float                 windows that speak for such a vertex, the median
+    structure : tuple of float [px] of each camera's picture, on the surface: the length over which
+                                    a grey level changes by its own spread
+    """
+
+    points: int
+    followed: int
+    vertices: int
+    windows: float
+    structure: tuple[float, ...]
+
+
+def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
+    """Look at the first pictures as `measure_motion` would, the object's pose included.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    survey : ViewSurvey or None     None without pictures
+    notes : tuple of str            what makes them hard to follow, and where the object lies
+
+    Raises
+    ------
+    RecordError, CalibrationError   a rig or picture that cannot be read
+    """
+    instants = _instants(session)
+    if session.rig is None or not instants:
+        return None, ()
+    pattern, whose = next(iter(instants.items()))
+    given = read_rig(session.rig)
+    grey = read_pictures(given, pattern, folder=session.path.parent, what=whose).grey
+    try:
+        rig, remarks = posed_rig(given, grey, session.mesh, "auto")
+    except PalpateError as error:
+        # What the pictures themselves lack may be why.
+        rig, remarks = given, (f"The rig cannot be checked against the pictures: {error}.",)
+    method = JointFlow()
+    state = method.start(rig, grey, session.mesh)
+    # Into itself, with the noise of a further picture: what is lost here cannot be followed later.
+    rng = np.random.default_rng(0)
+    again = [one + rng.normal(0.0, _NOISE, one.shape).astype(np.float32) for one in grey]
+    flow = method.follow(state, again)[1]
+    vertices = method.vertices(flow, rig, session.mesh)
+    there = measured_vertices(vertices)
+    found = ViewSurvey(
+        points=len(flow.point),
+        followed=int(is_valid(flow).sum()),
+        vertices=int(there.sum()),
+        windows=float(np.median(vertices.count[there])) if there.any() else 0.0,
+        structure=tuple(map(_structure, grey, state.scene.inner)),
+    )
+    names = [camera.name for camera in rig.cameras]
+    return found, (*remarks, *_view_doubts(found, flow, names, whose))
+
+
+def _structure(
+    grey: Float[np.ndarray, "rows columns"], inner: Float[np.ndarray, "rows columns"]
+) -> float:
+    """Spread of the grey levels over that of their slope, on the surface [px]; NaN without any."""
+    shown = inner > 0.0
+    if not shown.any():
+        return np.nan
+    levels = np.asarray(grey, dtype=np.float64)
+    slope = np.stack(list(np.gradient(levels)))[:, shown]
+    # Light that falls off over the object is no structure: a window is compared with its mean.
+    off = (levels - cv2.blur(levels, (JointFlow().subset,) * 2))[shown]
+    return float(np.sqrt(np.mean(off**2) / max(float(np.mean(slope**2)), 1e-12)))
+
+
+def _view_doubts(found: ViewSurvey, flow: RangeFlow, names: list[str], whose: str) -> list[str]:
+    """What is wrong with the first pictures, and what to do about it."""
+    texts = []
+    if found.vertices == 0:
+        causes = ", ".join(f"{count} {cause}" for cause, count in cause_counts(flow).items())
+        texts.append(
+            f"No vertex could be measured in the pictures of {whose} ({found.points} windows:"
+            f" {causes or 'none on the surface'})."
+        )
+    plain = int((flow.outcome == Outcome.TEXTURE).sum())
+    if plain > _MAX_PLAIN * max(found.points, 1):
+        texts.append(
+            f"{100 * plain / found.points:.0f} % of the windows have too little texture to be"
+            " followed: speckle the surface, or light it better."
+        )
+    for name, length in zip(names, found.structure, strict=True):
+        if length > _COARSEST:
+            texts.append(
+                f"Camera {name}: structure of {length:.1f} px is coarse or out of focus; a sharp"
+                " speckle of 3 to 5 px across has 1 to 3."
+            )
+        elif length < _FINEST:
+            texts.append(
+                f"Camera {name}: structure of {length:.1f} px is finer than the pixels show:"
+                " motions come out too long by some per cent; paint a coarser speckle."
+            )
+    return texts
 
 
 def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[str, ...]]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 
 from palpate.errors import InputError, NotConvergedError
@@ -26,6 +26,8 @@ from palpate.simulation.tools import PlacedTool, tool_arrays
 
 # Of the largest nodal force, and rounds until it is reached.
 _SETTLED, _ROUNDS = 1e-9, 120
+# Nodes under a tool: fewer do not resolve its contact (six: a fifth too much force).
+FEW_NODES = 10
 # Turns: a point is inside a closed surface where it sees more than this of it.
 _INSIDE = 0.5
 
@@ -65,6 +67,13 @@ class ContactState:
     def touching(self) -> Int[np.ndarray, " k"]:
         """Nodes under a tool, among those of the Green's functions."""
         return np.flatnonzero(self.tool_of >= 0)
+
+    @property
+    def resolved(self) -> Bool[np.ndarray, " t"]:
+        """Whether each tool touches nothing, or `FEW_NODES` nodes and more: with fewer its force is
+        the mesh's rather than the object's, and too high."""
+        count = np.bincount(self.tool_of[self.touching], minlength=len(self.tools))
+        return (count == 0) | (count >= FEW_NODES)
 
     @property
     def sticking(self) -> Int[np.ndarray, " k"]:

@@ -55,7 +55,9 @@ class Tab:
             self.pictures = PicturesPanel(gui, self.stage, self.look)
         with tabs.add_tab("Set up"):
             self.setting = SettingPanel(gui, self.stage, self.look)
-        self.stage.body.on_click(self._clicked)
+        # Of the whole scene, not of the body: while a browser takes in how the body is deformed, it
+        # has none that could be clicked, and the ray is followed here anyway.
+        self.stage.scene.on_click()(self._clicked)
         self.stage.body.on_drag(self._dragged)
         self.look.draw()
         self._end_watch = workshop.on_change(self.update)

@@ -20,8 +20,6 @@ from palpate.simulation import (
 
 # Of its radius: the ball starts so far off, and goes at most so far in a step.
 _OFF, _STEP = 1e-3, 0.02
-# Fewer vertices than these do not resolve a contact.
-FEW_VERTICES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +135,7 @@ def force_text(pressed: Pressed) -> str:
     length = float(np.linalg.norm(pressed.force))
     doubt = f" \N{PLUS-MINUS SIGN} {pressed.sigma:.2g}" if pressed.sigma else ""
     text = f"**{length:.3g}{doubt} N** at {1e3 * pressed.depth:.2f} mm"
-    if 0 < pressed.touching < FEW_VERTICES:
+    if not pressed.state.resolved.all():
         text += (
             f"\n\nThe ball touches {pressed.touching} of the mesh's vertices: too few for a force"
             " that can be trusted. Take a larger ball, or a finer mesh."

@@ -1,106 +1,92 @@
-"""Plans: precision follows noise, stiffness and the number of probings, as theory has it."""
+"""Plans keep what they promise, and are refused where they could not."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from lab.planned_sessions import SESSION, planned_session
+from lab.lab_configs import HALF_BALL
+from lab.planned_sessions import planned_session
 
 from palpate.errors import InputError
-from palpate.pipeline import plan_measurement
-from palpate.records import EXACT, read_rig, read_session
-from palpate.vision import project, triangulate
+from palpate.lab import choose_variant, make_session, read_lab_config
+from palpate.pipeline import plan_measurement, with_pictures_measured
+from palpate.records import read_session
 
-GUESS = {"young_modulus": 5e4, "poisson_ratio": 0.2}
-
-
-@pytest.fixture(scope="module")
-def session(tmp_path_factory):
-    return read_session(planned_session(tmp_path_factory.mktemp("plan")))
+GUESS = {"young_modulus": 52e3, "poisson_ratio": 0.21}
 
 
 @pytest.fixture(scope="module")
-def plan(session):
-    return plan_measurement(session, **GUESS)
+def variant():
+    pytest.importorskip("mitsuba", reason="needs Mitsuba, the extra `lab`, which is not installed")
+    return choose_variant()
 
 
-def test_probings_together_tell_more_than_each(plan):
-    assert [one.name for one in plan.probings] == ["n01", "n02"]
-    for name, value in plan.precision.items():
-        assert value < min(one.precision[name] for one in plan.probings)
-    # E / (2 (1 + nu)): half a ball pressed by half a newton at 50 kPa is told to a few percent.
-    assert 0.007 * 5e4 < plan.precision["young_modulus"] < 0.03 * 5e4
-    assert 0.002 < plan.precision["poisson_ratio"] < 0.02
+@pytest.fixture(scope="module")
+def session(tmp_path_factory, variant):
+    """What the facility measured, in finite elements, with a texture and noise of its own."""
+    folder = tmp_path_factory.mktemp("plan")
+    (folder / "config.toml").write_text(HALF_BALL.replace("steps = 2", "steps = 1"))
+    made = folder / "made"
+    made.mkdir()
+    make_session(read_lab_config(folder / "config.toml"), made, variant=variant)
+    return read_session(made)
 
 
-def test_without_other_errors_the_bound_follows_the_matches(session, monkeypatch):
-    monkeypatch.setattr("palpate.pipeline.planning.measurement_plan.SCALE_ERROR", 0.0)
-    exact = replace(
-        session,
-        errors=EXACT,
-        probings=tuple(replace(one, force_std=np.full(3, 1e-9)) for one in session.probings),
-    )
-    fine, rough = (plan_measurement(exact, matching_noise=noise, **GUESS) for noise in (0.01, 0.02))
-    for name, value in rough.precision.items():
-        assert value == pytest.approx(2.0 * fine.precision[name], rel=1e-6)
-    for one, other in zip(fine.probings, rough.probings, strict=True):
-        assert other.sigma == pytest.approx(2.0 * one.sigma, rel=1e-12)
-        assert other.displacement == one.displacement
+@pytest.fixture(scope="module")
+def shown():
+    return {}
 
 
-def test_twice_as_stiff_moves_half_as_far(session, plan):
-    stiff = plan_measurement(session, young_modulus=1e5, poisson_ratio=0.2)
-    for one, other in zip(plan.probings, stiff.probings, strict=True):
-        assert other.displacement == pytest.approx(0.5 * one.displacement, rel=1e-9)
-        assert other.seen == one.seen
+@pytest.fixture(scope="module")
+def plan(session, variant, shown):
+    return plan_measurement(session, variant=variant, show=shown.__setitem__, **GUESS)
 
 
-def test_sigma_is_that_of_a_triangulation(session, plan):
-    rig = read_rig(session.rig)
-    vertices = session.mesh.vertices
-    # Around the pole all three cameras see everything.
-    top = vertices[vertices[:, 2] > 0.036]
-    pixels = np.stack([project(camera, top) for camera in rig.cameras])
-    found = triangulate(rig, pixels, 0.01)
-    sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 3.0)
-    # A camera that drops out elsewhere costs some.
-    assert np.median(sigma) <= plan.probings[0].sigma < 1.4 * np.median(sigma)
+def test_a_plan_keeps_what_it_promises(session, plan):
+    fields = [one.displacement for one in with_pictures_measured(session).probings]
+    for one, field in zip(plan.probings, fields, strict=True):
+        measured = np.isfinite(field.displacement).all(axis=1)
+        # What is asked of a plan.
+        assert one.seen == pytest.approx(measured.sum(), rel=0.25)
+        sigma = np.median(np.sqrt((field.std[measured] ** 2).mean(axis=1)))
+        assert one.sigma == pytest.approx(sigma, rel=0.25)
+        moved = np.median(np.linalg.norm(field.displacement[measured], axis=1))
+        # A deep press on a coarse mesh: the facility's body is finer.
+        assert one.displacement == pytest.approx(moved, rel=0.25)
 
 
-def test_cameras_on_one_side_see_less_than_the_dome(plan):
-    assert set(plan.visible) == {"c0", "c1", "c2"}
+def test_the_precision_is_that_of_small_pictures(plan):
+    assert plan.precision == plan.probings[0].precision
+    # Pictures of a thumbnail's size: E to some per cent, nu to some hundredths.
+    assert 0.007 < plan.precision["young_modulus"] / GUESS["young_modulus"] < 0.1
+    assert 0.002 < plan.precision["poisson_ratio"] < 0.05
+
+
+def test_every_picture_is_shown_with_its_tool(plan, shown):
+    assert set(shown) == {f"{a}_{b}" for a in ("rest", "n01") for b in ("c0", "c1", "c2")}
+    # Dark where the object was: the tool.
+    hidden = (shown["rest_c0"] > 100) & (shown["n01_c0"] < 40)
+    assert hidden.sum() > 50
+    assert plan.visible.keys() == {"c0", "c1", "c2"}
     assert all(0.6 < share < 1.0 for share in plan.visible.values())
 
 
-def test_the_tool_hides_its_place(session, plan):
-    wide = SESSION.replace("radius = 0.004", "radius = 0.012")
-    folder = session.path.parent.parent / "wide"
-    folder.mkdir()
-    hidden = plan_measurement(read_session(planned_session(folder, wide)), **GUESS)
-    assert all(a.seen < b.seen for a, b in zip(hidden.probings, plan.probings, strict=True))
-
-
-def test_what_cannot_be_planned_is_refused(session, tmp_path):
+def test_what_cannot_be_planned_is_refused(session, tmp_path, variant):
+    asked = {**GUESS, "variant": variant}
     with pytest.raises(InputError, match=r"young_modulus is 0 Pa"):
-        plan_measurement(session, young_modulus=0.0, poisson_ratio=0.2)
-    with pytest.raises(InputError, match=r"matching_noise is -1 px; must be positive"):
-        plan_measurement(session, matching_noise=-1.0, **GUESS)
-    wide = replace(session.probings[0].contact, radius=1.0)
-    covered = replace(session, probings=(replace(session.probings[0], contact=wide),))
-    with pytest.raises(InputError, match="all that two cameras see lies under the tool"):
-        plan_measurement(covered, **GUESS)
+        plan_measurement(session, young_modulus=0.0, poisson_ratio=0.2, variant=variant)
     blind = tuple(replace(one, images=None) for one in session.probings)
     without = replace(session, rig=None, probings=blind)
     with pytest.raises(InputError, match="has no cameras"):
-        plan_measurement(without, **GUESS)
+        plan_measurement(without, **asked)
     folder = planned_session(tmp_path)
     text = (folder / "rig.toml").read_text()
     (folder / "rig.toml").write_text(text.replace("size = [200, 160]\n", "", 1))
     with pytest.raises(InputError, match="camera 'c0' has no size"):
-        plan_measurement(read_session(folder), **GUESS)
+        plan_measurement(read_session(folder), **asked)
 
 
-def test_cameras_that_look_away_are_refused(session, tmp_path):
+def test_cameras_that_look_away_are_refused(tmp_path, variant):
     folder = planned_session(tmp_path)
     text = (folder / "rig.toml").read_text()
     lines = [
@@ -109,4 +95,4 @@ def test_cameras_that_look_away_are_refused(session, tmp_path):
     ]
     (folder / "rig.toml").write_text("\n".join(lines))
     with pytest.raises(InputError, match="no vertex of the object is seen by two cameras"):
-        plan_measurement(read_session(folder), **GUESS)
+        plan_measurement(read_session(folder), variant=variant, **GUESS)

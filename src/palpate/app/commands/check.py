@@ -12,12 +12,14 @@ from palpate.pipeline import (
     NEAR_RADII,
     CameraSurvey,
     ProbingSurvey,
+    ViewSurvey,
     moving_supports,
     require_given_motions,
     session_outlook,
     sliding_motion,
     survey_cameras,
     survey_probing,
+    survey_view,
 )
 from palpate.records import Session, read_session
 from palpate.shapes import Vector3
@@ -36,6 +38,7 @@ def check(session: Path, /) -> int:
     given = read_session(session, allow=check_memory)
     require_given_motions(given)
     cameras, remarks = survey_cameras(given)
+    view, doubts = survey_view(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
     print_text(f"{given.name} ({given.path})")
     print_tables(_mesh_table(given))
@@ -43,7 +46,9 @@ def check(session: Path, /) -> int:
         print_tables(_probings_table(surveys))
     if cameras:
         print_tables(_cameras_table(cameras))
-    for note in (*given.notes, *remarks):
+    if view is not None:
+        print_tables(_view_table(view, cameras))
+    for note in (*given.notes, *remarks, *doubts):
         print_text(f"Note: {note}")
     print_text(session_outlook(given, surveys))
     return 0
@@ -149,3 +154,20 @@ def _cameras_table(surveys: tuple[CameraSurvey, ...]) -> Table:
         caption="grey: 1st to 99th percentile over all pictures, 255 is white; white: pixels at the"
         " white end of the worst picture; sees: vertices of the mesh inside the picture",
     )
+
+
+def _view_table(view: ViewSurvey, cameras: tuple[CameraSurvey, ...]) -> Table:
+    """What the first pictures promise."""
+    lengths = zip(cameras, view.structure, strict=True)
+    rows = (
+        ("windows on the surface", str(view.points)),
+        ("of them, with texture and two cameras", str(view.followed)),
+        ("vertices that would be measured", str(view.vertices)),
+        ("windows around each, median", f"{view.windows:.0f}"),
+        *((f"structure in {one.name}", f"{number_text(px, '.1f')} px") for one, px in lengths),
+    )
+    return terminal_table(
+        "The first pictures", ("figure", "value"), rows,
+        caption="before anything moves: a tool will hide some; structure: the length over which a"
+        " grey level changes by its own spread, 1 to 3 px for a sharp speckle",
+    )  # fmt: skip

@@ -17,7 +17,7 @@ from palpate.paper import (
     write_page,
     write_result,
 )
-from palpate.records import result_folder
+from palpate.records import parts_folder, result_folder
 
 ALL = "all"
 # Sessions stay in the result, so that a figure can be followed to its pictures.
@@ -63,7 +63,8 @@ def reproduce(
         variant = choose_variant()
         print_notes([variant.why])
         with progress_bar() as progress:
-            work = Workplace(folder / _SESSIONS, variant, quick, progress)
+            parts = parts_folder(folder)
+            work = Workplace(folder / _SESSIONS, variant, quick, progress, parts)
             results = run_experiments(names, work)
         for name, result in results.items():
             (folder / below[name]).mkdir(exist_ok=True)

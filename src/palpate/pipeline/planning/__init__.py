@@ -8,7 +8,6 @@ Read first : `measurement_plan.py`, then `next_probings.py`.
 """
 
 from palpate.pipeline.planning.measurement_plan import (
-    MATCHING_NOISE as MATCHING_NOISE,
     MeasurementPlan as MeasurementPlan,
     plan_measurement as plan_measurement,
 )

@@ -1,19 +1,33 @@
-"""The precision to expect of a measurement before it is made: the smallest intervals that its
-cameras, its force sensor and its probings allow."""
+"""The precision to expect of a measurement before it is made.
 
+The cameras' pictures are rendered as the object would move if its constants were known, with the
+tool and its shadow; they are followed as the pictures of a session are, and Fisher's information of
+the points that they give is that of the fit's own model. What hides, darkens or blurs the surface
+costs points here as it will there.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, UInt
 
 from palpate.errors import InputError
-from palpate.estimation import ProbeObservations, cramer_rao_bound
+from palpate.estimation import Information, fisher_information
 from palpate.geometry import bounding_diagonal, closest_points
-from palpate.pipeline.measure_motion import SCALE_ERROR
-from palpate.pipeline.model import make_object_model
-from palpate.pipeline.observations import session_observations
-from palpate.progress import Progress, silent
+from palpate.lab import Material, Pictures, Variant, planned_pictures
+from palpate.pipeline.calibrated_space import calibration_strains, with_stretch
+from palpate.pipeline.measure_motion import vertex_field
+from palpate.pipeline.model import (
+    graded_session,
+    make_object_model,
+    resolved_session,
+    touched_session,
+)
+from palpate.pipeline.observations import session_observations, settled_observations
+from palpate.progress import Progress, part_of, silent
 from palpate.records import (
+    EXACT,
     DisplacementField,
     Probing,
     Rig,
@@ -22,17 +36,15 @@ from palpate.records import (
     read_rig,
     require_probings,
 )
-from palpate.shapes import Points
-from palpate.vision import project_jacobian, surface_map, visible
+from palpate.shapes import Vector3, Vertices
+from palpate.vision import JointFlow, measured_vertices, surface_map, visible
 
-# What a camera's match of a good speckle leaves at a vertex [px]; BENCHMARK.md has 0.005 to 0.02.
-MATCHING_NOISE = 0.01
-# Contact radii about the contact point within which the tool hides the surface.
-_HIDDEN_RADII = 2.0
 # How far a vertex may lie behind the drawn surface and still be seen, over the object's size.
 _DEPTH_TOLERANCE = 2e-3
-# Relative force error where a session does not say how well its force is known.
-_USUAL_FORCE_ERROR = 0.01
+# Shares of the work that are done when pictures are taken, and when their points are there.
+_PICTURES, _POINTS = 0.1, 0.8
+# What is told of a picture: its name and its grey levels.
+Show = Callable[[str, UInt[np.ndarray, "_ _"]], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +54,11 @@ class PlannedProbing:
     Attributes
     ----------
     name : str
-    seen : int                      vertices that two cameras see, without those under the tool
+    seen : int                      vertices whose motion the cameras' pictures will give
     displacement : float [m]        median of |u| there
     sigma : float [m]               median standard deviation of a component there
-    precision : name -> float       standard deviation of each constant, may be infinite
+    precision : name -> float       standard deviation of each constant; infinite where the probing
+                                    alone does not determine it
     """
 
     name: str
@@ -76,20 +89,24 @@ def plan_measurement(
     *,
     young_modulus: float,
     poisson_ratio: float,
-    matching_noise: float = MATCHING_NOISE,
+    variant: Variant,
+    pictures: Pictures = Pictures(),
+    show: Show | None = None,
     progress: Progress = silent,
 ) -> MeasurementPlan:
     """The precision to expect from a session whose pictures are still to be taken.
 
-    The Cramer-Rao bound for the noise of the matches, seen through the cameras as they stand, and
-    of the force; on top of it the error of scale that all pictures share.
+    The object is the model's own: a wrong support, a wrong mesh or another material cost more than
+    any plan can know.
 
     Parameters
     ----------
     session : Session               with a rig; its displacements and pictures are not looked at
     young_modulus : float [Pa]      a guess: precision is nearly in proportion to it
     poisson_ratio : float           a guess
-    matching_noise : float [px]     standard deviation of one camera's match at a vertex
+    variant : Variant               of Mitsuba
+    pictures : Pictures             how the cameras take them
+    show : callable or None         gets every picture and its name, `rest_c0`, `n01_c0` and so on
     progress : callable             told what is done (text) and how far it is (0 to 1)
 
     Returns
@@ -99,38 +116,43 @@ def plan_measurement(
     Raises
     ------
     InputError                      a session without a rig or without probings; constants out of
-                                    range; cameras without sizes; nothing that two cameras see
+                                    range; cameras without sizes; nothing that two cameras see, or
+                                    whose motion they could follow
     """
-    _check(session, young_modulus, poisson_ratio, matching_noise)
+    _check(session, young_modulus, poisson_ratio)
     rig = read_rig(session.rig or session.path)
-    progress("what the cameras see", 0.0)
     seen = _seen(session, rig)
-    rows = np.flatnonzero(seen.sum(axis=0) >= 2)
-    if len(rows) == 0:
+    if not (seen.sum(axis=0) >= 2).any():
         raise InputError(
             f"{session.rig}: no vertex of the object is seen by two cameras; turn them to the"
             " object"
         )
-    sigma = _sigma(rig, session.mesh.vertices[rows], seen[:, rows], matching_noise)
-    probings = (_with_seen_vertices(session, probing, rows, sigma) for probing in session.probings)
-    session = replace(session, probings=tuple(probings))
-    progress("integrals over the surface", 0.2)
-    model = make_object_model(session)
-    progress("what the probings tell", 0.7)
-    shear = 0.5 * young_modulus / (1.0 + poisson_ratio)
-    observed = session_observations(session, model, shear_modulus=shear)
+    material = Material(young_modulus, poisson_ratio)
+    progress("how the object will move", 0.0)
+    moved = _moved(session, material)
+    taken = planned_pictures(
+        session, [u for u, _ in moved], material=material, pictures=pictures, variant=variant
+    )
+    say = part_of(progress, _PICTURES, _POINTS)
+    say("texture and light", 0.0)
+    fields = _followed(session, rig, taken, show, say)
+    measured = _measured(session, fields, [tip for _, tip in moved])
+    progress("what the points tell", _POINTS)
+    information = _information(measured, material)
     free = np.setdiff1d(
         np.arange(len(session.mesh.vertices)),
         session.mesh.triangles[session.held_triangles].ravel(),
     )
     return MeasurementPlan(
-        tuple(_planned(probe, poisson_ratio, shear) for probe in observed),
-        cramer_rao_bound(observed, poisson_ratio=poisson_ratio, shear_modulus=shear),
+        tuple(
+            _planned(probing, information.bound([k])) for k, probing in enumerate(measured.probings)
+        ),
+        information.bound(range(len(measured.probings))),
         {camera.name: float(seen[c, free].mean()) for c, camera in enumerate(rig.cameras)},
     )
 
 
-def _check(session: Session, young: float, poisson: float, noise: float) -> None:
+def _check(session: Session, young: float, poisson: float) -> None:
     require_probings(session)
     if session.rig is None:
         raise InputError(
@@ -141,8 +163,6 @@ def _check(session: Session, young: float, poisson: float, noise: float) -> None
             f"young_modulus is {young:g} Pa, poisson_ratio {poisson:g}; must be positive, and in"
             " (-1, 0.5)"
         )
-    if not (np.isfinite(noise) and noise > 0.0):
-        raise InputError(f"matching_noise is {noise:g} px; must be positive")
 
 
 def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
@@ -156,55 +176,102 @@ def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
     return np.stack(shown)
 
 
-def _sigma(
-    rig: Rig, points: Points, seen: Bool[np.ndarray, "c n"], noise: float
-) -> Float[np.ndarray, "n 3"]:
-    """Standard deviation of each component of a displacement triangulated by those who see it."""
-    information = np.zeros((len(points), 3, 3))
-    for camera, mine in zip(rig.cameras, seen, strict=True):
-        slope = project_jacobian(camera, points)[1]
-        information += mine[:, None, None] * np.einsum("nai,naj->nij", slope, slope)
-    covariance = noise**2 * np.linalg.inv(information)
-    return np.sqrt(np.einsum("nii->ni", covariance))
-
-
-def _with_seen_vertices(
-    session: Session,
-    probing: Probing,
-    rows: np.ndarray,
-    sigma: Float[np.ndarray, "n 3"],
-) -> Probing:
-    """The probing with a measurement of its vertices in place of its pictures."""
-    contact = probing.contact
-    away = np.linalg.norm(session.mesh.vertices[rows] - contact.point, axis=1)
-    open_view = away > _HIDDEN_RADII * (contact.radius or 0.0)
-    if not open_view.any():
-        raise InputError(
-            f"probing '{probing.name}': all that two cameras see lies under the tool; turn them"
-        )
-    vertex = rows[open_view]
-    place = session.mesh.vertices[vertex]
-    field = DisplacementField(
-        points=place,
-        displacement=np.zeros_like(place),
-        std=sigma[open_view],
-        vertex=vertex,
-        surface=closest_points(session.mesh, place),
+def _moved(session: Session, material: Material) -> list[tuple[Vertices, Vector3 | None]]:
+    """Displacement of the mesh's vertices in every probing [m], and of the contact point where an
+    arm reads it."""
+    vertices = session.mesh.vertices
+    still = DisplacementField(
+        points=vertices,
+        displacement=np.zeros_like(vertices),
+        std=None,
+        vertex=None,
+        surface=closest_points(session.mesh, vertices),
         source="plan",
-        scale_error=SCALE_ERROR,
     )
-    return replace(probing, displacement=field)
+    asked = replace(
+        session, probings=tuple(replace(one, displacement=still) for one in session.probings)
+    )
+    shear, ratio = material.shear_modulus, material.poisson_ratio
+    touched = _at_guess(asked, material)
+    moved = []
+    for one in session_observations(touched, make_object_model(touched), shear_modulus=shear):
+        load = np.concatenate([one.force / shear, [1.0 / shear], one.motion])
+        rows = (one.response_at(ratio, shear)[:, : load.size] @ load).reshape(-1, 3)
+        tip = None if one.tip_displacement is None else rows[len(vertices)]
+        moved.append((rows[: len(vertices)], tip))
+    return moved
 
 
-def _planned(observed: ProbeObservations, poisson: float, shear: float) -> PlannedProbing:
-    count = len(observed.position)
-    response = observed.response.value(poisson)[: 3 * count, :4] @ np.append(observed.force, 1.0)
-    moved = np.linalg.norm(response.reshape(-1, 3), axis=1) / shear
-    std = observed.std if observed.std is not None else np.full((1, 3), np.nan)
+def _followed(
+    session: Session,
+    rig: Rig,
+    taken: Iterator[tuple[str, tuple[UInt[np.ndarray, "_ _"], ...]]],
+    show: Show | None,
+    progress: Progress,
+) -> list[DisplacementField]:
+    """What the pictures of each probing give, those at rest being the first."""
+    flow, fields, state = JointFlow(), [], None
+    for number, (name, pictures) in enumerate(taken):
+        for camera, picture in zip(rig.cameras, pictures, strict=True):
+            if show is not None:
+                show(f"{name}_{camera.name}", picture)
+        progress(f"pictures of {name}", (number + 1) / (len(session.probings) + 1))
+        grey = tuple(picture.astype(np.float32) for picture in pictures)
+        if state is None:
+            state = flow.start(rig, grey, session.mesh)
+            continue
+        vertices = flow.vertices(flow.follow(state, grey)[1], rig, session.mesh)
+        followed = measured_vertices(vertices)
+        if not followed.any():
+            raise InputError(
+                f"probing '{name}': no vertex could be followed in the pictures that are to be"
+                " expected; turn the cameras, or press less deep"
+            )
+        rows = np.flatnonzero((vertices.count > 0) | followed)
+        fields.append(vertex_field(session.mesh, vertices, rows, f"planned pictures of {name}"))
+    return fields
+
+
+def _measured(
+    session: Session, fields: Sequence[DisplacementField], tips: Sequence[Vector3 | None]
+) -> Session:
+    """The session as if it had been measured."""
+    probings = [
+        replace(one, displacement=field, images=None, tip_displacement=tip)
+        for one, field, tip in zip(session.probings, fields, tips, strict=True)
+    ]
+    return replace(session, probings=tuple(probings))
+
+
+def _information(session: Session, material: Material) -> Information:
+    """What the points tell, beside the model of a fit with all its errors."""
+    shear, ratio = material.shear_modulus, material.poisson_ratio
+    resolved = _at_guess(session, material)
+    plain = replace(resolved, errors=EXACT)
+    coarser = settled_observations(plain, make_object_model(plain))
+    graded = graded_session(resolved)
+    observed = settled_observations(graded, make_object_model(graded), coarser=coarser)
+    known = with_stretch(observed, calibration_strains(session))
+    return fisher_information(known, poisson_ratio=ratio, shear_modulus=shear)
+
+
+def _at_guess(session: Session, material: Material) -> Session:
+    """The session on a mesh that serves the model, with what its tools would touch."""
+    return touched_session(
+        resolved_session(session),
+        shear_modulus=material.shear_modulus,
+        poisson_ratio=material.poisson_ratio,
+    )
+
+
+def _planned(probing: Probing, precision: dict[str, float]) -> PlannedProbing:
+    field = probing.displacement
+    if field is None or field.std is None:
+        raise InputError(f"probing '{probing.name}' has no displacement")
     return PlannedProbing(
-        observed.name,
-        count,
-        float(np.median(moved)),
-        float(np.median(np.sqrt((std**2).mean(axis=1)))),
-        cramer_rao_bound([observed], poisson_ratio=poisson, shear_modulus=shear),
+        probing.name,
+        int(np.isfinite(field.displacement).all(axis=1).sum()),
+        float(np.nanmedian(np.linalg.norm(field.displacement, axis=1))),
+        float(np.nanmedian(np.sqrt((field.std**2).mean(axis=1)))),
+        precision,
     )

@@ -64,9 +64,9 @@ def sweep(block, frames, friction, residual, force, status):
     """Gauss and Seidel: every node's force once, the others given.
 
     block is (3 k, 3 k); residual (k, 3) is the gap along the normal and the slide across it, as a
-    vector, under `force` (k, 3). Both change in place.
+    vector, under `force` (k, 3). Both change in place. Returns how many nodes changed their state.
     """
-    k = friction.size
+    k, changed = friction.size, 0
     local, now, q = np.empty(3), np.empty(3), np.empty(3)
     w, work, flat = np.empty((3, 3)), np.empty((3, 3)), residual.reshape(-1)
     for i in range(k):
@@ -79,7 +79,9 @@ def sweep(block, frames, friction, residual, force, status):
                     w[a, b] += e[a, c] * dot(block[3 * i + c, 3 * i : 3 * i + 3], e[b])
         for a in range(3):
             q[a] = dot(e[a], residual[i]) - dot(w[a], now)
-        status[i] = node_force(w, q, friction[i], status[i], local, work)
+        state = node_force(w, q, friction[i], status[i], local, work)
+        changed += state != status[i]
+        status[i] = state
         for b in range(3):
             change = 0.0
             for a in range(3):
@@ -88,6 +90,7 @@ def sweep(block, frames, friction, residual, force, status):
             row = block[3 * i + b]
             for j in range(flat.size):
                 flat[j] += change * row[j]
+    return changed
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -12,8 +12,8 @@ from palpate.app.terminal import print_notes, print_tables, print_text, progress
 from palpate.app.units import Modulus
 from palpate.bem import check_memory
 from palpate.errors import InputError
-from palpate.lab import choose_variant, planned_pictures
-from palpate.pipeline import MATCHING_NOISE, MeasurementPlan, plan_measurement
+from palpate.lab import Pictures, choose_variant
+from palpate.pipeline import MeasurementPlan, plan_measurement
 from palpate.records import (
     default_folder,
     modulus_unit,
@@ -30,14 +30,15 @@ def plan(
     *,
     young_modulus: Modulus,
     poisson_ratio: float = 0.3,
-    matching_noise: float = MATCHING_NOISE,
+    noise: float = 1.5,
     out: Path | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Say what to expect of a measurement: which precision, from which probings, in which view.
 
-    Renders the object with a good speckle as each camera will see it, at rest and with the tool at
-    each contact, and gives the smallest standard deviations that cameras and force allow.
+    Renders the object with a good speckle as each camera will see it, at rest and pressed by the
+    tool of each probing; follows these pictures and estimates the constants from them, and gives
+    the standard deviations that came of it.
 
     Parameters
     ----------
@@ -48,8 +49,8 @@ def plan(
         A guess of Young's modulus, Pa or with its unit: 50kPa.
     poisson_ratio
         A guess of Poisson's ratio.
-    matching_noise
-        Standard deviation of one camera's match at a vertex, px; 0.01 is that of a good speckle.
+    noise
+        Of the cameras, standard deviation of a pixel, grey levels of 255.
     out
         Folder for the pictures. Default: the session's folder name followed by -plan, in the
         current folder.
@@ -67,18 +68,17 @@ def plan(
         given = read_session(session, allow=check_memory)
         record_inputs(folder, session_files(session))
         print_notes(given.notes)
+        variant = choose_variant()
         with progress_bar() as progress:
             found = plan_measurement(
                 given,
                 young_modulus=young_modulus,
                 poisson_ratio=poisson_ratio,
-                matching_noise=matching_noise,
+                variant=variant,
+                pictures=Pictures(noise=noise),
+                show=lambda name, picture: _save(folder / f"{name}.png", picture),
                 progress=progress,
             )
-            variant = choose_variant()
-            progress("pictures", 0.8)
-            for name, picture in planned_pictures(given, variant=variant):
-                _save(folder / f"{name}.png", picture)
         print_notes([variant.why])
     print_tables(_cameras(found), _probings(found, young_modulus, poisson_ratio))
     print_text(f"Pictures in {target}")
@@ -110,15 +110,20 @@ def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
         f"Standard deviations to expect, at E = {young / factor:.4g} {unit}, nu = {poisson:g}",
         ("probing", "seen", "|u| mm", "sigma mm", "nu", f"G {unit}", f"E {unit}"),
         rows,
-        caption="seen: vertices that two cameras see; |u|, sigma: median displacement there, and of"
-        " its noise; bounds for noise, with 0.7 % of scale: no real picture does better",
+        caption="seen: vertices that the pictures tell the motion of; |u|, sigma: median"
+        " displacement there, and of its standard deviation; a dash: not determined; for a good"
+        " speckle, a true rig and a material as the model takes it",
         total=True,
     )
 
 
 def _deviations(precision: dict[str, float], factor: float) -> tuple[str, str, str]:
-    return (
-        f"{precision['poisson_ratio']:.2g}",
-        f"{precision['shear_modulus'] / factor:.2g}",
-        f"{precision['young_modulus'] / factor:.2g}",
+    nu, shear, young = (
+        f"{value:.2g}" if np.isfinite(value) else "-"
+        for value in (
+            precision["poisson_ratio"],
+            precision["shear_modulus"] / factor,
+            precision["young_modulus"] / factor,
+        )
     )
+    return nu, shear, young
