@@ -33,6 +33,8 @@ _HIDDEN_RADII = 2.0
 _DEPTH_TOLERANCE = 2e-3
 # Relative force error where a session does not say how well its force is known.
 _USUAL_FORCE_ERROR = 0.01
+# Guesses that a plan takes: of the softest gel and of diamond [Pa]; of a match that fails [px].
+_YOUNG_RANGE, _NOISE_RANGE = (1.0, 1.2e12), (1e-5, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,13 +138,15 @@ def _check(session: Session, young: float, poisson: float, noise: float) -> None
         raise InputError(
             f'{session.path}: has no cameras; add [rig] cameras = "rig.toml" to plan pictures'
         )
-    if not (np.isfinite(young) and young > 0.0 and -1.0 < poisson < 0.5):
+    low, high = _YOUNG_RANGE
+    if not (low <= young <= high and -1.0 < poisson < 0.5):
         raise InputError(
-            f"young_modulus is {young:g} Pa, poisson_ratio {poisson:g}; must be positive, and in"
-            " (-1, 0.5)"
+            f"young_modulus is {young:g} Pa, poisson_ratio {poisson:g}; must be {low:g} to"
+            f" {high:g} Pa, from the softest gel to diamond, and in (-1, 0.5)"
         )
-    if not (np.isfinite(noise) and noise > 0.0):
-        raise InputError(f"matching_noise is {noise:g} px; must be positive")
+    low, high = _NOISE_RANGE
+    if not low <= noise <= high:
+        raise InputError(f"matching_noise is {noise:g} px; must be {low:g} to {high:g}")
 
 
 def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
