@@ -3,6 +3,8 @@
 import errno
 import io
 import os
+import shutil
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +20,9 @@ _EVENTS = {
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 
-def in_child(work: Callable[[], object], folder: Path, *, step: int, dies: bool) -> str:
+def in_child(
+    work: Callable[[], object], folder: Path, *, step: int, dies: bool, fault: str = "disk is full"
+) -> str:
     """Run something in a fork that fails at one of its steps.
 
     Parameters
@@ -26,7 +30,8 @@ def in_child(work: Callable[[], object], folder: Path, *, step: int, dies: bool)
     work : callable
     folder : Path                   what is done in it counts
     step : int                      from 1
-    dies : bool                     the process ends without any cleaning up, else the disk is full
+    dies : bool                     the process ends without any cleaning up, else there is a fault
+    fault : str                     "disk is full", or "SIGTERM": the process is asked to end
 
     Returns
     -------
@@ -42,20 +47,13 @@ def in_child(work: Callable[[], object], folder: Path, *, step: int, dies: bool)
         count += 1
         if count == step and dies:
             os._exit(OUTCOMES.index("died"))
-        if count == step:
+        if count == step and fault == "SIGTERM":
+            signal.raise_signal(signal.SIGTERM)
+        elif count == step:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    def seen(event: str, given: tuple) -> None:
-        if event not in _EVENTS or (event == "open" and not given[2] & _WRITING):
-            return
-        if str(given[0]).startswith(str(folder)):
-            happens()
-
-    fsync, exchanged = os.fsync, disk._exchanged
-    os.fsync = lambda handle: (happens(), fsync(handle))[1]
-    disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
+    _have_told(happens, folder)
     sys.stdout = sys.stderr = io.StringIO()
-    sys.addaudithook(seen)
     outcome = "another error"
     try:
         refused = work()
@@ -64,3 +62,58 @@ def in_child(work: Callable[[], object], folder: Path, *, step: int, dies: bool)
         outcome = "refused"
     finally:
         os._exit(OUTCOMES.index(outcome))
+
+
+def all_states(work: Callable[[], object], folder: Path, copies: Path) -> bool:
+    """Run something in a fork, and keep what a kill would leave at each of its steps.
+
+    Parameters
+    ----------
+    work : callable                 gives 0 where all went well
+    folder : Path                   what is done in it counts
+    copies : Path                   made; gets a copy of the folder for each step, named from 0001,
+                                    and `opened.txt`, the files that were opened to be written
+
+    Returns
+    -------
+    bool                            whether all went well
+    """
+    copies.mkdir()
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    count, busy, opened = 0, False, []
+
+    def happens(event: str = "", name: object = "") -> None:
+        nonlocal count, busy
+        if busy:
+            return
+        busy = True
+        count += 1
+        shutil.copytree(folder, copies / f"{count:04d}")
+        opened.extend([str(Path(str(name)).relative_to(folder))] if event == "open" else [])
+        busy = False
+
+    _have_told(happens, folder)
+    sys.stdout = sys.stderr = io.StringIO()
+    failed = True
+    try:
+        failed = bool(work())
+        (copies / "opened.txt").write_text("\n".join(opened))
+    finally:
+        os._exit(int(failed))
+
+
+def _have_told(happens: Callable[..., object], folder: Path) -> None:
+    """Have a function called before every step that changes something in a folder."""
+
+    def seen(event: str, given: tuple) -> None:
+        if event not in _EVENTS or (event == "open" and not given[2] & _WRITING):
+            return
+        if os.path.abspath(str(given[0])).startswith(str(folder)):
+            happens(event, os.path.abspath(str(given[0])))
+
+    fsync, exchanged = os.fsync, disk._exchanged
+    os.fsync = lambda handle: (happens(), fsync(handle))[1]
+    disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
+    sys.addaudithook(seen)

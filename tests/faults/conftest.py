@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cube_session import SESSION
 from estimate_samples import sample_result
+from faults.bench import write_bench
 from faults.samples import (
     STEPS,
     write_cube,
@@ -40,6 +41,14 @@ def cube(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of displacements: a cube of 40 mm held at z = 0, pressed from above."""
     folder = tmp_path_factory.mktemp("cube")
     write_cube(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the commands around a fit read: `faults.bench`."""
+    folder = tmp_path_factory.mktemp("bench")
+    write_bench(folder)
     return folder
 
 

@@ -48,7 +48,7 @@ def _endless(file: Path) -> None:
 
 
 # What lies there, and a word of the message besides the file's name.
-_PLACES: dict[str, tuple[Damage, str]] = {
+PLACES: dict[str, tuple[Damage, str]] = {
     "is empty": (_emptied, ""),
     "is not there": (_gone, "o such file"),
     "is a folder": (_folder, ""),
@@ -121,5 +121,5 @@ KINDS = [
         example,
     )
     for name, (example, command, named) in _FILES.items()
-    for place, (damage, word) in _PLACES.items()
+    for place, (damage, word) in PLACES.items()
 ]

@@ -36,7 +36,9 @@ KINDS = [
         options="--min-score 0.99",
     ),
     _kind("a least score in per cent", _table(*_ROWS), "-1 to 1", options="--min-score 75"),
-    _kind("a least score of nan", _table(*_ROWS), "--min-score is nan", options="--min-score nan"),
+    _kind(
+        "a least score of nan", _table(*_ROWS), '--min-score is "nan"', options="--min-score nan"
+    ),
     _kind(
         "a least score where none is told",
         _table("0.1,0,0,5,5,40", head="u,v,w,ref_x,ref_y,ref_z"),

@@ -43,7 +43,9 @@ def _valued(file: str, key: str, value: str) -> Callable[[Path], object]:
     return damage
 
 
-def _kinds(example: str, file: str, command: tuple[str, ...], keys: tuple[str, ...]) -> list[Kind]:
+def kinds_of_values(
+    example: str, file: str, command: tuple[str, ...], keys: tuple[str, ...]
+) -> list[Kind]:
     return [
         Kind(
             f"{file}, {key}: {what}",
@@ -58,17 +60,17 @@ def _kinds(example: str, file: str, command: tuple[str, ...], keys: tuple[str, .
 
 
 KINDS = [
-    *_kinds("cube", "session.toml", ("check", "."), (
+    *kinds_of_values("cube", "session.toml", ("check", "."), (
         "mesh", "length_unit", "tolerance", "normal", "point", "radius", "force",
     )),
-    *_kinds("motion", "rig.toml", ("flow", ".", "--out", "moved"), (
+    *kinds_of_values("motion", "rig.toml", ("flow", ".", "--out", "moved"), (
         "length_unit", "size", "K", "R", "t",
     )),
-    *_kinds("others", "ball.toml", ("lab", "ball.toml", "made"), (
+    *kinds_of_values("others", "ball.toml", ("lab", "ball.toml", "made"), (
         "shape", "radius", "edge", "element", "young_modulus", "distance", "columns", "samples",
         "depth", "steps",
     )),
-    *_kinds("others", "pose.toml", (
+    *kinds_of_values("others", "pose.toml", (
         "import", "vic3d", "vic3d.txt", ".", "--probe", "n01", "--replace", "--to-object", "pose.toml",
     ), ("length_unit", "R", "t")),
 ]  # fmt: skip

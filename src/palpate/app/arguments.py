@@ -1,9 +1,13 @@
 """The command line's words: which commands there are, and what is run."""
 
+import re
 import sys
-from typing import Literal
+from collections.abc import Sequence
+from math import isfinite
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, CycloptsPanel, Parameter, Token, convert
 from rich.console import Console
 
 from palpate.app.output import Output, output_as
@@ -11,8 +15,9 @@ from palpate.errors import InputError
 from palpate.versions import versions
 
 _BAD_INPUT = 2
-# What Python's float takes and no option means.
-_NO_NUMBERS = ("nan", "inf", "infinity")
+# Numbers as options take them.
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_WHOLE = re.compile(r"[-+]?[0-9]+")
 # Name: where it is, and what its help says.
 _COMMANDS = {
     "fit": (
@@ -142,7 +147,7 @@ def make_app() -> App:
         name="palpate",
         help_epilogue=_FLAGS_HELP,
         # Nobody wants a list with nothing in it.
-        default_parameter=Parameter(negative_iterable=()),
+        default_parameter=Parameter(negative_iterable=(), converter=_converted),
         help="Elastic constants of a soft object, with intervals, from probings with a known"
         " force.",
         version=versions_text,
@@ -201,14 +206,31 @@ def completed(words: list[str]) -> list[str]:
     return words
 
 
-def _check_numbers(words: list[str]) -> None:
-    """Refuse options that are no finite number: Python takes nan and infinity for numbers."""
-    option = ""
-    for word in words:
-        if word.startswith("--"):
-            option, _, word = word.partition("=")
-        if option and word.lower().lstrip("+-") in _NO_NUMBERS:
-            raise InputError(f"{option} is {word}; must be a finite number")
+def _converted(type_: Any, tokens: Sequence[Token]) -> Any:
+    """What the words of an option mean, with numbers written as people write them.
+
+    Python reads 1_0 as ten, nan and infinity as numbers; the parser rounds 1.5 where it wants a
+    whole number.
+    """
+    wanted = _plain_types(type_)
+    for token in tokens:
+        word = token.value
+        if float in wanted and not (_NUMBER.fullmatch(word) and isfinite(float(word))):
+            raise InputError(f'{_option(token)} is "{word}"; must be a finite number')
+        if wanted == {int} and not _WHOLE.fullmatch(word):
+            raise InputError(f'{_option(token)} is "{word}"; must be a whole number')
+    return convert(type_, tokens)
+
+
+def _option(token: Token) -> str:
+    return token.keyword or "a number"
+
+
+def _plain_types(type_: Any) -> set[Any]:
+    """The types of a union or of a tuple's places, or the type itself."""
+    if get_origin(type_) in (Union, UnionType, tuple):
+        return set(get_args(type_)) - {type(None)}
+    return {type_}
 
 
 def run(words: list[str]) -> int:
@@ -227,7 +249,6 @@ def run(words: list[str]) -> int:
     PalpateError                    bad input
     BrokenPipeError                 nobody reads what is printed
     """
-    _check_numbers(words)
     wanted = Output(
         json=any(word in words for word in _JSON_WORDS),
         verbose=any(word in words for word in _VERBOSE_WORDS),
@@ -240,9 +261,13 @@ def _called(words: list[str]) -> int:
     """Have a command do its work."""
     try:
         outcome = make_app()(
-            words, exit_on_error=False, print_error=True, result_action="return_value"
+            words, exit_on_error=False, print_error=False, result_action="return_value"
         )
-    except CycloptsError:
+    except CycloptsError as error:
+        # What our own readers of options say needs no frame.
+        if isinstance(error.__cause__, InputError):
+            raise error.__cause__ from None
+        Console(stderr=True).print(CycloptsPanel(error))
         return _BAD_INPUT
     except SystemExit as error:
         # How rich ends where nobody reads what it prints.

@@ -15,6 +15,8 @@ Grey = UInt8[np.ndarray, "rows columns"]
 _FREE_SHARE, _MIN_WINDOW_PX, _MAX_WINDOW_PX = 0.9, 2, 11
 # Larger pictures are searched at a part of their size, and the corners refined in the whole.
 _MAX_SEARCHED_PX = 1600
+# More marks each way no target has, and no picture shows.
+_MOST_MARKS = 1000
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 DICTIONARIES = {
     name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name)
@@ -62,13 +64,16 @@ class Target(Protocol):
         """
 
 
+def _check_grid(columns: int, rows: int, spacing: float, *, fewest: int = 2) -> None:
+    if min(columns, rows) < fewest or max(columns, rows) > _MOST_MARKS or not spacing > 0.0:
+        raise InputError(
+            f"a target of {columns} x {rows} marks {spacing:g} m apart; must have {fewest} to"
+            f" {_MOST_MARKS} each way, at a distance above 0"
+        )
+
+
 def _grid(columns: int, rows: int, spacing: float) -> Points:
     """Places of a grid, row by row."""
-    if min(columns, rows) < 2 or not spacing > 0.0:
-        raise InputError(
-            f"a target of {columns} x {rows} marks {spacing:g} m apart; must have two or more each"
-            " way, at a distance above 0"
-        )
     place = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     return spacing * np.column_stack([place, np.zeros(len(place))])
 
@@ -86,6 +91,10 @@ class Chessboard:
     columns: int
     rows: int
     square: float
+
+    def __post_init__(self) -> None:
+        # The search takes no fewer.
+        _check_grid(self.columns, self.rows, self.square, fewest=3)
 
     @property
     def points(self) -> Points:
@@ -129,6 +138,9 @@ class Circles:
     rows: int
     spacing: float
     asymmetric: bool = False
+
+    def __post_init__(self) -> None:
+        _check_grid(self.columns, self.rows, self.spacing)
 
     @property
     def points(self) -> Points:
@@ -177,6 +189,15 @@ class Charuco:
     dictionary: str = "4x4_250"
     first: int = 0
 
+    def __post_init__(self) -> None:
+        if not 0.0 < self.marker < self.square or min(self.columns, self.rows) < 3:
+            raise InputError(
+                f"a board of {self.columns} x {self.rows} squares of {1e3 * self.square:g} mm with"
+                f" markers of {1e3 * self.marker:g} mm; must have 3 x 3 squares or more, and"
+                " markers smaller than the squares"
+            )
+        _check_numbers(self.first, self.columns * self.rows // 2, self.dictionary)
+
     @property
     def points(self) -> Points:
         """See `Target`."""
@@ -215,20 +236,8 @@ class Charuco:
         return np.asarray(self._board().generateImage(size))
 
     def _board(self) -> cv2.aruco.CharucoBoard:
-        if not 0.0 < self.marker < self.square or min(self.columns, self.rows) < 3:
-            raise InputError(
-                f"a board of {self.columns} x {self.rows} squares of {1e3 * self.square:g} mm with"
-                f" markers of {1e3 * self.marker:g} mm; must have 3 x 3 squares or more, and"
-                " markers smaller than the squares"
-            )
         dictionary = _dictionary(self.dictionary)
-        count = self.columns * self.rows // 2
-        if self.first + count > len(dictionary.bytesList):
-            raise InputError(
-                f"the board needs markers {self.first} to {self.first + count - 1}; the dictionary"
-                f" {self.dictionary} has {len(dictionary.bytesList)}: choose a larger one"
-            )
-        ids = np.arange(self.first, self.first + count)
+        ids = self.first + np.arange(self.columns * self.rows // 2)
         size = (self.columns, self.rows)
         return cv2.aruco.CharucoBoard(size, self.square, self.marker, dictionary, ids)
 
@@ -251,6 +260,15 @@ class AprilGrid:
     gap: float
     dictionary: str = "apriltag_36h11"
     first: int = 0
+
+    def __post_init__(self) -> None:
+        if not min(self.tag, self.gap) > 0.0 or min(self.columns, self.rows) < 1:
+            raise InputError(
+                f"a grid of {self.columns} x {self.rows} tags of {1e3 * self.tag:g} mm with"
+                f" {1e3 * self.gap:g} mm between them; must have one or more each way, and lengths"
+                " above 0"
+            )
+        _check_numbers(self.first, self.columns * self.rows, self.dictionary)
 
     @property
     def points(self) -> Points:
@@ -288,6 +306,16 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
     if name not in DICTIONARIES:
         raise InputError(f"no dictionary of markers '{name}'; known: {', '.join(DICTIONARIES)}")
     return cv2.aruco.getPredefinedDictionary(DICTIONARIES[name])
+
+
+def _check_numbers(first: int, count: int, dictionary: str) -> None:
+    """Refuse markers that a dictionary does not have."""
+    has = len(_dictionary(dictionary).bytesList)
+    if first < 0 or first + count > has:
+        raise InputError(
+            f"the board needs markers {first} to {first + count - 1}; the dictionary {dictionary}"
+            f" has 0 to {has - 1}: choose a larger one, or a smaller board"
+        )
 
 
 def _whole(found: bool, pixel: np.ndarray | None) -> Sighting:

@@ -48,13 +48,14 @@ _PNG = {"compress_level": 2}
 
 
 @styled
-def save_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG at 150 dpi.
+def save_figure(figure: Figure, path: Path, *, kind: str | None = None) -> Path:
+    """Write a figure, as a PNG at 150 dpi where the path names no other kind of picture.
 
     Parameters
     ----------
     figure : Figure
     path : Path                     its folder exists; a file of that name is replaced
+    kind : str or None              "png", "svg" or "pdf"; None: as the name ends
 
     Returns
     -------
@@ -64,7 +65,7 @@ def save_figure(figure: Figure, path: Path) -> Path:
     ------
     OSError                         the file cannot be written
     """
-    figure.savefig(path, pil_kwargs=_PNG)
+    figure.savefig(path, format=kind, pil_kwargs=_PNG)
     return path
 
 

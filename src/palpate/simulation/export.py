@@ -7,12 +7,16 @@ from palpate.errors import InputError, RecordError
 from palpate.progress import Progress, silent
 from palpate.records import (
     CONSTANT_NAMES,
+    INPUTS_FILE,
     Estimate,
     Session,
     Status,
+    file_sums,
     json_text,
     read_estimate,
     read_session,
+    session_files,
+    sums_in,
     verify_result,
     write_text,
 )
@@ -38,11 +42,13 @@ class FitSource:
     session : Session
     estimate : Estimate
     files : tuple of Path           of the result that were read
+    notes : tuple of str            what of the session is not as it was fitted, in a sentence
     """
 
     session: Session
     estimate: Estimate
     files: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
 
 
 def read_fit(result: Path, session: Path | None = None) -> FitSource:
@@ -76,7 +82,23 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
     if not file.is_file():
         raise RecordError(f"{result}: is no result of `palpate fit`: it has no estimate.json")
     place = session or _session_of(result, [one.file for one in findings if one.role == "input"])
-    return FitSource(read_session(place), read_estimate(file), (file,))
+    return FitSource(read_session(place), read_estimate(file), (file,), _changes(result, place))
+
+
+def _changes(result: Path, place: Path) -> tuple[str, ...]:
+    """What of a session differs from all that its result was made from."""
+    fitted = set(sums_in(result / INPUTS_FILE).values())
+    files = session_files(place)
+    now = file_sums(files, start=place if place.is_dir() else place.parent)
+    changed = [name for name, value in now.items() if value not in fitted]
+    if not fitted or not changed:
+        return ()
+    names = ", ".join(changed[:3])
+    text = (
+        f"the session is another than the one that was fitted ({names} changed): its shape and"
+        " contacts are as they are now, the constants those of the fit"
+    )
+    return (text,)
 
 
 def _session_of(result: Path, inputs: list[str]) -> Path:
@@ -170,7 +192,7 @@ def export_fit(
         source.session, source.estimate, material, probe=probe, cache=cache
     )
     notes = [note for note in (_told(source.estimate), changed) if note]
-    body = replace(body, notes=(*notes, *body.notes))
+    body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
         say(f"files of {form.title}", 0.5)

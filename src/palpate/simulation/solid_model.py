@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from palpate.errors import InputError
 from palpate.geometry import (
     TriangleMesh,
+    bounding_diagonal,
     closest_points,
     enclosed_volume,
     quartered,
@@ -239,10 +240,16 @@ def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> Sol
 
     Raises
     ------
-    InputError                      an edge that is not positive; scikit-fem is not installed
+    InputError                      an edge that is not positive, or longer than the object;
+                                    scikit-fem is not installed
     MeshError                       walls thinner than the tetrahedra
     """
     session, push = body.session, body.push
+    size = bounding_diagonal(session.mesh)
+    if edge is not None and not edge < size:
+        raise InputError(
+            f"edge is {edge:g} m; the object is {size:.3g} m across: choose a part of it"
+        )
     fine = []
     if push is not None and push.radius is not None:
         fine = [(push.point, _FINE_REACH * push.radius, push.radius / _ALONG_CONTACT)]

@@ -34,7 +34,7 @@ from palpate.errors import InputError
 from palpate.figures import board_figure, residual_figure, rig_figure, save_figure, save_page
 from palpate.probe import metres_from_text
 from palpate.progress import Progress, part_of
-from palpate.records import default_folder, record_inputs, result_folder
+from palpate.records import check_free, default_folder, record_inputs, result_folder
 
 _PAGES = (".pdf", ".png")
 _Kind = Literal["charuco", "chessboard", "circles", "asymmetric-circles", "aprilgrid"]
@@ -188,10 +188,7 @@ def board(
     """
     if file.suffix.lower() not in _PAGES:
         raise InputError(f"{file}: ends neither in .pdf nor in .png")
-    if file.exists() and not force:
-        raise InputError(
-            f"{file}: is there already; choose another name, or replace it with --force"
-        )
+    check_free(file, force=force)
     drawn = Charuco(
         columns, rows, metres_from_text(square, name="--square"),
         metres_from_text(marker, name="--marker"), dictionary, first,

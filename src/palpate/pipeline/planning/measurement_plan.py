@@ -45,6 +45,8 @@ _DEPTH_TOLERANCE = 2e-3
 _PICTURES, _POINTS = 0.1, 0.8
 # What is told of a picture: its name and its grey levels.
 Show = Callable[[str, UInt[np.ndarray, "_ _"]], None]
+# Guesses that a plan takes: of the softest gel and of diamond [Pa].
+_YOUNG_RANGE = (1.0, 1.2e12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,10 +160,11 @@ def _check(session: Session, young: float, poisson: float) -> None:
         raise InputError(
             f'{session.path}: has no cameras; add [rig] cameras = "rig.toml" to plan pictures'
         )
-    if not (np.isfinite(young) and young > 0.0 and -1.0 < poisson < 0.5):
+    low, high = _YOUNG_RANGE
+    if not (low <= young <= high and -1.0 < poisson < 0.5):
         raise InputError(
-            f"young_modulus is {young:g} Pa, poisson_ratio {poisson:g}; must be positive, and in"
-            " (-1, 0.5)"
+            f"young_modulus is {young:g} Pa, poisson_ratio {poisson:g}; must be {low:g} to"
+            f" {high:g} Pa, from the softest gel to diamond, and in (-1, 0.5)"
         )
 
 

@@ -18,6 +18,7 @@ from palpate.records.files.estimate import (
 from palpate.records.files.import_pose import read_import_pose as read_import_pose
 from palpate.records.files.results import (
     INPUTS_FILE as INPUTS_FILE,
+    check_free as check_free,
     default_folder as default_folder,
     disk_errors as disk_errors,
     file_stem as file_stem,
@@ -51,6 +52,7 @@ from palpate.records.files.session_import import (
 from palpate.records.files.sums import (
     file_sums as file_sums,
     session_files as session_files,
+    sums_in as sums_in,
     sums_text as sums_text,
 )
 from palpate.records.files.support import (

@@ -180,6 +180,26 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
         yield new
 
 
+def check_free(target: Path, *, force: bool = False) -> None:
+    """Refuse to replace a file that cannot tell whose it is: a picture, a table, a page.
+
+    Parameters
+    ----------
+    target : Path                   that is to be written
+    force : bool                    a regular file may be replaced
+
+    Raises
+    ------
+    InputError                      something is there
+    """
+    if not os.path.lexists(target) or (force and target.is_file()):
+        return
+    raise InputError(
+        f"{target}: is there already; nothing was touched: choose another name"
+        + (", or give --force to replace it" if target.is_file() else "")
+    )
+
+
 def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) -> str:
     """JSON of a result with the sums of its inputs and, as its last key, its own.
 

@@ -1,5 +1,6 @@
 """How well a rig is known: `rig_covariance.npz` beside `rig.toml`."""
 
+import os
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from palpate.files import damage, is_file, read_bytes
+from palpate.files import damage, read_bytes
 from palpate.records.rig import RigCovariance
 
 COVARIANCE_FORMAT = "palpate-rig-covariance/1"
@@ -24,10 +25,10 @@ def covariance_file(rig: Path) -> Path | None:
 
     Returns
     -------
-    Path or None                    None: there is none
+    Path or None                    None: there is none; what else lies there is for its reader
     """
     path = (rig if rig.is_dir() else rig.parent) / _FILE
-    return path if is_file(path) else None
+    return path if os.path.lexists(path) else None
 
 
 def write_rig_covariance(

@@ -39,12 +39,14 @@ def quantity(value: Quantity, units: Mapping[str, float], name: str = "the numbe
     found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if found:
         unit = _ANOTHER.get(found[2], found[2]) or next(iter(units))
-        if unit in units:
-            return float(found[1]) * units[unit]
+        if unit in units and math.isfinite(number := float(found[1]) * units[unit]):
+            return number
     elif not isinstance(value, str) and math.isfinite(float(value)):
         return float(value)
     known = ", ".join(units)
-    raise InputError(f"{name} is {value!r}; must be a number, with one of these units: {known}")
+    raise InputError(
+        f"{name} is {value!r}; must be a finite number, with one of these units: {known}"
+    )
 
 
 def quantities(value: Sequence[Quantity], units: Mapping[str, float], name: str) -> Vector3:

@@ -106,7 +106,8 @@ def _text(text: str) -> Float[np.ndarray, "n 3"]:
         if len(words) < 3:
             continue
         try:
-            rows.append([float(word) for word in words[:3]])
+            # Python takes 1_0 for ten.
+            rows.append([float(word.replace("_", "?")) for word in words[:3]])
         except ValueError:
             # Headings stand above the first row.
             if rows:
@@ -128,7 +129,8 @@ def _pcd(content: bytes) -> Float[np.ndarray, "n 3"]:
     names, sizes, types = field["FIELDS"], field["SIZE"], field["TYPE"]
     counts = [int(word) for word in field.get("COUNT", ["1"] * len(names))]
     if kind.strip() == b"ascii":
-        table = np.array([line.split() for line in data.decode().splitlines() if line.strip()])
+        lines = data.decode().replace("_", "?").splitlines()
+        table = np.array([line.split() for line in lines if line.strip()])
         first = np.cumsum([0, *counts[:-1]])
         return table[:, [first[names.index(axis)] for axis in "xyz"]].astype(np.float64)
     if kind.strip() != b"binary":

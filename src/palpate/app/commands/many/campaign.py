@@ -3,7 +3,9 @@
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
 
 from palpate.app.terminal import (
     number_text,
@@ -27,9 +29,10 @@ from palpate.campaign import (
     run_campaign,
     write_table,
 )
+from palpate.disk import placed
 from palpate.errors import InputError
 from palpate.figures import save_figure
-from palpate.records import disk_errors, modulus_unit
+from palpate.records import check_free, disk_errors, modulus_unit
 
 _NOT_OK = 3
 _WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
@@ -117,7 +120,13 @@ def status(folder: Path, /) -> int:
     return 0
 
 
-def table(folder: Path, /, *, out: Path | None = None) -> int:
+def table(
+    folder: Path,
+    /,
+    *,
+    out: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
     """Print a campaign's table, or write it as CSV or Parquet.
 
     Parameters
@@ -125,8 +134,9 @@ def table(folder: Path, /, *, out: Path | None = None) -> int:
     folder
         Of the campaign.
     out
-        File to write instead, ending .csv or .parquet (which needs palpate[parquet]); one of that
-        name is replaced.
+        File to write instead, ending .csv or .parquet (which needs palpate[parquet]).
+    force
+        Replace a file of that name.
 
     Returns
     -------
@@ -135,6 +145,7 @@ def table(folder: Path, /, *, out: Path | None = None) -> int:
     """
     rows = Store(folder).rows()
     if out is not None:
+        check_free(out, force=force)
         write_table(out, rows)
         print_text(f"{len(rows)} rows in {out}", wrapped=False)
         return 0
@@ -154,7 +165,13 @@ def table(folder: Path, /, *, out: Path | None = None) -> int:
     return 0
 
 
-def plot(folder: Path, /, *, out: Path | None = None) -> int:
+def plot(
+    folder: Path,
+    /,
+    *,
+    out: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
     """Draw both constants of all sessions with their intervals, group beside group.
 
     Parameters
@@ -164,6 +181,8 @@ def plot(folder: Path, /, *, out: Path | None = None) -> int:
     out
         File to write, ending .png, .svg or .pdf. Default: the folder's name followed by .png, in
         the current folder.
+    force
+        Replace a file of that name.
 
     Returns
     -------
@@ -175,10 +194,12 @@ def plot(folder: Path, /, *, out: Path | None = None) -> int:
     target = out or Path(f"{name}.png")
     if target.suffix not in (".png", ".svg", ".pdf"):
         raise InputError(f"{target}: ends in '{target.suffix}'; give a .png, .svg or .pdf file")
+    check_free(target, force=force)
     if all(row.state != DONE for row in rows):
         raise InputError(f"{folder}: no session has a result yet; there is nothing to draw")
-    with disk_errors(target):
-        save_figure(campaign_figure(rows, name), target)
+    figure = campaign_figure(rows, name)
+    with placed([target]) as (staged,), disk_errors(target):
+        save_figure(figure, staged, kind=target.suffix[1:])
     print_text(f"Picture in {target}", wrapped=False)
     return 0
 

@@ -6,8 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from palpate.app.terminal import print_text
-from palpate.errors import InputError
-from palpate.records import disk_errors
+from palpate.records import check_free, disk_errors
 from palpate.report import REPORT_FILE, checked_result, write_report
 
 
@@ -39,11 +38,7 @@ def report(
     """
     checked_result(result)
     target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
-    if target.exists() and not (force and target.is_file()):
-        raise InputError(
-            f"{target}: is there already; choose another name with --out"
-            + (", or give --force to replace it" if target.is_file() else "")
-        )
+    check_free(target, force=force)
     with disk_errors(target):
         write_report(result, target)
     print_text(f"Report in {target} ({target.stat().st_size / 1e6:.1f} MB)", wrapped=False)

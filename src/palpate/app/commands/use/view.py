@@ -2,9 +2,13 @@
 
 import time
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from palpate.app.terminal import print_text, progress_bar
 from palpate.errors import InputError
+from palpate.records import check_free
 from palpate.viewer import Viewer, read_subject, write_screenshot, write_turntable
 
 
@@ -18,6 +22,7 @@ def view(
     turntable: Path | None = None,
     probe: str | None = None,
     cache: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Look at an object in a browser: its probings, what the model says, how it feels.
 
@@ -41,6 +46,8 @@ def view(
         Probing that a picture or film shows. Default: the first.
     cache
         Folder that keeps the surface integrals of this object for the next time.
+    force
+        Replace a picture or film of that name.
 
     Returns
     -------
@@ -49,6 +56,9 @@ def view(
     """
     if screenshot is None and turntable is None and probe is not None:
         raise InputError("--probe is for --screenshot and --turntable; choose it in the page")
+    for target in (screenshot, turntable):
+        if target is not None:
+            check_free(target, force=force)
     found = read_subject(subject, session)
     if screenshot is not None:
         write_screenshot(found, screenshot, probe=probe)

@@ -1,0 +1,128 @@
+"""Every command that writes, killed at every step, asked to end, and on a full disk.
+
+One run keeps what a kill would leave before each of its steps: the old state or the new one, as a
+user sees it. `PALPATE_FUZZ_EXAMPLES` has full disks and signals tried at many steps instead of one.
+"""
+
+import hashlib
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fault_injection import all_states, in_child
+from faults.bench import write_scan, write_shots
+
+from palpate.app.cli import main
+from palpate.campaign.rows import Row
+from palpate.campaign.store import Store
+
+# What is run in a folder that has all that it needs.
+_COMMANDS = {
+    "fit": ("fit", "cube", "--out", "made"),
+    "init": ("init", "new", "--mesh", "mesh.ply"),
+    "mesh": ("mesh", "mesh.ply", "--vertices", "60", "--out", "made"),
+    "scan": ("scan", "ball", "--vertices", "60", "--out", "made"),
+    "a board": ("calibrate", "board", "made.png", "--columns", "3", "--rows", "3"),
+    "calibrate": (
+        "calibrate", "shots", "--target", "chessboard", "--columns", "7", "--rows", "5", "--square",
+        "16mm", "--out", "made",
+    ),
+    "a screenshot": ("view", "result", "--screenshot", "made.png"),
+    "export": ("export", "result", "--to", "obj", "--out", "made"),
+    "report": ("report", "result", "--out", "made.html"),
+    "a campaign's table": ("campaign", "table", "many", "--out", "made.csv"),
+    "a campaign's picture": ("campaign", "plot", "many", "--out", "made.png"),
+    "a compression": (
+        "compression", "record.csv", "--diameter", "50mm", "--height", "30mm", "--out", "made.json",
+    ),
+}  # fmt: skip
+# They leave result folders as `fit` does: full disks and signals are tried with that one.
+_LIKE_FIT = ("mesh", "scan", "calibrate", "export")
+_MANY = "PALPATE_FUZZ_EXAMPLES" in os.environ
+
+
+def _visible(folder: Path) -> dict[str, str]:
+    """Digest of every file whose name, and whose folders' names, are not hidden."""
+    return {
+        name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not _is_hidden(name := path.relative_to(folder).as_posix())
+    }
+
+
+def _is_hidden(name: str) -> bool:
+    return any(part.startswith(".") for part in Path(name).parts)
+
+
+def _hidden(folder: Path) -> list[str]:
+    return [path.name for path in folder.rglob(".*")]
+
+
+@pytest.fixture(scope="module")
+def place(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bench with all that the commands need to end well."""
+    folder = tmp_path_factory.mktemp("interrupted") / "work"
+    shutil.copytree(bench, folder)
+    (folder / "new").mkdir()
+    strain = np.linspace(0.0, 0.1, 40)
+    rows = np.stack([30.0 * strain, 1e5 * strain * np.pi * 0.025**2], axis=1)
+    np.savetxt(folder / "record.csv", rows, delimiter=",", header="displacement,force", comments="")
+    constants = {"young_modulus": 5e4, "poisson_ratio": 0.3, "shear_modulus": 2e4}
+    ends = {f"{name}_{end}": value for name, value in constants.items() for end in ("low", "high")}
+    Store(folder / "many").set_row(Row("cube", "", "done", "ok", **constants, **ends))
+    write_shots(folder / "shots")
+    write_scan(folder / "ball")
+    return folder
+
+
+@pytest.mark.parametrize("name", [name for name in _COMMANDS if _MANY or name != "scan"])
+def test_old_or_new_wherever_it_is_killed(
+    name: str, place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = list(_COMMANDS[name])
+    work, copies = tmp_path / "work", tmp_path / "copies"
+    shutil.copytree(place, work)
+    monkeypatch.chdir(work)
+    before = _visible(work)
+    # An estimate that is not ok is a result, too.
+    assert all_states(lambda: main(words) not in (0, 3), work, copies)
+    after = _visible(work)
+    assert after.keys() > before.keys()
+    assert _hidden(work) == []
+    # What is opened to be written is hidden until it is whole: a kill between two steps is one too.
+    opened = (copies / "opened.txt").read_text().splitlines()
+    assert [one for one in opened if not _is_hidden(one)] == []
+    states = sorted(path for path in copies.iterdir() if path.is_dir())
+    assert len(states) > 4
+    assert all(_visible(state) in (before, after) for state in states)
+    middle = len(states) // 2
+    if name in _LIKE_FIT and not _MANY:
+        return
+    _check_again(words, states[middle], set(after), monkeypatch)
+    for step in range(1, len(states), 7) if _MANY else [middle]:
+        for fault in ("disk is full", "SIGTERM"):
+            folder = tmp_path / f"{step} {fault}"
+            shutil.copytree(place, folder)
+            monkeypatch.chdir(folder)
+            outcome = in_child(
+                lambda: main(words) not in (0, 3), folder, step=step, dies=False, fault=fault
+            )
+            assert outcome in ("refused", "done all the same")
+            # A signal that comes while all takes its place waits until it has.
+            may_be_done = outcome == "done all the same" or fault == "SIGTERM"
+            seen = _visible(folder)
+            assert seen == before or (may_be_done and seen.keys() == after.keys())
+            assert _hidden(folder) == []
+
+
+def _check_again(
+    words: list[str], state: Path, names: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a kill left is tidied by the next run of the same command."""
+    if any(_is_hidden(path.name) for path in state.iterdir()):
+        monkeypatch.chdir(state)
+        assert main(words) in (0, 3)
+        assert set(_visible(state)) == names
+        assert _hidden(state) == []
