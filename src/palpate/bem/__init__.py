@@ -8,6 +8,14 @@ Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
 
+from palpate.bem.compressed import (
+    CompressedSystem as CompressedSystem,
+    Compression as Compression,
+    SnapshotModel as SnapshotModel,
+    compressed_system as compressed_system,
+    held_system as held_system,
+    snapshot_model as snapshot_model,
+)
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
     ElasticState as ElasticState,

@@ -33,7 +33,7 @@ class ClusterTree:
         """Clusters that are not divided."""
         return np.flatnonzero(self.children[:, 0] < 0)
 
-    def members(self, cluster: int) -> Int[np.ndarray, " k"]:
+    def members(self, cluster: int | np.integer) -> Int[np.ndarray, " k"]:
         """The things in a cluster."""
         return self.order[self.start[cluster] : self.stop[cluster]]
 
@@ -73,9 +73,7 @@ def cluster_tree(
         children.append((len(bounds), len(bounds) + 1))
         bounds += [(start, middle), (middle, stop)]
     begin, end = np.array(bounds).T
-    return ClusterTree(
-        order, begin, end, np.array(children), np.array(centre), np.array(radius)
-    )
+    return ClusterTree(order, begin, end, np.array(children), np.array(centre), np.array(radius))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,14 +129,8 @@ def cluster_pairs(
         divide_a = open_pairs & ~whole_a & (whole_b | (size_a >= size_b))
         divide_b = open_pairs & ~divide_a
         waiting = np.concatenate(
-            [
-                np.stack([first.children[a[divide_a], k], b[divide_a]], axis=1)
-                for k in (0, 1)
-            ]
-            + [
-                np.stack([a[divide_b], second.children[b[divide_b], k]], axis=1)
-                for k in (0, 1)
-            ]
+            [np.stack([first.children[a[divide_a], k], b[divide_a]], axis=1) for k in (0, 1)]
+            + [np.stack([a[divide_b], second.children[b[divide_b], k]], axis=1) for k in (0, 1)]
         )
     return ClusterPairs(
         [np.array(sorted(x), dtype=np.int64) for x in far],

@@ -9,6 +9,7 @@ With h(x) = 1 / |x - y| for a collocation point y and r = x - y, the fields of K
 for any centre c: three harmonic functions F and a fourth one, psi, of y, whatever the material.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,10 +20,9 @@ from scipy.sparse import csr_array
 
 from palpate.bem.compressed.charges import ChargeSphere
 
-# Moments of a node: grad h x n, n.grad h, F and psi of B.
-_TRACTION, _F, _PSI = 16, slice(4, 13), slice(13, 16)
-# Of a side: h, F and psi of the second term for b = 1/2.
-_DISPLACEMENT = 13
+# Moments of a node: grad h x n, n.grad h, nine of F and three of psi of B; of a side: h, and twelve
+# of the second term for b = 1/2.
+_TRACTION, _DISPLACEMENT = 16, 13
 
 
 class Mix(NamedTuple):
@@ -79,28 +79,16 @@ class LeafMoments:
     def _add_traction(
         self, mix: Mix, u: Float[np.ndarray, "n 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        moments = self.traction.astype(np.float64)
         matrix = np.empty((len(out), 4, len(u), 3))
-        matrix[:, :3] = mix.rest * moments[_F].reshape(3, 3, len(out), -1).transpose(2, 0, 3, 1)
-        matrix[:, 3] = mix.rest * moments[_PSI].transpose(1, 2, 0)
-        x, y, z, along = mix.skew * moments[:4]
-        for i in range(3):
-            matrix[:, i, :, i] += along
-        for i, j, part in ((0, 2, y), (1, 0, z), (2, 1, x)):
-            matrix[:, i, :, j] += part
-            matrix[:, j, :, i] -= part
+        _fill_traction(mix.skew, mix.rest, self.traction, matrix)
         out += (matrix.reshape(4 * len(out), -1) @ u.reshape(-1, u.shape[2])).reshape(out.shape)
 
     def _add_displacement(
         self, mix: Mix, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        moments = self.displacement.astype(np.float64)
         matrix = np.empty((len(out), 4, len(q), 3))
-        own = mix.constant * moments[1:10]
-        matrix[:, :3] = own.reshape(3, 3, len(out), -1).transpose(2, 0, 3, 1)
-        matrix[:, 3] = mix.constant * moments[10:].transpose(1, 2, 0)
-        for i in range(3):
-            matrix[:, i, :, i] += (1.5 * mix.constant - 2.0 * mix.slope) * moments[0]
+        trace = 1.5 * mix.constant - 2.0 * mix.slope
+        _fill_displacement(trace, mix.constant, self.displacement, matrix)
         out += (matrix.reshape(4 * len(out), -1) @ q.reshape(-1, q.shape[2])).reshape(out.shape)
 
 
@@ -133,7 +121,16 @@ def leaf_moments(
     )
 
 
-def _gathered(kernel, count, sphere, centre, radius, check, sources, shapes):  # type: ignore[no-untyped-def]
+def _gathered(
+    kernel: Callable[..., None],
+    count: int,
+    sphere: ChargeSphere,
+    centre: Float[np.ndarray, "3"],
+    radius: float,
+    check: Float[np.ndarray, "3 p"],
+    sources: Float[np.ndarray, "q 6"],
+    shapes: csr_array,
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "m k n"]]:
     """Nodes with shape functions on some points, and their moments as charges."""
     used = np.unique(shapes.indices)
     values = np.empty((len(sources), count * check.shape[1]))
@@ -209,3 +206,34 @@ def _displacement_values(sources, centre, check, out):
             row[10 * n + k] = gx
             row[11 * n + k] = gy
             row[12 * n + k] = gz
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_traction(skew, rest, moments, out):
+    """F and psi of skew A + rest B from the 16 moments of a node."""
+    for k in range(moments.shape[1]):
+        for n in range(moments.shape[2]):
+            x, y, z = skew * moments[0, k, n], skew * moments[1, k, n], skew * moments[2, k, n]
+            for i in range(4):
+                for j in range(3):
+                    out[k, i, n, j] = rest * moments[4 + 3 * i + j, k, n]
+            for i in range(3):
+                out[k, i, n, i] += skew * moments[3, k, n]
+            out[k, 0, n, 1] -= z
+            out[k, 1, n, 0] += z
+            out[k, 1, n, 2] -= x
+            out[k, 2, n, 1] += x
+            out[k, 2, n, 0] -= y
+            out[k, 0, n, 2] += y
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_displacement(trace, rest, moments, out):
+    """F and psi of the displacement kernel from the 13 moments of a side."""
+    for k in range(moments.shape[1]):
+        for n in range(moments.shape[2]):
+            for i in range(4):
+                for j in range(3):
+                    out[k, i, n, j] = rest * moments[1 + 3 * i + j, k, n]
+            for i in range(3):
+                out[k, i, n, i] += trace * moments[0, k, n]

@@ -21,6 +21,7 @@ from palpate.bem.integrals import (
     assemble,
 )
 from palpate.geometry import QuadraticNodes
+from palpate.progress import Progress, silent
 from palpate.threads import in_threads
 
 
@@ -103,6 +104,7 @@ def near_field(
     near: list[Int[np.ndarray, " _"]],
     held_nodes: QuadraticNodes,
     quadrature: Quadrature,
+    progress: Progress = silent,
 ) -> NearField:
     """Integrate over all triangles that are near to each cluster of points.
 
@@ -114,6 +116,7 @@ def near_field(
     near : list of (k,) int                leaves of the second that are near each leaf of the first
     held_nodes : QuadraticNodes            of the traction, on the held triangles in their order
     quadrature : Quadrature
+    progress : callable
 
     Returns
     -------
@@ -134,6 +137,7 @@ def near_field(
             nodes, traction = _fields(*ask, TRACTION, surface.displacement, own, own)
             sides, press = _fields(*ask, DISPLACEMENT, held_nodes, place[held], held)
             blocks[number] = NearBlock(points.members(leaf), nodes, traction, sides, press)
+            progress("integrals nearby", sum(one is not None for one in blocks) / len(blocks))
 
     in_threads(gather, len(leaves))
     return NearField([block for block in blocks if block is not None], len(collocation.point))
@@ -152,9 +156,7 @@ def _fields(
     used, own = _own_nodes(nodes, elements)
     if not elements.size:
         return used, np.zeros((kernel.count, len(collocation.point), 0), dtype=np.float32)
-    blocks = assemble(
-        surface, collocation, own, kernel, triangles=triangles, quadrature=quadrature
-    )
+    blocks = assemble(surface, collocation, own, kernel, triangles=triangles, quadrature=quadrature)
     return used, _by_point(blocks)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from palpate.bem.compressed.charges import charge_sphere
+from palpate.bem.compressed.charges import ChargeSphere, charge_sphere
 from palpate.bem.compressed.clusters import ClusterTree, cluster_pairs, cluster_tree
 from palpate.bem.compressed.far_field import FarField, make_receivers
 from palpate.bem.compressed.moments import LeafMoments, Mix, leaf_moments
@@ -24,7 +24,7 @@ from palpate.geometry import (
     element_spheres,
     interpolation_matrix,
 )
-from palpate.progress import Progress, silent
+from palpate.progress import Progress, part_of, silent
 from palpate.threads import in_threads
 
 # Degree of the rule for what is far from its cluster; nearer than that it is not used.
@@ -45,7 +45,7 @@ class Compression:
                                   not divided
     """
 
-    charges: int = 200
+    charges: int = 250
     apart: tuple[float, float] = (1.5, 2.0)
     tolerance: float = 1e-6
     leaf: tuple[int, int] = (64, 64)
@@ -125,11 +125,11 @@ def compress(
     index = np.full(surface.traction.n_nodes, -1)
     index[unknowns.held_sides] = np.arange(unknowns.held_sides.size)
     held_nodes = restricted_nodes(surface.traction, held, index)
-    progress("integrals nearby", 0.0)
     near = near_field(
-        surface, collocation, (points, triangles), pairs.near, held_nodes, quadrature
-    )
-    progress("integrals far away", 0.7)
+        surface, collocation, (points, triangles), pairs.near, held_nodes, quadrature,
+        part_of(progress, 0.0, 0.6),
+    )  # fmt: skip
+    progress("integrals far away", 0.6)
     sphere = charge_sphere(compression.charges, compression.apart[1])
     moments = _all_moments(surface, held_nodes, triangles, sphere)
     proxies = compression.apart[0] * sphere.check / compression.apart[1]
@@ -148,22 +148,11 @@ def _largest(tree: ClusterTree, reach: Float[np.ndarray, " m"]) -> Float[np.ndar
 
 
 def _all_moments(
-    surface: BoundarySurface, held_nodes: QuadraticNodes, tree: ClusterTree, sphere
+    surface: BoundarySurface, held_nodes: QuadraticNodes, tree: ClusterTree, sphere: ChargeSphere
 ) -> dict[int, LeafMoments]:
     """Moments of all leaves of the triangles."""
-    rule = triangle_rule(_DEGREE)
     place = np.cumsum(surface.held) - 1
     moments: dict[int, LeafMoments] = {}
-
-    def sources(nodes, elements, triangles):
-        points = element_points(surface.element_nodes[triangles], rule.barycentric)
-        points[:, :, 3:] *= rule.weight[:, None]
-        shapes = interpolation_matrix(
-            nodes,
-            np.repeat(elements, rule.weight.size),
-            np.tile(rule.barycentric, (elements.size, 1)),
-        )
-        return points.reshape(-1, 6), shapes
 
     def gather(begin: int, end: int) -> None:
         for leaf in tree.leaves[begin:end]:
@@ -173,12 +162,24 @@ def _all_moments(
                 sphere,
                 tree.centre[leaf],
                 float(tree.radius[leaf]),
-                sources(surface.displacement, own, own),
-                sources(held_nodes, place[held], held),
+                _sources(surface.displacement, own, surface.element_nodes[own]),
+                _sources(held_nodes, place[held], surface.element_nodes[held]),
             )
 
     in_threads(gather, tree.leaves.size)
     return moments
+
+
+def _sources(
+    nodes: QuadraticNodes, elements: Int[np.ndarray, " m"], corners: Float[np.ndarray, "m 6 3"]
+) -> tuple[Float[np.ndarray, "q 6"], csr_array]:
+    """Quadrature points of some elements with their normals times weights, and shape functions."""
+    rule = triangle_rule(_DEGREE)
+    points = element_points(corners, rule.barycentric)
+    points[:, :, 3:] *= rule.weight[:, None]
+    each = np.repeat(elements, rule.weight.size)
+    shapes = interpolation_matrix(nodes, each, np.tile(rule.barycentric, (elements.size, 1)))
+    return points.reshape(-1, 6), shapes
 
 
 def _own_displacement(nodes: QuadraticNodes, collocation: Collocation) -> csr_array:

@@ -1,14 +1,16 @@
-"""An approximate inverse of the compressed system: its diagonal blocks, cluster by cluster."""
+"""An approximate inverse of the compressed system, its diagonal blocks cluster by cluster, and the
+iteration that it starts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lu_factor, lu_solve
 
+from palpate.bem.compressed.krylov import IterativeSolution, solve_together
 from palpate.bem.compressed.moments import Mix
 from palpate.bem.compressed.near_field import NearBlock
-from palpate.bem.compressed.system import CompressedSystem
+from palpate.bem.compressed.system import SLACK, CompressedSystem, scaled_mix
 from palpate.threads import in_threads
 
 
@@ -19,6 +21,7 @@ class ClusterInverse:
     Attributes
     ----------
     system : CompressedSystem
+    poisson_ratio : float
     points : list of (m,) int             collocation points of each cluster
     unknowns : list of (m,) int           the vectors of unknowns that belong to them
     factors : list                        LAPACK's factorisation of each
@@ -27,6 +30,7 @@ class ClusterInverse:
     """
 
     system: CompressedSystem
+    poisson_ratio: float
     points: list[Int[np.ndarray, " _"]]
     unknowns: list[Int[np.ndarray, " _"]]
     factors: list[tuple[np.ndarray, np.ndarray]]
@@ -80,8 +84,7 @@ def cluster_inverse(
     -------
     ClusterInverse
     """
-    length = system.traction_length
-    mix = Mix(1 - 2 * poisson_ratio, 1.0, -1.0 / length, -poisson_ratio / length)
+    mix = scaled_mix(system, poisson_ratio)
     tree = system.operator.far.receivers.tree
     size = tree.stop - tree.start
     chosen = np.flatnonzero(size <= most)
@@ -100,11 +103,40 @@ def cluster_inverse(
             factors[k] = lu_factor(own, overwrite_a=True, check_finite=False)
 
     in_threads(factorise, len(points))
-    bare = ClusterInverse(
-        system, points, unknowns, factors, np.zeros((system.size - 3, 3)), np.eye(3)
-    )
-    answer = bare.each(np.tile(8 * np.pi * np.eye(3), (len(pair), 1, 1)))
-    return ClusterInverse(system, points, unknowns, factors, answer, bare.force(answer))
+    nothing = np.zeros((system.size - 3, 3)), np.eye(3)
+    bare = ClusterInverse(system, poisson_ratio, points, unknowns, factors, *nothing)
+    answer = bare.each(np.tile(SLACK * np.eye(3), (len(pair), 1, 1)))
+    return replace(bare, answer=answer, pressed=bare.force(answer))
+
+
+def solve_compressed(
+    inverse: ClusterInverse,
+    right: Float[np.ndarray, "k c"],
+    *,
+    scale: Float[np.ndarray, " c"] | None = None,
+    tolerance: float = 1e-9,
+) -> IterativeSolution:
+    """Solve a compressed system for several right-hand sides.
+
+    Parameters
+    ----------
+    inverse : ClusterInverse          of the system at the Poisson's ratio in question
+    right : (k, c) float              rows in the order of `system_matrix`
+    scale : (c,) float or None        what residuals are relative to; None: each right-hand side
+    tolerance : float                 of the residual, relative to the scale
+
+    Returns
+    -------
+    IterativeSolution
+
+    Raises
+    ------
+    NotConvergedError                 the tolerance is not met
+    """
+    return solve_together(
+        lambda vectors: inverse.system.product(inverse.poisson_ratio, vectors),
+        inverse.solve, right, scale=scale, tolerance=tolerance,
+    )  # fmt: skip
 
 
 def paired_unknowns(system: CompressedSystem) -> Int[np.ndarray, " r"]:

@@ -12,6 +12,9 @@ from palpate.bem.integrals import (
     DISPLACEMENT,
     TRACTION,
     BoundarySurface,
+    Collocation,
+    FieldBlocks,
+    FieldLayout,
     Quadrature,
     assemble,
     integral_weights,
@@ -21,7 +24,8 @@ from palpate.errors import InputError
 from palpate.geometry import QuadraticNodes
 from palpate.progress import Progress, silent
 
-_SCALE = 8 * np.pi
+# What a slack of one adds to every integral equation (`system_matrix`).
+SLACK = 8 * np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +56,8 @@ class CompressedSystem(BoundarySystem):
         poisson_ratio : float
         unknowns : (k, c) float
         """
-        length = self.traction_length
-        mix = Mix(1 - 2 * poisson_ratio, 1.0, -1.0 / length, -poisson_ratio / length)
-        found, pressed = self._applied(mix, unknowns)
-        found += _SCALE * unknowns[-3:]
+        found, pressed = self._applied(scaled_mix(self, poisson_ratio), unknowns)
+        found += SLACK * unknowns[-3:]
         return np.concatenate([self.by_component(found), self._balance(pressed)])
 
     def slope_product(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
@@ -116,6 +118,18 @@ class CompressedSystem(BoundarySystem):
         return weights[self.unknowns.held_sides] / self.traction_length**2
 
 
+def scaled_mix(system: BoundarySystem, poisson_ratio: float) -> Mix:
+    """The parts of a system's equations at one Poisson's ratio.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    poisson_ratio : float
+    """
+    length = system.traction_length
+    return Mix(1 - 2 * poisson_ratio, 1.0, -1.0 / length, -poisson_ratio / length)
+
+
 def compressed_system(
     surface: BoundarySurface,
     *,
@@ -152,10 +166,17 @@ def compressed_system(
         surface, unknowns, collocation, compression=compression, quadrature=quadrature,
         progress=progress,
     )  # fmt: skip
-    nowhere = np.zeros((0, 6), dtype=np.int64)
-    nodes = QuadraticNodes(nowhere, 0, csr_array((0, 0)))
-    kernels = (
-        assemble(surface, collocation, nodes, kernel, triangles=np.zeros(0, dtype=np.int64))
-        for kernel in (TRACTION, DISPLACEMENT)
-    )
-    return CompressedSystem(surface, unknowns, collocation, *kernels, operator)
+    h, g = (_rows_alone(surface, collocation, kernel) for kernel in (TRACTION, DISPLACEMENT))
+    return CompressedSystem(
+        surface=surface, unknowns=unknowns, collocation=collocation, traction_kernel=h,
+        displacement_kernel=g, operator=operator,
+    )  # fmt: skip
+
+
+def _rows_alone(
+    surface: BoundarySurface, collocation: Collocation, kernel: FieldLayout
+) -> FieldBlocks:
+    """The rows that a kernel's integrals would have, without any node."""
+    nodes = QuadraticNodes(np.zeros((0, 6), dtype=np.int64), 0, csr_array((0, 0)))
+    nothing = np.zeros(0, dtype=np.int64)
+    return assemble(surface, collocation, nodes, kernel, triangles=nothing)
