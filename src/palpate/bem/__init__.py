@@ -2,8 +2,8 @@
 
 Purpose    : find how every point of an object moves under a load, for all materials at once.
 Takes      : a closed triangle mesh, the triangles of its support, tractions on its free surface.
-Gives      : `BoundarySystem` (matrices free of the material, compressed for large bodies), right-hand sides, `ElasticMap` (one
-             material), displacement and stress inside.
+Gives      : `BoundarySystem` (matrices free of the material, compressed for large bodies),
+             right-hand sides, `ElasticMap` (one material), displacement and stress inside.
 Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
