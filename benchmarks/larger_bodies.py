@@ -28,14 +28,17 @@ from benchmarks.meshes import geodesic
 from palpate.bem import (
     BoundarySystem,
     CompressedSystem,
+    RightHand,
     assemble_system,
     compressed_system,
     face_columns,
+    factorise,
     joined,
     make_elastic_map,
     make_surface,
+    solve,
 )
-from palpate.estimation import ReducedModel, make_reduced_model
+from palpate.bem.compressed import cluster_inverse, solve_compressed
 from palpate.figures.style import BLUE, ORANGE, STYLE, open_frame, save_figure
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session, make_object_model
@@ -45,7 +48,7 @@ from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 SIZES = (16, 22, 32, 45, 63)
 # Of a dense model of more vertices the matrices take more than 6 GB.
 LARGEST_DENSE = 22
-RATIOS = (0.0, 0.17, 0.3, 0.45, 0.4999)
+NEAR_HALF = 0.4999
 PLACES = np.array([[0.5, 0.3, 0.8], [-0.9, 0.2, 0.3], [0.1, -1.0, 0.2]])
 SCALE = 0.04
 SHEAR_MODULUS, POISSON_RATIO, NOISE = 20e3, 0.3, 2e-5
@@ -75,41 +78,51 @@ def patches(mesh: TriangleMesh) -> list[np.ndarray]:
 
 
 def measured(way: str, frequency: int, folder: Path) -> dict[str, Any]:
-    """Time, memory and solutions of nine right-hand sides for all Poisson's ratios."""
-    mesh = body(frequency)
-    surface = make_surface(mesh, held(mesh))
-    _warm(way)
+    """Time, memory and solutions of nine right-hand sides at one Poisson's ratio."""
+    _solved(way, 9)
     clock = _clock()
-    system = (assemble_system if way == "dense" else compressed_system)(surface)
-    assembled = clock()
-    right = joined([face_columns(system, patch) for patch in patches(mesh)])
-    model = make_reduced_model(system, right)
-    found = {
+    system, right, found = _solved(way, frequency)
+    times, peak = clock(), peak_memory()
+    solutions = [found[0]]
+    if frequency <= LARGEST_DENSE:
+        solutions.append(_solution(system, right, NEAR_HALF)[0])
+    free = 3 * system.unknowns.free_vertices.size
+    np.save(folder / f"{way}-{frequency}.npy", np.array(solutions)[:, :free])
+    return {
         "way": way,
-        "vertices": len(mesh.vertices),
-        "assembly": assembled,
-        "whole": clock(),
-        "memory": peak_memory(),
-        "iterations": [] if isinstance(model, ReducedModel) else list(model.iterations),
-        "ratios": [] if isinstance(model, ReducedModel) else list(model.ratios),
+        "vertices": len(system.surface.mesh.vertices),
+        "times": times,
+        "memory": peak,
+        "iterations": found[1],
+        "product": _product_time(system),
         "bytes": _parts(system),
     }
-    moved = [
-        np.einsum("jkc,jc->kc", model.directions, model.coefficients(nu)[0])[
-            : 3 * system.unknowns.free_vertices.size
-        ]
-        for nu in RATIOS
-    ]
-    np.save(folder / f"{way}-{frequency}.npy", np.array(moved))
-    return found
 
 
-def _warm(way: str) -> None:
-    """Compile everything on a small body."""
-    mesh = body(9)
-    surface = make_surface(mesh, held(mesh))
-    system = (assemble_system if way == "dense" else compressed_system)(surface)
-    make_reduced_model(system, face_columns(system, patches(mesh)[0]))
+def _solved(way: str, frequency: int) -> tuple[BoundarySystem, RightHand, tuple[np.ndarray, int]]:
+    """The integrals of the body, its right-hand sides, their solutions and what these took."""
+    mesh = body(frequency)
+    make = assemble_system if way == "dense" else compressed_system
+    system = make(make_surface(mesh, held(mesh)))
+    right = joined([face_columns(system, patch) for patch in patches(mesh)])
+    return system, right, _solution(system, right, POISSON_RATIO)
+
+
+def _solution(system: BoundarySystem, right: RightHand, nu: float) -> tuple[np.ndarray, int]:
+    if isinstance(system, CompressedSystem):
+        found = solve_compressed(cluster_inverse(system, nu), right.at(nu), tolerance=1e-8)
+        return found.solution, found.iterations
+    return solve(factorise(system, nu), right.at(nu)), 0
+
+
+def _product_time(system: BoundarySystem) -> float:
+    """Processor time of a product with 24 vectors [s]; none for dense matrices."""
+    if not isinstance(system, CompressedSystem):
+        return 0.0
+    vectors = np.random.default_rng(0).normal(size=(system.size, 24))
+    clock = _clock()
+    system.product(POISSON_RATIO, vectors)
+    return clock()[1]
 
 
 def _parts(system: BoundarySystem) -> dict[str, int]:
@@ -141,7 +154,7 @@ def grow(folder: Path, frequencies: list[int]) -> None:
                     cwd=ROOT, check=True,
                 )  # fmt: skip
             print(_line(json.loads(kept.read_text()), folder, frequency), flush=True)
-    for way, key in (("compressed", "whole"), ("compressed", "memory")):
+    for way, key in (("compressed", "times"), ("compressed", "memory")):
         sizes, values = _series(folder, way, key)
         if (sizes > 1e4).sum() > 1:
             large = sizes > 1e4
@@ -151,12 +164,11 @@ def grow(folder: Path, frequencies: list[int]) -> None:
 
 def _line(found: dict[str, Any], folder: Path, frequency: int) -> str:
     text = (
-        f"{found['vertices']:6d} {found['way']:10s} assembly {found['assembly'][1]:7.1f} s, whole"
-        f" {found['whole'][0]:7.1f} s of the clock, {found['whole'][1]:7.1f} s of processors,"
-        f" {found['memory'] / 1e9:5.2f} GB"
+        f"{found['vertices']:6d} {found['way']:10s} {found['times'][0]:7.1f} s of the clock,"
+        f" {found['times'][1]:7.1f} s of processors, {found['memory'] / 1e9:5.2f} GB"
     )
     if found["iterations"]:
-        text += f", iterations {found['iterations']}"
+        text += f", {found['iterations']} iterations, product with 24 {found['product']:.2f} s"
         both = [folder / f"{way}-{frequency}.npy" for way in ("dense", "compressed")]
         if all(path.exists() for path in both):
             dense, compressed = (np.load(path) for path in both)
@@ -244,7 +256,7 @@ def draw(folder: Path) -> None:
         figure = Figure(figsize=(6.4, 2.7), layout="constrained")
         panels = figure.subplots(1, 2)
         for axes, key, unit, title in (
-            (panels[0], "whole", 60.0, "Processor time [min]"),
+            (panels[0], "times", 60.0, "Processor time [min]"),
             (panels[1], "memory", 1e9, "Memory [GB]"),
         ):
             for way, colour in (("dense", ORANGE), ("compressed", BLUE)):

@@ -23,8 +23,12 @@ def compressed(monkeypatch):
     monkeypatch.setattr(choice, "LARGEST_DENSE", 50)
 
 
+# Narrow: fewer solutions serve it.
+SETTINGS = FitSettings(poisson_range=(0.2, 0.4))
+
+
 def constants(session):
-    found = fit_session(session).estimate
+    found = fit_session(session, settings=SETTINGS).estimate
     return [
         part
         for one in (found.shear_modulus, found.poisson_ratio)

@@ -157,7 +157,7 @@ def held_object(
     """
     session = graded_session(resolved_session(session, surface=surface), surface=surface)
     rollers = any(support.directions is not None for support in session.supports)
-    check_memory(len(session.mesh.vertices), rollers=rollers, gives=dense)
+    check_memory(len(session.mesh.vertices), rollers=rollers, dense=dense)
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
     )

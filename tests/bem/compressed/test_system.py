@@ -97,7 +97,7 @@ def test_linear_elements_on_flat_facets_are_served_too(long_surface):
         np.flatnonzero(long_surface.held),
         settings=SurfaceSettings(smooth=False, quadratic=False),
     )
-    found = compressed_system(flat, compression=Compression(leaf=(16, 32)))
+    found = compressed_system(flat, compression=Compression(leaf=(32, 64)))
     wanted = assemble_system(flat)
     x = unknown_vectors(wanted)
     product = system_matrix(wanted, 0.3) @ x

@@ -18,7 +18,7 @@ def test_a_mesh_that_fits_is_let_through():
 def test_a_mesh_that_does_not_fit_is_refused():
     # 22 doubles a pair and 960 vectors: 18.2 GB for 10 000 vertices; 90 % of 8 GB hold 6151.
     with pytest.raises(InputError, match=r"10000 vertices.* 18\.2 GB.* at most 6100 vertices"):
-        check_memory(10_000, available=8e9, gives=True)
+        check_memory(10_000, available=8e9, dense=True)
 
 
 def test_what_needs_no_matrices_needs_less():
@@ -52,7 +52,7 @@ def test_a_limit_of_the_process_counts():
     code = (
         "import resource, palpate.bem as b\n"
         "resource.setrlimit(resource.RLIMIT_AS, (4 << 30,) * 2)\n"
-        "try: b.check_memory(6000, gives=True)\n"
+        "try: b.check_memory(6000, dense=True)\n"
         "except b.system.memory.InputError as e: print(e)"
     )
     src = str(Path(__file__).parents[3] / "src")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from palpate.bem.integrals import LANES
 
@@ -89,6 +89,26 @@ class ClusterPairs:
 
     far: list[Int[np.ndarray, " _"]]
     near: list[Int[np.ndarray, " _"]]
+
+
+def seen_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[np.ndarray, " c"]:
+    """Clusters that are seen from far, by themselves or as parts of others.
+
+    Parameters
+    ----------
+    tree : ClusterTree
+    far : list of (k,) int        clusters of it that are far from each cluster of another
+
+    Returns
+    -------
+    (c,) bool
+    """
+    seen = np.zeros(len(tree.start), dtype=bool)
+    seen[np.concatenate([np.zeros(0, dtype=np.int64), *far])] = True
+    for one, children in enumerate(tree.children):
+        if seen[one] and children[0] >= 0:
+            seen[children] = True
+    return seen
 
 
 def cluster_pairs(

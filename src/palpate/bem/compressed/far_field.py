@@ -12,7 +12,7 @@ from palpate.bem.compressed.charges import (
     inverse_distances,
     telling_points,
 )
-from palpate.bem.compressed.clusters import ClusterTree
+from palpate.bem.compressed.clusters import ClusterTree, seen_clusters
 from palpate.bem.compressed.moments import LeafMoments, Mix
 from palpate.threads import in_threads
 
@@ -75,7 +75,7 @@ class FarField:
     Attributes
     ----------
     sources : ClusterTree                 of the triangles
-    moments : dict of LeafMoments         of its leaves
+    moments : dict of LeafMoments         of its leaves that are seen
     receivers : Receivers
     far : list of (k,) int                clusters of triangles that each of points sees from far
     sphere : ChargeSphere
@@ -104,6 +104,8 @@ class FarField:
         -------
         (r, 3, c) float
         """
+        if not self.moments:
+            return np.zeros((len(self.offset), 3, moved.shape[2]))
         charges = self._gathered(mix, moved, pressed)
         values = [np.zeros((0, 4, 0))] * len(self.far)
         in_threads(self._receive, len(self.far), charges, values)
@@ -115,14 +117,14 @@ class FarField:
         """Charges of all clusters of triangles, from the leaves up."""
         tree, sphere = self.sources, self.sphere
         charges = np.zeros((len(tree.start), len(sphere.charge), 4, moved.shape[2]))
-        leaves = tree.leaves
+        leaves = np.array(sorted(self.moments))
 
         def start(begin: int, end: int) -> None:
             for leaf in leaves[begin:end]:
                 charges[leaf] = self.moments[int(leaf)].charges(mix, moved, pressed)
 
         in_threads(start, leaves.size)
-        parents = np.flatnonzero(tree.children[:, 0] >= 0)
+        parents = np.flatnonzero(seen_clusters(tree, self.far) & (tree.children[:, 0] >= 0))
         # Those of one level do not depend on each other: children come behind their parents.
         for level in _levels(tree)[::-1]:
             own = level[np.isin(level, parents)]

@@ -12,7 +12,12 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from palpate.bem.compressed.charges import ChargeSphere, charge_sphere
-from palpate.bem.compressed.clusters import ClusterTree, cluster_pairs, cluster_tree
+from palpate.bem.compressed.clusters import (
+    ClusterTree,
+    cluster_pairs,
+    cluster_tree,
+    seen_clusters,
+)
 from palpate.bem.compressed.far_field import FarField, make_receivers
 from palpate.bem.compressed.moments import LeafMoments, Mix, leaf_moments
 from palpate.bem.compressed.near_field import NearField, near_field
@@ -131,7 +136,8 @@ def compress(
     )  # fmt: skip
     progress("integrals far away", 0.6)
     sphere = charge_sphere(compression.charges, compression.apart[1])
-    moments = _all_moments(surface, held_nodes, triangles, sphere)
+    seen = triangles.leaves[seen_clusters(triangles, pairs.far)[triangles.leaves]]
+    moments = _all_moments(surface, held_nodes, triangles, seen, sphere)
     proxies = compression.apart[0] * sphere.check / compression.apart[1]
     receivers = make_receivers(points, collocation.point, proxies, compression.tolerance)
     offset = np.empty_like(collocation.point)
@@ -148,15 +154,19 @@ def _largest(tree: ClusterTree, reach: Float[np.ndarray, " m"]) -> Float[np.ndar
 
 
 def _all_moments(
-    surface: BoundarySurface, held_nodes: QuadraticNodes, tree: ClusterTree, sphere: ChargeSphere
+    surface: BoundarySurface,
+    held_nodes: QuadraticNodes,
+    tree: ClusterTree,
+    leaves: Int[np.ndarray, " l"],
+    sphere: ChargeSphere,
 ) -> dict[int, LeafMoments]:
-    """Moments of all leaves of the triangles."""
+    """Moments of some leaves of the triangles."""
     place = np.cumsum(surface.held) - 1
     moments: dict[int, LeafMoments] = {}
 
     def gather(begin: int, end: int) -> None:
-        for leaf in tree.leaves[begin:end]:
-            own = np.sort(tree.members(int(leaf)))
+        for leaf in leaves[begin:end]:
+            own = np.sort(tree.members(leaf))
             held = own[surface.held[own]]
             moments[int(leaf)] = leaf_moments(
                 sphere,
@@ -166,7 +176,7 @@ def _all_moments(
                 _sources(held_nodes, place[held], surface.element_nodes[held]),
             )
 
-    in_threads(gather, tree.leaves.size)
+    in_threads(gather, leaves.size)
     return moments
 
 

@@ -42,7 +42,7 @@ def check_memory(
     n_probings: int = 1,
     *,
     rollers: bool = False,
-    gives: bool = False,
+    dense: bool = False,
     available: float | None = None,
 ) -> None:
     """Refuse a mesh whose model does not fit.
@@ -52,7 +52,8 @@ def check_memory(
     n_vertices : int
     n_probings : int                  that are fitted together, or pushes that are predicted
     rollers : bool                    whether a support holds some directions only
-    gives : bool                      whether a support gives
+    dense : bool                      whether matrices are needed whatever the size: where a
+                                      support gives, for Green's functions
     available : float [byte]          memory of the machine; None: asked of the system, unlimited
                                       where it does not tell
 
@@ -60,13 +61,15 @@ def check_memory(
     ------
     InputError                        more memory is needed than there is
     """
-    needed = memory_needed(n_vertices, n_probings, rollers=rollers, gives=gives)
+    needed = memory_needed(n_vertices, n_probings, rollers=rollers, dense=dense)
     usable = _USABLE_SHARE * (_machine_memory() if available is None else available)
     if needed > usable:
-        dense = ", dense where a support rolls or gives," if rollers or gives else ""
-        most = _most_vertices(n_probings, rollers, gives, usable)
+        model = "model needs"
+        if rollers or dense:
+            model = "dense matrices (as supports that roll or give take them) need"
+        most = _most_vertices(n_probings, rollers, dense, usable)
         raise InputError(
-            f"the mesh has {n_vertices} vertices, whose model{dense} needs {needed / 1e9:.1f} GB of"
+            f"the mesh has {n_vertices} vertices, whose {model} {needed / 1e9:.1f} GB of"
             f" memory {_for(n_probings)}; {usable / 1e9:.1f} GB can be used here: simplify"
             f" the surface to at most {most} vertices in a"
             " mesh program (decimate, remesh; 1000 to 3000 serve most objects)"
@@ -74,7 +77,7 @@ def check_memory(
 
 
 def memory_needed(
-    n_vertices: int, n_probings: int, *, rollers: bool = False, gives: bool = False
+    n_vertices: int, n_probings: int, *, rollers: bool = False, dense: bool = False
 ) -> float:
     """Most memory that a fit of some probings takes at a time.
 
@@ -82,14 +85,14 @@ def memory_needed(
     ----------
     n_vertices : int
     n_probings : int
-    rollers, gives : bool             supports that need dense matrices
+    rollers, dense : bool             see `check_memory`
 
     Returns
     -------
     float [byte]
     """
     columns = 3.0 * n_vertices * _COLUMNS_A_PROBING * n_probings
-    if n_vertices > LARGEST_DENSE and not rollers and not gives:
+    if n_vertices > LARGEST_DENSE and not rollers and not dense:
         return _PROGRAM + _BYTES_A_VERTEX * n_vertices + 8.0 * _VECTORS_BESIDE * columns
     doubles = _WITH_ROLLERS if rollers else _DOUBLES_A_PAIR
     return _PROGRAM + 8.0 * (doubles * float(n_vertices) ** 2 + _VECTORS_A_COLUMN * columns)
@@ -99,7 +102,7 @@ def _for(n_probings: int) -> str:
     return "for one probing" if n_probings == 1 else f"for {n_probings} probings"
 
 
-def _most_vertices(n_probings: int, rollers: bool, gives: bool, usable: float) -> int:
+def _most_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) -> int:
     """The largest round number of vertices that fits; zero: none.
 
     Memory grows up to the largest dense mesh, falls there, and grows again.
@@ -108,7 +111,7 @@ def _most_vertices(n_probings: int, rollers: bool, gives: bool, usable: float) -
         first = low
         while high - low > 1:
             middle = (low + high) // 2
-            fits = memory_needed(middle, n_probings, rollers=rollers, gives=gives) <= usable
+            fits = memory_needed(middle, n_probings, rollers=rollers, dense=dense) <= usable
             low, high = (middle, high) if fits else (low, middle)
         if low > first:
             return low // 100 * 100

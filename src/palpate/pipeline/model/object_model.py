@@ -162,7 +162,7 @@ def make_object_model(
     """
     rollers = any(support.directions is not None for support in session.supports)
     gives = bool(giving_supports(session))
-    check_memory(len(session.mesh.vertices), len(session.probings), rollers=rollers, gives=gives)
+    check_memory(len(session.mesh.vertices), len(session.probings), rollers=rollers, dense=gives)
     sliding = sliding_motion(session)
     require_balance(session, sliding)
     supports = (*moving_supports(session), *filter(None, [sliding]))
