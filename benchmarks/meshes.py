@@ -65,6 +65,29 @@ def ball(subdivisions: int, *, radius: float = 1.0) -> TriangleMesh:
     return TriangleMesh(radius * vertices, triangles)
 
 
+def geodesic(frequency: int) -> TriangleMesh:
+    """Icosahedron whose edges are cut into f parts, 10 f^2 + 2 vertices on the unit sphere."""
+    corners = ball(0)
+    i, j = (part.ravel() for part in np.meshgrid(*[np.arange(frequency + 1)] * 2, indexing="ij"))
+    inside = i + j <= frequency
+    weights = np.stack([frequency - i - j, i, j], axis=1)[inside]
+    number = np.full((frequency + 1, frequency + 1), -1)
+    number[i[inside], j[inside]] = np.arange(len(weights))
+    up = [(number[a, b], number[a + 1, b], number[a, b + 1]) for a, b in weights[:, 1:]
+          if a + b < frequency]  # fmt: skip
+    down = [(number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]) for a, b in weights[:, 1:]
+            if a + b < frequency - 1]  # fmt: skip
+    cut = np.array(up + down)
+    points = np.einsum("pk,fki->fpi", weights, corners.vertices[corners.triangles])
+    # Faces share the points of their edges.
+    _, first, place = np.unique(
+        np.round(points.reshape(-1, 3), 9), axis=0, return_index=True, return_inverse=True
+    )
+    vertices = points.reshape(-1, 3)[first]
+    triangles = place.reshape(len(points), -1)[:, cut].reshape(-1, 3)
+    return TriangleMesh(vertices / np.linalg.norm(vertices, axis=1, keepdims=True), triangles)
+
+
 def cap(mesh: TriangleMesh, height: float) -> Int[np.ndarray, " k"]:
     """Triangles that lie below a height z [m] with all three vertices."""
     return np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < height).all(axis=1))

@@ -123,7 +123,6 @@ KINDS = [
             ("view", "cube", "--port", ("80.80",)),
             ("campaign", "run", "list.txt", "--workers", ("1.5",)),
             ("export", "result", "--to", "obj", "--edge", ("1_0e-5", "nan", "1e400", "3mm")),
-            (*_PLAN, "--matching-noise", ("1_0", "infinity", "1e999")),
             (*_PLAN, "--poisson-ratio", ("0_1", "NaN")),
             ("init", "boards", "--radius", ("1_0", "nan")),
         )
@@ -136,8 +135,6 @@ KINDS = [
             (*_PLAN[:3], "--young-modulus", "1e-300", "softest gel"),
             (*_PLAN[:3], "--young-modulus", "1e300", "diamond"),
             (*_PLAN, "--poisson-ratio", "0.5", "(-1, 0.5)"),
-            (*_PLAN, "--matching-noise", "0", "matching_noise is 0"),
-            (*_PLAN, "--matching-noise", "1e300", "1e+300 px; must be"),
             ("plan", "cube", "--count", "0", "at least 1"),
             ("plan", "pictured", "a_c0.png"),
             ("export", "result", "--to", "mujoco", "--edge", "0", "must be positive"),

@@ -2,12 +2,20 @@
 
 Purpose    : find how every point of an object moves under a load, for all materials at once.
 Takes      : a closed triangle mesh, the triangles of its support, tractions on its free surface.
-Gives      : `BoundarySystem` (matrices free of the material), right-hand sides, `ElasticMap` (one
-             material), displacement and stress inside.
+Gives      : `BoundarySystem` (matrices free of the material, compressed for large bodies),
+             right-hand sides, `ElasticMap` (one material), displacement and stress inside.
 Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
 
+from palpate.bem.compressed import (
+    CompressedSystem as CompressedSystem,
+    Compression as Compression,
+    SnapshotModel as SnapshotModel,
+    compressed_system as compressed_system,
+    held_system as held_system,
+    snapshot_model as snapshot_model,
+)
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
     ElasticState as ElasticState,

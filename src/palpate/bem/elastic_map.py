@@ -9,6 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from palpate.bem.compressed import (
+    ClusterInverse,
+    CompressedSystem,
+    cluster_inverse,
+    solve_compressed,
+)
 from palpate.bem.integrals import BoundarySurface, check_material, integral_weights
 from palpate.bem.loads import (
     ContactShape,
@@ -31,6 +37,7 @@ from palpate.bem.system import (
     make_spring_factors,
     solve,
 )
+from palpate.errors import InputError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,14 +64,14 @@ class ElasticMap:
     Attributes
     ----------
     system : BoundarySystem
-    factorised : FactorisedSystem
+    factorised : FactorisedSystem, or ClusterInverse where the system is compressed
     shear_modulus : float [Pa]
     poisson_ratio : float [-]
     springs : SpringSystem or None        where a support gives
     """
 
     system: BoundarySystem
-    factorised: FactorisedSystem
+    factorised: FactorisedSystem | ClusterInverse
     shear_modulus: float
     poisson_ratio: float
     springs: SpringSystem | None = None
@@ -87,7 +94,7 @@ class ElasticMap:
         shapes = [load_shape(surface, load) for load in loads]
         right = load_right_hand(self.system, loads, shapes)
         if self.springs is None:
-            unit = solve(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
+            unit = _solved(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
         else:
             right = right.on_springs(self.springs.give, self.springs.changes)
             unit = self.springs.solve(right.at(self.poisson_ratio)) / self.shear_modulus
@@ -111,6 +118,14 @@ class ElasticMap:
             return found
         moved = self.springs.factors.springs.place @ unknowns[self.system.size :]
         return replace(found, displacement=found.displacement + moved.reshape(-1, 3))
+
+
+def _solved(
+    factorised: FactorisedSystem | ClusterInverse, right: Float[np.ndarray, "r c"]
+) -> Float[np.ndarray, "k c"]:
+    if isinstance(factorised, ClusterInverse):
+        return solve_compressed(factorised, right).solution
+    return solve(factorised, right)
 
 
 def make_elastic_map(
@@ -137,10 +152,19 @@ def make_elastic_map(
 
     Raises
     ------
-    InputError                        constants out of range
+    InputError                        constants out of range; springs under a compressed system
     SingularSystemError               the support does not hold the object
     """
     check_material(shear_modulus, poisson_ratio)
+    if isinstance(system, CompressedSystem):
+        if springs is not None:
+            raise InputError(
+                f"a surface of {len(system.surface.mesh.vertices)} vertices is solved by iteration,"
+                " which knows rigid supports only; its support gives (stiffness): simplify the"
+                " surface, or leave the stiffness out if it hardly gives"
+            )
+        inverse = cluster_inverse(system, poisson_ratio)
+        return ElasticMap(system, inverse, shear_modulus, poisson_ratio)
     factorised = factorise(system, poisson_ratio)
     on_springs = None
     if springs is not None and compliance is not None:

@@ -93,7 +93,8 @@ def fit_session(
     compared = time.perf_counter()
     progress("integrals over the surface", 0.25)
     graded = graded_session(resolved, surface=surface)
-    model = make_object_model(graded, surface=surface, cache=cache)
+    integrals = part_of(progress, 0.25, 0.5)
+    model = make_object_model(graded, surface=surface, cache=cache, progress=integrals)
     assembled = time.perf_counter()
     progress("factorisation", 0.5)
     observations = settled_observations(

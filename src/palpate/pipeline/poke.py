@@ -11,8 +11,8 @@ from palpate.bem import (
     BoundarySystem,
     InteriorState,
     SurfaceSettings,
-    assemble_system,
-    cached_system,
+    check_memory,
+    held_system,
     interior_state,
     make_elastic_map,
     make_surface,
@@ -22,6 +22,7 @@ from palpate.geometry import interpolation_matrix
 from palpate.pipeline.model import (
     check_balance,
     compliances,
+    giving_supports,
     graded_session,
     held_directions,
     resolved_session,
@@ -102,7 +103,8 @@ def poke_session(
     """
     say = progress or silent
     say("integrals over the surface", 0.0)
-    session, system = held_object(session, surface=surface, cache=cache)
+    dense = bool(giving_supports(session))
+    session, system = held_object(session, surface=surface, cache=cache, dense=dense)
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
     say("factorisation", 0.6)
@@ -133,6 +135,7 @@ def held_object(
     *,
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
+    dense: bool = False,
 ) -> tuple[Session, BoundarySystem]:
     """The boundary element model of a session's object without any load.
 
@@ -141,17 +144,24 @@ def held_object(
     session : Session
     surface : SurfaceSettings           how the surface between the vertices is understood
     cache : Path or None                folder that keeps the surface integrals
+    dense : bool                        True: with dense matrices whatever the size
 
     Returns
     -------
     Session                             the same on a mesh that is finer at the rims of its supports
     BoundarySystem                      of that mesh
+
+    Raises
+    ------
+    InputError                          the model does not fit into memory
     """
     session = graded_session(resolved_session(session, surface=surface), surface=surface)
+    rollers = any(support.directions is not None for support in session.supports)
+    check_memory(len(session.mesh.vertices), rollers=rollers, dense=dense)
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
     )
-    return session, assemble_system(boundary) if cache is None else cached_system(boundary, cache)
+    return session, held_system(boundary, dense=dense, cache=cache)
 
 
 def tool_contact(session: Session, point: Vector3, radius: float | None) -> Contact:

@@ -16,6 +16,7 @@ from palpate.bem import (
     PressureDisc,
     SurfaceLoad,
     assemble_system,
+    check_memory,
     factorise,
     load_right_hand,
     load_shape,
@@ -86,7 +87,12 @@ def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
     Returns
     -------
     ContactModel
+
+    Raises
+    ------
+    InputError                      its matrices do not fit into memory
     """
+    check_memory(len(mesh.vertices), dense=True)
     system = assemble_system(make_surface(mesh, held))
     return ContactModel(mesh, held, system, tuple(factorise(system, nu) for nu in _POISSON_RATIOS))
 

@@ -151,7 +151,7 @@ def make_green_functions(
             f" {_LARGEST / 1e9:.0f} GB are made: choose fewer vertices, those that will be touched"
         )
     say("integrals over the surface", 0.0)
-    _, system = held_object(session, surface=surface, cache=cache)
+    _, system = held_object(session, surface=surface, cache=cache, dense=True)
     everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), say)
     square = everywhere[:, :, chosen].transpose(2, 3, 0, 1).reshape(3 * len(chosen), -1)
     compliance = 0.5 * (square + square.T)

@@ -18,12 +18,25 @@ def test_a_mesh_that_fits_is_let_through():
 def test_a_mesh_that_does_not_fit_is_refused():
     # 22 doubles a pair and 960 vectors: 18.2 GB for 10 000 vertices; 90 % of 8 GB hold 6151.
     with pytest.raises(InputError, match=r"10000 vertices.* 18\.2 GB.* at most 6100 vertices"):
-        check_memory(10_000, available=8e9)
+        check_memory(10_000, available=8e9, dense=True)
+
+
+def test_what_needs_no_matrices_needs_less():
+    check_memory(10_000, available=8e9)
+    # 150 kB a vertex and 660 vectors of three: 166 kB; 90 % of 8 GB less the program hold 41 000.
+    with pytest.raises(InputError, match=r"100000 vertices.* 17\.0 GB.* at most 41000 vertices"):
+        check_memory(100_000, available=8e9)
+
+
+def test_where_only_dense_matrices_fit_their_size_is_offered():
+    # 90 % of 1.3 GB do not hold an operator for 5001 vertices, but matrices for 2000.
+    with pytest.raises(InputError, match=r"at most 2000 vertices"):
+        check_memory(6000, available=1.3e9)
 
 
 def test_what_is_offered_fits():
     with pytest.raises(InputError) as refused:
-        check_memory(50_000, 17, available=8e9)
+        check_memory(500_000, 17, available=8e9)
     offered = int(str(refused.value).split("at most ")[1].split()[0])
     check_memory(offered, 17, available=8e9)
     with pytest.raises(InputError):
@@ -32,14 +45,14 @@ def test_what_is_offered_fits():
 
 def test_the_machine_is_asked():
     with pytest.raises(InputError, match="simplify the surface"):
-        check_memory(10_000_000)
+        check_memory(100_000_000)
 
 
 def test_a_limit_of_the_process_counts():
     code = (
         "import resource, palpate.bem as b\n"
         "resource.setrlimit(resource.RLIMIT_AS, (4 << 30,) * 2)\n"
-        "try: b.check_memory(6000)\n"
+        "try: b.check_memory(6000, dense=True)\n"
         "except b.system.memory.InputError as e: print(e)"
     )
     src = str(Path(__file__).parents[3] / "src")

@@ -24,6 +24,7 @@ from palpate.bem.integrals.kelvin import (
     DISPLACEMENT as DISPLACEMENT,
     LANES as LANES,
     TRACTION as TRACTION,
+    FieldLayout as FieldLayout,
     add_point_fields as add_point_fields,
     check_material as check_material,
     displacement_parts as displacement_parts,

@@ -3,7 +3,7 @@
 Purpose    : integrate contact pressures, given tractions, moved supports and gravity.
 Takes      : a `BoundarySystem` and a `SurfaceLoad`, a traction, a displacement or a force density.
 Gives      : `RightHand`, quadratic in Poisson's ratio; the dip under a contact.
-Depends on : `bem.integrals`, `bem.system`, `geometry`.
+Depends on : `bem.compressed`, `bem.integrals`, `bem.system`, `geometry`.
 Read first : `right_hand.py`, `surface_load.py`.
 """
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
+from palpate.bem.compressed import CompressedSystem
 from palpate.bem.integrals import (
     DISPLACEMENT,
     LANES,
@@ -130,6 +131,8 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
     """
     held = system.unknowns.held_vertices
     given = np.einsum("hij,hj->hi", system.unknowns.vertex_directions, displacement[held])
+    if isinstance(system, CompressedSystem):
+        return _compressed_columns(system, held, given)
     blocks = system.traction_kernel
     terms = np.zeros((3, 3 * blocks.n_rows + 3, 1))
     equations = terms[:, :-3].reshape(3, 3, blocks.n_rows)
@@ -141,6 +144,19 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
         )
         equations[0, :, rows] = -(scaled + constant)
         equations[1, :, rows] = 2 * scaled
+    return RightHand(terms)
+
+
+def _compressed_columns(
+    system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3"]
+) -> RightHand:
+    """The same column by products with the operator."""
+    moved = np.zeros((len(system.surface.mesh.vertices), 3, 1))
+    moved[held, :, 0] = given
+    scaled, constant = system.given_products(moved)
+    terms = np.zeros((3, len(scaled) + 3, 1))
+    terms[0, :-3] = -(scaled + constant)
+    terms[1, :-3] = 2 * scaled
     return RightHand(terms)
 
 

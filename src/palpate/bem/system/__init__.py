@@ -8,8 +8,16 @@ Depends on : `bem.integrals`, `geometry`.
 Read first : `system.py`, `boundary.py`.
 """
 
+from palpate.bem.system.boundary import (
+    Unknowns as Unknowns,
+    find_unknowns as find_unknowns,
+    place_collocation as place_collocation,
+)
 from palpate.bem.system.cache import cached_system as cached_system
-from palpate.bem.system.memory import check_memory as check_memory
+from palpate.bem.system.memory import (
+    LARGEST_DENSE as LARGEST_DENSE,
+    check_memory as check_memory,
+)
 from palpate.bem.system.rollers import loose_motions as loose_motions
 from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope
 from palpate.bem.system.springs import (
@@ -30,5 +38,6 @@ from palpate.bem.system.system import (
     FactorisedSystem as FactorisedSystem,
     assemble_system as assemble_system,
     factorise as factorise,
+    restricted_nodes as restricted_nodes,
     solve as solve,
 )

@@ -1,4 +1,5 @@
-"""How much memory the model of an object takes, said before any work is done for it."""
+"""How much memory the model of an object takes, dense or compressed, said before any work is done
+for it."""
 
 import os
 from contextlib import suppress
@@ -21,6 +22,13 @@ _DOUBLES_A_PAIR, _WITH_ROLLERS = 22, 27
 # together.
 _VECTORS_A_COLUMN = 160
 _COLUMNS_A_PROBING = 6
+# Above this many vertices a compressed operator takes less time than dense matrices, and far less
+# memory; it serves rigid supports that hold all directions.
+LARGEST_DENSE = 5000
+# What the operator and its approximate inverses take for each vertex [bytes], and vectors that are
+# kept for each column by the iteration and by the solutions at a few Poisson's ratios.
+_BYTES_A_VERTEX = 150e3
+_VECTORS_BESIDE = 110
 _USABLE_SHARE = 0.9
 # Where Linux says how much a container may have.
 _CONTAINER_LIMITS = (
@@ -34,15 +42,18 @@ def check_memory(
     n_probings: int = 1,
     *,
     rollers: bool = False,
+    dense: bool = False,
     available: float | None = None,
 ) -> None:
-    """Refuse a mesh whose dense matrices do not fit.
+    """Refuse a mesh whose model does not fit.
 
     Parameters
     ----------
     n_vertices : int
     n_probings : int                  that are fitted together, or pushes that are predicted
     rollers : bool                    whether a support holds some directions only
+    dense : bool                      whether matrices are needed whatever the size: where a
+                                      support gives, for Green's functions
     available : float [byte]          memory of the machine; None: asked of the system, unlimited
                                       where it does not tell
 
@@ -50,47 +61,61 @@ def check_memory(
     ------
     InputError                        more memory is needed than there is
     """
-    needed = memory_needed(n_vertices, n_probings, rollers=rollers)
+    needed = memory_needed(n_vertices, n_probings, rollers=rollers, dense=dense)
     usable = _USABLE_SHARE * (_machine_memory() if available is None else available)
     if needed > usable:
+        model = "model needs"
+        if rollers or dense:
+            model = "dense matrices (as supports that roll or give take them) need"
+        most = _most_vertices(n_probings, rollers, dense, usable)
         raise InputError(
-            f"the mesh has {n_vertices} vertices, whose model needs {needed / 1e9:.1f} GB of"
+            f"the mesh has {n_vertices} vertices, whose {model} {needed / 1e9:.1f} GB of"
             f" memory {_for(n_probings)}; {usable / 1e9:.1f} GB can be used here: simplify"
-            f" the surface to at most {_most_vertices(n_probings, rollers, usable)} vertices in a"
+            f" the surface to at most {most} vertices in a"
             " mesh program (decimate, remesh; 1000 to 3000 serve most objects)"
         )
 
 
-def memory_needed(n_vertices: int, n_probings: int, *, rollers: bool) -> float:
+def memory_needed(
+    n_vertices: int, n_probings: int, *, rollers: bool = False, dense: bool = False
+) -> float:
     """Most memory that a fit of some probings takes at a time.
 
     Parameters
     ----------
     n_vertices : int
     n_probings : int
-    rollers : bool
+    rollers, dense : bool             see `check_memory`
 
     Returns
     -------
     float [byte]
     """
-    vectors = 3.0 * n_vertices * _COLUMNS_A_PROBING * n_probings * _VECTORS_A_COLUMN
+    columns = 3.0 * n_vertices * _COLUMNS_A_PROBING * n_probings
+    if n_vertices > LARGEST_DENSE and not rollers and not dense:
+        return _PROGRAM + _BYTES_A_VERTEX * n_vertices + 8.0 * _VECTORS_BESIDE * columns
     doubles = _WITH_ROLLERS if rollers else _DOUBLES_A_PAIR
-    return _PROGRAM + 8.0 * (doubles * float(n_vertices) ** 2 + vectors)
+    return _PROGRAM + 8.0 * (doubles * float(n_vertices) ** 2 + _VECTORS_A_COLUMN * columns)
 
 
 def _for(n_probings: int) -> str:
     return "for one probing" if n_probings == 1 else f"for {n_probings} probings"
 
 
-def _most_vertices(n_probings: int, rollers: bool, usable: float) -> int:
-    """The largest round number of vertices that fits; zero: none."""
-    low, high = 0, 1_000_000
-    while high - low > 1:
-        middle = (low + high) // 2
-        fits = memory_needed(middle, n_probings, rollers=rollers) <= usable
-        low, high = (middle, high) if fits else (low, middle)
-    return low // 100 * 100
+def _most_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) -> int:
+    """The largest round number of vertices that fits; zero: none.
+
+    Memory grows up to the largest dense mesh, falls there, and grows again.
+    """
+    for low, high in ((LARGEST_DENSE, 10_000_000), (0, LARGEST_DENSE + 1)):
+        first = low
+        while high - low > 1:
+            middle = (low + high) // 2
+            fits = memory_needed(middle, n_probings, rollers=rollers, dense=dense) <= usable
+            low, high = (middle, high) if fits else (low, middle)
+        if low > first:
+            return low // 100 * 100
+    return 0
 
 
 def _machine_memory() -> float:

@@ -23,11 +23,14 @@ from jaxtyping import Float, Int
 
 from palpate.bem import (
     BoundarySystem,
+    CompressedSystem,
     RightHand,
+    SnapshotModel,
     SpringFactors,
     SpringSlope,
     SpringSystem,
     factorise,
+    snapshot_model,
     solve,
     system_slope,
 )
@@ -94,8 +97,10 @@ def make_reduced_model(
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = 1e-8,
-) -> ReducedModel:
+) -> ReducedModel | SnapshotModel:
     """Factorise once and gather directions until they serve the whole range.
+
+    A compressed system is not factorised: it is solved at a few Poisson's ratios.
 
     Parameters
     ----------
@@ -107,13 +112,15 @@ def make_reduced_model(
 
     Returns
     -------
-    ReducedModel
+    ReducedModel                      SnapshotModel for a compressed system
 
     Raises
     ------
     SingularSystemError               the support does not hold the object
     NotConvergedError                 the tolerance is not met with `MOST_DIRECTIONS`
     """
+    if isinstance(system, CompressedSystem):
+        return snapshot_model(system, right.terms, poisson_range=poisson_range)
     factorised = factorise(system, CENTRE)
     return _gathered(
         lambda terms: solve(factorised, terms), system_slope(system).apply, right, poisson_range,

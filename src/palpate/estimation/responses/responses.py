@@ -14,7 +14,16 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from palpate.bem import BoundarySystem, RightHand, dilation_factor, factorise, solve
+from palpate.bem import (
+    BoundarySystem,
+    CompressedSystem,
+    RightHand,
+    SnapshotModel,
+    dilation_factor,
+    factorise,
+    solve,
+)
+from palpate.errors import InputError
 from palpate.estimation.responses.reduced_model import ReducedModel
 
 _SLOPE_STEP = 1e-4
@@ -289,7 +298,17 @@ def full_responses(
     Returns
     -------
     list of ProbeResponse             the latest solution is kept: all probings ask for the same one
+
+    Raises
+    ------
+    InputError                        the system is compressed: it has no factorisation
     """
+    if isinstance(system, CompressedSystem):
+        raise InputError(
+            f"the method nelder-mead factorises anew at every step, and a surface of"
+            f" {len(system.surface.mesh.vertices)} vertices is solved by iteration instead: leave"
+            " --method out, or simplify the surface"
+        )
 
     @lru_cache(maxsize=1)
     def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
@@ -329,12 +348,12 @@ def full_spring_responses(
     return [SpringResponse(probe, seen_by(probe)) for probe in rows]
 
 
-def reduced_response(model: ReducedModel, rows: ProbeRows) -> ProbeResponse:
+def reduced_response(model: ReducedModel | SnapshotModel, rows: ProbeRows) -> ProbeResponse:
     """Response of one probing, its rows projected on the directions of the reduced model.
 
     Parameters
     ----------
-    model : ReducedModel
+    model : ReducedModel or SnapshotModel
     rows : ProbeRows
 
     Returns

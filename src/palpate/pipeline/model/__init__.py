@@ -14,6 +14,7 @@ from palpate.pipeline.model.finite_strain import (
 )
 from palpate.pipeline.model.giving_supports import (
     compliances as compliances,
+    giving_supports as giving_supports,
     session_springs as session_springs,
 )
 from palpate.pipeline.model.grading import (

@@ -16,11 +16,10 @@ from palpate.bem import (
     RightHand,
     Springs,
     SurfaceSettings,
-    assemble_system,
     body_force_columns,
-    cached_system,
     check_memory,
     face_columns,
+    held_system,
     joined,
     load_right_hand,
     load_shape,
@@ -43,7 +42,12 @@ from palpate.pipeline.model.contact_changes import (
     no_columns,
     surface_load,
 )
-from palpate.pipeline.model.giving_supports import session_springs, springs_at, support_force
+from palpate.pipeline.model.giving_supports import (
+    giving_supports,
+    session_springs,
+    springs_at,
+    support_force,
+)
 from palpate.pipeline.model.moving_supports import (
     MovingSupport,
     held_directions,
@@ -54,6 +58,7 @@ from palpate.pipeline.model.moving_supports import (
 )
 from palpate.pipeline.model.outward import leans_outward, outward_columns
 from palpate.probe import ContactPatch, find_contact_patch
+from palpate.progress import Progress, silent
 from palpate.records import GIVEN, RIGID, Contact, Session
 
 _Key = tuple[object, ...]
@@ -138,6 +143,7 @@ def make_object_model(
     cache: Path | None = None,
     nominal: bool = False,
     like: ObjectModel | None = None,
+    progress: Progress = silent,
 ) -> ObjectModel:
     """Compute all integrals of a session's object, its loads, its weight and its supports.
 
@@ -145,11 +151,12 @@ def make_object_model(
     ----------
     session : Session
     surface : SurfaceSettings
-    cache : Path or None              folder that keeps the integrals for the next time
+    cache : Path or None              folder that keeps dense integrals for the next time
     nominal : bool                    True: without contacts that differ a little from what is told,
                                       and without what the mesh about them may be off by
     like : ObjectModel or None        of the same mesh on the same supports under other contacts:
                                       its integrals are used again
+    progress : callable               told how far the integrals are, where that takes minutes
 
     Returns
     -------
@@ -160,7 +167,8 @@ def make_object_model(
     InputError                        the model does not fit into memory, a bad contact
     """
     rollers = any(support.directions is not None for support in session.supports)
-    check_memory(len(session.mesh.vertices), len(session.probings), rollers=rollers)
+    gives = bool(giving_supports(session))
+    check_memory(len(session.mesh.vertices), len(session.probings), rollers=rollers, dense=gives)
     sliding = sliding_motion(session)
     require_balance(session, sliding)
     supports = (*moving_supports(session), *filter(None, [sliding]))
@@ -169,10 +177,9 @@ def make_object_model(
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
     )
-    if like is not None:
-        system = like.system
-    else:
-        system = assemble_system(boundary) if cache is None else cached_system(boundary, cache)
+    system = like.system if like is not None else None
+    if system is None:
+        system = held_system(boundary, dense=gives, cache=cache, progress=progress)
     weight = None
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity

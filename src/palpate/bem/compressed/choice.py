@@ -1,0 +1,38 @@
+"""Which of both ways a body is solved: with dense matrices, or with a compressed operator."""
+
+from pathlib import Path
+
+import numpy as np
+
+from palpate.bem.compressed.system import compressed_system
+from palpate.bem.integrals import BoundarySurface
+from palpate.bem.system import LARGEST_DENSE, BoundarySystem, assemble_system, cached_system
+from palpate.progress import Progress, silent
+
+
+def held_system(
+    surface: BoundarySurface,
+    *,
+    dense: bool = False,
+    cache: Path | None = None,
+    progress: Progress = silent,
+) -> BoundarySystem:
+    """The integrals of an object on its support, dense or compressed as its size demands.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    dense : bool                  True: dense whatever the size, for what needs the matrices
+    cache : Path or None          folder that keeps dense integrals for the next time
+    progress : callable           told how far the compression is
+
+    Returns
+    -------
+    BoundarySystem                a `CompressedSystem` where the object has more than
+                                  `LARGEST_DENSE` vertices and its supports hold all directions
+    """
+    large = len(surface.mesh.vertices) > LARGEST_DENSE
+    rolls = not np.allclose(surface.held_directions[surface.held], np.eye(3))
+    if large and not dense and not rolls:
+        return compressed_system(surface, progress=progress)
+    return assemble_system(surface) if cache is None else cached_system(surface, cache)

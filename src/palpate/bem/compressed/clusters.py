@@ -1,0 +1,158 @@
+"""Clusters of things that lie close together, and which of them are far from each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from palpate.bem.integrals import LANES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClusterTree:
+    """Things halved by place again and again, parents before their children.
+
+    Attributes
+    ----------
+    order : (n,) int              the things; those of a cluster lie one after the other
+    start, stop : (c,) int        where each cluster begins and ends in it
+    children : (c, 2) int         -1 for a leaf
+    centre : (c, 3) float [m]
+    radius : (c,) float [m]       of a sphere about the centre that holds all of its things
+    """
+
+    order: Int[np.ndarray, " n"]
+    start: Int[np.ndarray, " c"]
+    stop: Int[np.ndarray, " c"]
+    children: Int[np.ndarray, "c 2"]
+    centre: Float[np.ndarray, "c 3"]
+    radius: Float[np.ndarray, " c"]
+
+    @property
+    def leaves(self) -> Int[np.ndarray, " l"]:
+        """Clusters that are not divided."""
+        return np.flatnonzero(self.children[:, 0] < 0)
+
+    def members(self, cluster: int | np.integer) -> Int[np.ndarray, " k"]:
+        """The things in a cluster."""
+        return self.order[self.start[cluster] : self.stop[cluster]]
+
+
+def cluster_tree(
+    place: Float[np.ndarray, "n 3"], reach: Float[np.ndarray, " n"], leaf: int
+) -> ClusterTree:
+    """Halve things across their longest extent until few are left together.
+
+    Parameters
+    ----------
+    place : (n, 3) float [m]
+    reach : (n,) float [m]        radius of a sphere about its place that holds each thing
+    leaf : int                    most things in a leaf; parts are multiples of `LANES`, if larger
+
+    Returns
+    -------
+    ClusterTree
+    """
+    order = np.arange(len(place))
+    bounds, children = [(0, len(place))], []
+    centre, radius = [], []
+    # Grows while it is walked through: children come behind all that was there before.
+    for start, stop in bounds:
+        own = order[start:stop]
+        low, high = place[own].min(axis=0), place[own].max(axis=0)
+        centre.append(0.5 * (low + high))
+        distance = np.linalg.norm(place[own] - centre[-1], axis=1)
+        radius.append(float((distance + reach[own]).max()))
+        if stop - start <= leaf:
+            children.append((-1, -1))
+            continue
+        along = place[own, int(np.argmax(high - low))]
+        order[start:stop] = own[np.argsort(along, kind="stable")]
+        half = (stop - start) // 2
+        middle = start + max(half // LANES, 1) * LANES if half > LANES else start + half
+        children.append((len(bounds), len(bounds) + 1))
+        bounds += [(start, middle), (middle, stop)]
+    begin, end = np.array(bounds).T
+    return ClusterTree(order, begin, end, np.array(children), np.array(centre), np.array(radius))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClusterPairs:
+    """Which clusters of one tree are far from which of another, and which leaves are not.
+
+    Attributes
+    ----------
+    far : list of (k,) int        for each cluster of the first tree, those of the second that are
+                                  far from it while their parents are not
+    near : list of (k,) int       for each cluster, if it is a leaf, the leaves that are near
+    """
+
+    far: list[Int[np.ndarray, " _"]]
+    near: list[Int[np.ndarray, " _"]]
+
+
+def seen_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[np.ndarray, " c"]:
+    """Clusters that are seen from far, by themselves or as parts of others.
+
+    Parameters
+    ----------
+    tree : ClusterTree
+    far : list of (k,) int        clusters of it that are far from each cluster of another
+
+    Returns
+    -------
+    (c,) bool
+    """
+    seen = np.zeros(len(tree.start), dtype=bool)
+    seen[np.concatenate([np.zeros(0, dtype=np.int64), *far])] = True
+    for one, children in enumerate(tree.children):
+        if seen[one] and children[0] >= 0:
+            seen[children] = True
+    return seen
+
+
+def cluster_pairs(
+    first: ClusterTree,
+    second: ClusterTree,
+    apart: tuple[float, float],
+    gap: Float[np.ndarray, " c"],
+) -> ClusterPairs:
+    """Pair the clusters of two trees, every two things exactly once.
+
+    Parameters
+    ----------
+    first, second : ClusterTree
+    apart : (float, float)        how many of its radii from its centre a cluster's partner must be,
+                                  for the first tree and for the second
+    gap : (c,) float [m]          least distance from the outside of each cluster of the second
+
+    Returns
+    -------
+    ClusterPairs
+    """
+    far: list[list[int]] = [[] for _ in first.start]
+    near: list[list[int]] = [[] for _ in first.start]
+    waiting = np.zeros((1, 2), dtype=np.int64)
+    while waiting.size:
+        a, b = waiting.T
+        between = np.linalg.norm(first.centre[a] - second.centre[b], axis=1)
+        size_a, size_b = first.radius[a], second.radius[b]
+        admissible = between - size_b >= apart[0] * size_a
+        admissible &= between - size_a >= np.maximum(apart[1] * size_b, size_b + gap[b])
+        whole_a, whole_b = first.children[a, 0] < 0, second.children[b, 0] < 0
+        left = ~admissible & whole_a & whole_b
+        for pairs, chosen in ((far, admissible), (near, left)):
+            for i, j in waiting[chosen]:
+                pairs[i].append(int(j))
+        open_pairs = ~admissible & ~left
+        # The larger of both is divided.
+        divide_a = open_pairs & ~whole_a & (whole_b | (size_a >= size_b))
+        divide_b = open_pairs & ~divide_a
+        waiting = np.concatenate(
+            [np.stack([first.children[a[divide_a], k], b[divide_a]], axis=1) for k in (0, 1)]
+            + [np.stack([a[divide_b], second.children[b[divide_b], k]], axis=1) for k in (0, 1)]
+        )
+    return ClusterPairs(
+        [np.array(sorted(x), dtype=np.int64) for x in far],
+        [np.array(sorted(x), dtype=np.int64) for x in near],
+    )

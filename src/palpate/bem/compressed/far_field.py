@@ -1,0 +1,216 @@
+"""The far part of the integral equations: harmonic functions from clusters of triangles to clusters
+of collocation points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.bem.compressed.charges import (
+    ChargeSphere,
+    fill_inverse_distances,
+    inverse_distances,
+    telling_points,
+)
+from palpate.bem.compressed.clusters import ClusterTree, seen_clusters
+from palpate.bem.compressed.moments import LeafMoments, Mix
+from palpate.threads import in_threads
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Receivers:
+    """Clusters of points, each with the few whose values tell those of the others.
+
+    Attributes
+    ----------
+    tree : ClusterTree            of the points
+    telling : list of (k, 3) float [m]    of each cluster
+    spread : list of (m, k) float         from these to its points, or to the telling points of its
+                                          children one after the other
+    """
+
+    tree: ClusterTree
+    telling: list[Float[np.ndarray, "_ 3"]]
+    spread: list[Float[np.ndarray, "_ _"]]
+
+
+def make_receivers(
+    tree: ClusterTree,
+    points: Float[np.ndarray, "r 3"],
+    proxies: Float[np.ndarray, "p 3"],
+    tolerance: float,
+) -> Receivers:
+    """Choose the telling points of every cluster.
+
+    Parameters
+    ----------
+    tree : ClusterTree
+    points : (r, 3) float [m]
+    proxies : (p, 3) float        where charges are put to try them, about a unit sphere
+    tolerance : float             relative error of the values of the others
+
+    Returns
+    -------
+    Receivers
+    """
+    count = len(tree.start)
+    telling = [np.zeros((0, 3))] * count
+    spread = [np.zeros((0, 0))] * count
+    for one in range(count - 1, -1, -1):
+        children = tree.children[one]
+        if children[0] < 0:
+            candidates = points[tree.members(one)]
+        else:
+            candidates = np.concatenate([telling[child] for child in children])
+        around = tree.centre[one] + tree.radius[one] * proxies
+        chosen, spread[one] = telling_points(inverse_distances(candidates, around), tolerance)
+        telling[one] = candidates[chosen]
+    return Receivers(tree, telling, spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FarField:
+    """Products of the far part with vectors.
+
+    Attributes
+    ----------
+    sources : ClusterTree                 of the triangles
+    moments : dict of LeafMoments         of its leaves that are seen
+    receivers : Receivers
+    far : list of (k,) int                clusters of triangles that each of points sees from far
+    sphere : ChargeSphere
+    offset : (r, 3) float [m]             of every point from the centre of its leaf
+    """
+
+    sources: ClusterTree
+    moments: dict[int, LeafMoments]
+    receivers: Receivers
+    far: list[Int[np.ndarray, " _"]]
+    sphere: ChargeSphere
+    offset: Float[np.ndarray, "r 3"]
+
+    def apply(
+        self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
+    ) -> Float[np.ndarray, "r 3 c"]:
+        """The far part of the equations at every collocation point.
+
+        Parameters
+        ----------
+        mix : Mix
+        moved : (v, 3, c) float [m]       displacement of all vertices
+        pressed : (h, 3, c) float         traction of all held sides
+
+        Returns
+        -------
+        (r, 3, c) float
+        """
+        if not self.moments:
+            return np.zeros((len(self.offset), 3, moved.shape[2]))
+        charges = self._gathered(mix, moved, pressed)
+        values = [np.zeros((0, 4, 0))] * len(self.far)
+        in_threads(self._receive, len(self.far), charges, values)
+        return self._spread(values, moved.shape[2])
+
+    def _gathered(
+        self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
+    ) -> Float[np.ndarray, "s k 4 c"]:
+        """Charges of all clusters of triangles, from the leaves up."""
+        tree, sphere = self.sources, self.sphere
+        charges = np.zeros((len(tree.start), len(sphere.charge), 4, moved.shape[2]))
+        leaves = np.array(sorted(self.moments))
+
+        def start(begin: int, end: int) -> None:
+            for leaf in leaves[begin:end]:
+                charges[leaf] = self.moments[int(leaf)].charges(mix, moved, pressed)
+
+        in_threads(start, leaves.size)
+        parents = np.flatnonzero(seen_clusters(tree, self.far) & (tree.children[:, 0] >= 0))
+        # Those of one level do not depend on each other: children come behind their parents.
+        for level in _levels(tree)[::-1]:
+            own = level[np.isin(level, parents)]
+            in_threads(lambda begin, end, own=own: self._lift(own[begin:end], charges), own.size)
+        return charges
+
+    def _lift(self, parents: Int[np.ndarray, " p"], charges: Float[np.ndarray, "s k 4 c"]) -> None:
+        """Charges of some clusters from those of their parts."""
+        tree, sphere = self.sources, self.sphere
+        for one in parents:
+            check = tree.centre[one] + tree.radius[one] * sphere.check
+            parts = tree.children[one]
+            place = [tree.centre[k] + tree.radius[k] * sphere.charge for k in parts]
+            shifted = [recentred(charges[k], tree.centre[one] - tree.centre[k]) for k in parts]
+            kernel = inverse_distances(check, np.concatenate(place))
+            values = kernel @ np.concatenate(shifted).reshape(kernel.shape[1], -1)
+            found = tree.radius[one] * (sphere.matched.T @ values)
+            charges[one] = found.reshape(charges.shape[1:])
+
+    def _receive(
+        self,
+        begin: int,
+        end: int,
+        charges: Float[np.ndarray, "s k 4 c"],
+        values: list[Float[np.ndarray, "_ 4 _"]],
+    ) -> None:
+        """Values at the telling points of some clusters of what each sees itself."""
+        tree, sphere, own = self.sources, self.sphere, self.receivers
+        for one in range(begin, end):
+            seen, points = self.far[one], own.telling[one]
+            columns = charges.shape[3]
+            values[one] = np.zeros((len(points), 4, columns))
+            if not seen.size:
+                continue
+            place = tree.centre[seen, None] + tree.radius[seen, None, None] * sphere.charge
+            shift = own.tree.centre[one] - tree.centre[seen]
+            shifted = recentred(charges[seen], shift[:, None])
+            kernel = np.empty((len(points), shifted.shape[0] * shifted.shape[1]))
+            fill_inverse_distances(points, np.ascontiguousarray(place.reshape(-1, 3).T), kernel)
+            found = kernel @ shifted.reshape(kernel.shape[1], -1)
+            values[one] = found.reshape(values[one].shape)
+
+    def _spread(
+        self, values: list[Float[np.ndarray, "_ 4 _"]], columns: int
+    ) -> Float[np.ndarray, "r 3 c"]:
+        """Values at all points, from the largest clusters down."""
+        tree, spread = self.receivers.tree, self.receivers.spread
+        out = np.empty((len(self.offset), 3, columns))
+        for one, children in enumerate(tree.children):
+            weights = spread[one]
+            told = (weights @ values[one].reshape(weights.shape[1], -1)).reshape(-1, 4, columns)
+            values[one] = np.zeros((0, 4, 0))
+            if children[0] < 0:
+                points = tree.members(one)
+                out[points] = told[:, :3] + self.offset[points][:, :, None] * told[:, 3:]
+                continue
+            first = 0
+            for child in children:
+                last = first + spread[child].shape[1]
+                shift = tree.centre[child] - tree.centre[one]
+                values[child] = values[child] + recentred(told[first:last], shift)
+                first = last
+        return out
+
+
+def recentred(
+    functions: Float[np.ndarray, "... 4 c"], shift: Float[np.ndarray, "... 3"]
+) -> Float[np.ndarray, "... 4 c"]:
+    """F and psi of the same field, F + (y - c) psi, about another centre.
+
+    Parameters
+    ----------
+    functions : (..., 4, c) float
+    shift : (..., 3) float [m]        from the old centre to the new one
+    """
+    out = functions.copy()
+    out[..., :3, :] += shift[..., :, None] * functions[..., 3:, :]
+    return out
+
+
+def _levels(tree: ClusterTree) -> list[Int[np.ndarray, " _"]]:
+    """Clusters by how often what they are part of was divided."""
+    levels = [np.zeros(1, dtype=np.int64)]
+    while True:
+        below = tree.children[levels[-1]].ravel()
+        below = below[below >= 0]
+        if not below.size:
+            return levels
+        levels.append(below)

@@ -1,0 +1,127 @@
+"""Many right-hand sides of one large system at a time: block GMRES.
+
+All right-hand sides share one Krylov space, which holds the answers of all after far fewer products
+than each would need by itself, and every product is one with a block of vectors.
+
+Source
+------
+Saad, Iterative Methods for Sparse Linear Systems (2003), section 6.12 and algorithm 9.5:
+preconditioned from the right, so that the residual is that of the system itself.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import NotConvergedError
+
+_TINY = np.finfo(float).tiny
+# Right-hand sides that share a Krylov space: more of them would take more memory than they save.
+_TOGETHER = 24
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IterativeSolution:
+    """Solutions, and what they took.
+
+    Attributes
+    ----------
+    solution : (k, c) float
+    iterations : int              products of the matrix with a block of vectors
+    residual : (c,) float         relative to the scale
+    """
+
+    solution: Float[np.ndarray, "k c"]
+    iterations: int
+    residual: Float[np.ndarray, " c"]
+
+
+def solve_together(
+    product: Callable[[np.ndarray], np.ndarray],
+    inverse: Callable[[np.ndarray], np.ndarray],
+    right: Float[np.ndarray, "k c"],
+    *,
+    scale: Float[np.ndarray, " c"] | None = None,
+    tolerance: float = 1e-9,
+    most: int = 150,
+) -> IterativeSolution:
+    """Solve one system for many right-hand sides.
+
+    Parameters
+    ----------
+    product : callable            (k, c) -> (k, c): the matrix times vectors
+    inverse : callable            (k, c) -> (k, c): roughly its inverse times vectors
+    right : (k, c) float
+    scale : (c,) float or None    what residuals are relative to; None: each right-hand side
+    tolerance : float             of the residual, relative to the scale
+    most : int                    iterations
+
+    Returns
+    -------
+    IterativeSolution
+
+    Raises
+    ------
+    NotConvergedError             the tolerance is not met
+    """
+    size = np.linalg.norm(right, axis=0) + _TINY if scale is None else scale
+    parts = []
+    for first in range(0, right.shape[1], _TOGETHER):
+        own = slice(first, first + _TOGETHER)
+        found = _solve_block(product, inverse, right[:, own] / size[own], tolerance, most)
+        if found.residual.max(initial=0.0) > tolerance:
+            raise NotConvergedError(
+                f"a system of {len(right)} equations is not solved after {most} iterations"
+                f" (residual {found.residual.max():.1e}, at most {tolerance:.0e} is allowed): thin"
+                " parts make this hard; simplify the surface until dense matrices serve"
+            )
+        parts.append(found)
+    return IterativeSolution(
+        np.concatenate([part.solution for part in parts], axis=1) * size,
+        max(part.iterations for part in parts),
+        np.concatenate([part.residual for part in parts]),
+    )
+
+
+def _solve_block(
+    product: Callable[[np.ndarray], np.ndarray],
+    inverse: Callable[[np.ndarray], np.ndarray],
+    right: Float[np.ndarray, "k c"],
+    tolerance: float,
+    most: int,
+) -> IterativeSolution:
+    """One Krylov space for all of them."""
+    count = right.shape[1]
+    block, start = np.linalg.qr(right)
+    basis, hessenberg = [block], np.zeros((count, 0))
+    residual, weights = np.linalg.norm(start, axis=0), np.zeros((0, count))
+    while residual.max(initial=0.0) > tolerance and len(basis) <= most:
+        block, step = _orthogonalised(product(inverse(block)), basis)
+        basis.append(block)
+        hessenberg = np.hstack([np.pad(hessenberg, ((0, count), (0, 0))), step])
+        wanted = np.zeros((len(hessenberg), count))
+        wanted[:count] = start
+        q, r = np.linalg.qr(hessenberg)
+        weights = np.linalg.solve(r, q.T @ wanted)
+        residual = np.linalg.norm(wanted - hessenberg @ weights, axis=0)
+    mixed = np.zeros_like(right)
+    for j in range(len(basis) - 1):
+        mixed += basis[j] @ weights[count * j : count * (j + 1)]
+    return IterativeSolution(inverse(mixed), len(basis) - 1, residual)
+
+
+def _orthogonalised(
+    vectors: Float[np.ndarray, "k c"], basis: list[Float[np.ndarray, "k c"]]
+) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
+    """Orthonormal vectors beside the basis, and the products with it, then with themselves."""
+    step = np.zeros((len(basis) * vectors.shape[1], vectors.shape[1]))
+    # Twice: the first pass leaves rounding of the size of what it takes away.
+    for _ in range(2):
+        for i, block in enumerate(basis):
+            along = block.T @ vectors
+            vectors = vectors - block @ along
+            step[i * vectors.shape[1] : (i + 1) * vectors.shape[1]] += along
+    block, rest = np.linalg.qr(vectors)
+    return block, np.concatenate([step, rest])

@@ -1,0 +1,239 @@
+"""What the nodes of a cluster of triangles contribute to the four harmonic functions it is seen by.
+
+With h(x) = 1 / |x - y| for a collocation point y and r = x - y, the fields of Kelvin's solution are
+
+    A u = (grad h x n) x u + (n.grad h) u
+    B u = F + (y - c) psi,    psi = u.grad(n.grad h),  F = -(x - c) psi + (n.u) grad h
+    q (a / r) + b r (r.q) / r^3 = F + (y - c) psi,    psi = b q.grad h,  F = a q h - (x - c) psi
+
+for any centre c: three harmonic functions F and a fourth one, psi, of y, whatever the material.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+
+from palpate.bem.compressed.charges import ChargeSphere
+
+# Moments of a node: grad h x n, n.grad h, nine of F and three of psi of B; of a side: h, and twelve
+# of the second term for b = 1/2.
+_TRACTION, _DISPLACEMENT = 16, 13
+
+
+class Mix(NamedTuple):
+    """How much of each part of the equations: those of any Poisson's ratio, or their slope.
+
+    Attributes
+    ----------
+    skew, rest : float            of A and of B (`traction_parts`)
+    constant, slope : float       of the parts of the displacement kernel (`displacement_parts`)
+    """
+
+    skew: float
+    rest: float
+    constant: float
+    slope: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeafMoments:
+    """Charges by which the nodes of a cluster of triangles are seen.
+
+    Attributes
+    ----------
+    nodes : (n,) int                   vertices
+    traction : (16, k, n) float        against their displacements
+    sides : (s,) int                   held sides
+    displacement : (13, k, s) float    against their tractions
+    """
+
+    nodes: Int[np.ndarray, " n"]
+    traction: Float[np.ndarray, "16 k n"]
+    sides: Int[np.ndarray, " s"]
+    displacement: Float[np.ndarray, "13 k s"]
+
+    def charges(
+        self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
+    ) -> Float[np.ndarray, "k 4 c"]:
+        """Charges of the four harmonic functions, F and psi.
+
+        Parameters
+        ----------
+        mix : Mix
+        moved : (v, 3, c) float        displacement of all vertices
+        pressed : (h, 3, c) float      traction of all held sides
+        """
+        u = moved[self.nodes]
+        count, columns = self.traction.shape[1], u.shape[2]
+        out = np.zeros((count, 4, columns))
+        self._add_traction(mix, u, out)
+        if self.sides.size:
+            self._add_displacement(mix, pressed[self.sides], out)
+        return out
+
+    def _add_traction(
+        self, mix: Mix, u: Float[np.ndarray, "n 3 c"], out: Float[np.ndarray, "k 4 c"]
+    ) -> None:
+        matrix = np.empty((len(out), 4, len(u), 3))
+        _fill_traction(mix.skew, mix.rest, self.traction, matrix)
+        out += (matrix.reshape(4 * len(out), -1) @ u.reshape(-1, u.shape[2])).reshape(out.shape)
+
+    def _add_displacement(
+        self, mix: Mix, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
+    ) -> None:
+        matrix = np.empty((len(out), 4, len(q), 3))
+        trace = 1.5 * mix.constant - 2.0 * mix.slope
+        _fill_displacement(trace, mix.constant, self.displacement, matrix)
+        out += (matrix.reshape(4 * len(out), -1) @ q.reshape(-1, q.shape[2])).reshape(out.shape)
+
+
+def leaf_moments(
+    sphere: ChargeSphere,
+    centre: Float[np.ndarray, "3"],
+    radius: float,
+    displaced: tuple[Float[np.ndarray, "q 6"], csr_array],
+    pressed: tuple[Float[np.ndarray, "p 6"], csr_array],
+) -> LeafMoments:
+    """Moments of a cluster's triangles.
+
+    Parameters
+    ----------
+    sphere : ChargeSphere
+    centre : (3,) float [m]
+    radius : float [m]
+    displaced : (q, 6) float, (q, v) sparse     quadrature points, their normals times weights;
+                                                shape functions of the vertices there
+    pressed : (p, 6) float, (p, h) sparse       the same of the held triangles and of their sides
+
+    Returns
+    -------
+    LeafMoments
+    """
+    check = np.ascontiguousarray((centre + radius * sphere.check).T)
+    return LeafMoments(
+        *_gathered(_traction_values, _TRACTION, sphere, centre, radius, check, *displaced),
+        *_gathered(_displacement_values, _DISPLACEMENT, sphere, centre, radius, check, *pressed),
+    )
+
+
+def _gathered(
+    kernel: Callable[..., None],
+    count: int,
+    sphere: ChargeSphere,
+    centre: Float[np.ndarray, "3"],
+    radius: float,
+    check: Float[np.ndarray, "3 p"],
+    sources: Float[np.ndarray, "q 6"],
+    shapes: csr_array,
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "m k n"]]:
+    """Nodes with shape functions on some points, and their moments as charges."""
+    used = np.unique(shapes.indices)
+    values = np.empty((len(sources), count * check.shape[1]))
+    kernel(sources, centre, check, values)
+    own = csr_array(
+        (shapes.data, np.searchsorted(used, shapes.indices), shapes.indptr),
+        shape=(len(sources), used.size),
+    )
+    at_check = (own.T @ values).reshape(-1, check.shape[1])
+    charges = radius * (at_check @ sphere.matched)
+    charges = charges.reshape(used.size, count, sphere.matched.shape[1]).transpose(1, 2, 0)
+    return used, np.ascontiguousarray(charges, dtype=np.float32)
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _traction_values(sources, centre, check, out):
+    """Integrands of the 16 moments of a node at every quadrature point and check point."""
+    n = check.shape[1]
+    for q in range(sources.shape[0]):
+        px, py, pz, nx, ny, nz = sources[q]
+        cx, cy, cz = px - centre[0], py - centre[1], pz - centre[2]
+        row = out[q]
+        for k in range(n):
+            x, y, z = px - check[0, k], py - check[1, k], pz - check[2, k]
+            s2 = 1.0 / (x * x + y * y + z * z)
+            s3 = s2 * np.sqrt(s2)
+            gx, gy, gz = -x * s3, -y * s3, -z * s3
+            row[k] = gy * nz - gz * ny
+            row[n + k] = gz * nx - gx * nz
+            row[2 * n + k] = gx * ny - gy * nx
+            row[3 * n + k] = gx * nx + gy * ny + gz * nz
+            flux = 3.0 * (x * nx + y * ny + z * nz) * s3 * s2
+            psi_x, psi_y, psi_z = flux * x - nx * s3, flux * y - ny * s3, flux * z - nz * s3
+            row[4 * n + k] = nx * gx - cx * psi_x
+            row[5 * n + k] = ny * gx - cx * psi_y
+            row[6 * n + k] = nz * gx - cx * psi_z
+            row[7 * n + k] = nx * gy - cy * psi_x
+            row[8 * n + k] = ny * gy - cy * psi_y
+            row[9 * n + k] = nz * gy - cy * psi_z
+            row[10 * n + k] = nx * gz - cz * psi_x
+            row[11 * n + k] = ny * gz - cz * psi_y
+            row[12 * n + k] = nz * gz - cz * psi_z
+            row[13 * n + k] = psi_x
+            row[14 * n + k] = psi_y
+            row[15 * n + k] = psi_z
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _displacement_values(sources, centre, check, out):
+    """Integrands of the 13 moments of a side at every quadrature point and check point."""
+    n = check.shape[1]
+    for q in range(sources.shape[0]):
+        px, py, pz, nx, ny, nz = sources[q]
+        area = np.sqrt(nx * nx + ny * ny + nz * nz)
+        cx, cy, cz = px - centre[0], py - centre[1], pz - centre[2]
+        row = out[q]
+        for k in range(n):
+            x, y, z = px - check[0, k], py - check[1, k], pz - check[2, k]
+            s2 = 1.0 / (x * x + y * y + z * z)
+            s = np.sqrt(s2)
+            half = -0.5 * area * s * s2
+            gx, gy, gz = half * x, half * y, half * z
+            row[k] = area * s
+            row[n + k] = -cx * gx
+            row[2 * n + k] = -cx * gy
+            row[3 * n + k] = -cx * gz
+            row[4 * n + k] = -cy * gx
+            row[5 * n + k] = -cy * gy
+            row[6 * n + k] = -cy * gz
+            row[7 * n + k] = -cz * gx
+            row[8 * n + k] = -cz * gy
+            row[9 * n + k] = -cz * gz
+            row[10 * n + k] = gx
+            row[11 * n + k] = gy
+            row[12 * n + k] = gz
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_traction(skew, rest, moments, out):
+    """F and psi of skew A + rest B from the 16 moments of a node."""
+    for k in range(moments.shape[1]):
+        for n in range(moments.shape[2]):
+            x, y, z = skew * moments[0, k, n], skew * moments[1, k, n], skew * moments[2, k, n]
+            for i in range(4):
+                for j in range(3):
+                    out[k, i, n, j] = rest * moments[4 + 3 * i + j, k, n]
+            for i in range(3):
+                out[k, i, n, i] += skew * moments[3, k, n]
+            out[k, 0, n, 1] -= z
+            out[k, 1, n, 0] += z
+            out[k, 1, n, 2] -= x
+            out[k, 2, n, 1] += x
+            out[k, 2, n, 0] -= y
+            out[k, 0, n, 2] += y
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_displacement(trace, rest, moments, out):
+    """F and psi of the displacement kernel from the 13 moments of a side."""
+    for k in range(moments.shape[1]):
+        for n in range(moments.shape[2]):
+            for i in range(4):
+                for j in range(3):
+                    out[k, i, n, j] = rest * moments[1 + 3 * i + j, k, n]
+            for i in range(3):
+                out[k, i, n, i] += trace * moments[0, k, n]

@@ -1,0 +1,240 @@
+"""The near part of the integral equations: dense blocks of the fields, exactly those of the dense
+assembly."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+
+from palpate.bem.compressed.clusters import ClusterTree
+from palpate.bem.compressed.moments import Mix
+from palpate.bem.integrals import (
+    DISPLACEMENT,
+    TRACTION,
+    BoundarySurface,
+    Collocation,
+    FieldBlocks,
+    FieldLayout,
+    Quadrature,
+    assemble,
+)
+from palpate.geometry import QuadraticNodes
+from palpate.progress import Progress, silent
+from palpate.threads import in_threads
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearBlock:
+    """Fields of some collocation points against what is near to them.
+
+    Attributes
+    ----------
+    points : (m,) int
+    nodes : (n,) int                      vertices
+    traction : (9, m, n) float            against their displacements, in single precision
+    sides : (s,) int                      held sides
+    displacement : (6, m, s) float        against their tractions, in single precision
+    """
+
+    points: Int[np.ndarray, " m"]
+    nodes: Int[np.ndarray, " n"]
+    traction: Float[np.ndarray, "9 m n"]
+    sides: Int[np.ndarray, " s"]
+    displacement: Float[np.ndarray, "6 m s"]
+
+    def traction_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 n 3"]:
+        """Equations against displacements."""
+        count, nodes = self.traction.shape[1:]
+        out = np.empty((count, 3, nodes, 3))
+        _fill_traction(mix.skew, mix.rest, self.traction, out)
+        return out
+
+    def displacement_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 s 3"]:
+        """Equations against tractions."""
+        count, sides = self.displacement.shape[1:]
+        out = np.empty((count, 3, sides, 3))
+        trace = 1.5 * mix.constant - 2.0 * mix.slope
+        _fill_displacement(trace, 0.5 * mix.constant, self.displacement, out)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearField:
+    """Products of the near part with vectors.
+
+    Attributes
+    ----------
+    blocks : list of NearBlock        every collocation point in one of them
+    n_points : int
+    """
+
+    blocks: list[NearBlock]
+    n_points: int
+
+    def apply(
+        self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
+    ) -> Float[np.ndarray, "r 3 c"]:
+        """The near part of the equations (as `FarField.apply`)."""
+        out = np.empty((self.n_points, 3, moved.shape[2]))
+        in_threads(self._multiply, len(self.blocks), mix, moved, pressed, out)
+        return out
+
+    def _multiply(
+        self,
+        begin: int,
+        end: int,
+        mix: Mix,
+        moved: Float[np.ndarray, "v 3 c"],
+        pressed: Float[np.ndarray, "h 3 c"],
+        out: Float[np.ndarray, "r 3 c"],
+    ) -> None:
+        for block in self.blocks[begin:end]:
+            found = _product(block.traction_matrix(mix), moved[block.nodes])
+            if block.sides.size:
+                found += _product(block.displacement_matrix(mix), pressed[block.sides])
+            out[block.points] = found
+
+
+def near_field(
+    surface: BoundarySurface,
+    collocation: Collocation,
+    clusters: tuple[ClusterTree, ClusterTree],
+    near: list[Int[np.ndarray, " _"]],
+    held_nodes: QuadraticNodes,
+    quadrature: Quadrature,
+    progress: Progress = silent,
+) -> NearField:
+    """Integrate over all triangles that are near to each cluster of points.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    collocation : Collocation
+    clusters : ClusterTree, ClusterTree    of the points and of the triangles
+    near : list of (k,) int                leaves of the second that are near each leaf of the first
+    held_nodes : QuadraticNodes            of the traction, on the held triangles in their order
+    quadrature : Quadrature
+    progress : callable
+
+    Returns
+    -------
+    NearField
+    """
+    points, triangles = clusters
+    leaves = points.leaves
+    place = np.cumsum(surface.held) - 1
+    blocks: list[NearBlock | None] = [None] * len(leaves)
+
+    def gather(begin: int, end: int) -> None:
+        for number in range(begin, end):
+            leaf = int(leaves[number])
+            own = np.sort(np.concatenate([triangles.members(int(k)) for k in near[leaf]]))
+            held = own[surface.held[own]]
+            here = _chosen(collocation, points.members(leaf))
+            ask = surface, here, quadrature
+            nodes, traction = _fields(*ask, TRACTION, surface.displacement, own, own)
+            sides, press = _fields(*ask, DISPLACEMENT, held_nodes, place[held], held)
+            blocks[number] = NearBlock(points.members(leaf), nodes, traction, sides, press)
+            progress("integrals nearby", sum(one is not None for one in blocks) / len(blocks))
+
+    in_threads(gather, len(leaves))
+    return NearField([block for block in blocks if block is not None], len(collocation.point))
+
+
+def _fields(
+    surface: BoundarySurface,
+    collocation: Collocation,
+    quadrature: Quadrature,
+    kernel: FieldLayout,
+    nodes: QuadraticNodes,
+    elements: Int[np.ndarray, " k"],
+    triangles: Int[np.ndarray, " k"],
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "f m n"]]:
+    """Nodes that some elements take their values from, and fields of some points against these."""
+    used, own = _own_nodes(nodes, elements)
+    if not elements.size:
+        return used, np.zeros((kernel.count, len(collocation.point), 0), dtype=np.float32)
+    blocks = assemble(surface, collocation, own, kernel, triangles=triangles, quadrature=quadrature)
+    return used, _by_point(blocks)
+
+
+def _by_point(blocks: FieldBlocks) -> Float[np.ndarray, "f m n"]:
+    """Fields in single precision, the points in their own order."""
+    values = blocks.values.transpose(2, 0, 3, 1)
+    values = values.reshape(len(values), -1, values.shape[3])[:, : blocks.n_rows]
+    out = np.empty(values.shape, dtype=np.float32)
+    out[:, blocks.rows.ravel()[: blocks.n_rows]] = values
+    return out
+
+
+def _chosen(collocation: Collocation, points: Int[np.ndarray, " m"]) -> Collocation:
+    return Collocation(
+        collocation.point[points],
+        collocation.vertex[points],
+        collocation.triangle[points],
+        collocation.barycentric[points],
+    )
+
+
+def _own_nodes(
+    nodes: QuadraticNodes, elements: Int[np.ndarray, " k"]
+) -> tuple[Int[np.ndarray, " n"], QuadraticNodes]:
+    """Nodes that some elements take their values from, and these elements with no others."""
+    element = nodes.element[elements]
+    dependent = element >= nodes.n_nodes
+    middles, middle = np.unique(element[dependent], return_inverse=True)
+    weights = csr_array(nodes.weights[middles - nodes.n_nodes])
+    used = np.union1d(element[~dependent], weights.indices)
+    number = np.empty_like(element)
+    number[~dependent] = np.searchsorted(used, element[~dependent])
+    number[dependent] = used.size + middle
+    columns = np.searchsorted(used, weights.indices)
+    own = csr_array((weights.data, columns, weights.indptr), shape=(middles.size, used.size))
+    return used, QuadraticNodes(number, used.size, own)
+
+
+def _product(
+    matrix: Float[np.ndarray, "m 3 n 3"], vectors: Float[np.ndarray, "n 3 c"]
+) -> Float[np.ndarray, "m 3 c"]:
+    rows, columns = 3 * len(matrix), 3 * len(vectors)
+    return (matrix.reshape(rows, columns) @ vectors.reshape(columns, -1)).reshape(
+        len(matrix), 3, -1
+    )
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_traction(skew, rest, fields, out):
+    """skew A + rest B from the nine fields (`traction_parts`)."""
+    third = skew / 3.0
+    for m in range(fields.shape[1]):
+        for n in range(fields.shape[2]):
+            x, y, z = skew * fields[0, m, n], skew * fields[1, m, n], skew * fields[2, m, n]
+            xx, yy, zz = fields[3, m, n], fields[4, m, n], fields[5, m, n]
+            yz, zx, xy = rest * fields[6, m, n], rest * fields[7, m, n], rest * fields[8, m, n]
+            flux = third * (np.float64(xx) + yy + zz)
+            out[m, 0, n, 0] = -flux - rest * xx
+            out[m, 1, n, 1] = -flux - rest * yy
+            out[m, 2, n, 2] = -flux - rest * zz
+            out[m, 0, n, 1] = z - xy
+            out[m, 1, n, 0] = -z - xy
+            out[m, 1, n, 2] = x - yz
+            out[m, 2, n, 1] = -x - yz
+            out[m, 2, n, 0] = y - zx
+            out[m, 0, n, 2] = -y - zx
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_displacement(trace, rest, fields, out):
+    """trace times 1 / r in the diagonal, and rest times the six fields (`displacement_parts`)."""
+    for m in range(fields.shape[1]):
+        for n in range(fields.shape[2]):
+            xx, yy, zz = fields[0, m, n], fields[1, m, n], fields[2, m, n]
+            along = trace * (np.float64(xx) + yy + zz)
+            out[m, 0, n, 0] = along + rest * xx
+            out[m, 1, n, 1] = along + rest * yy
+            out[m, 2, n, 2] = along + rest * zz
+            out[m, 1, n, 2] = out[m, 2, n, 1] = rest * fields[3, m, n]
+            out[m, 2, n, 0] = out[m, 0, n, 2] = rest * fields[4, m, n]
+            out[m, 0, n, 1] = out[m, 1, n, 0] = rest * fields[5, m, n]

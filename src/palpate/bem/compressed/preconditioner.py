@@ -1,0 +1,195 @@
+"""An approximate inverse of the compressed system, its diagonal blocks cluster by cluster, and the
+iteration that it starts."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import lu_factor, lu_solve
+
+from palpate.bem.compressed.krylov import IterativeSolution, solve_together
+from palpate.bem.compressed.moments import Mix
+from palpate.bem.compressed.near_field import NearBlock
+from palpate.bem.compressed.system import SLACK, CompressedSystem, scaled_mix
+from palpate.threads import in_threads
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClusterInverse:
+    """Solutions of the clusters' own equations, with the balance of forces of the whole.
+
+    Attributes
+    ----------
+    system : CompressedSystem
+    poisson_ratio : float
+    points : list of (m,) int             collocation points of each cluster
+    unknowns : list of (m,) int           the vectors of unknowns that belong to them
+    factors : list                        LAPACK's factorisation of each
+    answer : (k - 3, 3) float             what the slack alone makes
+    pressed : (3, 3) float                and its force on the support
+    """
+
+    system: CompressedSystem
+    poisson_ratio: float
+    points: list[Int[np.ndarray, " _"]]
+    unknowns: list[Int[np.ndarray, " _"]]
+    factors: list[tuple[np.ndarray, np.ndarray]]
+    answer: Float[np.ndarray, "k 3"]
+    pressed: Float[np.ndarray, "3 3"]
+
+    def solve(self, right: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
+        """An approximate solution.
+
+        Parameters
+        ----------
+        right : (k, c) float
+        """
+        own = self.each(self.system.by_point(right))
+        left = right[-3:] - self.force(own)
+        slack = np.linalg.solve(-self.pressed, left)
+        return np.concatenate([own - self.answer @ slack, slack])
+
+    def each(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "k c"]:
+        """Solutions of the clusters, the slack left out."""
+        out = np.empty_like(rows)
+
+        def solve(begin: int, end: int) -> None:
+            for k in range(begin, end):
+                own = rows[self.points[k]].reshape(-1, rows.shape[2])
+                found = lu_solve(self.factors[k], own, check_finite=False)
+                out[self.unknowns[k]] = found.reshape(-1, 3, rows.shape[2])
+
+        in_threads(solve, len(self.points))
+        return out.reshape(-1, rows.shape[2])
+
+    def force(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "3 c"]:
+        """Balance of forces of unknowns without slack."""
+        first = 3 * self.system.unknowns.free_vertices.size
+        pressed = unknowns[first:].reshape(-1, 3, unknowns.shape[1])
+        return np.einsum("h,hic->ic", self.system.balance_weights, pressed)
+
+
+def cluster_inverse(
+    system: CompressedSystem, poisson_ratio: float, *, most: int = 256
+) -> ClusterInverse:
+    """Factorise the clusters' own equations at one Poisson's ratio.
+
+    Parameters
+    ----------
+    system : CompressedSystem
+    poisson_ratio : float
+    most : int                    collocation points of a cluster
+
+    Returns
+    -------
+    ClusterInverse
+    """
+    mix = scaled_mix(system, poisson_ratio)
+    tree = system.operator.far.receivers.tree
+    size = tree.stop - tree.start
+    chosen = np.flatnonzero(size <= most)
+    inner = tree.children[chosen].ravel()
+    chosen = np.setdiff1d(chosen, inner[inner >= 0])
+    points = [tree.members(int(one)) for one in chosen]
+    pair = paired_unknowns(system)
+    unknowns = [pair[own] for own in points]
+    block_of = _blocks_by_point(system)
+    factors: list[tuple[np.ndarray, np.ndarray]] = [(np.zeros(0), np.zeros(0))] * len(points)
+
+    def factorise(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            blocks = [system.operator.near.blocks[b] for b in np.unique(block_of[points[k]])]
+            own = _own_matrix(system, mix, blocks, points[k], unknowns[k])
+            factors[k] = lu_factor(own, overwrite_a=True, check_finite=False)
+
+    in_threads(factorise, len(points))
+    nothing = np.zeros((system.size - 3, 3)), np.eye(3)
+    bare = ClusterInverse(system, poisson_ratio, points, unknowns, factors, *nothing)
+    answer = bare.each(np.tile(SLACK * np.eye(3), (len(pair), 1, 1)))
+    return replace(bare, answer=answer, pressed=bare.force(answer))
+
+
+def solve_compressed(
+    inverse: ClusterInverse,
+    right: Float[np.ndarray, "k c"],
+    *,
+    scale: Float[np.ndarray, " c"] | None = None,
+    tolerance: float = 1e-9,
+) -> IterativeSolution:
+    """Solve a compressed system for several right-hand sides.
+
+    Parameters
+    ----------
+    inverse : ClusterInverse          of the system at the Poisson's ratio in question
+    right : (k, c) float              rows in the order of `system_matrix`
+    scale : (c,) float or None        what residuals are relative to; None: each right-hand side
+    tolerance : float                 of the residual, relative to the scale
+
+    Returns
+    -------
+    IterativeSolution
+
+    Raises
+    ------
+    NotConvergedError                 the tolerance is not met
+    """
+    return solve_together(
+        lambda vectors: inverse.system.product(inverse.poisson_ratio, vectors),
+        inverse.solve, right, scale=scale, tolerance=tolerance,
+    )  # fmt: skip
+
+
+def paired_unknowns(system: CompressedSystem) -> Int[np.ndarray, " r"]:
+    """The vector of unknowns that belongs to each collocation point, numbered as in the system.
+
+    Parameters
+    ----------
+    system : CompressedSystem
+    """
+    surface, unknowns, collocation = system.surface, system.unknowns, system.collocation
+    free, side_vertex = unknowns.free_vertices, surface.sides.vertex[unknowns.held_sides]
+    of_vertex = np.full(len(surface.mesh.vertices), -1)
+    of_vertex[side_vertex] = free.size + np.arange(side_vertex.size)
+    of_vertex[free] = np.arange(free.size)
+    pair = of_vertex[collocation.vertex]
+    several = np.bincount(side_vertex, minlength=of_vertex.size) > 1
+    pair[collocation.vertex < 0] = free.size + np.flatnonzero(several[side_vertex])
+    return pair
+
+
+def _blocks_by_point(system: CompressedSystem) -> Int[np.ndarray, " r"]:
+    number = np.empty(len(system.collocation.point), dtype=np.int64)
+    for k, block in enumerate(system.operator.near.blocks):
+        number[block.points] = k
+    return number
+
+
+def _own_matrix(
+    system: CompressedSystem,
+    mix: Mix,
+    blocks: list[NearBlock],
+    points: Int[np.ndarray, " m"],
+    unknowns: Int[np.ndarray, " m"],
+) -> Float[np.ndarray, "k k"]:
+    """Equations of a cluster against its own unknowns, as far as these are near."""
+    place = np.full(system.size // 3, -1)
+    place[unknowns] = np.arange(points.size)
+    row_of = np.full(len(system.collocation.point), -1)
+    row_of[points] = np.arange(points.size)
+    free = system.unknowns.free_vertices
+    of_vertex = np.full(len(system.surface.mesh.vertices), -1)
+    of_vertex[free] = place[: free.size]
+    of_side = place[free.size : free.size + system.unknowns.held_sides.size]
+    matrix = np.zeros((points.size, 3, points.size, 3))
+    for block in blocks:
+        parts = [(of_vertex[block.nodes], block.traction_matrix(mix))]
+        parts.append((of_side[block.sides], block.displacement_matrix(mix)))
+        for column, values in parts:
+            kept = np.flatnonzero(column >= 0)
+            matrix[np.ix_(row_of[block.points], range(3), column[kept])] = values[:, :, kept]
+    vertex = system.collocation.vertex[points]
+    column = np.where(vertex >= 0, of_vertex[vertex], -1)
+    own = np.flatnonzero(column >= 0)
+    total = mix.skew * system.operator.total[0] + mix.rest * system.operator.total[1]
+    matrix[own, :, column[own], :] -= total[points[own]]
+    return matrix.reshape(3 * points.size, -1)

@@ -1,0 +1,193 @@
+"""Solutions for every Poisson's ratio from those at a few.
+
+The system is linear in nu, its right-hand side quadratic. In the space of the solutions at some
+ratios, the one that leaves the least residual is found for any other ratio from a few small
+matrices; where the residual is largest, the next solution is made, until it is small everywhere.
+
+Source
+------
+Quarteroni, Manzoni and Negri, Reduced Basis Methods for Partial Differential Equations (2016),
+sections 3.2 and 7.1: least-squares reduced bases, greedy choice by the residual itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.bem.compressed.preconditioner import (
+    ClusterInverse,
+    cluster_inverse,
+    solve_compressed,
+)
+from palpate.bem.compressed.system import CompressedSystem
+from palpate.errors import NotConvergedError
+
+# Where the residual is looked at: so many ratios over the range.
+_LOOKED_AT = 41
+_MOST_SOLUTIONS = 20
+# The first solution, in the middle of what most materials have.
+_CENTRE = 0.3
+# Residual of a solution over what the model may leave: solutions are made as well as they serve.
+_SHARE = 0.1
+_TINY = np.finfo(float).tiny
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SnapshotModel:
+    """Directions in which the solutions for all Poisson's ratios lie, as `ReducedModel`.
+
+    Attributes
+    ----------
+    directions : (j, k, c) float      orthonormal for each of c right-hand sides
+    constant, slope : (c, m, j) float the matrix times these, in the basis of the residuals
+    right : (3, c, m) float           right-hand sides in that basis: constant, slope, curvature
+    ratios : (j,) float               Poisson's ratios of the solutions
+    iterations : (j,) int             products with the matrix that each took
+    """
+
+    directions: Float[np.ndarray, "j k c"]
+    constant: Float[np.ndarray, "c m j"]
+    slope: Float[np.ndarray, "c m j"]
+    right: Float[np.ndarray, "3 c m"]
+    ratios: tuple[float, ...]
+    iterations: tuple[int, ...]
+
+    def coefficients(
+        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
+    ) -> tuple[Float[np.ndarray, "j c"], float]:
+        """Weights of the directions that give the solution at one Poisson's ratio.
+
+        Parameters
+        ----------
+        poisson_ratio : float
+        columns : (c,) int        right-hand sides asked for, all by default
+
+        Returns
+        -------
+        (j, c) float
+        float                     largest residual over the columns, relative to the right-hand side
+        """
+        weights, left = self._weights(poisson_ratio, columns)
+        return weights.T, float(left.max(initial=0.0))
+
+    def _weights(
+        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice
+    ) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, " c"]]:
+        matrix = self.constant[columns] + poisson_ratio * self.slope[columns]
+        constant, slope, curvature = self.right[:, columns]
+        right = constant + poisson_ratio * (slope + poisson_ratio * curvature)
+        size = np.linalg.norm(right, axis=1) + _TINY
+        weights = np.zeros((len(matrix), matrix.shape[2]))
+        left = np.zeros(len(matrix))
+        for k, (one, wanted) in enumerate(zip(matrix, right, strict=True)):
+            weights[k] = np.linalg.lstsq(one, wanted)[0]
+            left[k] = np.linalg.norm(one @ weights[k] - wanted) / size[k]
+        return weights, left
+
+
+def snapshot_model(
+    system: CompressedSystem,
+    right: Float[np.ndarray, "3 k c"],
+    *,
+    poisson_range: tuple[float, float] = (0.0, 0.4999),
+    tolerance: float = 5e-7,
+) -> SnapshotModel:
+    """Solve at a few Poisson's ratios until these serve the whole range.
+
+    Parameters
+    ----------
+    system : CompressedSystem
+    right : (3, k, c) float           right-hand sides: constant, factors of nu and nu^2
+    poisson_range : (float, float)    Poisson's ratios that will be asked for
+    tolerance : float                 largest relative residual within it
+
+    Returns
+    -------
+    SnapshotModel
+
+    Raises
+    ------
+    NotConvergedError                 an iteration does not converge, or the tolerance is not met
+    """
+    ratios = np.linspace(*poisson_range, _LOOKED_AT)
+    gathered = _Gathered(system, cluster_inverse(system, _CENTRE), right)
+    ratio, found = _CENTRE, None
+    while len(gathered.ratios) < _MOST_SOLUTIONS:
+        gathered.add(ratio, found, _SHARE * tolerance)
+        found = gathered.model()
+        residuals = [found.coefficients(float(nu))[1] for nu in ratios]
+        if max(residuals) <= tolerance:
+            return found
+        ratio = float(ratios[int(np.argmax(residuals))])
+    raise NotConvergedError(
+        f"{_MOST_SOLUTIONS} solutions leave a residual of {max(residuals):.1e} over Poisson's"
+        f" ratios {poisson_range[0]} to {poisson_range[1]}, at most {tolerance:.0e} is allowed;"
+        " narrow the range"
+    )
+
+
+class _Gathered:
+    """Solutions so far, and what the matrix makes of them."""
+
+    def __init__(
+        self,
+        system: CompressedSystem,
+        inverse: ClusterInverse,
+        right: Float[np.ndarray, "3 k c"],
+    ) -> None:
+        self.system, self.right = system, right
+        self._inverse = inverse
+        self.directions: list[np.ndarray] = []
+        self.ratios: list[float] = []
+        self._iterations: list[int] = []
+        # Residuals are seen through the inverse of the clusters: as errors of displacements.
+        self._seen = [inverse.solve(term) for term in right]
+
+    def add(self, ratio: float, model: SnapshotModel | None, tolerance: float) -> None:
+        """Solve at one ratio for what a model leaves."""
+        constant, slope, curvature = self.right
+        wanted = constant + ratio * (slope + ratio * curvature)
+        size = np.linalg.norm(wanted, axis=0) + _TINY
+        left = wanted
+        if model is not None:
+            weights, _ = model.coefficients(ratio)
+            near = np.einsum("jkc,jc->kc", np.stack(self.directions), weights)
+            left = wanted - self.system.product(ratio, near)
+        inverse = cluster_inverse(self.system, ratio)
+        found = solve_compressed(inverse, left, scale=size, tolerance=tolerance)
+        direction = _unit_beside(found.solution, self.directions)
+        self.directions.append(direction)
+        self.ratios.append(ratio)
+        self._iterations.append(found.iterations)
+        self._seen.append(self._inverse.solve(self.system.product(0.0, direction)))
+        self._seen.append(self._inverse.solve(self.system.slope_product(direction)))
+
+    def model(self) -> SnapshotModel:
+        """The model of the solutions so far."""
+        count = len(self.directions)
+        upper = np.stack(
+            [
+                np.linalg.qr(np.stack([term[:, c] for term in self._seen], axis=1), mode="r")
+                for c in range(self.right.shape[2])
+            ]
+        )
+        return SnapshotModel(
+            np.stack(self.directions),
+            upper[:, :, 3::2],
+            upper[:, :, 4::2],
+            upper[:, :, :3].transpose(2, 0, 1),
+            tuple(self.ratios),
+            tuple(self._iterations[:count]),
+        )
+
+
+def _unit_beside(
+    vectors: Float[np.ndarray, "k c"], basis: list[Float[np.ndarray, "k c"]]
+) -> Float[np.ndarray, "k c"]:
+    """Unit vectors along what of some is orthogonal to a basis."""
+    # Twice: the first pass leaves rounding of the size of what it takes away.
+    for _ in range(2):
+        for direction in basis:
+            vectors = vectors - np.einsum("kc,kc->c", direction, vectors) * direction
+    return vectors / (np.linalg.norm(vectors, axis=0) + _TINY)

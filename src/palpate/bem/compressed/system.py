@@ -1,0 +1,182 @@
+"""The linear system of a held object whose matrix is never written out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+
+from palpate.bem.compressed.moments import Mix
+from palpate.bem.compressed.operator import CompressedOperator, Compression, compress
+from palpate.bem.integrals import (
+    DISPLACEMENT,
+    TRACTION,
+    BoundarySurface,
+    Collocation,
+    FieldBlocks,
+    FieldLayout,
+    Quadrature,
+    assemble,
+    integral_weights,
+)
+from palpate.bem.system import BoundarySystem, find_unknowns, place_collocation
+from palpate.errors import InputError
+from palpate.geometry import QuadraticNodes
+from palpate.progress import Progress, silent
+
+# What a slack of one adds to every integral equation (`system_matrix`).
+SLACK = 8 * np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompressedSystem(BoundarySystem):
+    """The system of `BoundarySystem` with its integrals kept as a `CompressedOperator`.
+
+    Its kernels have their rows, in the order of all right-hand sides, and no nodes.
+
+    Attributes
+    ----------
+    operator : CompressedOperator
+    """
+
+    operator: CompressedOperator
+
+    @property
+    def order(self) -> Int[np.ndarray, " r"]:
+        """Collocation point of each row of one component."""
+        return self.traction_kernel.rows.ravel()[: self.traction_kernel.n_rows]
+
+    def product(
+        self, poisson_ratio: float, unknowns: Float[np.ndarray, "k c"]
+    ) -> Float[np.ndarray, "k c"]:
+        """The matrix at one Poisson's ratio times vectors (`system_matrix`).
+
+        Parameters
+        ----------
+        poisson_ratio : float
+        unknowns : (k, c) float
+        """
+        found, pressed = self._applied(scaled_mix(self, poisson_ratio), unknowns)
+        found += SLACK * unknowns[-3:]
+        return np.concatenate([self.by_component(found), self._balance(pressed)])
+
+    def slope_product(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
+        """The derivative of the matrix with respect to Poisson's ratio times vectors.
+
+        Parameters
+        ----------
+        unknowns : (k, c) float
+        """
+        mix = Mix(-2.0, 0.0, 0.0, -1.0 / self.traction_length)
+        found, _ = self._applied(mix, unknowns)
+        return np.concatenate([self.by_component(found), np.zeros((3, unknowns.shape[1]))])
+
+    def given_products(
+        self, moved: Float[np.ndarray, "v 3 c"]
+    ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
+        """What displacements of vertices that are given, not unknown, do to the equations.
+
+        Parameters
+        ----------
+        moved : (v, 3, c) float [m]       zero where it is unknown
+
+        Returns
+        -------
+        (k, c) float, (k, c) float        for A and for B (`traction_parts`), no balance of forces
+        """
+        nothing = np.zeros((self.unknowns.held_sides.size, 3, moved.shape[2]))
+        parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))
+        a, b = (self.by_component(self.operator.apply(mix, moved, nothing)) for mix in parts)
+        return a, b
+
+    def by_component(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "n c"]:
+        """Equations at the collocation points in the order of right-hand sides."""
+        return rows[self.order].transpose(1, 0, 2).reshape(3 * len(rows), -1)
+
+    def by_point(self, right: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "r 3 c"]:
+        """The inverse of `by_component`, without the balance of forces."""
+        rows = np.empty((self.order.size, 3, right.shape[1]))
+        rows[self.order] = right[:-3].reshape(3, -1, right.shape[1]).transpose(1, 0, 2)
+        return rows
+
+    def _applied(
+        self, mix: Mix, unknowns: Float[np.ndarray, "k c"]
+    ) -> tuple[Float[np.ndarray, "r 3 c"], Float[np.ndarray, "h 3 c"]]:
+        free, columns = self.unknowns.free_vertices, unknowns.shape[1]
+        moved = np.zeros((len(self.surface.mesh.vertices), 3, columns))
+        moved[free] = unknowns[: 3 * free.size].reshape(-1, 3, columns)
+        pressed = unknowns[3 * free.size : -3].reshape(-1, 3, columns)
+        return self.operator.apply(mix, moved, pressed), pressed
+
+    def _balance(self, pressed: Float[np.ndarray, "h 3 c"]) -> Float[np.ndarray, "3 c"]:
+        return np.einsum("h,hic->ic", self.balance_weights, pressed)
+
+    @property
+    def balance_weights(self) -> Float[np.ndarray, " h"]:
+        """Share of each held side in the balance of forces."""
+        weights = integral_weights(self.surface, np.flatnonzero(self.surface.held))
+        return weights[self.unknowns.held_sides] / self.traction_length**2
+
+
+def scaled_mix(system: BoundarySystem, poisson_ratio: float) -> Mix:
+    """The parts of a system's equations at one Poisson's ratio.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    poisson_ratio : float
+    """
+    length = system.traction_length
+    return Mix(1 - 2 * poisson_ratio, 1.0, -1.0 / length, -poisson_ratio / length)
+
+
+def compressed_system(
+    surface: BoundarySurface,
+    *,
+    compression: Compression = Compression(),
+    quadrature: Quadrature = Quadrature(),
+    progress: Progress = silent,
+) -> CompressedSystem:
+    """Compute the compressed integrals of an object on its support, once for all materials.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    compression : Compression
+    quadrature : Quadrature
+    progress : callable
+
+    Returns
+    -------
+    CompressedSystem
+
+    Raises
+    ------
+    InputError                a support holds some directions only
+    """
+    if not np.allclose(surface.held_directions[surface.held], np.eye(3)):
+        raise InputError(
+            f"the mesh has {len(surface.mesh.vertices)} vertices and a support that holds some"
+            " directions only; meshes as large as this are solved with supports that hold all"
+            " directions: simplify the surface, or hold all directions"
+        )
+    unknowns = find_unknowns(surface)
+    collocation = place_collocation(surface, unknowns)
+    operator = compress(
+        surface, unknowns, collocation, compression=compression, quadrature=quadrature,
+        progress=progress,
+    )  # fmt: skip
+    h, g = (_rows_alone(surface, collocation, kernel) for kernel in (TRACTION, DISPLACEMENT))
+    return CompressedSystem(
+        surface=surface, unknowns=unknowns, collocation=collocation, traction_kernel=h,
+        displacement_kernel=g, operator=operator,
+    )  # fmt: skip
+
+
+def _rows_alone(
+    surface: BoundarySurface, collocation: Collocation, kernel: FieldLayout
+) -> FieldBlocks:
+    """The rows that a kernel's integrals would have, without any node."""
+    nodes = QuadraticNodes(np.zeros((0, 6), dtype=np.int64), 0, csr_array((0, 0)))
+    nothing = np.zeros(0, dtype=np.int64)
+    return assemble(surface, collocation, nodes, kernel, triangles=nothing)
