@@ -16,10 +16,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from vision.scenes import LENS, Stage, bump, dome, make_rig, rigid  # noqa: E402
+from vision.scenes import LENS, Stage, bump, dome, make_rig, rigid
 
-from palpate.vision import JointFlow  # noqa: E402
-from palpate.vision.range_flow import Outcome, is_valid  # noqa: E402
+from palpate.vision import JointFlow
+from palpate.vision.range_flow import Outcome, is_valid
 
 MOTIONS = {
     "rigid": rigid((0.004, -0.003, 0.006), (3e-4, -2e-4, 1e-4)),
@@ -101,14 +101,15 @@ def _over_claim(error: np.ndarray, covariance: np.ndarray) -> float:
 
 def main() -> None:
     """Print a row for each kind of pictures and each motion."""
-    print("motion        cameras  speckle  noise     blur  gain | over claim  noise alone  px  valid")
+    print("motion        cameras  speckle  noise     blur gain | over claim alone      px  valid")
     for name in MOTIONS:
         for shot in SHOTS:
             ratio, alone, pixels, valid = measured(shot, name)
             blur = f"{shot.blur[0]:g}, {shot.blur[1]:g}"
             print(
                 f"{name:13s} {shot.cameras:7d} {shot.speckle:8.1f} {shot.noise:6.1f} {blur:>8s}"
-                f" {shot.gain:5.1f} | {ratio:10.2f} {alone:12.2f} {pixels:6.4f} {100 * valid:4.0f} %",
+                f" {shot.gain:4.1f} | {ratio:10.2f} {alone:5.2f} {pixels:7.4f}"
+                f" {100 * valid:4.0f} %",
                 flush=True,
             )
 

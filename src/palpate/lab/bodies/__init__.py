@@ -3,7 +3,7 @@
 Purpose    : how far a rigid tip presses into a held body, and with which force.
 Takes      : a closed surface, held triangles, elastic constants, a tip with a depth or a force.
 Gives      : nodal forces and displacements, and their values at points of the surface.
-Depends on : `geometry`; scikit-fem for the elements.
+Depends on : `geometry`, `records`; scikit-fem for the elements.
 Read first : `finite_elements.py`, `contact.py`, then `tips.py`, `tetrahedra.py`.
 """
 
