@@ -11,6 +11,7 @@ field is linear, and a plate whose edge is such a strip bends 10 to 20 % too lit
 cut in their middle, before anything else.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -125,6 +126,14 @@ def _divided_session(
     session: Session, mesh: TriangleMesh, parent: Int[np.ndarray, " t"]
 ) -> Session:
     """A session on a mesh whose triangles are parts of its own."""
+    # Probings often have the same points.
+    places: dict[bytes, SurfacePoints] = {}
+
+    def placed(points: SurfacePoints) -> SurfacePoints:
+        key = points.position.tobytes()
+        if key not in places:
+            places[key] = closest_points(mesh, points.position)
+        return replace(places[key], distance=points.distance)
 
     def children(triangles: Int[np.ndarray, " k"]) -> Int[np.ndarray, " c"]:
         return np.flatnonzero(np.isin(parent, triangles))
@@ -134,7 +143,7 @@ def _divided_session(
         mesh=mesh,
         held_triangles=children(session.held_triangles),
         supports=tuple(replace(one, triangles=children(one.triangles)) for one in session.supports),
-        probings=tuple(_replaced(one, mesh, parent) for one in session.probings),
+        probings=tuple(_replaced(one, placed, parent) for one in session.probings),
     )
 
 
@@ -193,7 +202,11 @@ def _cut(
     return np.concatenate(parts), np.concatenate(parent)
 
 
-def _replaced(probing: Probing, mesh: TriangleMesh, parent: Int[np.ndarray, " t"]) -> Probing:
+def _replaced(
+    probing: Probing,
+    placed: Callable[[SurfacePoints], SurfacePoints],
+    parent: Int[np.ndarray, " t"],
+) -> Probing:
     """A probing whose points and triangles are those of the graded mesh."""
 
     def contact(one: Contact) -> Contact:
@@ -202,7 +215,7 @@ def _replaced(probing: Probing, mesh: TriangleMesh, parent: Int[np.ndarray, " t"
         return replace(one, triangles=np.flatnonzero(np.isin(parent, one.triangles)))
 
     def field(one: DisplacementField | None) -> DisplacementField | None:
-        return None if one is None else replace(one, surface=_placed(mesh, one.surface))
+        return None if one is None else replace(one, surface=placed(one.surface))
 
     return replace(
         probing,
@@ -211,7 +224,3 @@ def _replaced(probing: Probing, mesh: TriangleMesh, parent: Int[np.ndarray, " t"
         displacement=field(probing.displacement),
         support_displacement=field(probing.support_displacement),
     )
-
-
-def _placed(mesh: TriangleMesh, place: SurfacePoints) -> SurfacePoints:
-    return replace(closest_points(mesh, place.position), distance=place.distance)
