@@ -197,15 +197,18 @@ def test_corners_at_the_rim_need_one_marker() -> None:
     board = Charuco(12, 9, 0.02, 0.015)
     inner = np.array([900.0, 900.0, 319.5, 255.5, 0.0, 0.0, 0.0, 0.0, 0.0])
     pose = np.eye(4)
-    pose[:3, 3] = [-0.12, -0.09, 0.41]
+    pose[:3, 3] = [-0.12, -0.09, 0.3]
     extent = (board.columns * board.square, board.rows * board.square)
     rng = np.random.default_rng(5)
     picture = draw_board(board.drawing(60), extent, inner, pose, _SIZE, rng=rng)
     found = board.find(picture)
     place = inner[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + inner[2:4]
-    # A corner needs a few pixels around it, and a whole marker of 33 on one side.
+    # A corner needs a few pixels around it, and a whole marker of 45 on one side.
     visible = ((place > 8.0) & (place < np.array(_SIZE) - 9.0)).all(axis=1)
-    np.testing.assert_array_equal(np.sort(found.mark), np.flatnonzero(visible))
+    assert visible.sum() == 88
+    assert set(found.mark.tolist()) <= set(np.flatnonzero(visible).tolist())
+    # The rim cuts both markers of two outermost corners.
+    assert len(found.mark) == 86
     assert np.abs(found.pixel - place[found.mark]).max() < 0.3
 
 

@@ -201,10 +201,10 @@ def test_vtp_of_another_kind_is_refused(tmp_path):
 def test_missing_file_and_unknown_suffix_are_refused(tmp_path):
     with pytest.raises(MeshError, match="No such file"):
         read_mesh(tmp_path / "none.ply")
-    with pytest.raises(MeshError, match=r"'\.step' are not read; convert it to one of \.ply"):
-        read_mesh(tmp_path / "part.step")
+    with pytest.raises(MeshError, match=r"'\.iges' are not read; convert it to one of \.ply"):
+        read_mesh(tmp_path / "part.iges")
     with pytest.raises(MeshError, match="cannot write"):
-        write_mesh(tmp_path / "part.step", box())
+        write_mesh(tmp_path / "part.iges", box())
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".msh", ".vtu"])

@@ -22,7 +22,9 @@ from palpate.shapes import Triangles, Vertices
 _TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
 # And the format of meshio that is meant: for .msh it would try a reader that may never end.
 _MESHIO_SUFFIXES = {".msh": "gmsh", ".vtu": "vtu"}
-MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp", *STEP_SUFFIXES)
+MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
+# Drawings are no meshes yet, but can be covered with one.
+_READ = (*MESH_SUFFIXES, *STEP_SUFFIXES)
 
 # Flat triangles of each cell of a surface, in the cell's own numbering (VTK and gmsh agree here).
 _FACETS = {
@@ -81,10 +83,10 @@ def read_mesh(
     if not (np.isfinite(metres_per_unit) and metres_per_unit > 0.0):
         raise InputError(f"metres_per_unit is {metres_per_unit}; must be positive")
     suffix = path.suffix.lower()
-    if suffix not in MESH_SUFFIXES:
+    if suffix not in _READ:
         raise MeshError(
             f"{path}: mesh files of type '{suffix}' are not read;"
-            f" convert it to one of {' '.join(MESH_SUFFIXES)}"
+            f" convert it to one of {' '.join(_READ)}"
         )
     content = read_bytes(path, most=_MOST_BYTES, kind=MeshError)
     solid = suffix in _MESHIO_SUFFIXES
