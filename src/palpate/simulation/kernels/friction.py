@@ -25,8 +25,8 @@ def node_force(w, q, friction, state, force, work, trial):
     """The force on one node, the others given, in the frame of its normal.
 
     w (3, 3) is its own compliance, q (3,) gap and slide without force; work (3, 3) and trial (3,)
-    are room to work in. Writes the force and returns the state. What sticks whatever its force, and was torn loose, does not stick again before
-    the tick is over.
+    are room to work in. Writes the force and returns the state. What sticks whatever its force,
+    and was torn loose, does not stick again before the tick is over.
     """
     if q[0] >= 0.0:
         for a in range(3):
