@@ -169,33 +169,40 @@ def test_errors_are_against_the_truth():
 def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
     made, rigs = [], []
 
-    def make(wanted, *, variant, progress):
+    def make(wanted, *, variant, progress, parts):
         progress("making", 1.0)
         for one, folder in wanted:
             made.append((one, folder.name))
             planned_session(folder)
 
-    def errors(sessions, truth):
-        rigs.append([session.rig.name for session in sessions])
+    def errors(session, truth, parts):
+        rigs.append(session.rig.name)
         assert truth is config.material
-        return np.zeros((2, 3)), np.zeros((len(sessions), 3))
+        return np.zeros((2, 3)), np.zeros((1, 3))
 
     monkeypatch.setattr(budget, "make_sessions", make)
     monkeypatch.setattr(budget, "_errors", errors)
-    monkeypatch.setattr(budget, "with_pictures_measured", lambda session, pose: session)
-    said = []
+    monkeypatch.setattr(budget, "with_pictures_measured", lambda session, pose, parts: session)
+    said, variant, parts = [], Variant("none", "", None), tmp_path / "parts"
+    for name in ("first", "again"):
+        (tmp_path / name).mkdir()
     sources = budget.error_budget(
-        config, tmp_path, variant=Variant("none", "", None), draws=3,
+        config, tmp_path / "first", variant=variant, draws=3, parts=parts,
         progress=lambda text, share: said.append(share),
     )  # fmt: skip
+    # What was finished is not estimated again.
+    count = len(rigs)
+    again = budget.error_budget(config, tmp_path / "again", variant=variant, draws=3, parts=parts)
+    assert [one.name for one in again] == NAMES
+    assert len(rigs) == count == 16
+    del made[7:]
     assert [one.name for one in sources] == NAMES
     assert [len(one.joint) for one in sources] == [1] * 6 + [3] * 3 + [1]
     assert len(made) == 7
     assert said == sorted(said)
     assert said[-1] < 1.0
-    force, calibration, registration = rigs[-4:-1]
-    assert force == ["rig.toml"] * 3
-    assert len(set(calibration + registration)) == 6
+    assert rigs[:9] == ["rig.toml"] * 9
+    assert len(set(rigs[9:15])) == 6
 
 
 # As a table and a picture

@@ -119,11 +119,11 @@ def cube_probing():
 WAVE = 0.5
 
 
-def painted(session, *, contrast=30.0, blur=0.0):
+def painted(session, *, contrast=30.0, wave=WAVE):
     """The session with a texture of one wave number on the upper face, which both cameras see."""
     rng = np.random.default_rng(7)
     angle, phase = 2 * np.pi * rng.random((2, 60))
-    across = WAVE * FOCAL / ABOVE * np.stack([np.cos(angle), np.sin(angle)])
+    across = wave * FOCAL / ABOVE * np.stack([np.cos(angle), np.sin(angle)])
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
     cameras = camera(), camera("c1", x=0.7 * SIDE)
     for one, middle in zip(cameras, (0.5 * SIDE, 0.7 * SIDE), strict=True):
@@ -132,7 +132,6 @@ def painted(session, *, contrast=30.0, blur=0.0):
         waves = np.cos(x[..., None] * across[0] + y[..., None] * across[1] + phase)
         on = (x > 0) & (x < SIDE) & (y > 0) & (y < SIDE)
         grey = np.where(on, 120 + contrast * np.sqrt(2 / 60) * waves.sum(axis=2), 10.0)
-        grey = cv2.GaussianBlur(grey, (0, 0), blur) if blur else grey
         grey = np.clip(grey + rng.normal(0.0, 1.0, SHAPE), 0, 255).astype(np.uint8)
         cv2.imwrite(str(session.path.parent / f"s0_{one.name}.png"), grey)
     write_rig(session.path.parent / "rig.toml", Rig(cameras, 0, "rig.toml"))
@@ -146,7 +145,8 @@ def test_what_the_first_pictures_promise_is_told(session):
     assert found.points == pytest.approx((SIDE * FOCAL / ABOVE / JointFlow().step) ** 2, rel=0.15)
     assert 20 <= found.vertices <= 81
     assert found.windows >= 12
-    # Of waves in all directions the slope along one of two axes has half of the square.
+    # Of waves in all directions the slope along one of two axes has half of the square; differences
+    # of pixels see 4 % less of it.
     assert found.structure == pytest.approx([np.sqrt(2) / WAVE] * 2, rel=0.15)
 
 
@@ -154,7 +154,7 @@ def test_what_the_first_pictures_promise_is_told(session):
     ("look", "says"),
     [
         ({"contrast": 0.2}, "of the windows have too little texture"),
-        ({"blur": 12.0, "contrast": 200.0}, "is coarse or out of focus"),
+        ({"wave": 0.1 * WAVE}, "is coarse or out of focus"),
     ],
 )
 def test_pictures_that_cannot_be_followed_well_are_named(session, look, says):
@@ -172,4 +172,4 @@ def test_without_pictures_there_is_no_view(session, cube_probing):
 def test_pictures_that_show_nothing_in_common_are_no_reason_to_stop(session):
     found, notes = survey_view(session)
     assert found.points > 0
-    assert notes[0].startswith("The rig cannot be checked against the pictures: cameras 'c0' and")
+    assert notes[0].startswith("The rig cannot be checked against the pictures: ")

@@ -147,8 +147,11 @@ def _structure(
         return np.nan
     levels = np.asarray(grey, dtype=np.float64)
     slope = np.stack(list(np.gradient(levels)))[:, shown]
-    # Light that falls off over the object is no structure: a window is compared with its mean.
-    off = (levels - cv2.blur(levels, (JointFlow().subset,) * 2))[shown]
+    # Light that falls off over the object is no structure; the ground beside it says nothing.
+    share, local = (
+        cv2.GaussianBlur(x, (0, 0), JointFlow().subset) for x in (inner, levels * inner)
+    )
+    off = levels[shown] - local[shown] / share[shown]
     return float(np.sqrt(np.mean(off**2) / max(float(np.mean(slope**2)), 1e-12)))
 
 

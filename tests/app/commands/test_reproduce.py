@@ -89,7 +89,7 @@ def bench(monkeypatch, tmp_path):
     for name in ("table3", "budget", "figure4"):
         monkeypatch.delitem(EXPERIMENTS, name)
 
-    def measured_session(config, folder, *, variant, progress):
+    def measured_session(config, folder, *, variant, progress, parts):
         asked.append(config)
         progress("doing [it]", 0.5)
         session, names = session_of(config, folder)
@@ -218,7 +218,7 @@ def test_nothing_is_left_of_a_run_that_fails(bench, tmp_path, monkeypatch):
 def test_the_budget_makes_its_own_sessions(monkeypatch, tmp_path, capsys):
     asked = []
 
-    def budget(config, folder, *, variant, draws, progress):
+    def budget(config, folder, *, variant, draws, progress, parts):
         assert list(folder.iterdir()) == []
         progress("making", 0.5)
         asked.append((config, folder.name, draws))

@@ -8,7 +8,6 @@ from jaxtyping import UInt
 from palpate.errors import InputError
 from palpate.geometry import (
     TriangleMesh,
-    bounding_diagonal,
     closest_points,
     displacement_nodes,
     interpolation_matrix,
@@ -25,8 +24,9 @@ from palpate.shapes import Vertices
 _SPECKLE_PX = 4.0
 # Profiles of a flat tool; all others are taken for a ball's.
 _PUNCHES = (FLAT, "uniform")
-# Of the object's size: no ball is taken for larger.
-_LARGEST_BALL = 0.25
+# Of the circle that it touches: a ball that seems larger, for its constants are a guess, would hide
+# what no tool hides.
+_LARGEST_BALL = 4.0
 
 
 def planned_pictures(
@@ -94,14 +94,14 @@ def _rod(
         return None
     mesh = session.mesh
     probe = Probe(probing.name, contact.point, probing.force, depth=1.0)
-    tip = aim(probe, _arm(probing, material, mesh), mesh, rng=np.random.default_rng(0))
+    tip = aim(probe, _arm(probing, material), mesh, rng=np.random.default_rng(0))
     place = closest_points(mesh, contact.point[None])
     corners = mesh.triangles[place.triangle[0]]
     depth = float(place.barycentric[0] @ moved[corners] @ tip.direction)
     return rod_at(tip, tip.point + depth * tip.direction, rig.cameras)
 
 
-def _arm(probing: Probing, material: Material, mesh: TriangleMesh) -> Arm:
+def _arm(probing: Probing, material: Material) -> Arm:
     """The tool that a contact's patch belongs to."""
     contact, touched = probing.contact, float(probing.contact.radius or 0.0)
     shape: TipName = "punch" if contact.profile in _PUNCHES else "sphere"
@@ -112,7 +112,7 @@ def _arm(probing: Probing, material: Material, mesh: TriangleMesh) -> Arm:
     # Johnson, Contact Mechanics (1985), equation 4.22.
     modulus = material.young_modulus / (1.0 - material.poisson_ratio**2)
     ball = 4.0 * modulus * touched**3 / (3.0 * float(np.linalg.norm(probing.force)))
-    return Arm(tip=shape, radius=max(touched, min(ball, _LARGEST_BALL * bounding_diagonal(mesh))))
+    return Arm(tip=shape, radius=float(np.clip(ball, touched, _LARGEST_BALL * touched)))
 
 
 def _as_config(session: Session, rig: Rig, material: Material, pictures: Pictures) -> LabConfig:

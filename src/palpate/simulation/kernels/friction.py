@@ -21,19 +21,18 @@ _LARGEST_TURN = 0.5
 
 
 @numba.njit(cache=True, error_model="numpy")
-def node_force(w, q, friction, state, force, work):
+def node_force(w, q, friction, state, force, work, trial):
     """The force on one node, the others given, in the frame of its normal.
 
-    w (3, 3) is its own compliance, q (3,) gap and slide without force. Writes the force and returns
-    the state. What sticks whatever its force, and was torn loose, does not stick again before
-    the tick is over.
+    w (3, 3) is its own compliance, q (3,) gap and slide without force; work (3, 3) and trial (3,)
+    are room to work in. Writes the force and returns the state. What sticks whatever its force,
+    and was torn loose, does not stick again before the tick is over.
     """
     if q[0] >= 0.0:
         for a in range(3):
             force[a] = 0.0
         return OPEN
     if friction > 0.0 and (friction < GLUE or state == STICKS):
-        trial = np.empty(3)
         for a in range(3):
             trial[a] = -q[a]
             for b in range(3):
@@ -60,37 +59,53 @@ def node_force(w, q, friction, state, force, work):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def sweep(block, frames, friction, residual, force, status):
-    """Gauss and Seidel: every node's force once, the others given.
-
-    block is (3 k, 3 k); residual (k, 3) is the gap along the normal and the slide across it, as a
-    vector, under `force` (k, 3). Both change in place. Returns how many nodes changed their state.
-    """
-    k, changed = friction.size, 0
-    local, now, q = np.empty(3), np.empty(3), np.empty(3)
-    w, work, flat = np.empty((3, 3)), np.empty((3, 3)), residual.reshape(-1)
+def own_compliances(block, frames):
+    """What each node's force does to itself, in the frame of its normal: (k, 3, 3)."""
+    k = len(frames)
+    own = np.zeros((k, 3, 3))
     for i in range(k):
         e = frames[i]
         for a in range(3):
-            now[a] = local[a] = dot(e[a], force[i])
             for b in range(3):
-                w[a, b] = 0.0
                 for c in range(3):
-                    w[a, b] += e[a, c] * dot(block[3 * i + c, 3 * i : 3 * i + 3], e[b])
+                    own[i, a, b] += e[a, c] * dot(block[3 * i + c, 3 * i : 3 * i + 3], e[b])
+    return own
+
+
+@numba.njit(cache=True, error_model="numpy")
+def sweep(block, frames, friction, residual, force, status, times):
+    """Gauss and Seidel: every node's force some times, the others given.
+
+    block is (3 k, 3 k); residual (k, 3) is the gap along the normal and the slide across it, as a
+    vector, under `force` (k, 3). Both change in place.
+    """
+    k = friction.size
+    local, now, q, trial = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    work, flat = np.empty((3, 3)), residual.reshape(-1)
+    own = own_compliances(block, frames)
+    for step in range(times * k):
+        i = step % k
+        e, w = frames[i], own[i]
+        for a in range(3):
+            now[a] = local[a] = dot(e[a], force[i])
         for a in range(3):
             q[a] = dot(e[a], residual[i]) - dot(w[a], now)
-        state = node_force(w, q, friction[i], status[i], local, work)
-        changed += state != status[i]
-        status[i] = state
-        for b in range(3):
-            change = 0.0
-            for a in range(3):
-                change += e[a, b] * (local[a] - now[a])
-            force[i, b] += change
-            row = block[3 * i + b]
-            for j in range(flat.size):
-                flat[j] += change * row[j]
-    return changed
+        status[i] = node_force(w, q, friction[i], status[i], local, work, trial)
+        change = 0.0
+        for a in range(3):
+            local[a] -= now[a]
+            change = max(change, abs(local[a]))
+        if change == 0.0:
+            continue
+        x = e[0, 0] * local[0] + e[1, 0] * local[1] + e[2, 0] * local[2]
+        y = e[0, 1] * local[0] + e[1, 1] * local[1] + e[2, 1] * local[2]
+        z = e[0, 2] * local[0] + e[1, 2] * local[1] + e[2, 2] * local[2]
+        force[i, 0] += x
+        force[i, 1] += y
+        force[i, 2] += z
+        first, second, third = block[3 * i], block[3 * i + 1], block[3 * i + 2]
+        for j in range(flat.size):
+            flat[j] += x * first[j] + y * second[j] + z * third[j]
 
 
 @numba.njit(cache=True, error_model="numpy")

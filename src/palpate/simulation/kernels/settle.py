@@ -7,9 +7,8 @@ from palpate.simulation.kernels.friction import solve_together, sweep
 from palpate.simulation.kernels.linear import add_displacement, displace, dot, gather, set_frame
 from palpate.simulation.kernels.nodes import begin_tick, find_contacts, leave, near_nodes, touching
 
-# Between two solutions for all nodes at once: at most so many, and so many at least, until no node
-# changes its state.
-_SWEEPS, _QUIET = 8, 2
+# Between two solutions for all nodes at once.
+_SWEEPS = 8
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -52,9 +51,8 @@ def solve_round(tools, rest, nodes, block, nodal, swept):
     frames, residual, now = np.empty((k, 3, 3)), np.empty((k, 3)), np.empty((k, 3))
     friction, own, slide = np.empty(k), np.empty(k, dtype=np.int64), np.empty((k, 3))
     set_up(tools, rest, nodes, nodal, frames, friction, residual, now, own)
-    for number in range(1, swept + 1):
-        if sweep(block, frames, friction, residual, now, own) == 0 and number >= _QUIET:
-            break
+    if swept:
+        sweep(block, frames, friction, residual, now, own, swept)
     settled = solve_together(block, frames, friction, residual, now, own, slide)
     change, strength = take_over(nodes, nodal, now, own, slide)
     return settled, change, strength
