@@ -32,7 +32,11 @@ _LONGEST_FIRST = (
     "tests/vision",
     "tests/pipeline",
     "tests/examples",
+    "tests/calibration",
     "tests/app",
+    "tests/faults",
+    "tests/campaign",
+    "tests/viewer",
 )
 
 
