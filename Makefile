@@ -58,10 +58,9 @@ contract: $(VENV)/dev.stamp
 types: $(VENV)/dev.stamp
 	$(BIN)/mypy
 
-# One thread in each of the two processes, of linear algebra and of kernels: more would wait for each
-# other.
+# One thread of linear algebra in each of the two processes: more would wait for each other.
 tests: $(VENV)/dev.stamp $(VENV)/kernels.stamp
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # numba looks at the file of the kernel that is called, not at those that this one calls: kernels on
 # disk that are older than any source may hold old code.

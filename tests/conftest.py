@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 from jaxtyping import _import_hook
 
@@ -48,6 +49,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next(matching, len(_LONGEST_FIRST))
 
     items.sort(key=place)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread_each() -> None:
+    """Processes that share the tests have a thread each; tests of threads ask for theirs."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        numba.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")
