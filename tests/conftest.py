@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 from jaxtyping import _import_hook
 
@@ -33,7 +34,11 @@ _LONGEST_FIRST = (
     "tests/vision",
     "tests/pipeline",
     "tests/examples",
+    "tests/calibration",
     "tests/app",
+    "tests/faults",
+    "tests/campaign",
+    "tests/viewer",
 )
 
 
@@ -45,6 +50,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next(matching, len(_LONGEST_FIRST))
 
     items.sort(key=place)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread_each() -> None:
+    """Processes that share the tests have a thread each; tests of threads ask for theirs."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        numba.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")

@@ -184,6 +184,8 @@ KINDS = [
     _listed("", "names no session"),
     _listed("# nothing\n\n ,\n", "names no session"),
     _listed(b"cube\xff\n", "UTF-8"),
+    _listed("cube\n" + "x" * 9000, "line 2", "cannot be a file"),
+    _listed("cu\0be\n", "line 1", "cannot be a file"),
     _listed("cube\ncube/session.toml\n", "line 2", "already in line 1"),
     _listed("cube\n./cube/../cube, b\n", "line 2", "already in line 1"),
     Kind("a table of another program", _without_table, _TABLES[0], ("campaign.sqlite",), "bench"),

@@ -27,8 +27,12 @@ from program_files import (
 from recording.bench_footage import PEAKS, write_recording
 from surfaces import box
 
+from palpate.calibration import Charuco, Chessboard
+from palpate.calibration.sightings import eight_bits
+from palpate.campaign import Store, read_items
 from palpate.geometry import read_mesh, write_mesh
 from palpate.lab import read_lab_config
+from palpate.pipeline import read_fitted_surface
 from palpate.probe import read_compression
 from palpate.recording import read_recording
 from palpate.recording.force import even_force, find_touches, find_zero, read_force_log
@@ -45,12 +49,20 @@ from palpate.records import (
     read_import_pose,
     read_measured,
     read_rig,
+    read_rig_covariance,
     read_session,
+    verify_result,
     write_estimate,
     write_rig,
 )
 from palpate.scanning import depth_points, read_points, read_scan
-from palpate.vision import read_pictures
+from palpate.simulation import (
+    GreenFunctions,
+    exact_material,
+    read_green_functions,
+    write_green_functions,
+)
+from palpate.vision import read_grey, read_pictures
 
 GREY = np.random.default_rng(1).integers(0, 255, (48, 64), dtype=np.uint8)
 POSE = 'length_unit = "mm"\nR = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nt = [1.5, 0, 2]\n'
@@ -261,7 +273,8 @@ def write_scans(folder: Path) -> list[tuple[Path, Reader]]:
     write_pcd = import_module("scanning.test_point_files").pcd
     for kind in ("ascii", "binary"):
         write_pcd(folder / f"{kind}.pcd", kind)
-    names = ("scan.npy", "scan.xyz", "scan_points.ply", "ascii.pcd", "binary.pcd")
+    import_module("scanning.test_point_files").write(folder / "scan.e57", "e57")
+    names = ("scan.npy", "scan.xyz", "scan_points.ply", "ascii.pcd", "binary.pcd", "scan.e57")
     found: list[tuple[Path, Reader]] = [(folder / name, read_points) for name in names]
     cv2.imwrite(str(folder / "depth.png"), np.full((12, 16), 800, dtype=np.uint16))
     camera = two_cameras().cameras[0]
@@ -292,6 +305,7 @@ def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     write_estimate_sample(folder / "estimate.json")
     found.append((folder / "estimate.json", read_estimate))
     found += write_recorded(folder / "recorded")
+    found += write_kept(folder / "kept")
     for file in write_pictures(folder):
         pattern = folder / file.name.replace("c0", "{camera}")
         found.append((file, lambda _path, p=pattern: _read_picture(p)))
@@ -323,6 +337,38 @@ def write_recorded(folder: Path) -> list[tuple[Path, Reader]]:
         (folder / "c0.avi", lambda path: camera_motion(Footage("c0", path))),
         *((file, lambda path: read_force_log(bags.gauge_of(path))) for file in logs),
     ]
+
+
+def write_kept(folder: Path) -> list[tuple[Path, Reader]]:
+    """What commands leave for others: a rig's covariance, surfaces, sums, lists and campaigns."""
+    write_bench = import_module("faults.bench").write_bench
+    folder.mkdir()
+    write_bench(folder)
+    result, many = folder / "result", folder / "many"
+    targets = [Charuco(7, 5, 0.016, 0.012), Chessboard(7, 5, 0.016)]
+    shot = folder / "boards" / "c0" / "01.png"
+    return [
+        (folder / "rig_covariance.npz", read_rig_covariance),
+        (result / "surface.npz", lambda _path: read_fitted_surface(result)),
+        (result / "inputs.txt", lambda _path: verify_result(result)),
+        (result / "contents.txt", lambda _path: verify_result(result)),
+        (folder / "list.txt", read_items),
+        (many / "campaign.sqlite", lambda _path: Store(many).rows()),
+        (shot, lambda _path: [target.find(eight_bits(read_grey(shot))) for target in targets]),
+        (write_greens(folder), read_green_functions),
+    ]
+
+
+def write_greens(folder: Path) -> Path:
+    """Green's functions that nobody solved for."""
+    mesh = box(size=(0.04, 0.04, 0.04), cells=1)
+    unit = 1e-4 * np.eye(6).reshape(2, 3, 2, 3)
+    surface = np.zeros((2, 3, len(mesh.vertices), 3))
+    material = exact_material(2e4, 0.3)
+    held, nodes = np.array([0, 1]), np.array([4, 5])
+    made = GreenFunctions("cube", mesh, held, nodes, unit, surface, unit, material, 0.0)
+    write_green_functions(folder / "green.npz", made)
+    return folder / "green.npz"
 
 
 def _measured(kind: str, path: Path) -> object:

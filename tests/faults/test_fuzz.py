@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from palpate.errors import PalpateError
 
 # Examples for each of the files; there are `_COUNT` of them.
-_EXAMPLES = int(os.environ.get("PALPATE_FUZZ_EXAMPLES", "11"))
+_EXAMPLES = int(os.environ.get("PALPATE_FUZZ_EXAMPLES", "8"))
 _MOST_SECONDS = 10.0
 _MOST_CHARACTERS = 1500
 _NUMBER = re.compile(rb"(?<![\w.])[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
@@ -61,7 +61,7 @@ def _read(file: Path, read: Reader, content: bytes) -> None:
     assert time.perf_counter() - start < _MOST_SECONDS
 
 
-_COUNT = 61
+_COUNT = 70
 
 
 @pytest.mark.parametrize("number", range(_COUNT))

@@ -59,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         if isinstance(error, BrokenPipeError):
             return _BROKEN_PIPE
-        _say(f"{error.filename or 'output'}: {error.strerror or error}")
+        # As messages of our own: no longer than a terminal shows.
+        _say(str(PalpateError(f"{error.filename or 'output'}: {error.strerror or error}")))
         return BAD_INPUT
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.errors import InputError, RecordError
+from palpate.errors import InputError, RecordError, quoted
 from palpate.records import read_text
 
 _SESSION_FILE = "session.toml"
@@ -44,7 +44,7 @@ def read_items(place: Path) -> tuple[CampaignItem, ...]:
 
     Raises
     ------
-    RecordError                     not there, nothing in it, a session twice
+    RecordError                     not there, nothing in it, a session twice, what is no path
     """
     found = tuple(_in_folder(place) if place.is_dir() else _in_list(place))
     if not found:
@@ -69,8 +69,11 @@ def _in_list(file: Path) -> Iterator[CampaignItem]:
         if not name:
             continue
         path = file.parent / name
-        # However it is spelled, and whether its folder is named or the file in it.
-        real = os.path.realpath(path / _SESSION_FILE if path.is_dir() else path)
+        try:
+            # However it is spelled, and whether its folder is named or the file in it.
+            real = os.path.realpath(path / _SESSION_FILE if path.is_dir() else path)
+        except (OSError, ValueError) as error:
+            raise RecordError(f"{file}, line {number}: {quoted(name)} cannot be a file") from error
         if real in seen:
             raise InputError(
                 f"{file}, line {number}: the session '{name}' is already in line {seen[real]}; a"

@@ -27,7 +27,7 @@ def test_units_are_understood(text, units, value):
 
 @pytest.mark.parametrize("bad", ["50 KPA", "3 N", "mm", "", "1 2 mm", "1e999x", float("nan")])
 def test_anything_else_is_refused_with_what_is_allowed(bad):
-    with pytest.raises(InputError, match=r"radius is .*; must be a number, with one of.*mm"):
+    with pytest.raises(InputError, match=r"radius is .*; must be a finite number, with one of.*mm"):
         quantity(bad, LENGTHS, "radius")
 
 
