@@ -50,6 +50,7 @@ SIZES = (16, 22, 32, 45, 63)
 # Of a dense model of more vertices the matrices take more than 6 GB.
 LARGEST_DENSE = 22
 NEAR_HALF = 0.4999
+TICKS = (2500, 5000, 10_000, 20_000, 40_000)
 PLACES = np.array([[0.5, 0.3, 0.8], [-0.9, 0.2, 0.3], [0.1, -1.0, 0.2]])
 SCALE = 0.04
 SHEAR_MODULUS, POISSON_RATIO, NOISE = 20e3, 0.3, 2e-5
@@ -253,6 +254,7 @@ def _observed(
 
 def draw(folder: Path) -> None:
     """Both ways over the number of vertices: time, and memory."""
+    largest = _series(folder, "compressed", "times")[0][-1]
     with rc_context(STYLE):
         figure = Figure(figsize=(6.6, 2.9), layout="constrained")
         panels = figure.subplots(1, 2)
@@ -264,13 +266,14 @@ def draw(folder: Path) -> None:
                 sizes, values = _series(folder, way, key)
                 axes.loglog(sizes, values / unit, "o-", color=colour, ms=3.5, lw=1.2, label=way)
             sizes, values = _series(folder, "dense", key)
-            last = np.array([sizes[-1], 2e4])
+            last = np.array([sizes[-1], largest])
             further = values[-1] / unit * (last / last[0]) ** power
             axes.loglog(last, further, ":", color=ORANGE, lw=1.0, label="dense, not measured")
             axes.axvline(SIZE_CHOOSES, color=GREY, lw=0.6)
             axes.set_xlabel("Vertices")
             axes.set_title(title, loc="left")
-            axes.set_xticks([2500, 5000, 10_000, 20_000], ["2500", "5000", "10 000", "20 000"])
+            ticks = [size for size in TICKS if size < 1.1 * largest]
+            axes.set_xticks(ticks, [f"{size:,}".replace(",", " ") for size in ticks])
             axes.minorticks_off()
             axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
             open_frame(axes)
