@@ -1,7 +1,7 @@
 """Time and memory of dense matrices and of the compressed operator over the size of a body.
 
     python -m benchmarks.larger_bodies grow FOLDER [FREQUENCY ...]    time, memory, error
-    python -m benchmarks.larger_bodies fit FOLDER [FREQUENCY]         a fit of three probings
+    python -m benchmarks.larger_bodies fit FOLDER FREQUENCY [WAY]     a fit of three probings
     python -m benchmarks.larger_bodies draw FOLDER                    docs/images/larger_bodies.png
 
 A body of frequency f has 10 f^2 + 2 vertices: 16 gives 2562, 32 10 242, 55 30 252, 63 39 692. Each
@@ -38,8 +38,9 @@ from palpate.bem import (
     make_surface,
     solve,
 )
-from palpate.bem.compressed import cluster_inverse, solve_compressed
-from palpate.figures.style import BLUE, ORANGE, STYLE, open_frame, save_figure
+from palpate.bem.compressed import choice, cluster_inverse, solve_compressed
+from palpate.bem.system import LARGEST_DENSE as SIZE_CHOOSES
+from palpate.figures.style import BLUE, GREY, ORANGE, STYLE, open_frame, save_figure
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session, make_object_model
 from palpate.pipeline.model import surface_load
@@ -49,6 +50,7 @@ SIZES = (16, 22, 32, 45, 63)
 # Of a dense model of more vertices the matrices take more than 6 GB.
 LARGEST_DENSE = 22
 NEAR_HALF = 0.4999
+TICKS = (2500, 5000, 10_000, 20_000, 40_000)
 PLACES = np.array([[0.5, 0.3, 0.8], [-0.9, 0.2, 0.3], [0.1, -1.0, 0.2]])
 SCALE = 0.04
 SHEAR_MODULUS, POISSON_RATIO, NOISE = 20e3, 0.3, 2e-5
@@ -211,10 +213,10 @@ def fit(folder: Path, frequency: int) -> None:
     lines = [first]
     for name, true in (("shear_modulus", SHEAR_MODULUS), ("poisson_ratio", POISSON_RATIO)):
         value = getattr(found, name)
-        lines.append(f"  {name} {value.value:.6g} +- {value.std:.2g}, true {true:g}")
+        lines.append(f"  {name} {value.value:.9g} +- {value.std:.6g}, true {true:g}")
     lines.append(f"  seconds {found.seconds}")
     print("\n".join(lines))
-    (folder / f"fit-{frequency}.txt").write_text("\n".join(lines) + "\n")
+    (folder / f"fit-{len(mesh.vertices)}.txt").write_text("\n".join(lines) + "\n")
 
 
 def _session(mesh: TriangleMesh, fields: Sequence[DisplacementField | None]) -> Session:
@@ -252,20 +254,34 @@ def _observed(
 
 def draw(folder: Path) -> None:
     """Both ways over the number of vertices: time, and memory."""
+    largest = _series(folder, "compressed", "times")[0][-1]
     with rc_context(STYLE):
-        figure = Figure(figsize=(6.4, 2.7), layout="constrained")
+        figure = Figure(figsize=(6.6, 2.9), layout="constrained")
         panels = figure.subplots(1, 2)
-        for axes, key, unit, title in (
-            (panels[0], "times", 60.0, "Processor time [min]"),
-            (panels[1], "memory", 1e9, "Memory [GB]"),
+        for axes, key, unit, title, power in (
+            (panels[0], "times", 1.0, "Processor time [s]", 3),
+            (panels[1], "memory", 1e9, "Memory [GB]", 2),
         ):
             for way, colour in (("dense", ORANGE), ("compressed", BLUE)):
                 sizes, values = _series(folder, way, key)
                 axes.loglog(sizes, values / unit, "o-", color=colour, ms=3.5, lw=1.2, label=way)
+            sizes, values = _series(folder, "dense", key)
+            last = np.array([sizes[-1], largest])
+            further = values[-1] / unit * (last / last[0]) ** power
+            axes.loglog(last, further, ":", color=ORANGE, lw=1.0, label="dense, not measured")
+            axes.axvline(SIZE_CHOOSES, color=GREY, lw=0.6)
             axes.set_xlabel("Vertices")
             axes.set_title(title, loc="left")
+            ticks = [size for size in TICKS if size < 1.1 * largest]
+            axes.set_xticks(ticks, [f"{size:,}".replace(",", " ") for size in ticks])
+            axes.minorticks_off()
+            axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
             open_frame(axes)
-        panels[0].legend(loc="upper left")
+        panels[0].legend(loc="lower right")
+        panels[1].annotate(
+            "by itself\ncompressed", (SIZE_CHOOSES, 0.97), xycoords=("data", "axes fraction"),
+            xytext=(4, 0), textcoords="offset points", va="top", fontsize=7.5, color=GREY,
+        )  # fmt: skip
     save_figure(figure, ROOT / "docs" / "images" / "larger_bodies.png")
 
 
@@ -279,7 +295,10 @@ def main() -> None:
         found = measured(rest[0], int(rest[1]), folder)
         (folder / f"{rest[0]}-{rest[1]}.json").write_text(json.dumps(found))
     elif task == "fit":
-        fit(folder, int(rest[0]) if rest else 55)
+        if rest[1:]:
+            # By itself, size decides.
+            choice.LARGEST_DENSE = 0 if rest[1] == "compressed" else 100_000
+        fit(folder, int(rest[0]))
     else:
         draw(folder)
 

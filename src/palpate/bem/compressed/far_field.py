@@ -161,7 +161,9 @@ class FarField:
                 continue
             place = tree.centre[seen, None] + tree.radius[seen, None, None] * sphere.charge
             shift = own.tree.centre[one] - tree.centre[seen]
-            shifted = recentred(charges[seen], shift[:, None])
+            # A copy already: changed in place.
+            shifted = charges[seen]
+            shifted[:, :, :3] += shift[:, None, :, None] * shifted[:, :, 3:]
             kernel = np.empty((len(points), shifted.shape[0] * shifted.shape[1]))
             fill_inverse_distances(points, np.ascontiguousarray(place.reshape(-1, 3).T), kernel)
             found = kernel @ shifted.reshape(kernel.shape[1], -1)

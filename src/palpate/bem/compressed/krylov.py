@@ -74,8 +74,9 @@ def solve_together(
         if found.residual.max(initial=0.0) > tolerance:
             raise NotConvergedError(
                 f"a system of {len(right)} equations is not solved after {most} iterations"
-                f" (residual {found.residual.max():.1e}, at most {tolerance:.0e} is allowed): thin"
-                " parts make this hard; simplify the surface until dense matrices serve"
+                f" (residual {found.residual.max():.1e}, at most {tolerance:.0e} is allowed): a"
+                " part that nothing holds makes this impossible (run `palpate check`), thin parts"
+                " make it hard: simplify the surface until dense matrices serve"
             )
         parts.append(found)
     return IterativeSolution(
