@@ -9,6 +9,8 @@ from drawn_ball import INCH, MILLIMETRE, written_ball
 from palpate.errors import MeshError
 from palpate.geometry import enclosed_volume, read_mesh
 
+pytest.importorskip("cascadio", reason="needs cascadio, the extra `cad`, which is not installed")
+
 
 @pytest.mark.parametrize(("unit", "metres"), [(MILLIMETRE, 1e-3), (INCH, 25.4e-3)])
 def test_a_drawing_has_its_own_unit(tmp_path: Path, unit: str, metres: float) -> None:

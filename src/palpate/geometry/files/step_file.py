@@ -56,7 +56,7 @@ def read_step(path: Path) -> tuple[Vertices, Triangles]:
             ) from error
         # glTF is in metres by definition.
         read = done.returncode == 0 and target.exists()
-        drawn = trimesh.load_scene(target, process=False).to_mesh() if read else None
+        drawn = trimesh.load(target, force="mesh", process=False) if read else None
     if drawn is None or len(drawn.faces) == 0:
         raise MeshError(
             f"{path}: no solid can be read of this STEP file; open it in a drawing program, check"
