@@ -9,8 +9,10 @@ from palpate.lab.bench.press_film import _warped
 
 @pytest.mark.parametrize("most", [0.05, 0.3])
 def test_films_move_by_what_was_solved(most: float) -> None:
-    """Tenths of a pixel, which a remap that rounds places makes a tenth longer. What a ramp shows is
-    how far it has gone."""
+    """Tenths of a pixel, which a remap that rounds places makes a tenth longer.
+
+    What a ramp shows is how far it has gone.
+    """
     ramp = np.tile(np.arange(160.0, dtype=np.float32), (80, 1))
     motion = np.zeros((20, 40, 2), dtype=np.float32)
     motion[..., 0] = most * np.linspace(-1.0, 1.0, 40)
