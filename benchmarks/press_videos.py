@@ -115,8 +115,8 @@ def _recording(config: LabConfig, rig: Rig, truths: list[Truth]) -> dict[str, ob
         "rig": {"cameras": "rig.toml"},
         "force": {"file": "force.csv", "axes": np.eye(3).tolist()},
         "contact": {
-            "profile": "hertz",
-            "radius": [truth.radius for truth in truths],
+            "tool": "sphere",
+            "tool_radius": config.arm.radius,
             "points": [truth.point.tolist() for truth in truths],
         },
         "camera": [{"name": c.name, "video": f"{c.name}.avi"} for c in rig.cameras],

@@ -65,8 +65,8 @@ def hand_sorted(folder: Path, out: Path) -> None:
         {
             "name": names[k + 1],
             "contact": {
-                "point": truth["point"][k].tolist(), "radius": float(truth["radius"][k]),
-                "profile": "hertz",
+                "point": truth["point"][k].tolist(), "tool": "sphere",
+                "tool_radius": read_lab_config(built_in()["half-ball"]).arm.radius,
             },
             "force": (mean(loaded[k]) - mean(truth["begin"][k] - _BEFORE)).tolist(),
             "force_std": 0.002,
