@@ -120,36 +120,44 @@ def _window_widths(
     ours, theirs = (
         make_spline_picture(cv2.Laplacian(picture.grey, cv2.CV_32F)) for picture in (first, later)
     )
-    half = scene.subset // 2
+    kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.use[:, camera])
+    window, column, row = _window_pixels(scene, rows[kept], camera)
+    point = scene.surface[camera][row, column]
+    there = _moved(scene, rows[kept][window], match.motion[kept][window], point)
+    target = project(scene.rig.cameras[camera], there)
+    rest, change = first.grey[row, column], interpolate(later, target)
+    curved = 0.5 * (ours.grey[row, column] + interpolate(theirs, target))
+    light = np.stack([np.ones(len(rest)), rest, column, row], axis=1)
+    widths = []
+    for part in np.split(np.arange(len(window)), np.searchsorted(window, np.arange(1, len(kept)))):
+        basis = np.linalg.qr(light[part])[0]
+        bend, grown = (x[part] - basis @ (basis.T @ x[part]) for x in (curved, change))
+        widths.append(2.0 * (bend @ grown) / (bend @ bend))
+    return np.array(widths if len(kept) else [])
+
+
+def _window_pixels(
+    scene: Scene, rows: Int[np.ndarray, " w"], camera: int
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Pixels of a camera's windows that show the surface: window, in order, column and row."""
+    half, size = scene.subset // 2, np.array(scene.grey[camera].shape[::-1])
     line = np.arange(-half, half + 1)
     offset = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    size = np.array(first.grey.shape[::-1])
-    widths = []
-    for i in np.flatnonzero((match.outcome == Outcome.VALID) & match.use[:, camera]):
-        row = int(rows[i])
-        place = project(scene.rig.cameras[camera], scene.point[row][None])[0]
-        pixel = np.rint(place).astype(int) + offset
-        pixel = pixel[((pixel >= 0) & (pixel < size)).all(axis=1)]
-        column, line_of = pixel.T
-        seen = scene.inner[camera][line_of, column] > 0.0
-        column, line_of = column[seen], line_of[seen]
-        there = _moved(scene, row, match.motion[i], scene.surface[camera][line_of, column])
-        target = project(scene.rig.cameras[camera], there)
-        light = np.stack([np.ones(len(target)), first.grey[line_of, column], column, line_of])
-        basis = np.linalg.qr(light.T)[0]
-        curved = 0.5 * (ours.grey[line_of, column] + interpolate(theirs, target))
-        change = interpolate(later, target)
-        curved, change = (x - basis @ (basis.T @ x) for x in (curved, change))
-        widths.append(2.0 * (curved @ change) / (curved @ curved))
-    return np.array(widths)
+    place = project(scene.rig.cameras[camera], scene.point[rows])
+    pixel = np.rint(place).astype(np.int64)[:, None] + offset
+    inside = ((pixel >= 0) & (pixel < size)).all(axis=2)
+    column, row = np.moveaxis(np.clip(pixel, 0, size - 1), 2, 0)
+    seen = inside & (scene.inner[camera][row, column] > 0.0)
+    return np.nonzero(seen)[0], column[seen], row[seen]
 
 
 def _moved(
     scene: Scene,
-    row: int,
-    motion: Float[np.ndarray, "6 3"],
+    rows: Int[np.ndarray, " p"],
+    motion: Float[np.ndarray, "p 6 3"],
     point: Float[np.ndarray, "p 3"],
 ) -> Float[np.ndarray, "p 3"]:
-    """Where the surface around a point has gone, by the first derivatives of its motion [m]."""
-    away = (point - scene.point[row]) @ scene.tangent[row].T / scene.extent[row]
-    return np.asarray(point + motion[0] + away @ motion[1:3], dtype=np.float64)
+    """Where the surface around some points has gone, by their motions and first derivatives [m]."""
+    away = np.einsum("pi,pai->pa", point - scene.point[rows], scene.tangent[rows])
+    away /= scene.extent[rows, None]
+    return point + motion[:, 0] + np.einsum("pa,pai->pi", away, motion[:, 1:3])
