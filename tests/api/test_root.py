@@ -90,5 +90,5 @@ def test_pokes_take_units(result):
     as_text = result.poke(("20 mm", "2cm", "40mm"), (0, 0, "-1000 mN"), radius="6 mm")
     assert as_text.displacement == pytest.approx(in_metres.displacement, rel=1e-12)
     assert in_metres.displacement[2] < 0.0
-    with pytest.raises(InputError, match=r"at is '20 miles'; must be a number.*mm"):
+    with pytest.raises(InputError, match=r"at is '20 miles'; must be a finite number.*mm"):
         result.poke(("20 miles", 0, 0), (0, 0, -1))
