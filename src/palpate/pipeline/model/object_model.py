@@ -177,8 +177,9 @@ def make_object_model(
     boundary = make_surface(
         session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
     )
-    system = like.system if like is not None else None
-    if system is None:
+    if like is not None:
+        system = like.system
+    else:
         system = held_system(boundary, dense=gives, cache=cache, progress=progress)
     weight = None
     if session.gravity is not None and session.density is not None:

@@ -55,34 +55,36 @@ def equally_sharp(
     tuple of c SplinePicture            smoothed like the scene's, blurred where the first one is
     """
     width = np.zeros(len(now))
+    there, later = scene, spline_pictures(now, scene.smoothing)
     known = np.flatnonzero(np.isfinite(start).all(axis=(1, 2)))
     rows = known[:: max(len(known) // _WINDOWS, 1)]
-    if len(rows) >= _FEWEST:
-        steady = replace(scene, smoothing=max(scene.smoothing, _SMOOTHING))
-        for _ in range(_ROUNDS):
-            there, later = _blurred(steady, now, width)
-            found, error = _relative_width(there, later, rows, start[rows])
-            sure = np.abs(found) > _SURE * error
-            if not sure.any():
-                break
-            width += np.where(sure, found, 0.0)
+    if len(rows) < _FEWEST:
+        return there, later
+    for _ in range(_ROUNDS):
+        seen = there, later
+        if scene.smoothing < _SMOOTHING:
+            seen = _blurred(scene, now, width, _SMOOTHING)
+        found, error = _relative_width(*seen, rows, start[rows])
+        sure = np.abs(found) > _SURE * error
+        if not sure.any():
+            break
+        width += np.where(sure, found, 0.0)
+        there, later = _blurred(scene, now, width, scene.smoothing)
     if not width.any():
-        return scene, spline_pictures(now, scene.smoothing)
-    there, later = _blurred(scene, now, width)
+        return there, later
     # One of the two is smoothed by this much more: half of it is what their difference shows.
     usual = float(np.sqrt(scene.smoothing**2 + 0.5 * np.abs(width).mean()))
     return replace(there, smoothing=usual), later
 
 
 def _blurred(
-    scene: Scene, now: Greys, width: Float[np.ndarray, " c"]
+    scene: Scene, now: Greys, width: Float[np.ndarray, " c"], smoothing: float
 ) -> tuple[Scene, tuple[SplinePicture, ...]]:
     """Both instants' pictures, smoothed, the first by a squared width more, or the later by one
     less than zero [px^2]."""
-    square = scene.smoothing**2
     first, later = (
         tuple(
-            make_spline_picture(grey, smoothing=float(np.sqrt(square + max(more, 0.0))))
+            make_spline_picture(grey, smoothing=float(np.sqrt(smoothing**2 + max(more, 0.0))))
             for grey, more in zip(pictures, sign * width, strict=True)
         )
         for pictures, sign in ((scene.grey, 1.0), (now, -1.0))
@@ -117,16 +119,14 @@ def _window_widths(
 ) -> Float[np.ndarray, " w"]:
     """What each window that was found tells of the relative width in one camera [px^2]."""
     first = scene.pictures[camera]
-    ours, theirs = (
-        make_spline_picture(cv2.Laplacian(picture.grey, cv2.CV_32F)) for picture in (first, later)
-    )
+    ours, theirs = (cv2.Laplacian(picture.grey, cv2.CV_32F) for picture in (first, later))
     kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.use[:, camera])
     window, column, row = _window_pixels(scene, rows[kept], camera)
     point = scene.surface[camera][row, column]
     there = _moved(scene, rows[kept][window], match.motion[kept][window], point)
     target = project(scene.rig.cameras[camera], there)
     rest, change = first.grey[row, column], interpolate(later, target)
-    curved = 0.5 * (ours.grey[row, column] + interpolate(theirs, target))
+    curved = 0.5 * (ours[row, column] + interpolate(make_spline_picture(theirs), target))
     light = np.stack([np.ones(len(rest)), rest, column, row], axis=1)
     widths = []
     for part in np.split(np.arange(len(window)), np.searchsorted(window, np.arange(1, len(kept)))):
