@@ -101,7 +101,7 @@ def session_of(points: Points, errors: ErrorPriors) -> Session:
 def observed(session: Session) -> ProbeObservations:
     """The sheet as `palpate fit` models it: graded, beside the given mesh."""
     plain = replace(session, errors=EXACT)
-    coarser = settled_observations(plain, make_object_model(plain))
+    coarser = settled_observations(plain, make_object_model(plain, nominal=True))
     graded = graded_session(session)
     (seen,) = settled_observations(graded, make_object_model(graded), coarser=coarser)
     return seen

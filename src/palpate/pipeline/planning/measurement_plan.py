@@ -251,7 +251,7 @@ def _information(session: Session, material: Material) -> Information:
     shear, ratio = material.shear_modulus, material.poisson_ratio
     resolved = _at_guess(session, material)
     plain = replace(resolved, errors=EXACT)
-    coarser = settled_observations(plain, make_object_model(plain))
+    coarser = settled_observations(plain, make_object_model(plain, nominal=True))
     graded = graded_session(resolved)
     observed = settled_observations(graded, make_object_model(graded), coarser=coarser)
     known = with_stretch(observed, calibration_strains(session))
