@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from vision.textures import Speckle, noisy
 
 from palpate.vision.images.normalisation import (
@@ -10,6 +11,7 @@ from palpate.vision.images.normalisation import (
     cropped,
     make_normalised_image,
     moments,
+    point_spread,
 )
 
 SHAPE = (150, 170)
@@ -109,3 +111,22 @@ def test_levels_have_mean_128_and_contrast_40_but_for_the_noise():
         # Rounded to whole levels.
         assert picture.levels[row, column] == pytest.approx(level, abs=0.51)
         assert picture.textured[row, column] == (window.var() > (2.0 * noise) ** 2)
+
+
+@pytest.mark.parametrize("sigma", [0.5, 0.7, 1.0, 1.5])
+@pytest.mark.parametrize("noise", [0.0, 1.5])
+def test_spread_of_a_sharp_edge(sigma, noise):
+    """An edge 5 degrees off the columns, blurred by sigma, gives the mean between sigma^2 and a
+    pixel's 1/12 where the scale is not known: their difference over that of their logarithms."""
+    row, column = np.mgrid[:80, :80] - 40.0
+    edge = 30.0 + 180.0 * ndtr((0.996 * column + 0.087 * row) / sigma)
+    expected = (sigma**2 - 1.0 / 12.0) / np.log(12.0 * sigma**2)
+    # Pixels a whole step apart and noise make an edge look a tenth wider than it is.
+    found = point_spread(noisy(edge, noise, 1))
+    assert found == pytest.approx(expected, rel=0.25)
+
+
+def test_no_camera_is_sharper_than_its_pixels():
+    flat = np.full((50, 60), 7.0)
+    for picture in (flat, noisy(flat, 2.0, 1), np.where(np.arange(60) < 30, 10.0, 200.0) + flat):
+        assert point_spread(picture) == pytest.approx(1.0 / 12.0, rel=0.15)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from vision.scenes import (
@@ -246,6 +247,27 @@ def test_light_of_one_camera_is_no_matter(still):
     # Single precision and the last step.
     assert np.abs(other.displacement - plain.displacement)[good].max() < 1e-3 * PITCH
     np.testing.assert_allclose(other.left[good], plain.left[good], rtol=1e-3, equal_nan=True)
+
+
+def test_a_shadow_s_edge_moves_nothing():
+    """Light that falls by 1 % a pixel before lenses of 0.8 px: what they spread is drawn toward the
+    dark by 0.8^2 times 1 %, unless the windows know of the spread."""
+
+    def seen(views, fall):
+        light = np.exp(-fall * (np.arange(SHAPE[1]) - SHAPE[1] / 2))
+        return [cv2.GaussianBlur(light * view, (0, 0), 0.8) for view in views]
+
+    views = example_views("still")
+    scene, later = _scene(seen(views, 0.0)), seen(views, 0.01)
+    start = _start(scene, MOTIONS["still"])
+    drawn = {}
+    for spread in (0.0, 0.8**2):
+        found = Found(replace(scene, spread=np.full(3, spread)), later, start, shading=True)
+        assert found.good.mean() > 0.7  # the others lie where no window has room
+        drawn[spread] = found.displacement[found.good, 0].mean() / PITCH
+    assert drawn[0.0] == pytest.approx(0.8**2 * 0.01, rel=0.1)
+    # Light that falls by a tenth over a window is not quite linear.
+    assert abs(drawn[0.8**2]) < 0.05 * drawn[0.0]
 
 
 def _reordered(scene, order):

@@ -14,6 +14,8 @@ from palpate.vision.matching.window_sums import (
 )
 
 HALF = 5
+# By so much is the light spread in the windows [px^2].
+SPREAD = 1.4
 SIDE = 2 * HALF + 1
 SHAPES = sorted(BASES)
 # Sums of a hundred single-precision products against the same in double precision.
@@ -43,7 +45,7 @@ class Window:
         self.window = np.full((6, SIDE, SIDE), np.nan, dtype=np.float32)
         self.window[3] = self.weight
         self.inside, self.mean, self.square = load_window_kernel(
-            *planes, column, row, HALF, shading, self.window
+            *planes, column, row, HALF, shading, SPREAD, self.window
         )
         self.kept = self.weight > 0
         cut = np.s_[row - HALF : row + HALF + 1, column - HALF : column + HALF + 1]
@@ -54,7 +56,9 @@ class Window:
         self.columns = np.stack([d * p for d in slopes for p in powers], axis=1)
         light = [np.ones_like(self.grey), self.grey]
         if shading:
-            light += [self.grey * xi[self.kept], self.grey * eta[self.kept]]
+            # Light that varies is spread with the picture: x times it, and its derivative.
+            for place, slope in zip((xi, eta), slopes, strict=True):
+                light.append(self.grey * place[self.kept] + SPREAD / HALF * slope)
         self.light = np.stack(light, axis=1)
         self.sums, self.moments = np.zeros((8, 6)), np.zeros((5, 5))
         window_side_sums_kernel(self.window, HALF, self.sums, self.moments)
@@ -114,7 +118,7 @@ def test_planes_of_the_light_are_orthonormal_and_span_a_linear_gain():
     known = np.stack([one.window[3].ravel(), one.window[0].ravel() / np.sqrt(one.square)])
     np.testing.assert_allclose(planes @ known.T, 0.0, atol=2e-5)
     assert not planes[:, ~one.kept.ravel()].any()
-    # Nothing of them is left once grey, xi grey and eta grey are taken out.
+    # Nothing of them is left once grey and the two linear gains are taken out.
     left = one.without_light(planes[:, one.kept.ravel()].T.astype(float))
     np.testing.assert_allclose(left, 0.0, atol=1e-5)
     assert not Window("masked", "affine").window[4:].any()

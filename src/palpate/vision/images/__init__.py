@@ -21,6 +21,7 @@ from palpate.vision.images.normalisation import (
     cropped as cropped,
     make_normalised_image as make_normalised_image,
     moments as moments,
+    point_spread as point_spread,
 )
 from palpate.vision.images.pictures import (
     Pictures as Pictures,

@@ -5,10 +5,18 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from scipy.special import erfinv
 
 # Side of the windows in which pictures are normalised and compared [px]: that of the usual
 # refinement.
 WINDOW = 21
+# Windows in which edges are looked at [px], and how far their contrast stands over the noise.
+_EDGE_WINDOW = 7
+_EDGE_CONTRAST = 30.0
+# Of the pixels in such windows, the share that lies off the middle of an edge or on a soft one.
+_SOFT = 0.95
+# What a pixel's own area spreads light by, the least that any camera does [px^2].
+_PIXEL_SPREAD = 1.0 / 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +117,39 @@ def _width(
     steep = float((column**2 + row**2)[textured].sum()) - 0.375 * count * noise**2
     strong = float(variance[textured].sum()) - count * noise**2
     return float(np.sqrt(strong / steep)) if steep > 0.0 else 0.0
+
+
+def point_spread(grey: Float[np.ndarray, "rows columns"]) -> float:
+    """Variance of the spot that lens and chip make of a point, as far as the picture tells [px^2].
+
+    No edge is sharper than the camera, but all may be softer: what is known is an upper bound, the
+    width of the sharpest edges, and a lower one, the area of a pixel. Of the scale in between
+    nothing is known, and the mean of what is left is returned.
+
+    Parameters
+    ----------
+    grey : (rows, columns) float [grey levels]      finite
+
+    Returns
+    -------
+    float [px^2]                    along one axis, at least 1 / 12
+    """
+    around = np.ones((_EDGE_WINDOW, _EDGE_WINDOW), dtype=np.uint8)
+    grey = np.ascontiguousarray(grey, dtype=np.float32)
+    contrast = cv2.dilate(grey, around) - cv2.erode(grey, around)
+    across = 0.5 * (np.roll(grey, -1, axis=1) - np.roll(grey, 1, axis=1))
+    down = 0.5 * (np.roll(grey, -1, axis=0) - np.roll(grey, 1, axis=0))
+    slope = np.maximum(np.abs(across), np.abs(down))
+    inner = (slice(_EDGE_WINDOW, -_EDGE_WINDOW),) * 2
+    strong = contrast[inner] > _EDGE_CONTRAST * _noise(grey)
+    if not strong.any():
+        return _PIXEL_SPREAD
+    # Half the step from one pixel before a blurred edge to one behind, over its height.
+    sharp = np.quantile(slope[inner][strong] / contrast[inner][strong], _SOFT)
+    share = min(float(sharp), 0.499)
+    widest = 0.5 / float(erfinv(2.0 * share)) ** 2
+    ratio = widest / _PIXEL_SPREAD
+    return _PIXEL_SPREAD * (ratio - 1.0) / np.log(ratio) if ratio > 1.001 else _PIXEL_SPREAD
 
 
 def cropped(picture: NormalisedImage, box: tuple[slice, slice]) -> NormalisedImage:

@@ -264,7 +264,8 @@ def _unsmoothed_where_turned(scene: Scene, start: Float[np.ndarray, "n 6 3"]) ->
     gradient = gradient[np.isfinite(gradient)]
     if len(gradient) == 0 or np.median(gradient) <= _MAX_SMOOTHED_GRADIENT:
         return scene
-    return replace(scene, pictures=spline_pictures(scene.grey, 0.0), smoothing=0.0)
+    spread = scene.spread - scene.smoothing**2
+    return replace(scene, pictures=spline_pictures(scene.grey, 0.0), smoothing=0.0, spread=spread)
 
 
 def _completed(

@@ -53,8 +53,9 @@ _LOST = int(Outcome.LOST)
 _MIN_POINTS_PER_THREAD = 8
 # Blocks along a side of a window whose residuals are taken as independent of each other.
 BLOCKS = 3
-# What a camera sees at the first instant, tuples of c arrays but for the packed cameras (c, 25).
-_First = namedtuple("_First", "cameras grey along_column along_row surface inner")
+# What a camera sees at the first instant, tuples of c arrays but for the packed cameras (c, 25) and
+# the light's spread (c,) [px^2].
+_First = namedtuple("_First", "cameras grey along_column along_row surface inner spread")
 # What is followed: (n, 3), (n, 2, 3) tangents, (n,) half side of a window on the surface [m].
 _Points = namedtuple("_Points", "point tangent extent")
 # Work arrays of one thread. What takes them is inlined: passing so many arrays is slow to compile.
@@ -161,6 +162,7 @@ def refine_joint(
         tuple(picture.along_row for picture in pictures),
         scene.surface,
         scene.inner,
+        scene.spread,
     )
     in_threads(
         _refine_range, count, first, tuple(picture.coefficients for picture in moved),
@@ -232,8 +234,8 @@ def _prepare_kernel(first, points, i, use, noise, limits, work):
         work.active[c] = use[c] and load_camera_kernel(
             first.cameras[c], first.grey[c], first.along_column[c], first.along_row[c],
             first.surface[c], first.inner[c], point, tangent, extent, limits.half,
-            limits.least_share, limits.shading, work.window[c], work.place[c], work.centre[c],
-            work.contents[c],
+            limits.least_share, limits.shading, first.spread[c], work.window[c], work.place[c],
+            work.centre[c], work.contents[c],
         )  # fmt: skip
         seen += work.active[c]
     if seen < 2:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
 from palpate.vision.cameras import SurfaceMap, packed_rig, pixel_sizes, surface_map, visible
-from palpate.vision.images import SplinePicture, spline_pictures
+from palpate.vision.images import SplinePicture, point_spread, spline_pictures
 from palpate.vision.range_flow import grid_points, grid_triangles
 
 # A pixel this close to an outline mixes object and ground: its response, and the spline's, reach so
@@ -42,6 +42,8 @@ class Scene:
     subset : int [px]                   side of a window
     step : int [px]                     spacing of the points in the reference camera
     smoothing : float [px]              Gaussian low-pass of `pictures`
+    spread : (c,) float [px^2]          variance by which light is spread in `pictures`: by lens and
+                                        chip, and by the low-pass
     """
 
     rig: Rig
@@ -58,6 +60,7 @@ class Scene:
     subset: int
     step: int
     smoothing: float
+    spread: Float[np.ndarray, " c"]
 
 
 def make_scene(
@@ -101,6 +104,7 @@ def make_scene(
         subset=subset,
         step=step,
         smoothing=smoothing,
+        spread=np.array([point_spread(picture) for picture in pictures]) + smoothing**2,
         **views,
     )
 

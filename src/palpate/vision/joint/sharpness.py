@@ -89,7 +89,8 @@ def _blurred(
         )
         for pictures, sign in ((scene.grey, 1.0), (now, -1.0))
     )
-    return replace(scene, pictures=first), later
+    spread = scene.spread + smoothing**2 - scene.smoothing**2 + np.maximum(width, 0.0)
+    return replace(scene, pictures=first, spread=spread), later
 
 
 def _relative_width(

@@ -14,14 +14,15 @@ _SPLINE_MARGIN_PX = 8
 @njit(cache=True, error_model="numpy")
 def load_camera_kernel(
     camera, grey, along_column, along_row, surface, inner, point, tangent, extent, half,
-    least_share, shading, window, place, centre, contents,
+    least_share, shading, spread, window, place, centre, contents,
 ):  # fmt: skip
     """Window of one camera with its pixels' surface points; False where it sees too little.
 
     `window` (6, side, side) as in `load_window_kernel`; `place` (3, side, side): coordinates of
     each pixel's point along the two tangents and the normal, in extents; `centre` (2,) int [px]
     column and row; `contents` (3,): pixels inside, their mean, sum of squares about it;
-    `tangent` (2, 3) is orthonormal, `extent` [m] half a window's side, `least_share` 0 to 1.
+    `tangent` (2, 3) is orthonormal, `extent` [m] half a window's side, `least_share` 0 to 1,
+    `spread` [px^2] of the light in the picture.
     """
     x, y = project_kernel(camera, point[0], point[1], point[2])
     rows, columns = grey.shape
@@ -61,7 +62,7 @@ def load_camera_kernel(
     if count < least_share * (2 * half + 1) ** 2:
         return False
     inside, mean, square = load_window_kernel(
-        grey, along_column, along_row, column, row, half, shading, window
+        grey, along_column, along_row, column, row, half, shading, spread, window
     )
     contents[0] = inside
     contents[1] = mean

@@ -145,7 +145,7 @@ def _refine_range(
         ):
             continue
         inside, mean, square = load_window_kernel(
-            grey, along_column, along_row, column, row, half, False, window
+            grey, along_column, along_row, column, row, half, False, 0.0, window
         )
         if square <= 0.0:
             continue

@@ -2,7 +2,9 @@
 
 Between two pictures of a window the light may change by an offset, a gain, and (shading) a gain
 that varies linearly over the window. These are eliminated in closed form: everything is projected
-on what they cannot explain.
+on what they cannot explain. Light changes before lens, chip and low-pass spread it: a picture that
+is spread by a Gaussian of variance s, of light times x, is x times the picture plus s times its
+derivative. Without that term a window in a shadow's edge is drawn toward the dark.
 
 A window holds six planes, `(6, side, side)` float32: grey level less its mean, derivative by the
 column, derivative by the row, weight (1 inside, 0 outside), and two planes of unit length that with
@@ -19,11 +21,13 @@ EXPONENTS = np.array([[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]])
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def load_window_kernel(grey, along_column, along_row, column, row, half, shading, window):
+def load_window_kernel(
+    grey, along_column, along_row, column, row, half, shading, spread, window
+):  # fmt: skip
     """Fill the planes around a pixel; the fourth, the weights, is given.
 
     `grey`, `along_column`, `along_row` (rows, columns) float32 [grey levels, per px]; the window
-    must lie within them. Returns the number of pixels inside, their mean [grey levels], and the sum
+    must lie within them; `spread` [px^2] of the light in them, for the shading. Returns the number of pixels inside, their mean [grey levels], and the sum
     of squares about it.
     """
     side = 2 * half + 1
@@ -59,20 +63,21 @@ def load_window_kernel(grey, along_column, along_row, column, row, half, shading
     window[4] = 0.0
     window[5] = 0.0
     if shading and square > 0.0:
-        _fill_shading_kernel(window, half, inside, level, square)
+        _fill_shading_kernel(window, half, inside, level, square, spread)
     return inside, mean, square
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _fill_shading_kernel(window, half, inside, level, square):
-    """The last two planes: grey level times column and times row, less what the others span."""
+def _fill_shading_kernel(window, half, inside, level, square, spread):
+    """The last two planes: light times column and times row, spread, less what the others span."""
     scale = np.float32(1.0 / half)
+    slope = np.float32(spread / half)
     for r in range(2 * half + 1):
         eta = np.float32(r - half) * scale
         for k in range(2 * half + 1):
             value = window[0, r, k] + level * window[3, r, k]
-            window[4, r, k] = value * np.float32(k - half) * scale
-            window[5, r, k] = value * eta
+            window[4, r, k] = value * np.float32(k - half) * scale + slope * window[1, r, k]
+            window[5, r, k] = value * eta + slope * window[2, r, k]
     for plane in (4, 5):
         mean = _dot_kernel(window[plane], window[3]) / inside
         gain = _dot_kernel(window[plane], window[0]) / square
