@@ -27,8 +27,8 @@ def load_window_kernel(
     """Fill the planes around a pixel; the fourth, the weights, is given.
 
     `grey`, `along_column`, `along_row` (rows, columns) float32 [grey levels, per px]; the window
-    must lie within them; `spread` [px^2] of the light in them, for the shading. Returns the number of pixels inside, their mean [grey levels], and the sum
-    of squares about it.
+    must lie within them; `spread` [px^2] of the light in them, for the shading. Returns the number
+    of pixels inside, their mean [grey levels], and the sum of squares about it.
     """
     side = 2 * half + 1
     inside = 0.0
