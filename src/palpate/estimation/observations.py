@@ -78,6 +78,9 @@ class ProbeObservations:
     covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, beside `std`; points
                                             then have all three components or none; None: their
                                             errors are independent
+    reference : str or None                 pictures at rest that the displacements were measured
+                                            from; points of probings with the same ones share their
+                                            noise
 
     Raises
     ------
@@ -100,6 +103,7 @@ class ProbeObservations:
     settlement: Settlement | None = None
     vertices: ResponseModel | None = None
     covariance: Float[np.ndarray, "n 3 3"] | None = None
+    reference: str | None = None
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "

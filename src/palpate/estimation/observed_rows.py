@@ -42,6 +42,7 @@ class ObservedRows:
     settlement : Settlement or None
     mixing : (k, 3, 3) float [-] or None    of the first k points, which have three rows each: their
                                             covariance to the power -1/2, times `unit`
+    reference : str or None                 pictures at rest that it was measured from
     """
 
     name: str
@@ -61,6 +62,7 @@ class ObservedRows:
     nuisances: tuple[Nuisance, ...] = ()
     settlement: Settlement | None = None
     mixing: Float[np.ndarray, "k 3 3"] | None = None
+    reference: str | None = None
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -231,6 +233,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         nuisances=probe.nuisances,
         settlement=probe.settlement,
         mixing=mixing,
+        reference=probe.reference,
     )
 
 

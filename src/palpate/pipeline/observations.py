@@ -250,6 +250,7 @@ def _observations(
         motion=motion,
         motion_std=motion_std,
         nuisances=nuisances,
+        reference=probing.images.rest if probing.images and field.vertex is not None else None,
     )
 
 

@@ -158,6 +158,62 @@ def test_a_shared_error_is_not_averaged_away() -> None:
         assert scores.covariance()[1, 1] == pytest.approx(1 / count + 1.0, rel=1e-6)
 
 
+def _common(count: int, share: float) -> np.ndarray:
+    """Probings of two constants that see the same noises with a share of their variance of 1."""
+    return np.sqrt(share) * np.repeat(np.eye(2)[None], count, axis=0)
+
+
+def test_noise_of_a_common_reference_is_not_averaged_away() -> None:
+    """Means of values of variance 1, half of it the same for all: (1 / n + 1) / 2."""
+    for count in (2, 50):
+        unit = np.repeat(np.eye(2)[None], count, axis=0)
+        scores = Scores(np.zeros((count, 2)), unit, 0.5 * unit, unit, _common(count, 0.5))
+        found = scores.variance(np.array([1.0, 0.0]), Scatter(1.0, 0.0))
+        assert found.independent == pytest.approx(0.5 / count, rel=1e-6)
+        assert found.shared == pytest.approx(0.5, rel=1e-6)
+        assert scores.covariance()[0, 0] == pytest.approx(found.total, rel=1e-6)
+
+
+def test_what_probings_share_does_not_scatter() -> None:
+    """Probings of very different information, half of whose noise is common."""
+    rng = np.random.default_rng(9)
+    information, noise = _random_matrices(rng, 5), _random_matrices(rng, 5)
+    root, common = np.linalg.cholesky(noise), rng.normal(size=(5, 3, 2))
+    turn, ratios = np.array([1.0, 0.4]), []
+    for _ in range(3000):
+        drawn = (root @ rng.normal(size=(5, 2, 1)))[..., 0] + rng.normal(size=3) @ common
+        ratios.append(Scores(drawn, information, noise, noise, common).scatter(turn).ratio)
+    # As above.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+
+
+def test_points_of_one_reference_err_together() -> None:
+    """Against X' C X with half of the noise of every point the same in all probings, dense."""
+    probes = [replace(probe, reference="rest") for probe in _probes()]
+    probes[1] = replace(
+        probes[1], displacement=np.where(np.arange(25)[:, None] < 7, np.nan, probes[1].displacement)
+    )
+    local = minimum_of(misfit_of(probes)).probes
+    known = ScoreNoise(1.0, 1.0, np.inf, INDEPENDENT)
+    found, _ = scores_of(misfit_of(probes), local, noise=known)
+    whole = [one.design[:, :2] for one in local]
+    rows = [np.isfinite(probe.displacement).ravel() for probe in probes]
+    expected = np.zeros((2, 2))
+    for k, (first, mine) in enumerate(zip(whole, rows, strict=True)):
+        for m, (second, theirs) in enumerate(zip(whole, rows, strict=True)):
+            alike = np.eye(75)[mine][:, theirs] * (1.0 if k == m else 0.5)
+            expected += first.T @ alike @ second
+    common = found.common.sum(axis=0)
+    np.testing.assert_allclose(found.noise.sum(0) + common.T @ common, expected, rtol=1e-9)
+
+
+def test_other_references_are_independent() -> None:
+    probes = [replace(probe, reference=f"rest {k}") for k, probe in enumerate(_probes())]
+    local = minimum_of(misfit_of(probes)).probes
+    known = ScoreNoise(1.0, 1.0, np.inf, INDEPENDENT)
+    assert scores_of(misfit_of(probes), local, noise=known)[0].common.shape[1] == 0
+
+
 def test_score_is_the_slope_of_the_misfit() -> None:
     misfit = misfit_of(_probes(force_noise=0.05), "student-t")
     nu, modulus, step = 0.25, 2.3e4, 1e-6

@@ -7,6 +7,7 @@ variance of what is independent between them is the claim, taken as one observat
 scatter as the others; the quantile is Student's for both together.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -24,6 +25,8 @@ _RIDGE = 1e-11
 # fewest with which intervals hold where the claim is half of the truth (93 % of two to five
 # probings, by simulation; 2 give 91 %, 3 give 88 %).
 _CLAIM_DEGREES = 1.0
+# Share of the variance of a match that is the first picture's noise, the same for every later one.
+_REFERENCE_SHARE = 0.5
 _UPPER_TAIL = 0.975
 
 
@@ -90,14 +93,29 @@ class Scores:
     ----------
     score : (k, d)
     information : (k, d, d)     expected slope of the score
-    noise : (k, d, d)           model-based covariance of the score
+    noise : (k, d, d)           model-based covariance of the score, of what differs from probing to
+                                probing
     curvature : (k, 2, 2)       second derivative of half the misfit at fixed weights and errors
+    common : (k, r, d) or None  what each of r independent noises of variance 1 that probings share
+                                adds to the score
     """
 
     score: Float[np.ndarray, "k d"]
     information: Float[np.ndarray, "k d d"]
     noise: Float[np.ndarray, "k d d"]
     curvature: Float[np.ndarray, "k 2 2"]
+    common: Float[np.ndarray, "k r d"] | None = None
+
+    @property
+    def _common(self) -> Float[np.ndarray, "k r d"]:
+        count, d = self.score.shape
+        return np.zeros((count, 0, d)) if self.common is None else self.common
+
+    @property
+    def _shared(self) -> Float[np.ndarray, "d d"]:
+        """Covariance of the sum of the scores from what probings share."""
+        every = self._common.sum(axis=0)
+        return self._prior + every.T @ every
 
     @property
     def _prior(self) -> Float[np.ndarray, "d d"]:
@@ -114,7 +132,7 @@ class Scores:
         Berkeley Symposium (1967).
         """
         inverse, ridge = self._inverse()
-        return inverse @ (self.noise.sum(0) + self._prior + ridge) @ inverse
+        return inverse @ (self.noise.sum(0) + self._shared + ridge) @ inverse
 
     def curvature_variance(self, direction: Float[np.ndarray, " 2"]) -> float:
         """Variance of a combination that the curvature of the misfit alone would claim.
@@ -152,7 +170,7 @@ class Scores:
         inverse, ridge = self._inverse()
         influence = inverse[:, :2] @ direction
         claimed = float(influence @ (self.noise.sum(0) + ridge) @ influence)
-        shared = float(influence @ self._prior @ influence)
+        shared = float(influence @ self._shared @ influence)
         return Variance(scatter.factor * claimed, shared, scatter.total_degrees)
 
     def scatter(self, direction: Float[np.ndarray, " 2"]) -> "Scatter":
@@ -172,10 +190,13 @@ class Scores:
         inverse, _ = self._inverse()
         influence = inverse[:, :2] @ direction
         share = np.einsum("i,kij,jl->kl", influence, self.information, inverse)
+        together = self._common @ influence
         crossed = np.einsum("ki,lij,j->kl", share, self.noise, influence)
-        own = np.einsum("i,kij,j->k", influence, self.noise, influence)
-        common = share @ (self.noise.sum(0) + self._prior) @ share.T
-        expected = np.diag(own) - crossed - crossed.T + common
+        crossed += share @ self._common.sum(axis=0).T @ together.T
+        own = np.diag(np.einsum("i,kij,j->k", influence, self.noise, influence))
+        own += together @ together.T
+        total = share @ (self.noise.sum(0) + self._shared) @ share.T
+        expected = own - crossed - crossed.T + total
         mean = float(np.trace(expected))
         if len(self.score) < 2 or mean <= 0.0:
             return Scatter(1.0, 0.0)
@@ -254,17 +275,61 @@ def scores_of(
         noise = replace(
             noise, correlation=correlation_factor(local, turns, score_variance=noise.power)
         )
-    parts = [_scores(probe, noise, *force) for probe, force in zip(local, forces, strict=True)]
-    return Scores(*(np.stack(column) for column in zip(*parts, strict=True))), noise
+    turns = [
+        projection(probe, noise.slope, slope)
+        for probe, (_, slope) in zip(local, forces, strict=True)
+    ]
+    parts = [
+        _scores(probe, turn, noise, *force)
+        for probe, turn, force in zip(local, turns, forces, strict=True)
+    ]
+    scores = Scores(*(np.stack(column) for column in zip(*parts, strict=True)))
+    common = _common_noise(local, turns, noise)
+    own = scores.noise - common.swapaxes(1, 2) @ common
+    return replace(scores, noise=own, common=common), noise
+
+
+def _common_noise(
+    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
+) -> Float[np.ndarray, "k r d"]:
+    """What the noise of pictures at rest that several probings were measured from adds to their
+    scores: three noises for each point that more than one of them has."""
+    points = [_reference_points(probe) for probe in local]
+    seen = Counter(name for names in points for name in names)
+    number = {name: k for k, name in enumerate(name for name in seen if seen[name] > 1)}
+    common = np.zeros((len(local), 3 * len(number), local[0].common))
+    size = np.sqrt(_REFERENCE_SHARE * noise.power * noise.correlation.variance)
+    for probe, turn, names, found in zip(local, turns, points, common, strict=True):
+        rows = probe.design @ turn
+        for name, start in names.items():
+            if name in number:
+                at = 3 * number[name]
+                found[at : at + 3] = size * rows[start : start + 3]
+    return common
+
+
+def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:
+    """First row of each point measured whole from pictures at rest, by these and by its place."""
+    rows = probe.rows
+    if rows.reference is None:
+        return {}
+    return {
+        (rows.reference, place.tobytes()): int(start)
+        for place, start, count in zip(rows.position, rows.start, rows.components, strict=True)
+        if count == 3 and np.isfinite(place[0])
+    }
 
 
 def _scores(
-    probe: LocalProbe, noise: ScoreNoise, force_power: float, force_slope: float
+    probe: LocalProbe,
+    turn: np.ndarray,
+    noise: ScoreNoise,
+    force_power: float,
+    force_slope: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Score, information, covariance of the score and curvature of one probing."""
     d = probe.common
     gram = probe.design.T @ probe.design
-    turn = projection(probe, noise.slope, force_slope)
     projected = turn.T @ gram @ turn
     information = noise.slope * projected + (turn[d:].T * probe.prior(force_slope)) @ turn[d:]
     spread = noise.power * noise.correlation.variance * projected

@@ -1,0 +1,133 @@
+"""What errors that probings share do to the constants: known, told, and worse than told.
+
+The truth is that of `coverage_of_bodies`, quadratic tetrahedra; what the session tells is wrong in
+one way at a time. Run it with
+
+    python -m benchmarks.shared_errors FOLDER [SESSIONS [BODY ...]]
+
+FOLDER keeps the true displacements, which take minutes a body. It prints, a body a line:
+
+- width: of the interval of E over the width that the same measurement has where nobody errs, with
+  every error as uncertain as it is by default, and with the force sensor alone exact;
+- contact: errors of E and nu where the first contact lies 1.5 mm beside the place that is told,
+  with the default of 0.5 mm, and where it is taken as exact;
+- force: where every force is read 2 % too large, told 1 %, no depth given;
+- scatter: how often the interval of E holds for two probings whose forces are off by so much that
+  their constants lie twice as far apart as each of them claims.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bodies import BODIES
+from benchmarks.coverage_of_bodies import NOISE, Measured, errors_of, held, measured_body, session
+from palpate.geometry import closest_points
+from palpate.pipeline import fit_session
+from palpate.records import EXACT, ErrorPriors, Estimate, Session
+
+# Beside the place that is told [m], and the gain of a sensor.
+BESIDE, GAIN = 1.5e-3, 1.02
+
+
+class Laboratory:
+    """One body and what is fitted of it; the integrals are kept in a folder."""
+
+    def __init__(self, body: Measured, folder: Path) -> None:
+        self.body, self.cache = body, folder / "integrals"
+
+    def session(self, drawn: ErrorPriors, told: ErrorPriors, seed: int) -> Session:
+        """A session whose errors are drawn from one prior and told as another."""
+        return replace(session(self.body, drawn, NOISE, seed), errors=told)
+
+    def fit(self, session: Session) -> Estimate:
+        """Constants."""
+        return fit_session(session, cache=self.cache).estimate
+
+
+def width(laboratory: Laboratory, seed: int) -> tuple[float, float]:
+    """Width of the interval of E over that without shared errors: all of them, and no force's."""
+    told = ErrorPriors()
+    sensor = {"force_gain": 0.0, "force_direction": 0.0, "force": 0.0}
+    ends = []
+    for errors in (EXACT, told, replace(told, **sensor)):
+        low, high = laboratory.fit(laboratory.session(errors, errors, seed)).young_modulus.ci95
+        ends.append(high - low)
+    return ends[1] / ends[0], ends[2] / ends[0]
+
+
+def misplaced(session: Session, laboratory: Laboratory) -> Session:
+    """The session with its first contact told beside where it is."""
+    first, *others = session.probings
+    pushed = first.force / np.linalg.norm(first.force)
+    beside = np.cross(pushed, np.eye(3)[np.argmin(np.abs(pushed))])
+    beside *= BESIDE / np.linalg.norm(beside)
+    point = closest_points(laboratory.body.mesh, (first.contact.point + beside)[None]).position[0]
+    moved = replace(first, contact=replace(first.contact, point=point))
+    return replace(session, probings=(moved, *others))
+
+
+def too_strong(session: Session) -> Session:
+    """The session with every force read too large."""
+    return replace(
+        session, probings=tuple(replace(one, force=GAIN * one.force) for one in session.probings)
+    )
+
+
+def scattered(laboratory: Laboratory, seed: int) -> bool:
+    """Whether the interval of E of two probings holds whose spread is twice their claim."""
+    rng = np.random.default_rng([seed, 7])
+    whole = laboratory.session(EXACT, EXACT, seed)
+    two = [whole.probings[k] for k in rng.choice(len(whole.probings), 2, replace=False)]
+    claims = [laboratory.fit(replace(whole, probings=(one,))) for one in two]
+    # Claims add to what the forces do: three variances more make the spread twice as wide.
+    off = [
+        1.0 + np.sqrt(3.0) * claim.young_modulus.std / claim.young_modulus.value * rng.normal()
+        for claim in claims
+    ]
+    pair = tuple(replace(one, force=k * one.force) for one, k in zip(two, off, strict=True))
+    estimate = laboratory.fit(replace(whole, probings=pair))
+    return bool(held(estimate, laboratory.body.truth)[2])
+
+
+def main() -> None:
+    """Print the figures of each body, and what they come to together."""
+    folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 5
+    widths: list[tuple[float, float]] = []
+    holding: list[bool] = []
+    for name in sys.argv[3:] or BODIES:
+        body = measured_body(name, folder)
+        laboratory = Laboratory(body, folder)
+        widths += _width_lines(laboratory, count)
+        told = ErrorPriors()
+        clean = laboratory.session(EXACT, told, 0)
+        rows = {
+            "contact, told 0.5 mm": misplaced(clean, laboratory),
+            "contact, told exact": replace(misplaced(clean, laboratory), errors=EXACT),
+            "force 2 %, told 1 %": too_strong(clean),
+        }
+        for what, one in rows.items():
+            estimate = laboratory.fit(one)
+            holds = held(estimate, body.truth)
+            print(f"{name:10s} {what:22s}{errors_of(estimate, body.truth)}   holds {holds}")
+        holding += [scattered(laboratory, seed) for seed in range(count)]
+        print(f"{name:10s} scatter: {sum(holding[-count:])} of {count} hold", flush=True)
+    print(f"together: width {_medians(widths)}; scatter {sum(holding)} of {len(holding)} hold")
+
+
+def _width_lines(laboratory: Laboratory, count: int) -> list[tuple[float, float]]:
+    found = [width(laboratory, seed) for seed in range(count)]
+    print(f"{laboratory.body.name:10s} width {_medians(found)}", flush=True)
+    return found
+
+
+def _medians(widths: Sequence[tuple[float, float]]) -> str:
+    every, forces_known = np.median(np.array(widths), axis=0)
+    return f"{every:.2f}, with an exact force sensor {forces_known:.2f}"
+
+
+if __name__ == "__main__":
+    main()
