@@ -30,7 +30,7 @@ _MAX_DISAGREEMENT = 5.0
 # Systematic error of one camera's match that no residual shows (interpolation, response of the
 # pixels), part of every covariance; at least so much beside what covers or shadows the surface.
 _MATCHING_BIAS_PX = 0.002
-_BIAS_BESIDE_CHANGE_PX = 0.015
+_BIAS_BESIDE_CHANGE_PX = 0.006
 # Derivatives that a window takes from its neighbours bring their noise along: variance of its
 # motion over that of a window whose derivatives are known (benchmarks/flow_sigma.py).
 _CARRIED_NOISE = 1.44
