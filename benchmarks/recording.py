@@ -29,7 +29,7 @@ from benchmarks.press_videos import FILM, make_recording
 from benchmarks.report import with_notes
 from palpate.lab import built_in, read_lab_config
 from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
-from palpate.recording import find_presses, read_recording, write_recorded
+from palpate.recording import Recorded, find_presses, read_recording, write_recorded
 from palpate.records import SESSION_FORMAT, read_session, write_text
 
 # Before the tool comes [s]: when a person takes the picture and the readings at rest.
@@ -94,7 +94,6 @@ class Found:
     clock : float [s]               offset of the worst camera's clock
     force : float [-]               relative error of the worst force
     claimed : float [-]             of a force, rms
-    hysteresis : float [-]          largest; there is none
     megabytes, seconds : float      of the search
     """
 
@@ -104,7 +103,6 @@ class Found:
     clock: float
     force: float
     claimed: float
-    hysteresis: float
     megabytes: float
     seconds: float
 
@@ -119,39 +117,36 @@ class Fitted:
     ratio_std: float
 
 
-def found_presses(folder: Path) -> Found:
+def found_presses(folder: Path) -> tuple[Found, Recorded]:
     """Make the session of a recording, and compare what was chosen with the truth."""
     recording = read_recording(folder)
     with np.load(folder / "truth.npz") as stored:
         truth = dict(stored)
     start = time.perf_counter()
-    found = find_presses(recording)
+    made = find_presses(recording)
     seconds = time.perf_counter() - start
+    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     shutil.rmtree(folder / "recorded", ignore_errors=True)
     (folder / "recorded").mkdir()
-    write_recorded(folder / "recorded", recording, found)
-    told = tuple(replace(one, offset=FILM.clock_offset) for one in recording.footage)
-    known = find_presses(replace(recording, footage=told))
+    write_recorded(folder / "recorded", recording, made)
+    numbers = [p.number - 1 for p in made.presses]
+    begin, size = truth["begin"][numbers] + FILM.ramp, np.linalg.norm(truth["force"], axis=1)
     held = [
-        (b + FILM.ramp <= p.reading.begin) and (p.reading.end <= b + FILM.ramp + FILM.hold)
-        for p in found.presses
-        for b in (truth["begin"][p.number - 1],)
+        b <= p.reading.begin and p.reading.end <= b + FILM.hold
+        for b, p in zip(begin, made.presses, strict=True)
     ]
-    size = np.linalg.norm(truth["force"], axis=1)
-    numbers = [p.number - 1 for p in found.presses]
-    read, std = (np.stack([getattr(p.reading, x) for p in found.presses]) for x in ("force", "std"))
+    read, std = (np.stack([getattr(p.reading, x) for p in made.presses]) for x in ("force", "std"))
     errors = np.linalg.norm(read - truth["force"][numbers], axis=1) / size[numbers]
     claims = np.linalg.norm(std, axis=1) / size[numbers]
-    return Found(
-        len(found.presses), sum(held), len(size),
-        max(abs(clock.offset - FILM.clock_offset) for clock in found.clocks),
-        float(errors.max()), float(np.sqrt(np.mean(claims**2))),
-        max(float(np.abs(clock.hysteresis).max()) for clock in known.clocks),
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, seconds,
+    found = Found(
+        len(made.presses), sum(held), len(size),
+        max(abs(clock.offset - FILM.clock_offset) for clock in made.clocks),
+        float(errors.max()), float(np.sqrt(np.mean(claims**2))), megabytes, seconds,
     )  # fmt: skip
+    return found, made
 
 
-def found_contacts(folder: Path) -> tuple[Fitted, str]:
+def found_contacts(folder: Path, made: Recorded) -> tuple[Fitted, str]:
     """The session whose contacts were found from the pictures, and how far off they are."""
     recording, out = read_recording(folder), folder / "contacts"
     with np.load(folder / "truth.npz") as stored:
@@ -159,8 +154,7 @@ def found_contacts(folder: Path) -> tuple[Fitted, str]:
     unknown = replace(recording.places, points=None)
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    found = find_presses(recording)
-    placed = write_recorded(out, replace(recording, places=unknown), found)
+    placed = write_recorded(out, replace(recording, places=unknown), made)
     off = np.array([np.linalg.norm(one.point - point[one.press.number - 1]) for one in placed])
     std = np.array([one.point_std for one in placed])
     said = (
@@ -197,8 +191,7 @@ def press_figures(found: Sequence[Found]) -> list[Figure]:
                f" {worst:.0f} MB and {np.mean([one.seconds for one in found]):.0f} s a minute of"
                " three videos"),
         Figure(DOOR, f"{name}: clock of the worst camera", 1e3 * max(one.clock for one in found),
-               "ms", must=5.0, note="the gauge's clock is 0.4 s ahead; hysteresis (there is none)"
-               f" {100 * max(one.hysteresis for one in found):.2f} % at most"),
+               "ms", must=5.0, note="the gauge's clock is 0.4 s ahead"),
         Figure(DOOR, f"{name}: the worst force", 100 * max(one.force for one in found), "%",
                must=0.5, note="claimed"
                f" {100 * np.sqrt(np.mean([one.claimed**2 for one in found])):.3f} %"),
@@ -235,7 +228,7 @@ def measure(options: Options) -> list[Figure]:
     if options.quick:
         folder = MADE / "press_videos" / "small"
         make_recording(folder, columns=240, rows=180, solved=folder.parent / "solved")
-        return press_figures([found_presses(folder)])
+        return press_figures([found_presses(folder)[0]])
     folders = [MADE / "press_videos" / f"draw_{seed}" for seed in range(1, DRAWS + 1)]
     for seed, folder in enumerate(folders, start=1):
         if not (folder / "truth.npz").exists():
@@ -245,17 +238,17 @@ def measure(options: Options) -> list[Figure]:
 
 def figures_of(folders: Sequence[Path]) -> list[Figure]:
     """All figures of some recordings."""
-    found = [found_presses(folder) for folder in folders]
+    made = [found_presses(folder) for folder in folders]
     by_hand, recorded = [], []
     for folder in folders:
         shutil.rmtree(folder / "by_hand", ignore_errors=True)
         hand_sorted(folder, folder / "by_hand")
         by_hand.append(fitted(folder / "by_hand"))
         recorded.append(fitted(folder / "recorded"))
-    contacts, said = found_contacts(folders[0])
+    contacts, said = found_contacts(folders[0], made[0][1])
     first = fit_figures([contacts], by_hand[:1], "session of which the contacts were found")
     return [
-        *press_figures(found),
+        *press_figures([found for found, _ in made]),
         *fit_figures(recorded, by_hand, "recorded session"),
         *(replace(one, must=None, note=f"{said}; {one.note}") for one in first),
     ]

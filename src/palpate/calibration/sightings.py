@@ -214,8 +214,8 @@ def _gathered(
     if not parts:
         raise CalibrationError(
             f"no board was found in any of {len(pictures)} pictures; is it the target that was"
-            " named, with its numbers of columns and rows (a chessboard's are of inner corners), whole and"
-            " sharp in the pictures?"
+            " named, with its numbers of columns and rows (a chessboard's are of inner corners),"
+            " whole and sharp in the pictures?"
         )
     numbers, point, pixel, mark = (np.concatenate(part) for part in zip(*parts, strict=True))
     several = len(targets) > 1
