@@ -2,7 +2,7 @@
 
     python -m benchmarks.calibration [--seeds 50] [--pictures 3] [--folder FOLDER] [--real FOLDER]
 
-Rows: rigs of three cameras of 1280 x 1024 pixels that look at 25 boards of 240 x 180 mm, which fill
+Rigs of three cameras of 1280 x 1024 pixels that look at 25 boards of 240 x 180 mm, which fill
 most of a picture. First with computed corners that are off by 0.1 px, then with drawn pictures of
 such noise that corners scatter as much (written into the folder where they are not there yet). With
 --real the shared pictures of chessboards, of a calibration object and of a cylinder moved rigidly.
@@ -11,7 +11,6 @@ such noise that corners scatter as much (written into the folder where they are 
 import argparse
 import contextlib
 import io
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,11 @@ from benchmarks.boards import (
     sightings,
     true_bundle,
 )
-from benchmarks.real_calibration import report_real
+from benchmarks.figure import DOOR, Figure
+from benchmarks.machine import MADE, SHARED
+from benchmarks.options import Options
+from benchmarks.real_calibration import real_figures
+from benchmarks.report import with_notes
 from palpate.app.cli import main as palpate
 from palpate.calibration import Charuco, Sightings, calibrate, find_boards, find_pictures
 from palpate.calibration.adjustment import Bundle, adjust
@@ -37,6 +40,8 @@ _NOISE = 0.1
 # Grey levels of noise and pixels of blur that let corners of drawn boards scatter by 0.1 px.
 _PIXEL_NOISE, _BLUR = 20.0, 0.6
 _CAMERAS = 3
+# Fewer rigs say nothing of a single number's scatter.
+_MANY = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,68 +109,99 @@ def _pictures(folder: Path, seed: int) -> tuple[Path, Bundle]:
     return place, truth
 
 
-def _report(title: str, runs: list[Run]) -> None:
+def _figures(title: str, runs: list[Run]) -> list[Figure]:
+    """How far rigs are from the truth, in percent and pixels, and against their covariance."""
     lens = np.stack([(run.found.inner - run.truth.inner) / run.truth.inner for run in runs])
     centre = np.stack([run.found.inner - run.truth.inner for run in runs])[..., 2:4]
-    baseline = [
-        np.linalg.norm(run.found.camera[1:, :3, 3], axis=1)
-        / np.linalg.norm(run.truth.camera[1:, :3, 3], axis=1)
-        - 1.0
-        for run in runs
-    ]
+    length, true = (
+        np.stack([np.linalg.norm(one.camera[1:, :3, 3], axis=1) for one in bundles])
+        for bundles in ([run.found for run in runs], [run.truth for run in runs])
+    )
     rig = 9 * _CAMERAS + 6 * (_CAMERAS - 1)
-    error = np.stack([run.error[:rig] for run in runs])
-    sigma = np.stack([run.sigma[:rig] for run in runs])
-    bound = np.stack([run.bound[:rig] for run in runs])
+    error, sigma, bound = (
+        np.stack([getattr(run, name)[:rig] for run in runs]) for name in ("error", "sigma", "bound")
+    )
     claimed = np.sqrt(((error / sigma) ** 2).mean(axis=0))
     least = np.sqrt(((error / bound) ** 2).mean(axis=0))
     boards = np.concatenate([run.error[rig:] / run.sigma[rig:] for run in runs])
-    print(f"{title}, {len(runs)} rigs:")
-    print(f"  corner noise                 {np.mean([run.noise for run in runs]):.3f} px")
-    print(f"  focal length, rms            {100 * _rms(lens[..., :2]):.4f} %")
-    print(f"  principal point, rms         {_rms(centre):.3f} px")
-    print(f"  baseline, rms                {100 * _rms(baseline):.4f} %")
-    print(f"  rms error over the bound     {_rms(least):.3f} of all {rig} numbers of a rig")
-    print(f"  actual over claimed sigma    {claimed.min():.2f} to {claimed.max():.2f}, rms"
-          f" {_rms(claimed):.3f}; of the boards {_rms(boards):.3f}; in the metric of the whole"
-          f" covariance {np.sqrt(np.mean([run.distance for run in runs])):.3f}")  # fmt: skip
+    whole = np.sqrt(np.mean([run.distance for run in runs]))
+    noise = np.mean([run.noise for run in runs])
+    name = f"{title}, {len(runs)} rigs of three cameras, 25 views"
+    rows = (
+        ("focal length, rms", 100 * _rms(lens[..., :2]), "%", 0.05, None,
+         f"corners scatter by {noise:.3f} px"),
+        ("principal point, rms", _rms(centre), "px", 0.3, None, ""),
+        ("baseline, rms", 100 * _rms(length / true - 1.0), "%", 0.02, None, ""),
+        ("rms error over the Cramer-Rao bound", _rms(least), "x", None, 1.1,
+         f"of all {rig} numbers of a rig; the bound counts every corner within a picture"),
+    )  # fmt: skip
+    figures = [
+        Figure(DOOR, f"{name}: {what}", value, unit, must=must, reach=reach, note=note)
+        for what, value, unit, must, reach, note in rows
+    ]
+    if len(runs) < _MANY:
+        return figures
+    note = (
+        f"rms of all {_rms(claimed):.3f}, of the boards' poses {_rms(boards):.3f}; in the metric of"
+        f" the whole covariance {whole:.3f}"
+    )
+    return figures + [
+        Figure(DOOR, f"{name}: actual over claimed sigma, {which} of {rig} numbers", value, "x",
+               must=(0.8, 1.25), reach=(0.95, 1.05), note=note)
+        for which, value in (("smallest", claimed.min()), ("largest", claimed.max()))
+    ]  # fmt: skip
 
 
 def _rms(values: np.ndarray | list) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _report_pictures(folder: Path, count: int) -> None:
+def _picture_figures(folder: Path, count: int) -> list[Figure]:
+    """The same of drawn pictures, and how long the command takes."""
     runs = []
     for seed in range(count):
         place, truth = _pictures(folder, seed)
         runs.append(_run(truth, find_boards(find_pictures(place), [BOARD])))
-    _report("drawn pictures", runs)
     words = f"calibrate {place} --columns 12 --rows 9 --square 20mm --marker 15mm --force --out"
     start = time.perf_counter()
     with contextlib.redirect_stdout(io.StringIO()):
         code = palpate([*words.split(), str(folder / "rig")])
-    print(
-        f"  palpate calibrate, {_CAMERAS} x 25 pictures of {SIZE[0]} x {SIZE[1]}, all steps:"
-        f" {time.perf_counter() - start:.1f} s, exit {code}"
+    seconds = time.perf_counter() - start
+    size = f"{_CAMERAS} x 25 pictures of {SIZE[0]} x {SIZE[1]}"
+    return [
+        *_figures("drawn pictures", runs),
+        Figure(DOOR, f"`palpate calibrate`, {size}, all steps", seconds, "s", must=60.0, reach=20.0,
+               note=f"exit code {code}; {seconds:.0f} s of the clock"),
+    ]  # fmt: skip
+
+
+def measure(options: Options) -> list[Figure]:
+    """Rigs against the truth and against the real pair's own calibration."""
+    figures = _figures(
+        "computed corners", [_computed(s) for s in range(4 if options.quick else 50)]
     )
+    if options.quick:
+        return figures
+    figures += _picture_figures(MADE / "boards", 3)
+    pair = SHARED / "real" / "multidic_pair"
+    return figures + (real_figures(pair) if pair.is_dir() else [])
 
 
 def main() -> None:
-    """Print all rows."""
+    """Print all figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration", description=__doc__)
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--pictures", type=int, default=3)
-    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--folder", type=Path, default=MADE / "boards")
     parser.add_argument("--real", type=Path)
     options = parser.parse_args()
     if options.seeds:
-        _report("computed corners", [_computed(seed) for seed in range(options.seeds)])
+        runs = [_computed(seed) for seed in range(options.seeds)]
+        print(with_notes(_figures("computed corners", runs)), flush=True)
     if options.pictures:
-        with tempfile.TemporaryDirectory() as scratch:
-            _report_pictures(options.folder or Path(scratch), options.pictures)
+        print(with_notes(_picture_figures(options.folder, options.pictures)), flush=True)
     if options.real:
-        report_real(options.real)
+        print(with_notes(real_figures(options.real)))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ FLOW = "Range flow"
 FACILITY = "Virtual facility"
 SIMULATION = "Simulation"
 CAMPAIGN = "Campaigns"
+DOOR = "From a rig to a session"
 Limit = float | tuple[float, float] | None
 
 
@@ -18,10 +19,10 @@ class Figure:
 
     Parameters
     ----------
-    section : str               BEM, ESTIMATION, FLOW, FACILITY, SIMULATION or CAMPAIGN
+    section : str               BEM, ESTIMATION, FLOW, FACILITY, SIMULATION, CAMPAIGN or DOOR
     name : str                  what was measured, on what
     reached : float or None     None where it could not be measured; the note says why
-    unit : str                  "", "%", "s", "GB" or "x"; percentages are given as percentages
+    unit : str                  "", "%", "s", "mm" ... or "x"; percentages are given as percentages
     must : float, pair or None  bound, or interval, to keep; None for a row that only compares
     reach : float, pair or None the same, to strive for
     higher : bool               True where more is better

@@ -1,6 +1,6 @@
 """`palpate calibrate object` before a turntable whose truth is known, and what `--refine` does.
 
-    python -m benchmarks.known_object [--folder FOLDER] [--draws 4] [--kind "moved cameras"]
+    python -m benchmarks.known_object [--folder FOLDER] [--draws 3] [--kind "moved cameras"]
 
 The toy of `benchmarks.scanning` stands before three cameras, in four turns of its table; its mesh
 is that of the exact shape. Rigs are wrong in several ways, each drawn several times: cameras that
@@ -10,15 +10,17 @@ cameras see them as the true ones do: zero for the true rig.
 """
 
 import argparse
-import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.figure import DOOR, Figure
+from benchmarks.machine import MADE
+from benchmarks.options import Options
+from benchmarks.report import with_notes
 from benchmarks.scanning import RADIUS, turntable
 from palpate.calibration import view_object
 from palpate.geometry import TriangleMesh
@@ -28,7 +30,7 @@ from palpate.shapes import Points
 from palpate.vision import calibration_numbers, moved_rig, project, surface_map, triangulate
 
 _TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
-_EDGE, _VIEWS = 2e-3, 4
+_EDGE, _VIEWS, _DRAWS = 2e-3, 4, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,45 +103,54 @@ def wrong_rig(truth: Rig, kind: Wrong, seed: int) -> tuple[Rig, RigCovariance | 
     return rig, RigCovariance(tuple(names), value, np.diag(np.square(sigma)), "calibration")
 
 
-def report(folder: Path, kinds: Sequence[Wrong], draws: int) -> None:
-    """Print a row of every kind."""
+def kind_figures(folder: Path, kind: Wrong, draws: int) -> list[Figure]:
+    """What refining makes of rigs that are wrong in one way."""
     place = turntable(folder, "toy")
     truth = read_rig(place / "rig.toml")
     mesh = SHAPES["toy"].make(radius=RADIUS["toy"], edge=_EDGE)
-    points = seen_by_all(truth, mesh)
+    points, centre = seen_by_all(truth, mesh), mesh.vertices.mean(axis=0)
     instants = [str(place / f"images/s{k}_{{camera}}.png") for k in range(_VIEWS)]
-    centre = mesh.vertices.mean(axis=0)
-    for kind in kinds:
-        rows, worse, taken, seconds = [], 0, 0, 0.0
-        for seed in range(draws if kind.turn else 1):
-            rig, known = wrong_rig(truth, kind, seed)
-            start = time.perf_counter()
-            view = view_object(rig, mesh, instants, known=known, refine=True)
-            seconds += time.perf_counter() - start
-            before, after = off(rig, truth, points), off(view.rig, truth, points)
-            taken += view.refined is not None and view.refined.better
-            worse += after > before
-            rows.append((before, after, *pose_error(view.rig, truth, centre)))
-        before, after, turn, shift = np.sqrt(np.mean(np.square(rows), axis=0))
-        print(
-            f"{kind.name}, {len(rows)} rigs: off by {1e3 * before:.4f} mm before,"
-            f" {1e3 * after:.4f} mm after; refined {taken}, worse {worse};"
-            f" object off by {np.degrees(turn):.3f} deg, {1e3 * shift:.3f} mm;"
-            f" {seconds / len(rows):.0f} s each",
-            flush=True,
-        )
+    rows, worse, taken, seconds = [], 0, 0, 0.0
+    for seed in range(draws if kind.turn else 1):
+        rig, known = wrong_rig(truth, kind, seed)
+        start = time.perf_counter()
+        view = view_object(rig, mesh, instants, known=known, refine=True)
+        seconds += time.perf_counter() - start
+        before, after = off(rig, truth, points), off(view.rig, truth, points)
+        taken += view.refined is not None and view.refined.better
+        worse += after > before
+        rows.append((before, after, *pose_error(view.rig, truth, centre)))
+    before, after, turn, shift = np.sqrt(np.mean(np.square(rows), axis=0))
+    name = f"`calibrate object --refine`, {kind.name}"
+    note = (
+        f"{len(rows)} rigs, off by {1e3 * before:.4f} mm before and {1e3 * after:.4f} mm after,"
+        f" refined {taken}; the object's pose off by {np.degrees(turn):.3f} deg,"
+        f" {1e3 * shift:.3f} mm; {seconds / len(rows):.0f} s each"
+    )
+    return [
+        Figure(DOOR, f"{name}: rigs made worse", float(worse), must=0.0, note=note),
+        Figure(DOOR, f"{name}: rig off by", 1e3 * after, "mm"),
+    ]
+
+
+def measure(options: Options) -> list[Figure]:
+    """Rigs that are wrong in all ways."""
+    kinds = KINDS[:1] if options.quick else KINDS
+    draws = 1 if options.quick else _DRAWS
+    return [one for kind in kinds for one in kind_figures(MADE / "turntables", kind, draws)]
 
 
 def main() -> None:
-    """Print all rows."""
+    """Print all figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.known_object", description=__doc__)
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--draws", type=int, default=4)
+    parser.add_argument("--folder", type=Path, default=MADE / "turntables")
+    parser.add_argument("--draws", type=int, default=_DRAWS)
     parser.add_argument("--kind", choices=[kind.name for kind in KINDS])
     options = parser.parse_args()
-    kinds = [kind for kind in KINDS if options.kind in (None, kind.name)]
-    with tempfile.TemporaryDirectory() as scratch:
-        report(options.folder or Path(scratch), kinds, options.draws)
+    for kind in KINDS:
+        if options.kind in (None, kind.name):
+            figures = kind_figures(options.folder, kind, options.draws)
+            print(with_notes(figures), flush=True)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+# Pictures and films that are made once.
+MADE = ROOT / "build" / "benchmarks"
 SHARED = ROOT.parent / "shared" / "data"
 CORES = 2
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "trimesh")

@@ -62,10 +62,15 @@ def kept_press(config: LabConfig, k: int, file: Path) -> SolvedPress:
 
 
 def make_recording(
-    folder: Path, *, columns: int = 480, rows: int = 360, seed: int = 0
+    folder: Path, *, columns: int = 480, rows: int = 360, seed: int = 0, solved: Path | None = None
 ) -> list[Truth]:
-    """Write videos, force log, mesh, rig and recording.toml; give what was true."""
+    """Write videos, force log, mesh, rig and recording.toml; give what was true.
+
+    `solved` is the folder of the presses, which every draw of the noise shares.
+    """
     folder.mkdir(parents=True, exist_ok=True)
+    shared = folder if solved is None else solved
+    shared.mkdir(parents=True, exist_ok=True)
     config = read_lab_config(built_in()["half-ball"])
     config = replace(
         config,
@@ -73,7 +78,7 @@ def make_recording(
         specimen=replace(config.specimen, element=_ELEMENT),
     )
     rig = make_head(config.head, config.specimen.mesh)
-    presses = [kept_press(config, k, folder / f"press_{k:02d}.pickle") for k in range(FILM.presses)]
+    presses = [kept_press(config, k, shared / f"press_{k:02d}.pickle") for k in range(FILM.presses)]
     videos = [folder / f"{camera.name}.avi" for camera in rig.cameras]
     if not all(video.exists() for video in videos):
         rests = rest_pictures(config, rig, choose_variant())

@@ -1,6 +1,5 @@
 """Calibrations of a real pair of cameras: chessboards beside OpenCV, a cylinder moved rigidly."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import cv2
 import h5py
 import numpy as np
 
+from benchmarks.figure import DOOR, Figure
 from palpate.calibration import Calibration, Chessboard, calibrate, find_boards, find_pictures
 from palpate.records import Camera, Rig, read_rig
 from palpate.records.programs.multidic import read_control_points
@@ -17,22 +17,20 @@ _BOARD = Chessboard(14, 19, 0.01)
 _POSES = 5
 
 
-def report_real(folder: Path) -> None:
-    """Print the rows of the shared pair: 25 chessboards a camera and a cylinder in five poses."""
-    made = {}
+def real_figures(folder: Path) -> list[Figure]:
+    """Those of the shared pair: 25 chessboards a camera and a cylinder in five poses."""
+    made, figures = {}, []
     for camera in sorted(path for path in (folder / "BAcheckerboardImages").iterdir()):
         if camera.is_dir():
-            made[camera.name] = _report_chessboards(camera)
-    _report_cylinder(folder, made)
+            made[camera.name], figure = _chessboards(camera)
+            figures.append(figure)
+    return [*figures, _cylinder(folder, made)]
 
 
-def _report_chessboards(camera: Path) -> Calibration:
+def _chessboards(camera: Path) -> tuple[Calibration, Figure]:
     """What is left of the corners, over what OpenCV's own calibration of them leaves."""
-    start = time.perf_counter()
     found = find_boards(find_pictures(camera), [_BOARD])
-    seen = time.perf_counter()
     result = calibrate(found, [_BOARD])
-    done = time.perf_counter()
     corners = result.corners
     views = range(len(result.found.views))
     points = [corners.point[corners.view == v].astype(np.float32) for v in views]
@@ -41,16 +39,18 @@ def _report_chessboards(camera: Path) -> Calibration:
     own = np.sqrt((result.adjusted.residual**2).sum(axis=1).mean())
     good = result.adjusted.good
     kept = np.sqrt((result.adjusted.residual[good] ** 2).sum(axis=1).mean())
-    print(
-        f"{camera.name}: {len(views)} views, rms {own:.3f} px ({kept:.3f} without"
-        f" {int((~good).sum())} gross errors), OpenCV {rms:.3f} px, ratio {own / rms:.3f};"
-        f" search {seen - start:.1f} s, adjustment {done - seen:.1f} s"
+    note = (
+        f"{len(views)} views, rms {own:.3f} px ({kept:.3f} without {int((~good).sum())} gross"
+        f" errors) against {rms:.3f} px"
     )
-    return result
+    return result, Figure(
+        DOOR, f"real chessboards, camera {camera.name}: rms over OpenCV's own", own / rms, "x",
+        must=1.05, reach=1.0, note=note,
+    )  # fmt: skip
 
 
-def _report_cylinder(folder: Path, made: dict[str, Calibration]) -> None:
-    """What a rigid motion leaves of the same matches, triangulated with several rigs.
+def _cylinder(folder: Path, made: dict[str, Calibration]) -> Figure:
+    """What a rigid motion leaves of the same matches, triangulated with two rigs.
 
     The chessboards of the two cameras were not taken at the same instants, so that they give the
     lenses alone; both poses are from the one picture of the calibration object, as the published
@@ -63,18 +63,19 @@ def _report_cylinder(folder: Path, made: dict[str, Calibration]) -> None:
         for camera, (points, pixels) in zip(published.cameras, control, strict=True)
     ]
     matches = _matches(folder / "speckledObjectImages" / "DIC2DpairResults_C_201_C_202.mat")
-    rows = {
-        "published": published,
-        "own": Rig(tuple(lenses), 0, "own"),
-    }
+    rows = {"own": Rig(tuple(lenses), 0, "own"), "published": published}
     left = {name: _left(rig, matches) for name, rig in rows.items()}
-    for name, rest in left.items():
-        each = " / ".join(f"{1e6 * axis:.2f}" for axis in np.max(rest, axis=0))
-        print(
-            f"  cylinder, {name} calibration: a rigid motion leaves {each} um in x / y / z (worst"
-            f" of four poses), {1e6 * _rms(rest):.2f} um in all"
-        )
-    print(f"  own over published           {_rms(left['own']) / _rms(left['published']):.3f}")
+    said = [
+        f"{name} {1e6 * _rms(rest):.2f} um ("
+        + " / ".join(f"{1e6 * axis:.2f}" for axis in np.max(rest, axis=0))
+        + " in x / y / z)"
+        for name, rest in left.items()
+    ]
+    return Figure(
+        DOOR, "real cylinder: what a rigid motion leaves, over the published calibration's",
+        _rms(left["own"]) / _rms(left["published"]), "x", must=1.0, reach=0.8,
+        note=f"{'; '.join(said)}, worst of four poses",
+    )  # fmt: skip
 
 
 def _rms(rest: np.ndarray) -> float:

@@ -1,9 +1,9 @@
 """`palpate record` on rendered videos whose truth is known, beside a session sorted by hand.
 
-The videos are those of `benchmarks.press_videos`, which takes half an hour to make them once:
+The videos are those of `benchmarks.press_videos`, which takes some minutes to make them once:
 
-    python -m benchmarks.press_videos FOLDER
-    python -m benchmarks.recording FOLDER
+    python -m benchmarks.press_videos FOLDER --seed 1
+    python -m benchmarks.recording FOLDER [FOLDER ...]
 
 The session sorted by hand has the frames and readings that a person who knows the right moments
 would take: one frame at rest, one in the middle of each hold, the mean of a second of readings less
@@ -14,27 +14,28 @@ import argparse
 import resource
 import shutil
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import tomlkit
 
-from benchmarks.press_videos import FILM
+from benchmarks.figure import DOOR, Figure
+from benchmarks.machine import MADE
+from benchmarks.options import Options
+from benchmarks.press_videos import FILM, make_recording
+from benchmarks.report import with_notes
 from palpate.lab import built_in, read_lab_config
 from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
-from palpate.recording import (
-    Recorded,
-    Recording,
-    find_presses,
-    read_recording,
-    write_recorded,
-)
+from palpate.recording import Recorded, find_presses, read_recording, write_recorded
 from palpate.records import SESSION_FORMAT, read_session, write_text
 
 # Before the tool comes [s]: when a person takes the picture and the readings at rest.
 _BEFORE = FILM.approach + 0.6
+# Recordings that differ in the noise of pictures and gauge.
+DRAWS = 4
 
 
 def hand_sorted(folder: Path, out: Path) -> None:
@@ -83,101 +84,181 @@ def hand_sorted(folder: Path, out: Path) -> None:
     write_text(out / "session.toml", tomlkit.dumps(content))
 
 
-def report_presses(folder: Path, recording: Recording, found: Recorded) -> None:
-    """What was found, against what was true."""
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What `palpate record` found of one recording, against what was true.
+
+    Attributes
+    ----------
+    presses, held, true : int       found; with their plateau within the time the tool was held; all
+    clock : float [s]               offset of the worst camera's clock
+    force : float [-]               relative error of the worst force
+    claimed : float [-]             of a force, rms
+    megabytes, seconds : float      of the search
+    """
+
+    presses: int
+    held: int
+    true: int
+    clock: float
+    force: float
+    claimed: float
+    megabytes: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """Errors of the constants of one session, E's relative, and what was claimed of them."""
+
+    young: float
+    ratio: float
+    young_std: float
+    ratio_std: float
+
+
+def found_presses(folder: Path) -> tuple[Found, Recorded]:
+    """Make the session of a recording, and compare what was chosen with the truth."""
+    recording = read_recording(folder)
     with np.load(folder / "truth.npz") as stored:
         truth = dict(stored)
-    told = tuple(replace(one, offset=FILM.clock_offset) for one in recording.footage)
-    known = find_presses(replace(recording, footage=told))
+    start = time.perf_counter()
+    made = find_presses(recording)
+    seconds = time.perf_counter() - start
+    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    shutil.rmtree(folder / "recorded", ignore_errors=True)
+    (folder / "recorded").mkdir()
+    write_recorded(folder / "recorded", recording, made)
+    numbers = [p.number - 1 for p in made.presses]
+    begin, size = truth["begin"][numbers] + FILM.ramp, np.linalg.norm(truth["force"], axis=1)
     held = [
-        (b + FILM.ramp <= p.reading.begin) and (p.reading.end <= b + FILM.ramp + FILM.hold)
-        for p in found.presses
-        for b in (truth["begin"][p.number - 1],)
+        b <= p.reading.begin and p.reading.end <= b + FILM.hold
+        for b, p in zip(begin, made.presses, strict=True)
     ]
-    errors = [
-        np.linalg.norm(p.reading.force - truth["force"][p.number - 1])
-        / np.linalg.norm(truth["force"][p.number - 1])
-        for p in found.presses
-    ]
-    claims = [
-        np.linalg.norm(p.reading.std) / np.linalg.norm(p.reading.force) for p in found.presses
-    ]
-    print(f"presses found                 {len(found.presses)} of {len(truth['begin'])}")
-    print(f"plateaus within the holds     {sum(held)}")
-    for clock in found.clocks:
-        off = 1e3 * (clock.offset - FILM.clock_offset)
-        print(f"clock of {clock.camera}, off by          {off:+.2f} ms, claimed"
-              f" {1e3 * clock.std:.2f}; correlation {clock.correlation:.2f}")  # fmt: skip
-    print(f"force, off by                 {100 * max(errors):.3f} % at most, rms"
-          f" {100 * np.sqrt(np.mean(np.square(errors))):.3f} %, claimed"
-          f" {100 * np.sqrt(np.mean(np.square(claims))):.3f} %")  # fmt: skip
-    hysteresis = np.array([clock.hysteresis for clock in known.clocks])
-    print(f"hysteresis (there is none)    {100 * np.abs(hysteresis).max():.2f} % at most")
-    for note in found.notes:
-        print(f"note: {note}")
+    read, std = (np.stack([getattr(p.reading, x) for p in made.presses]) for x in ("force", "std"))
+    errors = np.linalg.norm(read - truth["force"][numbers], axis=1) / size[numbers]
+    claims = np.linalg.norm(std, axis=1) / size[numbers]
+    found = Found(
+        len(made.presses), sum(held), len(size),
+        max(abs(clock.offset - FILM.clock_offset) for clock in made.clocks),
+        float(errors.max()), float(np.sqrt(np.mean(claims**2))), megabytes, seconds,
+    )  # fmt: skip
+    return found, made
 
 
-def report_contacts(folder: Path, recording: Recording, found: Recorded, out: Path) -> None:
-    """Contacts found from the pictures, against where the tool was sent."""
+def found_contacts(folder: Path, made: Recorded) -> tuple[Fitted, str]:
+    """The session whose contacts were found from the pictures, and how far off they are."""
+    recording, out = read_recording(folder), folder / "contacts"
     with np.load(folder / "truth.npz") as stored:
         point, radius = stored["point"], stored["radius"]
     unknown = replace(recording.places, points=None)
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    placed = write_recorded(out, replace(recording, places=unknown), found)
+    placed = write_recorded(out, replace(recording, places=unknown), made)
     off = np.array([np.linalg.norm(one.point - point[one.press.number - 1]) for one in placed])
     std = np.array([one.point_std for one in placed])
-    print(f"contacts found, off by        {1e3 * np.sqrt((off**2).mean()):.2f} mm rms,"
-          f" {1e3 * off.max():.2f} at most; claimed {1e3 * np.sqrt(2 * (std**2).mean()):.2f} mm;"
-          f" contact radius {1e3 * radius.mean():.1f} mm")  # fmt: skip
+    said = (
+        f"contacts found without a log are off by {1e3 * np.sqrt((off**2).mean()):.2f} mm rms,"
+        f" {1e3 * off.max():.2f} at most; claimed {1e3 * np.sqrt(2 * (std**2).mean()):.2f} mm;"
+        f" contact radius {1e3 * radius.mean():.1f} mm"
+    )
+    return fitted(out), said
 
 
-def report_fit(name: str, folder: Path) -> None:
+def fitted(folder: Path) -> Fitted:
     """Constants of a session against the truth."""
     material = read_lab_config(built_in()["half-ball"]).material
-    start = time.perf_counter()
     session = read_session(folder)
     motion = measure_motion(session, pose="given")
     estimate = fit_session(with_measured_displacement(session, motion)).estimate
     e, nu = estimate.young_modulus, estimate.poisson_ratio
-    print(
-        f"{name}: E off by {100 * (e.value / material.young_modulus - 1):+.2f} % (claimed"
-        f" {100 * e.std / e.value:.2f}), nu by {nu.value - material.poisson_ratio:+.4f} (claimed"
-        f" {nu.std:.4f}), {time.perf_counter() - start:.0f} s",
-        flush=True,
-    )
+    return Fitted(
+        e.value / material.young_modulus - 1.0, nu.value - material.poisson_ratio,
+        e.std / e.value, nu.std,
+    )  # fmt: skip
+
+
+def press_figures(found: Sequence[Found]) -> list[Figure]:
+    """What was found of some recordings."""
+    name = f"`palpate record`, {len(found)} x ten presses"
+    every = sum(one.true for one in found)
+    presses, held = (sum(getattr(one, which) for one in found) for which in ("presses", "held"))
+    worst = max(one.megabytes for one in found)
+    return [
+        Figure(DOOR, f"{name}: presses found", 100.0 * presses / every, "%",
+               must=100.0, higher=True,
+               note=f"{presses} of {every}, {held} plateaus while the tool was held;"
+               f" {worst:.0f} MB and {np.mean([one.seconds for one in found]):.0f} s a minute of"
+               " three videos"),
+        Figure(DOOR, f"{name}: clock of the worst camera", 1e3 * max(one.clock for one in found),
+               "ms", must=5.0, note="the gauge's clock is 0.4 s ahead"),
+        Figure(DOOR, f"{name}: the worst force", 100 * max(one.force for one in found), "%",
+               must=0.5, note="claimed"
+               f" {100 * np.sqrt(np.mean([one.claimed**2 for one in found])):.3f} %"),
+    ]  # fmt: skip
+
+
+def fit_figures(recorded: Sequence[Fitted], by_hand: Sequence[Fitted], which: str) -> list[Figure]:
+    """Errors over those of the sessions sorted by hand."""
+    figures = []
+    for term, short, factor, unit in (("young", "E", 100.0, " %"), ("ratio", "nu", 1.0, "")):
+        ours, theirs = (
+            factor * np.array([getattr(one, term) for one in some]) for some in (recorded, by_hand)
+        )
+        own, other = (
+            factor * float(np.sqrt(np.mean([getattr(one, f"{term}_std") ** 2 for one in some])))
+            for some in (recorded, by_hand)
+        )
+        note = (
+            f"{len(ours)} draws of all noise; off by {_listed(ours)}{unit} (claimed {own:.2g}); by"
+            f" hand {_listed(theirs)}{unit} (claimed {other:.2g})"
+        )
+        ratio = float(np.sqrt((ours**2).mean() / (theirs**2).mean()))
+        what = f"{which}: rms error of {short} over that of sessions sorted by hand"
+        figures.append(Figure(DOOR, what, ratio, "x", must=1.2, note=note))
+    return figures
+
+
+def _listed(errors: np.ndarray) -> str:
+    return ", ".join(f"{error:+.2g}" for error in errors)
+
+
+def measure(options: Options) -> list[Figure]:
+    """Draws of the noise of pictures and gauge; in a quick run one, with small pictures."""
+    if options.quick:
+        folder = MADE / "press_videos" / "small"
+        make_recording(folder, columns=240, rows=180, solved=folder.parent / "solved")
+        return press_figures([found_presses(folder)[0]])
+    folders = [MADE / "press_videos" / f"draw_{seed}" for seed in range(1, DRAWS + 1)]
+    for seed, folder in enumerate(folders, start=1):
+        if not (folder / "truth.npz").exists():
+            make_recording(folder, seed=seed, solved=folder.parent / "solved")
+    return figures_of(folders)
+
+
+def figures_of(folders: Sequence[Path]) -> list[Figure]:
+    """All figures of some recordings."""
+    made = [found_presses(folder) for folder in folders]
+    by_hand, recorded = [], []
+    for folder in folders:
+        shutil.rmtree(folder / "by_hand", ignore_errors=True)
+        hand_sorted(folder, folder / "by_hand")
+        by_hand.append(fitted(folder / "by_hand"))
+        recorded.append(fitted(folder / "recorded"))
+    contacts, said = found_contacts(folders[0], made[0][1])
+    first = fit_figures([contacts], by_hand[:1], "session of which the contacts were found")
+    return [
+        *press_figures([found for found, _ in made]),
+        *fit_figures(recorded, by_hand, "recorded session"),
+        *(replace(one, must=None, note=f"{said}; {one.note}") for one in first),
+    ]
 
 
 def main() -> None:
-    """Print all rows."""
+    """Print all figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.recording", description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--step", choices=("presses", "hand", "recorded", "contacts"), nargs="+")
-    options = parser.parse_args()
-    steps = options.step or ["presses", "hand", "recorded", "contacts"]
-    recording = read_recording(options.folder)
-    by_hand, recorded = (options.folder / name for name in ("by_hand", "recorded"))
-    if "presses" in steps or "contacts" in steps:
-        start = time.perf_counter()
-        found = find_presses(recording)
-        seconds = time.perf_counter() - start
-    if "presses" in steps:
-        report_presses(options.folder, recording, found)
-        frames = sum(len(motion.time) for motion in found.motions)
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(f"time, memory                  {seconds:.0f} s for {frames} frames, {memory:.0f} MB")
-        shutil.rmtree(recorded, ignore_errors=True)
-        recorded.mkdir()
-        write_recorded(recorded, recording, found)
-    if "hand" in steps:
-        shutil.rmtree(by_hand, ignore_errors=True)
-        hand_sorted(options.folder, by_hand)
-        report_fit("sorted by hand", by_hand)
-    if "recorded" in steps:
-        report_fit("recorded      ", recorded)
-    if "contacts" in steps:
-        report_contacts(options.folder, recording, found, options.folder / "contacts")
-        report_fit("contacts found", options.folder / "contacts")
+    parser.add_argument("folder", type=Path, nargs="+")
+    print(with_notes(figures_of(parser.parse_args().folder)))
 
 
 if __name__ == "__main__":

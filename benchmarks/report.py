@@ -6,6 +6,7 @@ from pathlib import Path
 from benchmarks.figure import (
     BEM,
     CAMPAIGN,
+    DOOR,
     ESTIMATION,
     FACILITY,
     FLOW,
@@ -20,6 +21,7 @@ KEPT = (
     ' for" is asked. Rows without a demand stand beside the others for comparison. x = times.'
 )
 MARK = "<!-- part: "
+_SECTIONS = (BEM, ESTIMATION, FLOW, FACILITY, SIMULATION, CAMPAIGN, DOOR)
 RULE = "| --- | --- | --- | --- | --- | --- | --- |"
 
 
@@ -35,7 +37,7 @@ def as_markdown(
     failures : subject -> message   subjects that stopped before their figures
     """
     lines = [f"- {heading}: {text}" for heading, text in machine]
-    for section in (BEM, ESTIMATION, FLOW, FACILITY, SIMULATION, CAMPAIGN):
+    for section in _SECTIONS:
         rows = [_row(figure) for figure in figures if figure.section == section]
         if rows:
             lines += ["", f"## {section}", "", HEAD, RULE, *rows]
@@ -75,6 +77,13 @@ def as_text(figures: Sequence[Figure]) -> str:
         f"  (must {_limit(figure.must, figure.higher) or '-'},"
         f" reach {_limit(figure.reach, figure.higher) or '-'})  {figure.name}"
         for figure in figures
+    )
+
+
+def with_notes(figures: Sequence[Figure]) -> str:
+    """The same, how each was measured below it."""
+    return "\n".join(
+        as_text([figure]) + (f"\n{'':16}{figure.note}" if figure.note else "") for figure in figures
     )
 
 

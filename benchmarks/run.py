@@ -42,6 +42,7 @@ PARTS = {
     "plans": ("plan_holds",),
     "simulation": ("realtime", "replay"),
     "campaign": ("campaign",),
+    "door": ("calibration", "known_object", "scanning", "scanned_constants", "recording"),
 }
 SUBJECTS = tuple(name for names in PARTS.values() for name in names)
 

@@ -1,6 +1,6 @@
 """Constants that are estimated on a scanned mesh, against those on the true one.
 
-    python -m benchmarks.scanned_constants FOLDER [--vertices 1000]
+    python -m benchmarks.scanned_constants [FOLDER] [--vertices 1000]
 
 The folder is that of `benchmarks.scanning`: a half ball and a toy on a turntable. Quadratic
 tetrahedra of the true shape are pressed at five places; the same displacements, at the same points,
@@ -18,6 +18,10 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.body_truth import SHEAR_MODULUS, Truth
+from benchmarks.figure import DOOR, Figure
+from benchmarks.machine import MADE
+from benchmarks.options import Options
+from benchmarks.report import with_notes
 from benchmarks.scanning import RADIUS, turntable
 from palpate.geometry import TriangleMesh, closest_points, read_mesh, write_mesh
 from palpate.lab import SHAPES, make_body, make_solid
@@ -36,10 +40,10 @@ from palpate.scanning.mending import above
 from palpate.shapes import Points
 
 POISSON_RATIO, PATCH, FORCE = 0.3, 6e-3, 1.0
-# Edges of the exact surface and of the elements [m]; vertices of the elements' surface, and of the
-# mesh whose vertices are the points that are seen.
+# Edges of the exact surface and of the elements [m]; vertices of the elements' surface, of the mesh
+# whose vertices are the points that are seen, and of the meshes that are compared.
 _EXACT, _ELEMENT = 1e-3, 5e-3
-_FINE, _SEEN = 4000, 1200
+_FINE, _SEEN, _VERTICES = 4000, 1200, 1000
 # What is above the support [m].
 _HEIGHT = {"half-ball": 0.0, "toy": 0.025}
 # Triangles of a scan's foot lie this near to the plane that it was closed with.
@@ -146,49 +150,66 @@ def session(
     return Session(shape, Path(), mesh, held, tuple(probings), None, None, None, (), errors=errors)
 
 
-def _line(name: str, mesh: TriangleMesh, estimate: Estimate, other: Estimate | None) -> str:
-    young, ratio = estimate.young_modulus, estimate.poisson_ratio
-    true = 2.0 * SHEAR_MODULUS * (1.0 + POISSON_RATIO)
-    text = (
-        f"  {name:8s} {len(mesh.vertices):5d} vertices   E {100 * (young.value / true - 1):+6.2f} %"
-        f" (+- {100 * young.std / true:.2f}), nu {ratio.value - POISSON_RATIO:+.4f}"
-        f" (+- {ratio.std:.4f})"
-    )
-    if other is not None:
-        change = young.value / other.young_modulus.value - 1.0
-        moved = ratio.value - other.poisson_ratio.value
-        text += f"; against the true mesh E {100 * change:+.2f} %, nu {moved:+.4f}"
-    return text
-
-
-def report(folder: Path, shape: str, vertices: int, *, on_foot: bool) -> None:
-    """Print the rows of one shape."""
+def shape_figures(folder: Path, shape: str, vertices: int, *, on_foot: bool) -> list[Figure]:
+    """Constants on the scan of one shape against those on its exact mesh."""
     support, mark = support_of(shape, on_foot), "_foot" * on_foot
     body = pressed(shape, folder / f"{shape}{mark}_pressed.npz", support)
     scan = scanned(folder, folder / f"{shape}{mark}_{vertices}.ply", shape, vertices, support)
     true = true_mesh(shape, vertices, support)
-    for name, errors, noise in (("clean", EXACT, 0.0), ("as measured", ErrorPriors(), _NOISE)):
-        print(f"{shape}, {name}")
-        before = None
-        for which, mesh in (("true", true), ("scanned", scan)):
-            given = session(shape, mesh, body, errors, noise)
-            found = fit_session(given, cache=folder / "integrals").estimate
-            print(_line(which, mesh, found, before), flush=True)
-            before = before or found
+    figures = []
+    for name, errors, noise in (("clean", EXACT, 0.0), ("noise of 1 %", ErrorPriors(), _NOISE)):
+        before, after = (
+            fit_session(
+                session(shape, mesh, body, errors, noise), cache=folder / "integrals"
+            ).estimate
+            for mesh in (true, scan)
+        )
+        note = f"{_said('true', true, before)}; {_said('scanned', scan, after)}"
+        young = 100 * (after.young_modulus.value / before.young_modulus.value - 1.0)
+        ratio = after.poisson_ratio.value - before.poisson_ratio.value
+        what = f"fit on the scan of the {shape}{' down on its foot' * on_foot}, {name}"
+        figures += [
+            Figure(DOOR, f"{what}: E against the true mesh", abs(young), "%", must=2.0, reach=0.7,
+                   note=f"{young:+.2f} %. {note}"),
+            Figure(DOOR, f"{what}: nu against the true mesh", abs(ratio), must=0.01, reach=0.004,
+                   note=f"{ratio:+.4f}"),
+        ]  # fmt: skip
+    return figures
+
+
+def _said(name: str, mesh: TriangleMesh, estimate: Estimate) -> str:
+    """One estimate against the truth."""
+    young, ratio = estimate.young_modulus, estimate.poisson_ratio
+    true = 2.0 * SHEAR_MODULUS * (1.0 + POISSON_RATIO)
+    return (
+        f"{name}, {len(mesh.vertices)} vertices: E {100 * (young.value / true - 1):+.2f} %"
+        f" (+- {100 * young.std / true:.2f}), nu {ratio.value - POISSON_RATIO:+.4f}"
+        f" (+- {ratio.std:.4f})"
+    )
+
+
+def measure(options: Options) -> list[Figure]:
+    """The half ball, and the toy held where it is widest."""
+    shapes, vertices = (("half-ball",), 300) if options.quick else (tuple(RADIUS), _VERTICES)
+    folder = MADE / "turntables"
+    return [
+        one for shape in shapes for one in shape_figures(folder, shape, vertices, on_foot=False)
+    ]
 
 
 def main() -> None:
-    """Print all rows."""
+    """Print all figures."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.scanned_constants", description=__doc__
     )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--vertices", type=int, default=1000)
+    parser.add_argument("folder", type=Path, nargs="?", default=MADE / "turntables")
+    parser.add_argument("--vertices", type=int, default=_VERTICES)
     parser.add_argument("--shape", choices=tuple(RADIUS))
     parser.add_argument("--on-foot", action="store_true", help="hold the toy by its own foot")
     options = parser.parse_args()
     for shape in [options.shape] if options.shape else RADIUS:
-        report(options.folder, shape, options.vertices, on_foot=options.on_foot)
+        figures = shape_figures(options.folder, shape, options.vertices, on_foot=options.on_foot)
+        print(with_notes(figures), flush=True)
 
 
 if __name__ == "__main__":

@@ -2,14 +2,13 @@
 
     python -m benchmarks.scanning [--folder FOLDER] [--vertices 2000] [--views]
 
-Rows: the time of one dense view; a toy and a half ball of speckle, twelve views 30 degrees apart by
+The time of one dense view; a toy and a half ball of speckle, twelve views 30 degrees apart by
 three cameras, noise 1.5 grey levels, rendered into the folder where they are not there yet; then
 the toy with its poses not told. Distances are from the exact shape, both ways, over what the
 views show; the scan stands on its support, whose plane is given.
 """
 
 import argparse
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palpate.geometry import TriangleMesh, enclosed_volume, refined_surface
+from benchmarks.clock import shortest
+from benchmarks.figure import DOOR, Figure
+from benchmarks.machine import MADE
+from benchmarks.options import Options
+from benchmarks.report import with_notes
+from palpate.geometry import TriangleMesh, checked_mesh, enclosed_volume, refined_surface
 from palpate.lab import SHAPES, choose_variant, make_session, read_lab_config
 from palpate.records import read_rig
 from palpate.scanning import ScannedSurface, distances, read_scan, scan_surface
@@ -26,7 +30,7 @@ from palpate.scanning.mending import spread
 from palpate.vision import prepare_pictures, read_pictures, stereo_points
 
 RADIUS = {"toy": 0.035, "half-ball": 0.05}
-_VIEWS, _STEP = 12, 30.0
+_VIEWS, _STEP, _VERTICES = 12, 30.0, 2000
 # Edges of the true surface: chords of 1 mm leave 4 um of a ball of 35 mm.
 _TRUE_EDGE = 1e-3
 _CONFIG = """\
@@ -127,27 +131,36 @@ def compared(shape: str, made: ScannedSurface) -> Row:
     )
 
 
-def _report_shape(folder: Path, shape: str, vertices: int) -> None:
+def shape_figures(folder: Path, shape: str, vertices: int) -> list[Figure]:
+    """How far the scan of one turntable is from the exact shape."""
     place = turntable(folder, shape)
     start = time.perf_counter()
     scan = read_scan(place / "scan.toml")
     read = time.perf_counter()
     made = scan_surface(scan.views, vertices=vertices, support=scan.support)
+    seconds = read - start, time.perf_counter() - read
     row = compared(shape, made)
-    print(
-        f"{shape}, {_VIEWS} views, {len(made.mesh.vertices)} vertices, watertight:\n"
-        f"  distance 95 %, largest       {1e3 * row.near:.3f}, {1e3 * row.far:.3f} mm of what was"
-        f" seen; 95 % of all {1e3 * row.all_near:.3f} mm\n"
-        f"  volume                       {100 * row.flat:+.2f} % in flat triangles,"
-        f" {100 * row.smooth:+.2f} % in the model's curved ones\n"
-        f"  actual over claimed sigma    {row.ratio:.2f} in the mean square,"
-        f" {row.typical:.2f} from the median\n"
-        f"  seconds                      {read - start:.1f} for the views,"
-        f" {time.perf_counter() - read:.1f} to join them"
+    _, notes = checked_mesh(made.mesh)
+    name = f"scan of the {shape}, {_VIEWS} views"
+    distance = (
+        f"{len(made.mesh.vertices)} vertices; largest {1e3 * row.far:.3f} mm; over all, guessed"
+        f" parts too, {1e3 * row.all_near:.3f} mm; actual over claimed sigma {row.ratio:.2f} in the"
+        f" mean square, {row.typical:.2f} from the median; {seconds[0]:.1f} s for the views,"
+        f" {seconds[1]:.1f} s to join them"
     )
+    return [
+        Figure(DOOR, f"{name}: what `palpate check` finds wrong with the mesh", float(len(notes)),
+               must=0.0, note="; ".join(notes) or "closed, manifold, outward"),
+        Figure(DOOR, f"{name}: distance from the true surface, 95 % of what was seen",
+               1e3 * row.near, "mm", must=0.15, reach=0.05, note=distance),
+        Figure(DOOR, f"{name}: volume of the flat triangles, off by", 100 * abs(row.flat), "%",
+               must=1.0, reach=0.3, note=f"{100 * row.flat:+.2f} %; of the model's curved ones"
+               f" {100 * row.smooth:+.2f} %"),
+    ]  # fmt: skip
 
 
-def _report_poses(folder: Path) -> None:
+def pose_figures(folder: Path) -> list[Figure]:
+    """Where the views of the toy stood, found from its shape alone."""
     place = turntable(folder, "toy")
     views = read_scan(place / "unknown.toml").views
     start = time.perf_counter()
@@ -161,47 +174,59 @@ def _report_poses(folder: Path) -> None:
             one.points - one.points.mean(axis=0), place_true - place_true.mean(axis=0)
         )
         turns.append(np.degrees(turn.magnitude()))
-        shifts.append(np.linalg.norm(one.points.mean(axis=0) - place_true.mean(axis=0)))
-    print(
-        f"toy, {_VIEWS} views, poses not told:\n"
-        f"  pose error, largest          {max(turns):.3f} deg, {1e3 * max(shifts):.3f} mm\n"
-        f"  pose error, rms              {np.sqrt(np.mean(np.square(turns))):.3f} deg,"
-        f" {1e3 * np.sqrt(np.mean(np.square(shifts))):.3f} mm\n"
-        f"  seconds                      {seconds:.1f}"
-    )
+        shifts.append(1e3 * np.linalg.norm(one.points.mean(axis=0) - place_true.mean(axis=0)))
+    name = f"turntable of {_VIEWS} views, poses not told: largest"
+    return [
+        Figure(DOOR, f"{name} {what}", float(max(errors)), unit, must=0.3, reach=0.05,
+               note=f"rms {np.sqrt(np.mean(np.square(errors))):.3f} {unit}; {seconds:.0f} s")
+        for what, errors, unit in (("turn", turns, "deg"), ("shift", shifts, "mm"))
+    ]  # fmt: skip
 
 
-def _report_view(folder: Path, shape: str) -> None:
+def view_figure(folder: Path, shape: str) -> Figure:
+    """How long the dense match of one step takes."""
     place = turntable(folder, shape)
     rig = read_rig(place / "rig.toml")
     pictures = read_pictures(rig, "images/s1_{camera}.png", folder=place, what="view")
-    # The second run: what is compiled once is not timed.
-    for _ in range(2):
-        start, busy = time.perf_counter(), time.process_time()
-        found = stereo_points(prepare_pictures(rig, pictures.grey))
-        seconds, busy = time.perf_counter() - start, time.process_time() - busy
+    busy: list[float] = []
+
+    def work() -> None:
+        start = time.process_time()
+        stereo_points(prepare_pictures(rig, pictures.grey))
+        busy.append(time.process_time() - start)
+
+    seconds = shortest(work, repeats=5)
+    count = len(stereo_points(prepare_pictures(rig, pictures.grey)).point)
     size = " x ".join(str(side) for side in rig.cameras[0].size or ())
-    print(
-        f"one view of the {shape}, {size} x 3: {len(found.point)} points in {seconds:.1f} s,"
-        f" {busy:.1f} s of processors"
-    )
+    return Figure(
+        DOOR, f"one dense view of the {shape}, {size} x 3", seconds, "s", must=3.0, reach=1.0,
+        note=f"{count} points; shortest of 5, {min(busy):.1f} s of processors",
+    )  # fmt: skip
+
+
+def measure(options: Options) -> list[Figure]:
+    """Turntables of the half ball and of the toy; the toy's with its poses not told."""
+    folder = MADE / "turntables"
+    shapes = ("toy",) if options.quick else tuple(RADIUS)
+    figures = [view_figure(folder, shape) for shape in shapes]
+    for shape in shapes:
+        figures += shape_figures(folder, shape, 500 if options.quick else _VERTICES)
+    return figures + pose_figures(folder)
 
 
 def main() -> None:
-    """Print all rows."""
+    """Print all figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scanning", description=__doc__)
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--vertices", type=int, default=2000)
+    parser.add_argument("--folder", type=Path, default=MADE / "turntables")
+    parser.add_argument("--vertices", type=int, default=_VERTICES)
     parser.add_argument("--views", action="store_true", help="the time of one dense view only")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = options.folder or Path(scratch)
+    print(with_notes([view_figure(options.folder, shape) for shape in RADIUS]), flush=True)
+    if not options.views:
         for shape in RADIUS:
-            _report_view(folder, shape)
-        for shape in [] if options.views else RADIUS:
-            _report_shape(folder, shape, options.vertices)
-        if not options.views:
-            _report_poses(folder)
+            figures = shape_figures(options.folder, shape, options.vertices)
+            print(with_notes(figures), flush=True)
+        print(with_notes(pose_figures(options.folder)))
 
 
 if __name__ == "__main__":

@@ -7,8 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.boards import SIZE, board_points, seen_corners, sightings, true_bundle
+from benchmarks.boards import (
+    SIZE,
+    board_points,
+    draw_board,
+    seen_corners,
+    sightings,
+    true_bundle,
+)
 from palpate.calibration import (
+    Charuco,
     Chessboard,
     Sightings,
     baseline_text,
@@ -48,6 +56,27 @@ def test_no_board_in_any_picture(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="no board was found in any of 2 pictures") as caught:
         find_boards(find_pictures(tmp_path), [_BOARD])
     assert "columns and rows" in str(caught.value)
+
+
+def test_a_blurred_picture_is_named_and_left_out(tmp_path: Path) -> None:
+    """Five pictures as sharp as a sensor draws them, noisy, and one that was moved by 12 px."""
+    board = Charuco(7, 5, 0.016, 0.012)
+    truth = true_bundle(np.random.default_rng(7), cameras=1, views=6)
+    inner = truth.inner[0] * [0.5, 0.5, 0.5, 0.5, 1, 1, 1, 1, 1]
+    (tmp_path / "c0").mkdir()
+    for v, view in enumerate(truth.view):
+        pose = view.copy()
+        pose[:3, 3] = [0.0, 0.0, 0.36] - view[:3, :3] @ board.points.mean(axis=0)
+        picture = draw_board(
+            board.drawing(40), (7 * 0.016, 5 * 0.016), inner, pose, (640, 512),
+            rng=np.random.default_rng(v), noise=8.0,
+        )  # fmt: skip
+        moved = cv2.blur(picture, (12, 1)) if v == 3 else picture
+        cv2.imwrite(str(tmp_path / "c0" / f"{v:02d}.png"), moved)
+    found = find_boards(find_pictures(tmp_path), [board])
+    assert found.views == ("00", "01", "02", "04", "05")
+    assert len(found.notes) == 1
+    assert "03.png: blurred, its edges are" in found.notes[0]
 
 
 def test_swapped_pictures_of_one_view_are_named() -> None:

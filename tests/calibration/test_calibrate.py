@@ -22,6 +22,7 @@ from palpate.calibration import (
     find_pictures,
     length_check,
     length_sigma,
+    picture_errors,
     write_calibration,
 )
 from palpate.calibration.adjustment import Bundle
@@ -83,6 +84,12 @@ def test_charuco_from_pictures_to_rig(
     assert abs(away) < 4.0 * across < 4e-3
     files = {path.name for path in (tmp_path / "rig").iterdir()}
     assert {"rig.toml", "rig_covariance.npz", "opencv.yml", "kalibr.yaml", "residuals.png"} <= files
+    pictures = (tmp_path / "rig" / "views.csv").read_text().splitlines()
+    assert pictures[0] == "camera,view,corners,left out,rms [px]"
+    # Six views of at most 8 x 6 corners by each of two cameras, scattered by a tenth of a pixel.
+    rows = [line.split(",") for line in pictures[1:]]
+    assert [row[:2] for row in rows] == [[f"c{c}", f"{v:02d}"] for c in (0, 1) for v in range(6)]
+    assert all(24 < int(row[2]) <= 48 and 0.01 < float(row[4]) < 0.3 for row in rows)
     for other in ("opencv.yml", "kalibr.yaml"):
         again = read_rig(tmp_path / "rig" / other)
         np.testing.assert_allclose(
@@ -310,6 +317,28 @@ def test_what_is_missing_is_said() -> None:
     assert "upper right" in missing
     assert "lower right" in missing
     assert "middle centre" not in missing
+
+
+def test_errors_of_pictures_and_of_regions_are_the_same_errors() -> None:
+    """Summed over one camera's views they are those summed over its nine regions; a mark that is
+    beside its place is counted in its own picture, and is in neither."""
+    found, board, _ = _synthetic(15, cameras=2)
+    corners = found.corners
+    beside = np.flatnonzero((corners.camera == 1) & (corners.view == 3))[5]
+    pixel = corners.pixel.copy()
+    pixel[beside] += [6.0, -4.0]
+    made = calibrate(replace(found, corners=replace(corners, pixel=pixel)), [board])
+    pictures = picture_errors(made)
+    odd = [one for one in pictures if (one.camera, one.view) == ("c1", found.views[3])]
+    assert [one.rejected for one in odd] == [1]
+    for quality in camera_quality(made):
+        mine = [one for one in pictures if one.camera == quality.name]
+        assert sum(one.corners for one in mine) == quality.corners
+        by_view = sum((one.corners - one.rejected) * one.rms**2 for one in mine)
+        by_region = np.nansum(quality.seen * quality.rms**2)
+        assert by_view == pytest.approx(by_region, rel=1e-12)
+        # Two coordinates of 0.1 px.
+        assert max(one.rms for one in mine) < 0.2
 
 
 def test_covariance_goes_with_its_names(tmp_path: Path) -> None:

@@ -195,6 +195,20 @@ def test_a_damaged_surface_is_one_message(saved, tmp_path):
         write_report(saved, tmp_path / "report.html")
 
 
+@pytest.mark.parametrize(("name", "read"), [("palpate-surface/1", True), ("palpate-mesh/1", False)])
+def test_surfaces_of_earlier_results_are_read(saved, tmp_path, name, read):
+    """They bore the name that the mesh of a scan had, too; another name is another file."""
+    with np.load(saved / "surface.npz") as kept:
+        arrays = {**kept, "format": np.array(name)}
+    np.savez_compressed(tmp_path / "surface.npz", **arrays)
+    if read:
+        again = read_fitted_surface(tmp_path)
+        np.testing.assert_array_equal(again.vertices, read_fitted_surface(saved).vertices)
+    else:
+        with pytest.raises(RecordError, match=r"'palpate-mesh/1', not 'palpate-fitted-surface/1'"):
+            read_fitted_surface(tmp_path)
+
+
 def test_the_report_is_made_again_from_the_folder_alone(saved, tmp_path):
     write_report(saved, tmp_path / "again.html")
     assert (tmp_path / "again.html").read_bytes() == (saved / "report.html").read_bytes()

@@ -27,10 +27,12 @@ from palpate.calibration.quality import (
     REGIONS as REGIONS,
     CameraQuality as CameraQuality,
     LengthCheck as LengthCheck,
+    PictureError as PictureError,
     baseline_text as baseline_text,
     camera_quality as camera_quality,
     length_check as length_check,
     length_sigma as length_sigma,
+    picture_errors as picture_errors,
 )
 from palpate.calibration.sightings import (
     Sightings as Sightings,

@@ -194,7 +194,7 @@ def view_errors(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.nd
 
 def _cause(corners: Corners, cameras: Sequence[Camera]) -> str:
     """What may be wrong with a view, of its corners."""
-    cause = "is the board bent, blurred or partly covered there?"
+    cause = "is the board bent or partly covered there?"
     seen = np.unique(corners.camera).tolist()
     if len(seen) > 1:
         cause = "did the board move between the pictures of the cameras?"

@@ -1,7 +1,9 @@
-"""A calibration as files: rig.toml, its covariance, and the formats of OpenCV and Kalibr."""
+"""A calibration as files: rig.toml, its covariance, pictures' errors, formats of other programs."""
 
+import csv
 from collections.abc import Sequence
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import cv2
@@ -10,6 +12,7 @@ import yaml
 from jaxtyping import Float
 
 from palpate.calibration.calibrate import Calibration, known_rig
+from palpate.calibration.quality import picture_errors
 from palpate.errors import RecordError
 from palpate.records import Camera, Rig, write_rig, write_rig_covariance, write_text
 
@@ -17,7 +20,7 @@ from palpate.records import Camera, Rig, write_rig, write_rig_covariance, write_
 def write_calibration(
     folder: Path, calibration: Calibration, *, frame: Float[np.ndarray, "4 4"] | None = None
 ) -> None:
-    """Write rig.toml, rig_covariance.npz, opencv.yml and kalibr.yaml.
+    """Write rig.toml, rig_covariance.npz, views.csv, opencv.yml and kalibr.yaml.
 
     Parameters
     ----------
@@ -40,6 +43,18 @@ def write_calibration(
         _write_kalibr(folder / "kalibr.yaml", cameras)
     _write_opencv(folder / "opencv.yml", cameras)
     write_rig_covariance(folder, known_rig(calibration), calibration.adjusted.noise)
+    _write_pictures(folder / "views.csv", calibration)
+
+
+def _write_pictures(path: Path, calibration: Calibration) -> None:
+    """A row of every picture; the cell of a root mean square that nothing gives is empty."""
+    with StringIO() as text:
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(["camera", "view", "corners", "left out", "rms [px]"])
+        for one in picture_errors(calibration):
+            rms = "" if np.isnan(one.rms) else f"{one.rms:.4f}"
+            table.writerow([one.camera, one.view, one.corners, one.rejected, rms])
+        write_text(path, text.getvalue())
 
 
 def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:

@@ -96,6 +96,50 @@ def _tilt_texts(name: str, pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
+class PictureError:
+    """What a calibration leaves in one picture.
+
+    Attributes
+    ----------
+    camera, view : str
+    corners, rejected : int         found, and gross errors among these
+    rms : float [px]                root mean square distance of the others; NaN where none is left
+    """
+
+    camera: str
+    view: str
+    corners: int
+    rejected: int
+    rms: float
+
+
+def picture_errors(calibration: Calibration) -> tuple[PictureError, ...]:
+    """What is left in every picture that was used.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    tuple of PictureError           camera by camera, views in their order
+    """
+    corners, good = calibration.corners, calibration.adjusted.good
+    square = (calibration.adjusted.residual**2).sum(axis=1)
+    found = []
+    for c, camera in enumerate(calibration.cameras):
+        for v, view in enumerate(calibration.found.views):
+            mine = (corners.camera == c) & (corners.view == v)
+            if not mine.any():
+                continue
+            kept = mine & good
+            rms = float(np.sqrt(square[kept].mean())) if kept.any() else np.nan
+            rejected = int(mine.sum() - kept.sum())
+            found.append(PictureError(camera.name, view, int(mine.sum()), rejected, rms))
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
 class LengthCheck:
     """Lengths on boards that took no part in the calibration they are measured with.
 

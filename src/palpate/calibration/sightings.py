@@ -3,9 +3,10 @@
 import re
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numba
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -19,6 +20,12 @@ from palpate.vision import read_grey
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 # A pose has six unknowns and a mark gives two numbers: four marks are the least, eight a check.
 _MIN_MARKS = 8
+# A picture is blurred where its edges are so many times as wide as those of its camera usually are.
+_BLURRED = 2.0
+# Share of pixels whose slope is less than that of an edge, and how many are looked at.
+_STEEPEST, _SAMPLES = 0.998, 200_000
+# A picture: its camera, its instant, its file.
+_Job = tuple[str, str, Path]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,17 +118,61 @@ def find_boards(
     """
     jobs = [(c, name, path) for c, by in pictures.items() for name, path in by.items()]
 
-    def work(job: tuple[str, str, Path]) -> tuple[tuple[int, int], list[Sighting]]:
+    def work(job: _Job) -> tuple[tuple[int, int], list[Sighting], float]:
         grey = eight_bits(read_grey(job[2]))
-        return (grey.shape[1], grey.shape[0]), [target.find(grey) for target in targets]
+        seen = [target.find(grey) for target in targets]
+        return (grey.shape[1], grey.shape[0]), seen, _edge_width(grey, seen)
 
     results = []
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for done, result in enumerate(pool.map(work, jobs), start=1):
             results.append(result)
             progress(f"{jobs[done - 1][2].name}", done / len(jobs))
-    sizes = _sizes(jobs, [size for size, _ in results])
-    return _gathered(list(pictures), sizes, jobs, [seen for _, seen in results], targets)
+    sizes = _sizes(jobs, [size for size, _, _ in results])
+    blurred = _blurred(jobs, [width for _, _, width in results])
+    sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]
+    found = _gathered(list(pictures), sizes, sharp, targets)
+    return replace(found, notes=(*blurred.values(), *found.notes))
+
+
+def _edge_width(grey: UInt8[np.ndarray, "rows columns"], seen: Sequence[Sighting]) -> float:
+    """How wide edges between dark and bright are in the worst direction [px].
+
+    Contrast over the steepest slopes in it, over the boards or, where none is found, all over; a
+    board has edges in two directions, and a motion leaves those along it sharp. Noise is smoothed
+    away first, so that nothing is narrower than 2.5 px.
+    """
+    pixel = np.concatenate([found.pixel for found in seen])
+    part = grey
+    if len(pixel) >= _MIN_MARKS:
+        low, high = np.maximum(pixel.min(axis=0), 0.0), pixel.max(axis=0) + 1.0
+        part = grey[int(low[1]) : int(high[1]), int(low[0]) : int(high[0])]
+    smooth = cv2.GaussianBlur(part, (0, 0), 1.0)
+    step = int(np.ceil(np.sqrt(smooth.size / _SAMPLES)))
+    across, down = (
+        cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=0.125)[::step, ::step]
+        for axis in ((1, 0), (0, 1))
+    )
+    steepest = min(
+        float(np.quantile(np.abs(np.cos(way) * across + np.sin(way) * down), _STEEPEST))
+        for way in np.arange(6) * np.pi / 6.0
+    )
+    dark, bright = np.quantile(smooth[::step, ::step], [0.05, 0.95])
+    return float(bright - dark) / max(steepest, 1e-6)
+
+
+def _blurred(jobs: Sequence[_Job], widths: Sequence[float]) -> dict[int, str]:
+    """Pictures whose edges are far wider than their camera's usually are, each with a sentence."""
+    of_camera: dict[str, list[float]] = {}
+    for (camera, _, _), width in zip(jobs, widths, strict=True):
+        of_camera.setdefault(camera, []).append(width)
+    usual = {camera: float(np.median(each)) for camera, each in of_camera.items()}
+    return {
+        k: f"{jobs[k][2]}: blurred, its edges are {width:.1f} px wide and those of '{jobs[k][0]}'"
+        f" usually {usual[jobs[k][0]]:.1f}; left out: did the board move?"
+        for k, width in enumerate(widths)
+        if width > _BLURRED * usual[jobs[k][0]]
+    }
 
 
 def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "rows columns"]:
@@ -138,9 +189,7 @@ def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "ro
     return np.clip(np.rint(grey), 0.0, 255.0).astype(np.uint8)
 
 
-def _sizes(
-    jobs: Sequence[tuple[str, str, Path]], sizes: Sequence[tuple[int, int]]
-) -> dict[str, tuple[int, int]]:
+def _sizes(jobs: Sequence[_Job], sizes: Sequence[tuple[int, int]]) -> dict[str, tuple[int, int]]:
     """Size of every camera's pictures."""
     found: dict[str, tuple[int, int]] = {}
     for (camera, _, path), size in zip(jobs, sizes, strict=True):
@@ -155,14 +204,13 @@ def _sizes(
 def _gathered(
     cameras: list[str],
     sizes: Mapping[str, tuple[int, int]],
-    jobs: Sequence[tuple[str, str, Path]],
-    seen: Sequence[Sequence[Sighting]],
+    pictures: Sequence[tuple[str, str, Path, list[Sighting]]],
     targets: Sequence[Target],
 ) -> Sightings:
     """All marks in one list; pictures with too few of them are named."""
     views: dict[tuple[str, int], int] = {}
     parts, notes = [], []
-    for (camera, instant, path), boards in zip(jobs, seen, strict=True):
+    for camera, instant, path, boards in pictures:
         most = max((len(found.mark) for found in boards), default=0)
         if most < _MIN_MARKS:
             what = f"{most} marks of a board" if most else "no board"
@@ -175,9 +223,9 @@ def _gathered(
             parts.append((numbers, targets[k].points[found.mark], found.pixel, found.mark))
     if not parts:
         raise CalibrationError(
-            f"no board was found in any of {len(jobs)} pictures; is it the target that was named,"
-            " with its numbers of columns and rows (a chessboard's are of inner corners), whole and"
-            " sharp in the pictures?"
+            f"no board was found in any of {len(pictures)} pictures; is it the target that was"
+            " named, with its numbers of columns and rows (a chessboard's are of inner corners),"
+            " whole and sharp in the pictures?"
         )
     numbers, point, pixel, mark = (np.concatenate(part) for part in zip(*parts, strict=True))
     several = len(targets) > 1

@@ -52,6 +52,7 @@ from palpate.figures.style import (
     Picture as Picture,
     figure_pixels as figure_pixels,
     open_frame as open_frame,
+    save_drawing as save_drawing,
     save_figure as save_figure,
     save_pixels as save_pixels,
     styled as styled,

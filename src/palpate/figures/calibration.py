@@ -2,14 +2,26 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float, Int
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from palpate.calibration import REGIONS, Calibration, Charuco
-from palpate.figures.style import BLUE, GREY, ORANGE, styled
+from palpate.calibration import (
+    REGIONS,
+    Calibration,
+    CameraQuality,
+    Charuco,
+    PictureError,
+    camera_quality,
+    picture_errors,
+)
+from palpate.figures.style import BLUE, GREY, INK, ORANGE, open_frame, styled
 from palpate.geometry import CREASE_ANGLE, TriangleMesh, unit_normals
 from palpate.records import Camera, Rig, camera_centre
 from palpate.shapes import Vector3
@@ -22,13 +34,17 @@ _AROUND = 0.3
 # Arrows of residuals: the noise is drawn as long as this share of the picture's width.
 _ARROW = 0.02
 _MAX_ARROWS = 3000
+# Bars of the views below: how high [inches], and how many have room for their name.
+_VIEWS_HEIGHT, _MOST_NAMED = 0.75, 13
+# A camera's frame has y down and z forward; a drawing in space has its third axis up.
+_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 # Sampling of a printed board: a module of a marker is a whole number of pixels.
 _PIXELS_PER_SQUARE = 240
 
 
 @styled
 def residual_figure(calibration: Calibration) -> Figure:
-    """What the adjustment leaves at every corner, a panel for each camera.
+    """What the adjustment leaves at every corner, in every region and in every view of a camera.
 
     Parameters
     ----------
@@ -36,38 +52,73 @@ def residual_figure(calibration: Calibration) -> Figure:
 
     Returns
     -------
-    Figure
+    Figure                          a column of two panels for each camera
     """
-    cameras, corners = calibration.cameras, calibration.corners
+    cameras = calibration.cameras
     ratio = max(rows / columns for columns, rows in calibration.found.sizes)
-    figure = Figure(figsize=(_WIDTH * len(cameras), _WIDTH * ratio + 0.55), layout="constrained")
-    for c, camera in enumerate(cameras):
-        axes = figure.add_subplot(1, len(cameras), c + 1)
-        columns, rows = calibration.found.sizes[c]
-        noise = float(calibration.adjusted.noise[c])
-        for good, colour in ((True, BLUE), (False, ORANGE)):
-            mine = np.flatnonzero((corners.camera == c) & (calibration.adjusted.good == good))
-            mine = mine[:: len(mine) // _MAX_ARROWS + 1]
-            away = _ARROW * columns / noise * calibration.adjusted.residual[mine]
-            axes.quiver(
-                *corners.pixel[mine].T, *away.T, angles="xy", scale_units="xy", scale=1.0,
-                color=colour, width=0.0022,
-            )  # fmt: skip
-        for k in range(1, REGIONS):
-            axes.axvline(k * columns / REGIONS, color=GREY, linewidth=0.3)
-            axes.axhline(k * rows / REGIONS, color=GREY, linewidth=0.3)
-        axes.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xticks=[], yticks=[])
-        axes.set_title(f"{camera.name}: {noise:.3f} px", parse_math=False)
+    heights = _WIDTH * ratio, _VIEWS_HEIGHT
+    figure = Figure(figsize=(_WIDTH * len(cameras), sum(heights) + 0.85), layout="constrained")
+    grid = figure.add_gridspec(2, len(cameras), height_ratios=heights)
+    pictures = picture_errors(calibration)
+    highest = max((one.rms for one in pictures if np.isfinite(one.rms)), default=1.0)
+    for c, quality in enumerate(camera_quality(calibration)):
+        _draw_corners(figure.add_subplot(grid[0, c]), calibration, c, quality)
+        mine = [one for one in pictures if one.camera == quality.name]
+        _draw_views(figure.add_subplot(grid[1, c]), mine, highest, first=c == 0)
     figure.supxlabel(
-        "residuals of the corners, one standard deviation drawn 2 % of the width; orange: left out",
+        "arrows: residuals of the corners, one standard deviation drawn 2 % of the width; orange:"
+        " left out. Figures: rms of a ninth [px], and its corners",
         fontsize=7.0,
     )
     return figure
 
 
+def _draw_corners(axes: Axes, calibration: Calibration, c: int, quality: CameraQuality) -> None:
+    """A camera's picture with an arrow at each corner, and the errors of its nine regions."""
+    corners = calibration.corners
+    columns, rows = calibration.found.sizes[c]
+    for good, colour in ((True, BLUE), (False, ORANGE)):
+        mine = np.flatnonzero((corners.camera == c) & (calibration.adjusted.good == good))
+        mine = mine[:: len(mine) // _MAX_ARROWS + 1]
+        away = _ARROW * columns / quality.noise * calibration.adjusted.residual[mine]
+        axes.quiver(
+            *corners.pixel[mine].T, *away.T, angles="xy", scale_units="xy", scale=1.0,
+            color=colour, width=0.0022,
+        )  # fmt: skip
+    for k in range(1, REGIONS):
+        axes.axvline(k * columns / REGIONS, color=GREY, linewidth=0.3)
+        axes.axhline(k * rows / REGIONS, color=GREY, linewidth=0.3)
+    for (row, column), seen in np.ndenumerate(quality.seen):
+        rms = f"{quality.rms[row, column]:.3f}, {seen}" if seen else "no board"
+        axes.annotate(
+            rms, (column * columns / REGIONS, row * rows / REGIONS), (3.0, -3.0),
+            textcoords="offset points", ha="left", va="top", fontsize=6.0,
+            color=INK if seen else ORANGE,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8},
+        )  # fmt: skip
+    axes.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xticks=[], yticks=[])
+    axes.set_title(f"{quality.name}: noise {quality.noise:.3f} px", parse_math=False)
+
+
+def _draw_views(
+    axes: Axes, pictures: Sequence[PictureError], highest: float, *, first: bool
+) -> None:
+    """A bar for every view of a camera; as many are named as there is room for."""
+    place = np.arange(len(pictures))
+    axes.bar(place, [one.rms for one in pictures], color=BLUE, width=0.7)
+    axes.set(xlim=(-0.7, len(pictures) - 0.3), ylim=(0.0, 1.1 * highest))
+    step = -(-len(pictures) // _MOST_NAMED)
+    axes.set_xticks(place[::step], [one.view for one in pictures[::step]], parse_math=False)
+    axes.tick_params(axis="x", labelsize=6.0, length=2)
+    axes.set_xlabel("view")
+    if first:
+        axes.set_ylabel("rms [px]")
+    open_frame(axes)
+
+
 @styled
 def rig_figure(calibration: Calibration) -> Figure:
-    """Cameras and boards in space, from above and from the side.
+    """Cameras and boards in space: in perspective, and from above.
 
     Parameters
     ----------
@@ -79,26 +130,41 @@ def rig_figure(calibration: Calibration) -> Figure:
     """
     boards = [1e3 * line for line in _board_lines(calibration)]
     distance = float(np.linalg.norm(np.concatenate(boards).mean(axis=0)))
-    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
-    panels = {"from above": (0, 2), "from the side": (2, 1)}
-    for number, (title, (right, up)) in enumerate(panels.items(), start=1):
-        axes = figure.add_subplot(1, 2, number)
-        for line in boards:
-            axes.plot(line[:, right], line[:, up], color=GREY, linewidth=0.5)
-        for camera in calibration.cameras:
-            for line in _camera_lines(camera, 0.15 * distance):
-                axes.plot(line[:, right], line[:, up], color=BLUE, linewidth=1.0)
-            place = 1e3 * camera_centre(camera)
-            axes.annotate(
-                camera.name, (place[right], place[up]), (0.0, -9.0), textcoords="offset points",
-                ha="center", parse_math=False,
-            )  # fmt: skip
-        axes.set(title=title, xlabel=f"{'xyz'[right]} mm", ylabel=f"{'xyz'[up]} mm", aspect="equal")
-        axes.margins(0.08)
-        if up == 1:
-            # y points down in a camera's frame.
-            axes.invert_yaxis()
+    cameras = [_camera_lines(camera, 0.15 * distance) for camera in calibration.cameras]
+    names = [camera.name for camera in calibration.cameras]
+    centres = [1e3 * camera_centre(camera) for camera in calibration.cameras]
+    figure = Figure(figsize=(7.6, 3.9), layout="constrained")
+    with mpl.rc_context({"grid.linewidth": 0.3, "grid.color": GREY}):
+        space: Any = figure.add_subplot(1, 2, 1, projection="3d")
+    above = figure.add_subplot(1, 2, 2)
+    drawn = ((GREY, 0.5, boards), (BLUE, 1.0, [line for lines in cameras for line in lines]))
+    for colour, width, lines in drawn:
+        for line in lines:
+            space.plot(*(line @ _UPRIGHT.T).T, color=colour, linewidth=width)
+            above.plot(line[:, 0], line[:, 2], color=colour, linewidth=width)
+    for name, centre in zip(names, centres, strict=True):
+        space.text(*(_UPRIGHT @ centre - [0.0, 0.0, 0.07 * distance]), name, parse_math=False)
+        above.annotate(
+            name, (centre[0], centre[2]), (0.0, -9.0), textcoords="offset points", ha="center",
+            parse_math=False,
+        )  # fmt: skip
+    _set_space(space)
+    above.set(title="from above", xlabel="x mm", ylabel="z mm", aspect="equal")
+    above.margins(0.08)
+    open_frame(above)
     return figure
+
+
+def _set_space(axes: Any) -> None:
+    """A view in perspective from behind the cameras, all lengths alike; of axes in 3-D."""
+    axes.set_proj_type("persp", focal_length=0.6)
+    axes.view_init(elev=24.0, azim=-35.0)
+    axes.set_aspect("equal")
+    axes.set(title="in perspective", xlabel="x mm", ylabel="z mm", zlabel="- y mm")
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_major_locator(MaxNLocator(4))
+        axis.set_tick_params(labelsize=6.0, pad=-2)
+        axis.labelpad = -5
 
 
 @styled

@@ -11,7 +11,7 @@ from palpate.records import json_text, write_text
 from palpate.scanning.prepare import PreparedSurface
 from palpate.scanning.scan import ScannedSurface
 
-SURFACE_FORMAT = "palpate-surface/1"
+MESH_FORMAT = "palpate-mesh/1"
 
 
 def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> None:
@@ -36,7 +36,7 @@ def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> No
     else:
         said = _of_mending(surface)
     content = {
-        "format": SURFACE_FORMAT,
+        "format": MESH_FORMAT,
         **said,
         "guessed_triangles": np.flatnonzero(surface.guessed),
         "quality": asdict(surface.quality),

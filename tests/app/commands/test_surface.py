@@ -33,6 +33,7 @@ def test_a_broken_file_becomes_a_sound_mesh(palpate, scan, tmp_path):
     assert notes == ()
     assert len(mesh.vertices) == pytest.approx(400, rel=0.1)
     content = json.loads((tmp_path / "scan-mesh" / "surface.json").read_text())
+    assert content["format"] == "palpate-mesh/1"
     assert [action["defect"] for action in content["actions"]] == ["stray piece", "hole"]
     # Of 20 edges around, chords lack about 1.5 % of a ball.
     assert abs(content["deviation"]["volume"]) < 0.02

@@ -31,7 +31,14 @@ from palpate.calibration import (
 )
 from palpate.disk import placed
 from palpate.errors import InputError
-from palpate.figures import board_figure, residual_figure, rig_figure, save_figure, save_page
+from palpate.figures import (
+    board_figure,
+    residual_figure,
+    rig_figure,
+    save_drawing,
+    save_figure,
+    save_page,
+)
 from palpate.probe import metres_from_text
 from palpate.progress import Progress, part_of
 from palpate.records import check_free, default_folder, record_inputs, result_folder
@@ -113,7 +120,7 @@ def calibrate(
         frame = None if table is None else board_frame(calibration, targets, table)
         write_calibration(folder, calibration, frame=frame)
         save_figure(residual_figure(calibration), folder / "residuals.png")
-        save_figure(rig_figure(calibration), folder / "rig.png")
+        save_drawing(rig_figure(calibration), folder / "rig.png")
     timing = timing_note(calibration)
     print_notes([*calibration.notes, *([timing] if timing else [])])
     quality = camera_quality(calibration)

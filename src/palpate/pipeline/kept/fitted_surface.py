@@ -17,7 +17,9 @@ from palpate.records import Session
 from palpate.shapes import Indices, Points, Vector3
 
 SURFACE_FILE = "surface.npz"
-SURFACE_FORMAT = "palpate-surface/1"
+SURFACE_FORMAT = "palpate-fitted-surface/1"
+# What it was called while the mesh of a scan bore the same name.
+_EARLIER_FORMAT = "palpate-surface/1"
 # Fields of a probing: names of its arrays, behind `NUMBER/`.
 _POINTS = ("points", "displacement", "predicted", "left_out", "sigma", "weight")
 
@@ -153,7 +155,7 @@ def read_fitted_surface(folder: Path) -> FittedSurface:
 
 
 def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:
-    if str(kept["format"]) != SURFACE_FORMAT:
+    if str(kept["format"]) not in (SURFACE_FORMAT, _EARLIER_FORMAT):
         raise ValueError(f"format is '{kept['format']}', not '{SURFACE_FORMAT}'")
     vertices, triangles, held = kept["vertices"], kept["triangles"], kept["held"]
     if triangles.max() >= len(vertices) or (held.size and held.max() >= len(triangles)):

@@ -13,7 +13,7 @@ from palpate.app.terminal import (
     progress_bar,
     terminal_table,
 )
-from palpate.figures import recording_figure, save_figure
+from palpate.figures import recording_figure, save_drawing
 from palpate.progress import part_of
 from palpate.recording import (
     PlacedPress,
@@ -60,7 +60,7 @@ def record(
         with progress_bar() as progress:
             found = find_presses(given, progress=part_of(progress, 0.0, 0.6))
             placed = write_recorded(folder, given, found, progress=part_of(progress, 0.6, 1.0))
-        save_figure(recording_figure(found, given.name), folder / "recording.png")
+        save_drawing(recording_figure(found, given.name), folder / "recording.png")
         record_inputs(folder, _inputs(given))
     print_notes(found.notes)
     print_tables(_presses(found, placed))
