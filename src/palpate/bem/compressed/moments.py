@@ -70,7 +70,7 @@ class LeafMoments:
         """
         u = moved[self.nodes]
         count, columns = self.traction.shape[1], u.shape[2]
-        out = np.zeros((count, 4, columns))
+        out = np.zeros((count, 4, columns), dtype=np.float32)
         self._add_traction(mix, u, out)
         if self.sides.size:
             self._add_displacement(mix, pressed[self.sides], out)
@@ -79,16 +79,18 @@ class LeafMoments:
     def _add_traction(
         self, mix: Mix, u: Float[np.ndarray, "n 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        matrix = np.empty((len(out), 4, len(u), 3))
-        _fill_traction(mix.skew, mix.rest, self.traction, matrix)
+        matrix = np.empty((len(out), 4, len(u), 3), dtype=np.float32)
+        _fill_traction(np.float32(mix.skew), np.float32(mix.rest), self.traction, matrix)
         out += (matrix.reshape(4 * len(out), -1) @ u.reshape(-1, u.shape[2])).reshape(out.shape)
 
     def _add_displacement(
         self, mix: Mix, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        matrix = np.empty((len(out), 4, len(q), 3))
+        matrix = np.empty((len(out), 4, len(q), 3), dtype=np.float32)
         trace = 1.5 * mix.constant - 2.0 * mix.slope
-        _fill_displacement(trace, mix.constant, self.displacement, matrix)
+        _fill_displacement(
+            np.float32(trace), np.float32(mix.constant), self.displacement, matrix
+        )
         out += (matrix.reshape(4 * len(out), -1) @ q.reshape(-1, q.shape[2])).reshape(out.shape)
 
 

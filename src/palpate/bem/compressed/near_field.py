@@ -47,22 +47,22 @@ class NearBlock:
     def traction_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 n 3"]:
         """Equations against displacements."""
         count, nodes = self.traction.shape[1:]
-        out = np.empty((count, 3, nodes, 3))
-        _fill_traction(mix.skew, mix.rest, self.traction, out)
+        out = np.empty((count, 3, nodes, 3), dtype=np.float32)
+        _fill_traction(np.float32(mix.skew), np.float32(mix.rest), self.traction, out)
         return out
 
     def displacement_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 s 3"]:
         """Equations against tractions."""
         count, sides = self.displacement.shape[1:]
-        out = np.empty((count, 3, sides, 3))
-        trace = 1.5 * mix.constant - 2.0 * mix.slope
-        _fill_displacement(trace, 0.5 * mix.constant, self.displacement, out)
+        out = np.empty((count, 3, sides, 3), dtype=np.float32)
+        trace, rest = 1.5 * mix.constant - 2.0 * mix.slope, 0.5 * mix.constant
+        _fill_displacement(np.float32(trace), np.float32(rest), self.displacement, out)
         return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearField:
-    """Products of the near part with vectors.
+    """Products of the near part with vectors, in single precision.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class NearField:
         self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
     ) -> Float[np.ndarray, "r 3 c"]:
         """The near part of the equations (as `FarField.apply`)."""
-        out = np.empty((self.n_points, 3, moved.shape[2]))
+        out = np.empty((self.n_points, 3, moved.shape[2]), dtype=np.float32)
         in_threads(self._multiply, len(self.blocks), mix, moved, pressed, out)
         return out
 
@@ -207,13 +207,13 @@ def _product(
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def _fill_traction(skew, rest, fields, out):
     """skew A + rest B from the nine fields (`traction_parts`)."""
-    third = skew / 3.0
+    third = skew / np.float32(3.0)
     for m in range(fields.shape[1]):
         for n in range(fields.shape[2]):
             x, y, z = skew * fields[0, m, n], skew * fields[1, m, n], skew * fields[2, m, n]
             xx, yy, zz = fields[3, m, n], fields[4, m, n], fields[5, m, n]
             yz, zx, xy = rest * fields[6, m, n], rest * fields[7, m, n], rest * fields[8, m, n]
-            flux = third * (np.float64(xx) + yy + zz)
+            flux = third * (xx + yy + zz)
             out[m, 0, n, 0] = -flux - rest * xx
             out[m, 1, n, 1] = -flux - rest * yy
             out[m, 2, n, 2] = -flux - rest * zz
@@ -231,7 +231,7 @@ def _fill_displacement(trace, rest, fields, out):
     for m in range(fields.shape[1]):
         for n in range(fields.shape[2]):
             xx, yy, zz = fields[0, m, n], fields[1, m, n], fields[2, m, n]
-            along = trace * (np.float64(xx) + yy + zz)
+            along = trace * (xx + yy + zz)
             out[m, 0, n, 0] = along + rest * xx
             out[m, 1, n, 1] = along + rest * yy
             out[m, 2, n, 2] = along + rest * zz
