@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ellipe
 
 from palpate.bem import PressureDisc
-from palpate.bem.loads.half_space import disc_displacement
+from palpate.bem.loads.half_space import _polar_integrals, disc_displacement
 
 RADIUS = 0.02
 CENTRE = np.array([0.1, -0.2, 0.3])
@@ -60,6 +60,14 @@ def test_uniform_disc_settles_by_an_elliptic_integral(nu):
     # Cubic spline on 120 radii, finest in the middle; the slope is infinite at the rim.
     exact = (1 - nu) / (2 * np.pi) * 4 * ellipe(s**2) / (np.pi * RADIUS)
     np.testing.assert_allclose(found, exact, rtol=1e-4)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_beside_a_disc_few_angles_are_enough(profile):
+    s = np.linspace(1.2, 8.0, 30)
+    few, many = (_polar_integrals(PROFILES[profile], s, count) for count in (24, 96))
+    # Rounding.
+    np.testing.assert_allclose(few, many, rtol=1e-12)
 
 
 def test_hertz_disc_settles_by_a_parabola():

@@ -88,9 +88,7 @@ class LeafMoments:
     ) -> None:
         matrix = np.empty((len(out), 4, len(q), 3), dtype=np.float32)
         trace = 1.5 * mix.constant - 2.0 * mix.slope
-        _fill_displacement(
-            np.float32(trace), np.float32(mix.constant), self.displacement, matrix
-        )
+        _fill_displacement(np.float32(trace), np.float32(mix.constant), self.displacement, matrix)
         out += (matrix.reshape(4 * len(out), -1) @ q.reshape(-1, q.shape[2])).reshape(out.shape)
 
 

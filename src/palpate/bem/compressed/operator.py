@@ -228,6 +228,4 @@ def _totals(
     shifts = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
     nothing = np.zeros((held_nodes.n_nodes, 3, 3))
     parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))
-    return np.stack(
-        [_parts_together(near, far, mix, shifts, nothing) for mix in parts]
-    )
+    return np.stack([_parts_together(near, far, mix, shifts, nothing) for mix in parts])
