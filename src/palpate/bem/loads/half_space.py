@@ -19,7 +19,7 @@ from palpate.bem.integrals import unit_gauss
 _FAR = 8.0
 # Gauss points of the polar integrals, by angle about points on the patch and far enough beside it,
 # and by radius, and of a profile's own integral.
-_ANGLES, _ANGLES_BESIDE, _RADII, _PROFILE_POINTS = 96, 24, 16, 64
+_ANGLES, _ANGLES_BESIDE, _RADII, _PROFILE_POINTS = 96, 24, 12, 64
 # From this many radii on the fewer angles leave nothing but rounding.
 _BESIDE = 1.2
 
@@ -101,13 +101,19 @@ def _polar_integrals(
     half = np.sqrt(np.clip(1 - (s[:, None] * np.sin(angle)) ** 2, 0, None))
     middle = s[:, None] * np.cos(angle)
     first, last = np.maximum(middle - half, 0), np.maximum(middle + half, 0)
-    t, w_t = unit_gauss(_RADII)
+    t, w_t = _rounded_gauss(_RADII)
     reach = first[:, :, None] + (last - first)[:, :, None] * t
     square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
     inside = np.sqrt(np.clip(square, 0, None))
     pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
     line = 2 * weight * ((last - first) * (pressure @ w_t))
-    r, w_r = unit_gauss(_PROFILE_POINTS)
+    r, w_r = _rounded_gauss(_PROFILE_POINTS)
     total = 2 * np.pi * np.sum(w_r * r * profile(r))
     cosine = np.cos(angle)
     return np.stack([(line * cosine**k).sum(axis=1) / total for k in range(3)], axis=1)
+
+
+def _rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Points and weights on [0, 1] for what goes as a square root, or one over it, at the ends."""
+    x, w = unit_gauss(n)
+    return np.sin(0.5 * np.pi * x) ** 2, 0.5 * np.pi * np.sin(np.pi * x) * w
