@@ -186,7 +186,8 @@ def _own_matrix(
         parts.append((of_side[block.sides], block.displacement_matrix(mix)))
         for column, values in parts:
             kept = np.flatnonzero(column >= 0)
-            matrix[np.ix_(row_of[block.points], range(3), column[kept])] = values[:, :, kept]
+            entries = np.ix_(row_of[block.points], range(3), column[kept])
+            matrix[entries] = values[..., kept].transpose(0, 1, 3, 2)
     vertex = system.collocation.vertex[points]
     column = np.where(vertex >= 0, of_vertex[vertex], -1)
     own = np.flatnonzero(column >= 0)
