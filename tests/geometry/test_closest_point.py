@@ -6,7 +6,12 @@ from hypothesis import given, settings, strategies as st
 from surfaces import box, sphere
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, closest_points, triangle_distances
+from palpate.geometry import (
+    TriangleMesh,
+    closest_points,
+    distinct_points,
+    triangle_distances,
+)
 
 
 def _brute_force(mesh, point, steps=200):
@@ -84,6 +89,18 @@ def test_triangle_distances_agree_with_the_closest_point():
     found = closest_points(mesh, point[None])
     assert distances.min() == pytest.approx(found.distance[0], abs=1e-15)
     assert distances[found.triangle[0]] == distances.min()
+
+
+def test_points_of_several_sets_are_told_apart_by_place():
+    mesh = sphere(2)
+    rng = np.random.default_rng(4)
+    points = rng.normal(size=(30, 3))
+    sets = [closest_points(mesh, points[rng.integers(0, 30, count)]) for count in (25, 1, 40)]
+    every, numbers = distinct_points(sets)
+    assert len(np.unique(every.position, axis=0)) == len(every.position) <= 30
+    for one, number in zip(sets, numbers, strict=True):
+        for name in ("triangle", "barycentric", "position", "distance"):
+            assert np.array_equal(getattr(every, name)[number], getattr(one, name))
 
 
 def test_no_points_give_no_answer():

@@ -10,6 +10,7 @@ Read first : `triangle_mesh.py`, `mesh_quality.py`.
 from palpate.geometry.closest_point import (
     SurfacePoints as SurfacePoints,
     closest_points as closest_points,
+    distinct_points as distinct_points,
     triangle_distances as triangle_distances,
 )
 from palpate.geometry.files import (

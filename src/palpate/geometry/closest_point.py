@@ -1,6 +1,6 @@
 """Closest points of a triangle surface: how an observation is tied to the mesh."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +87,32 @@ def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
     come from spheres that cover the triangles, so the result is exact, not approximate.
     """
     return surface_search(mesh).closest(fixed_array(points, name="points", shape=(None, 3)))
+
+
+def distinct_points(
+    parts: Sequence[SurfacePoints],
+) -> tuple[SurfacePoints, list[Int[np.ndarray, " _"]]]:
+    """The points of several sets, each place once.
+
+    Parameters
+    ----------
+    parts : sequence of SurfacePoints     at least one; points at the same place are the same
+
+    Returns
+    -------
+    SurfacePoints
+    list of int arrays                    which of them the points of each set are
+    """
+    position = np.concatenate([part.position for part in parts])
+    _, first, number = np.unique(position, axis=0, return_index=True, return_inverse=True)
+    found = SurfacePoints(
+        np.concatenate([part.triangle for part in parts])[first],
+        np.concatenate([part.barycentric for part in parts])[first],
+        position[first],
+        np.concatenate([part.distance for part in parts])[first],
+    )
+    ends = np.cumsum([len(part.triangle) for part in parts])
+    return found, np.split(number.ravel(), ends[:-1])
 
 
 def surface_search(mesh: TriangleMesh) -> SurfaceSearch:

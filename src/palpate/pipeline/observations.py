@@ -21,7 +21,7 @@ from palpate.estimation import (
     make_reduced_model,
     reduced_response,
 )
-from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal
+from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal, distinct_points
 from palpate.pipeline.model import (
     LEFT_OF_STEP,
     ObjectModel,
@@ -193,20 +193,26 @@ def _all_observations(
     own = responses[: len(session.probings)]
     vertices = responses[len(session.probings) :] or own
     support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
-    changes: dict[bytes, list[csr_array]] = {}
+    changes = _pose_changes(session, model)
     observations = []
     for k, (response, nodal) in enumerate(zip(own, vertices, strict=True)):
         field = _measured(session.probings[k])
-        # Probings often have the same points.
-        key = field.surface.position.tobytes()
-        changes[key] = changes.get(key) or pose_changes(model, field.surface)
-        nuisances = shared_errors(model, k, response, changes[key], nodal.value, field.scale_error)
+        nuisances = shared_errors(model, k, response, changes[k], nodal.value, field.scale_error)
         seen = _observations(session, model, k, response, support, nuisances)
         seen = replace(seen, vertices=None if nodal is response else nodal)
         if isinstance(response, SpringResponse):
             seen = replace(seen, settlement=settlement(model, response, shear_modulus))
         observations.append(seen)
     return observations
+
+
+def _pose_changes(session: Session, model: ObjectModel) -> list[list[csr_array]]:
+    """`pose_changes` of every probing's points; many of them are points of several probings."""
+    surfaces = [_measured(probing).surface for probing in session.probings]
+    every, numbers = distinct_points(surfaces)
+    changes = pose_changes(model, every)
+    rows = [(3 * number[:, None] + np.arange(3)).ravel() for number in numbers]
+    return [[change[own] for change in changes] for own in rows]
 
 
 def _vertices(mesh: TriangleMesh) -> SurfacePoints:

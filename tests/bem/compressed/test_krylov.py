@@ -28,6 +28,13 @@ def test_the_solution_is_that_of_lapack(system):
     assert (left <= 2e-12 * np.linalg.norm(right, axis=0)).all()
 
 
+def test_the_product_of_the_solution_comes_with_it(system):
+    matrix, right = system
+    found = solve_together(lambda x: matrix @ x, same, right, tolerance=1e-3)
+    # Rounding, not the tolerance.
+    assert np.abs(found.product - matrix @ found.solution).max() < 1e-12 * np.abs(right).max()
+
+
 def test_a_good_inverse_needs_one_product(system):
     matrix, right = system
     inverse = np.linalg.inv(matrix)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from surfaces import sphere
 
+from palpate.bem import RightHand, load_shape, shape_columns
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
-from palpate.pipeline.model.contact_changes import DIP_SHARE
+from palpate.pipeline.model.contact_changes import DIP_SHARE, dipped_columns, surface_load
 from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4
@@ -41,6 +42,23 @@ def _session(cuts: int, errors: ErrorPriors, *, measured: np.ndarray | None = No
 
 def _seen(session: Session):
     return session_observations(session, make_object_model(session))[0]
+
+
+def test_the_dips_of_all_patches_are_those_of_each_alone() -> None:
+    model = make_object_model(_session(2, EXACT))
+    (patch,) = model.patches.values()
+    beside = replace(patch, contact=replace(patch.contact, radius=4e-3))
+    dips = [
+        load_shape(model.system.surface, surface_load(one)) if one is not None else None
+        for one in (patch, None, beside)
+    ]
+    bare = [RightHand(np.ones((3, model.system.size, 3)))] * 3
+    first, nothing, last = dipped_columns(model.system, dips, bare)
+    assert not nothing.terms.any()
+    for found, dip in ((first, dips[0]), (last, dips[2])):
+        wanted = shape_columns(model.system, [dip]).terms
+        assert np.array_equal(found.terms, wanted)
+        assert wanted.any()
 
 
 def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -97,12 +97,13 @@ def fill_inverse_distances(first, second, out):
     out : (n, m) float            overwritten
     """
     x, y, z = second[0], second[1], second[2]
+    one = out.dtype.type(1.0)
     for i in range(first.shape[0]):
         a, b, c = first[i, 0], first[i, 1], first[i, 2]
         row = out[i]
         for j in range(x.size):
             square = (x[j] - a) ** 2 + (y[j] - b) ** 2 + (z[j] - c) ** 2
-            row[j] = 1.0 / np.sqrt(square)
+            row[j] = one / np.sqrt(square)
 
 
 def telling_points(

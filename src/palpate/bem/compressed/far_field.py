@@ -12,7 +12,7 @@ from palpate.bem.compressed.charges import (
     inverse_distances,
     telling_points,
 )
-from palpate.bem.compressed.clusters import ClusterTree, seen_clusters
+from palpate.bem.compressed.clusters import ClusterTree
 from palpate.bem.compressed.moments import LeafMoments, Mix
 from palpate.threads import in_threads
 
@@ -63,19 +63,21 @@ def make_receivers(
         else:
             candidates = np.concatenate([telling[child] for child in children])
         around = tree.centre[one] + tree.radius[one] * proxies
-        chosen, spread[one] = telling_points(inverse_distances(candidates, around), tolerance)
-        telling[one] = candidates[chosen]
+        chosen, weights = telling_points(inverse_distances(candidates, around), tolerance)
+        telling[one], spread[one] = candidates[chosen], weights.astype(np.float32)
     return Receivers(tree, telling, spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FarField:
-    """Products of the far part with vectors.
+    """Products of the far part with vectors, in single precision.
 
     Attributes
     ----------
     sources : ClusterTree                 of the triangles
     moments : dict of LeafMoments         of its leaves that are seen
+    lifts : dict of (k, 2 k) float        of the larger clusters that are seen: their charges from
+                                          those of their halves
     receivers : Receivers
     far : list of (k,) int                clusters of triangles that each of points sees from far
     sphere : ChargeSphere
@@ -84,6 +86,7 @@ class FarField:
 
     sources: ClusterTree
     moments: dict[int, LeafMoments]
+    lifts: dict[int, Float[np.ndarray, "k h"]]
     receivers: Receivers
     far: list[Int[np.ndarray, " _"]]
     sphere: ChargeSphere
@@ -105,7 +108,7 @@ class FarField:
         (r, 3, c) float
         """
         if not self.moments:
-            return np.zeros((len(self.offset), 3, moved.shape[2]))
+            return np.zeros((len(self.offset), 3, moved.shape[2]), dtype=np.float32)
         charges = self._gathered(mix, moved, pressed)
         values = [np.zeros((0, 4, 0))] * len(self.far)
         in_threads(self._receive, len(self.far), charges, values)
@@ -116,7 +119,8 @@ class FarField:
     ) -> Float[np.ndarray, "s k 4 c"]:
         """Charges of all clusters of triangles, from the leaves up."""
         tree, sphere = self.sources, self.sphere
-        charges = np.zeros((len(tree.start), len(sphere.charge), 4, moved.shape[2]))
+        shape = len(tree.start), len(sphere.charge), 4, moved.shape[2]
+        charges = np.zeros(shape, dtype=np.float32)
         leaves = np.array(sorted(self.moments))
 
         def start(begin: int, end: int) -> None:
@@ -124,7 +128,7 @@ class FarField:
                 charges[leaf] = self.moments[int(leaf)].charges(mix, moved, pressed)
 
         in_threads(start, leaves.size)
-        parents = np.flatnonzero(seen_clusters(tree, self.far) & (tree.children[:, 0] >= 0))
+        parents = np.array(sorted(self.lifts), dtype=np.int64)
         # Those of one level do not depend on each other: children come behind their parents.
         for level in _levels(tree)[::-1]:
             own = level[np.isin(level, parents)]
@@ -133,16 +137,12 @@ class FarField:
 
     def _lift(self, parents: Int[np.ndarray, " p"], charges: Float[np.ndarray, "s k 4 c"]) -> None:
         """Charges of some clusters from those of their parts."""
-        tree, sphere = self.sources, self.sphere
+        tree = self.sources
         for one in parents:
-            check = tree.centre[one] + tree.radius[one] * sphere.check
             parts = tree.children[one]
-            place = [tree.centre[k] + tree.radius[k] * sphere.charge for k in parts]
             shifted = [recentred(charges[k], tree.centre[one] - tree.centre[k]) for k in parts]
-            kernel = inverse_distances(check, np.concatenate(place))
-            values = kernel @ np.concatenate(shifted).reshape(kernel.shape[1], -1)
-            found = tree.radius[one] * (sphere.matched.T @ values)
-            charges[one] = found.reshape(charges.shape[1:])
+            halves = np.concatenate(shifted).reshape(-1, 4 * charges.shape[3])
+            charges[one] = (self.lifts[int(one)] @ halves).reshape(charges.shape[1:])
 
     def _receive(
         self,
@@ -156,16 +156,21 @@ class FarField:
         for one in range(begin, end):
             seen, points = self.far[one], own.telling[one]
             columns = charges.shape[3]
-            values[one] = np.zeros((len(points), 4, columns))
+            values[one] = np.zeros((len(points), 4, columns), dtype=np.float32)
             if not seen.size:
                 continue
-            place = tree.centre[seen, None] + tree.radius[seen, None, None] * sphere.charge
-            shift = own.tree.centre[one] - tree.centre[seen]
+            # From the centre: single precision would lose places that are far from the origin.
+            shift = (own.tree.centre[one] - tree.centre[seen]).astype(np.float32)
+            place = tree.radius[seen, None, None] * sphere.charge - (
+                own.tree.centre[one] - tree.centre[seen, None]
+            )
+            place = np.ascontiguousarray(place.reshape(-1, 3).T, dtype=np.float32)
+            points = (points - own.tree.centre[one]).astype(np.float32)
             # A copy already: changed in place.
             shifted = charges[seen]
             shifted[:, :, :3] += shift[:, None, :, None] * shifted[:, :, 3:]
-            kernel = np.empty((len(points), shifted.shape[0] * shifted.shape[1]))
-            fill_inverse_distances(points, np.ascontiguousarray(place.reshape(-1, 3).T), kernel)
+            kernel = np.empty((len(points), place.shape[1]), dtype=np.float32)
+            fill_inverse_distances(points, place, kernel)
             found = kernel @ shifted.reshape(kernel.shape[1], -1)
             values[one] = found.reshape(values[one].shape)
 
@@ -174,14 +179,15 @@ class FarField:
     ) -> Float[np.ndarray, "r 3 c"]:
         """Values at all points, from the largest clusters down."""
         tree, spread = self.receivers.tree, self.receivers.spread
-        out = np.empty((len(self.offset), 3, columns))
+        out = np.empty((len(self.offset), 3, columns), dtype=np.float32)
         for one, children in enumerate(tree.children):
             weights = spread[one]
             told = (weights @ values[one].reshape(weights.shape[1], -1)).reshape(-1, 4, columns)
             values[one] = np.zeros((0, 4, 0))
             if children[0] < 0:
                 points = tree.members(one)
-                out[points] = told[:, :3] + self.offset[points][:, :, None] * told[:, 3:]
+                offset = self.offset[points].astype(np.float32)
+                out[points] = told[:, :3] + offset[:, :, None] * told[:, 3:]
                 continue
             first = 0
             for child in children:
@@ -203,8 +209,33 @@ def recentred(
     shift : (..., 3) float [m]        from the old centre to the new one
     """
     out = functions.copy()
-    out[..., :3, :] += shift[..., :, None] * functions[..., 3:, :]
+    out[..., :3, :] += shift.astype(out.dtype)[..., :, None] * functions[..., 3:, :]
     return out
+
+
+def make_lifts(
+    tree: ClusterTree, parents: Int[np.ndarray, " p"], sphere: ChargeSphere
+) -> dict[int, Float[np.ndarray, "k h"]]:
+    """Charges of clusters from those of their halves.
+
+    Parameters
+    ----------
+    tree : ClusterTree
+    parents : (p,) int            clusters with halves
+    sphere : ChargeSphere
+    """
+    lifts: dict[int, np.ndarray] = {}
+
+    def fill(begin: int, end: int) -> None:
+        for one in parents[begin:end]:
+            check = tree.centre[one] + tree.radius[one] * sphere.check
+            halves = tree.children[one]
+            place = [tree.centre[k] + tree.radius[k] * sphere.charge for k in halves]
+            seen = inverse_distances(check, np.concatenate(place))
+            lifts[int(one)] = (tree.radius[one] * sphere.matched.T @ seen).astype(np.float32)
+
+    in_threads(fill, parents.size)
+    return lifts
 
 
 def _levels(tree: ClusterTree) -> list[Int[np.ndarray, " _"]]:

@@ -29,11 +29,13 @@ class IterativeSolution:
     Attributes
     ----------
     solution : (k, c) float
+    product : (k, c) float        the matrix times these
     iterations : int              products of the matrix with a block of vectors
     residual : (c,) float         relative to the scale
     """
 
     solution: Float[np.ndarray, "k c"]
+    product: Float[np.ndarray, "k c"]
     iterations: int
     residual: Float[np.ndarray, " c"]
 
@@ -81,6 +83,7 @@ def solve_together(
         parts.append(found)
     return IterativeSolution(
         np.concatenate([part.solution for part in parts], axis=1) * size,
+        np.concatenate([part.product for part in parts], axis=1) * size,
         max(part.iterations for part in parts),
         np.concatenate([part.residual for part in parts]),
     )
@@ -107,10 +110,21 @@ def _solve_block(
         q, r = np.linalg.qr(hessenberg)
         weights = np.linalg.solve(r, q.T @ wanted)
         residual = np.linalg.norm(wanted - hessenberg @ weights, axis=0)
-    mixed = np.zeros_like(right)
-    for j in range(len(basis) - 1):
-        mixed += basis[j] @ weights[count * j : count * (j + 1)]
-    return IterativeSolution(inverse(mixed), len(basis) - 1, residual)
+    mixed = _combined(basis[:-1], weights, right)
+    known = _combined(basis, hessenberg @ weights, right)
+    return IterativeSolution(inverse(mixed), known, len(basis) - 1, residual)
+
+
+def _combined(
+    basis: list[Float[np.ndarray, "k b"]],
+    weights: Float[np.ndarray, "w c"],
+    like: Float[np.ndarray, "k c"],
+) -> Float[np.ndarray, "k c"]:
+    """Blocks of vectors times weights."""
+    out, count = np.zeros_like(like), like.shape[1]
+    for j, block in enumerate(basis):
+        out += block @ weights[count * j : count * (j + 1)]
+    return out
 
 
 def _orthogonalised(

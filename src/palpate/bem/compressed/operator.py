@@ -18,7 +18,7 @@ from palpate.bem.compressed.clusters import (
     cluster_tree,
     seen_clusters,
 )
-from palpate.bem.compressed.far_field import FarField, make_receivers
+from palpate.bem.compressed.far_field import FarField, make_lifts, make_receivers
 from palpate.bem.compressed.moments import LeafMoments, Mix, leaf_moments
 from palpate.bem.compressed.near_field import NearField, near_field
 from palpate.bem.integrals import BoundarySurface, Collocation, Quadrature, triangle_rule
@@ -58,7 +58,7 @@ class Compression:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompressedOperator:
-    """Products of the integral equations with displacements and tractions.
+    """Products of the integral equations with displacements and tractions, in single precision.
 
     Attributes
     ----------
@@ -89,11 +89,26 @@ class CompressedOperator:
         -------
         (r, 3, c) float
         """
-        found = self.near.apply(mix, moved, pressed)
-        found += self.far.apply(mix, moved, pressed)
+        # What moves as a whole does nothing at all, rounding included.
+        moved = moved - moved.mean(axis=0)
+        found = _parts_together(self.near, self.far, mix, moved, pressed)
         own = (self.own @ moved.reshape(len(moved), -1)).reshape(found.shape)
         found -= (mix.skew * self.total[0] + mix.rest * self.total[1]) @ own
         return found
+
+
+def _parts_together(
+    near: NearField,
+    far: FarField,
+    mix: Mix,
+    moved: Float[np.ndarray, "v 3 c"],
+    pressed: Float[np.ndarray, "h 3 c"],
+) -> Float[np.ndarray, "r 3 c"]:
+    """Near and far part: single precision inside, double outside."""
+    vectors = moved.astype(np.float32), pressed.astype(np.float32)
+    found = near.apply(mix, *vectors).astype(np.float64)
+    found += far.apply(mix, *vectors)
+    return found
 
 
 def compress(
@@ -136,15 +151,16 @@ def compress(
     )  # fmt: skip
     progress("integrals far away", 0.6)
     sphere = charge_sphere(compression.charges, compression.apart[1])
-    seen = triangles.leaves[seen_clusters(triangles, pairs.far)[triangles.leaves]]
-    moments = _all_moments(surface, held_nodes, triangles, seen, sphere)
+    seen, whole = seen_clusters(triangles, pairs.far), triangles.children[:, 0] < 0
+    moments = _all_moments(surface, held_nodes, triangles, np.flatnonzero(seen & whole), sphere)
+    lifts = make_lifts(triangles, np.flatnonzero(seen & ~whole), sphere)
     proxies = compression.apart[0] * sphere.check / compression.apart[1]
     receivers = make_receivers(points, collocation.point, proxies, compression.tolerance)
     offset = np.empty_like(collocation.point)
     for leaf in points.leaves:
         own = points.members(int(leaf))
         offset[own] = collocation.point[own] - points.centre[leaf]
-    far = FarField(triangles, moments, receivers, pairs.far, sphere, offset)
+    far = FarField(triangles, moments, lifts, receivers, pairs.far, sphere, offset)
     at_points = _own_displacement(surface.displacement, collocation)
     return CompressedOperator(near, far, at_points, _totals(near, far, surface, held_nodes))
 
@@ -212,6 +228,4 @@ def _totals(
     shifts = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
     nothing = np.zeros((held_nodes.n_nodes, 3, 3))
     parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))
-    return np.stack(
-        [near.apply(mix, shifts, nothing) + far.apply(mix, shifts, nothing) for mix in parts]
-    )
+    return np.stack([_parts_together(near, far, mix, shifts, nothing) for mix in parts])

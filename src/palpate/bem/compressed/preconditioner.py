@@ -114,7 +114,7 @@ def solve_compressed(
     right: Float[np.ndarray, "k c"],
     *,
     scale: Float[np.ndarray, " c"] | None = None,
-    tolerance: float = 1e-9,
+    tolerance: float = 1e-8,
 ) -> IterativeSolution:
     """Solve a compressed system for several right-hand sides.
 
@@ -186,7 +186,8 @@ def _own_matrix(
         parts.append((of_side[block.sides], block.displacement_matrix(mix)))
         for column, values in parts:
             kept = np.flatnonzero(column >= 0)
-            matrix[np.ix_(row_of[block.points], range(3), column[kept])] = values[:, :, kept]
+            entries = np.ix_(row_of[block.points], range(3), column[kept])
+            matrix[entries] = values[..., kept].transpose(0, 1, 3, 2)
     vertex = system.collocation.vertex[points]
     column = np.where(vertex >= 0, of_vertex[vertex], -1)
     own = np.flatnonzero(column >= 0)

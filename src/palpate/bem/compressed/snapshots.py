@@ -91,7 +91,7 @@ def snapshot_model(
     right: Float[np.ndarray, "3 k c"],
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    tolerance: float = 5e-7,
+    tolerance: float = 2e-6,
 ) -> SnapshotModel:
     """Solve at a few Poisson's ratios until these serve the whole range.
 
@@ -139,6 +139,8 @@ class _Gathered:
         self.system, self.right = system, right
         self._inverse = inverse
         self.directions: list[np.ndarray] = []
+        # The matrix at a ratio of zero times these, and its slope times these.
+        self._products: list[tuple[np.ndarray, np.ndarray]] = []
         self.ratios: list[float] = []
         self._iterations: list[int] = []
         # Residuals are seen through the inverse of the clusters: as errors of displacements.
@@ -152,16 +154,19 @@ class _Gathered:
         left = wanted
         if model is not None:
             weights, _ = model.coefficients(ratio)
-            near = np.einsum("jkc,jc->kc", np.stack(self.directions), weights)
-            left = wanted - self.system.product(ratio, near)
+            for weight, (first, second) in zip(weights, self._products, strict=True):
+                left = left - weight * (first + ratio * second)
         inverse = cluster_inverse(self.system, ratio)
         found = solve_compressed(inverse, left, scale=size, tolerance=tolerance)
-        direction = _unit_beside(found.solution, self.directions)
+        sloped = self.system.slope_product(found.solution)
+        direction, products = self._unit_beside(
+            found.solution, (found.product - ratio * sloped, sloped)
+        )
         self.directions.append(direction)
+        self._products.append(products)
         self.ratios.append(ratio)
         self._iterations.append(found.iterations)
-        self._seen.append(self._inverse.solve(self.system.product(0.0, direction)))
-        self._seen.append(self._inverse.solve(self.system.slope_product(direction)))
+        self._seen += [self._inverse.solve(one) for one in products]
 
     def model(self) -> SnapshotModel:
         """The model of the solutions so far."""
@@ -181,13 +186,16 @@ class _Gathered:
             tuple(self._iterations[:count]),
         )
 
-
-def _unit_beside(
-    vectors: Float[np.ndarray, "k c"], basis: list[Float[np.ndarray, "k c"]]
-) -> Float[np.ndarray, "k c"]:
-    """Unit vectors along what of some is orthogonal to a basis."""
-    # Twice: the first pass leaves rounding of the size of what it takes away.
-    for _ in range(2):
-        for direction in basis:
-            vectors = vectors - np.einsum("kc,kc->c", direction, vectors) * direction
-    return vectors / (np.linalg.norm(vectors, axis=0) + _TINY)
+    def _unit_beside(
+        self, vectors: Float[np.ndarray, "k c"], products: tuple[np.ndarray, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "k c"], tuple[np.ndarray, np.ndarray]]:
+        """Unit vectors along what of some is orthogonal to the directions, and their products."""
+        first, second = products
+        # Twice: the first pass leaves rounding of the size of what it takes away.
+        for _ in range(2):
+            for direction, (known, sloped) in zip(self.directions, self._products, strict=True):
+                along = np.einsum("kc,kc->c", direction, vectors)
+                vectors = vectors - along * direction
+                first, second = first - along * known, second - along * sloped
+        size = np.linalg.norm(vectors, axis=0) + _TINY
+        return vectors / size, (first / size, second / size)

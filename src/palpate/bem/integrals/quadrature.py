@@ -2,6 +2,7 @@
 near ones."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -121,5 +122,12 @@ def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]
     -------
     (n,) float, (n,) float    points; weights that sum to 1
     """
+    points, weights = _unit_gauss(n)
+    return points.copy(), weights.copy()
+
+
+@cache
+def _unit_gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
+    # Kept: an eigenvalue problem each, and contacts ask for the same few again and again.
     x, w = roots_legendre(n)
     return 0.5 * (x + 1), 0.5 * w

@@ -17,8 +17,11 @@ from palpate.bem.integrals import unit_gauss
 
 # From this many radii on the patch is a point.
 _FAR = 8.0
-# Gauss points of the polar integrals, by angle and by radius, and of a profile's own integral.
-_ANGLES, _RADII, _PROFILE_POINTS = 96, 16, 64
+# Gauss points of the polar integrals, by angle about points on the patch and far enough beside it,
+# and by radius, and of a profile's own integral.
+_ANGLES, _ANGLES_BESIDE, _RADII, _PROFILE_POINTS = 96, 24, 12, 64
+# From this many radii on the fewer angles leave nothing but rounding.
+_BESIDE = 1.2
 
 
 Profile = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
@@ -80,14 +83,17 @@ def disc_displacement(
 def _radial(disc: PressureDisc, s: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], ...]:
     """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle seen
     from radius s."""
-    far = s > _FAR
     values = np.repeat(1.0 / np.maximum(s, _FAR)[:, None], 3, axis=1)
-    values[~far] = _polar_integrals(disc.profile, s[~far])
+    over, beside = s <= _BESIDE, (s > _BESIDE) & (s <= _FAR)
+    values[over] = _polar_integrals(disc.profile, s[over], _ANGLES)
+    values[beside] = _polar_integrals(disc.profile, s[beside], _ANGLES_BESIDE)
     return values[:, 0], values[:, 1], values[:, 2]
 
 
-def _polar_integrals(profile: Profile, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-    x, w = unit_gauss(_ANGLES)
+def _polar_integrals(
+    profile: Profile, s: Float[np.ndarray, " n"], angles: int
+) -> Float[np.ndarray, "n 3"]:
+    x, w = unit_gauss(angles)
     widest = np.where(s > 1, np.arcsin(np.minimum(1.0, 1.0 / np.maximum(s, 1.0))), np.pi)
     # The square root at the tangents is smooth in this angle.
     angle = widest[:, None] * np.sin(0.5 * np.pi * x)
@@ -95,13 +101,19 @@ def _polar_integrals(profile: Profile, s: Float[np.ndarray, " n"]) -> Float[np.n
     half = np.sqrt(np.clip(1 - (s[:, None] * np.sin(angle)) ** 2, 0, None))
     middle = s[:, None] * np.cos(angle)
     first, last = np.maximum(middle - half, 0), np.maximum(middle + half, 0)
-    t, w_t = unit_gauss(_RADII)
+    t, w_t = _rounded_gauss(_RADII)
     reach = first[:, :, None] + (last - first)[:, :, None] * t
     square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
     inside = np.sqrt(np.clip(square, 0, None))
     pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
     line = 2 * weight * ((last - first) * (pressure @ w_t))
-    r, w_r = unit_gauss(_PROFILE_POINTS)
+    r, w_r = _rounded_gauss(_PROFILE_POINTS)
     total = 2 * np.pi * np.sum(w_r * r * profile(r))
     cosine = np.cos(angle)
     return np.stack([(line * cosine**k).sum(axis=1) / total for k in range(3)], axis=1)
+
+
+def _rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Points and weights on [0, 1] for what goes as a square root, or one over it, at the ends."""
+    x, w = unit_gauss(n)
+    return np.sin(0.5 * np.pi * x) ** 2, 0.5 * np.pi * np.sin(np.pi * x) * w

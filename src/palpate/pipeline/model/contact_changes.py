@@ -16,6 +16,7 @@ from palpate.bem import (
     SurfaceLoad,
     joined,
     load_right_hand,
+    shape_columns,
 )
 from palpate.errors import InputError
 from palpate.estimation import NuisanceParameter
@@ -167,9 +168,28 @@ def dip_columns(changes: Sequence[ContactChange], dipped: Sequence[RightHand]) -
     ]
 
 
-def no_columns(like: RightHand) -> RightHand:
-    """As many columns, of nothing."""
-    return RightHand(np.zeros_like(like.terms))
+def dipped_columns(
+    system: BoundarySystem, dips: Sequence[ContactShape | None], bare: Sequence[RightHand]
+) -> list[RightHand]:
+    """What the dip of each patch adds to its columns; the integrals of all are one pass.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    dips : sequence                         `load_shape` of every patch
+    bare : sequence of RightHand            columns of every patch without its dip
+
+    Returns
+    -------
+    list of RightHand                       zero where the mesh misses nothing
+    """
+    found = [RightHand(np.zeros_like(columns.terms)) for columns in bare]
+    known = {k: dip for k, dip in enumerate(dips) if dip is not None and adds(dip)}
+    if known:
+        every = shape_columns(system, list(known.values())).terms
+        for k, own in zip(known, np.split(every, len(known), axis=2), strict=True):
+            found[k] = RightHand(own)
+    return found
 
 
 def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPatch:

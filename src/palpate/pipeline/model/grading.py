@@ -18,7 +18,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from palpate.bem import BoundarySurface, SurfaceSettings, make_surface
-from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, unit_normals
+from palpate.geometry import (
+    SurfacePoints,
+    TriangleMesh,
+    closest_points,
+    distinct_points,
+    unit_normals,
+)
 from palpate.pipeline.model.moving_supports import held_directions
 from palpate.records import Contact, DisplacementField, Probing, Session
 
@@ -126,14 +132,7 @@ def _divided_session(
     session: Session, mesh: TriangleMesh, parent: Int[np.ndarray, " t"]
 ) -> Session:
     """A session on a mesh whose triangles are parts of its own."""
-    # Probings often have the same points.
-    places: dict[bytes, SurfacePoints] = {}
-
-    def placed(points: SurfacePoints) -> SurfacePoints:
-        key = points.position.tobytes()
-        if key not in places:
-            places[key] = closest_points(mesh, points.position)
-        return replace(places[key], distance=points.distance)
+    placed = _placed_on(mesh, session)
 
     def children(triangles: Int[np.ndarray, " k"]) -> Int[np.ndarray, " c"]:
         return np.flatnonzero(np.isin(parent, triangles))
@@ -145,6 +144,25 @@ def _divided_session(
         supports=tuple(replace(one, triangles=children(one.triangles)) for one in session.supports),
         probings=tuple(_replaced(one, placed, parent) for one in session.probings),
     )
+
+
+def _placed_on(mesh: TriangleMesh, session: Session) -> Callable[[SurfacePoints], SurfacePoints]:
+    """Where points of a session's fields lie on another mesh; many of them are points of several
+    fields, and are looked for once."""
+    fields = [
+        one
+        for probing in session.probings
+        for one in (probing.displacement, probing.support_displacement)
+        if one is not None
+    ]
+    found: dict[int, SurfacePoints] = {}
+    if fields:
+        every, numbers = distinct_points([one.surface for one in fields])
+        near = closest_points(mesh, every.position)
+        for one, number in zip(fields, numbers, strict=True):
+            own = (part[number] for part in (near.triangle, near.barycentric, near.position))
+            found[id(one.surface)] = SurfacePoints(*own, one.surface.distance)
+    return lambda points: found[id(points)]
 
 
 def _edge_ends(boundary: BoundarySurface) -> Int[np.ndarray, "e 2"]:

@@ -26,7 +26,6 @@ from palpate.bem import (
     make_surface,
     point_equations,
     pressure_column,
-    shape_columns,
     support_columns,
 )
 from palpate.estimation import PointRows, ProbeMotions, ProbeRows
@@ -34,12 +33,11 @@ from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.contact_changes import (
     CHANGE_CELLS,
     ContactChange,
-    adds,
     change_columns,
     contact_changes,
     dip_changes,
     dip_columns,
-    no_columns,
+    dipped_columns,
     surface_load,
 )
 from palpate.pipeline.model.giving_supports import (
@@ -220,16 +218,14 @@ def _right_hand(
 ) -> tuple[RightHand, BodyForce | None]:
     """Columns of all loads, of the weight [N/m^3], if any, of what is held and moves, and of
     contacts that differ a little."""
-    parts, dipped = [], []
-    for patch, dip in zip(patches, dips, strict=True):
-        if patch.contact.triangles is None:
-            bare = load_right_hand(system, [surface_load(patch)])
-            known = [dip] if dip is not None and adds(dip) else []
-            dipped.append(shape_columns(system, known) if known else no_columns(bare))
-            parts.append(bare + dipped[-1])
-        else:
-            parts.append(face_columns(system, patch.triangles))
-            dipped.append(no_columns(parts[-1]))
+    parts = [
+        load_right_hand(system, [surface_load(patch)])
+        if patch.contact.triangles is None
+        else face_columns(system, patch.triangles)
+        for patch in patches
+    ]
+    dipped = dipped_columns(system, dips, parts)
+    parts = [bare + dip for bare, dip in zip(parts, dipped, strict=True)]
     parts += [pressure_column(system, patch.triangles) for patch in pressed]
     body = None if weight is None else body_force_columns(system, weight)
     if body is not None:

@@ -97,28 +97,29 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
                                     of those that are exact
     """
     mesh, priors = model.session.mesh, model.session.errors
-    nodes = model.system.surface.displacement
-    modes = rigid_modes(place.position, mesh.vertices.mean(axis=0))
+    stds = np.array([priors.pose_translation] * 3 + [priors.pose_rotation] * 3)
+    chosen = np.flatnonzero(stds)
+    if not chosen.size:
+        return []
+    nodes, count = model.system.surface.displacement, place.triangle.size
+    modes = rigid_modes(place.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
     corner = mesh.vertices[mesh.triangles[place.triangle]]
     # From a shift to the change of barycentric coordinates; what leads out of the plane is lost.
     inverse = np.linalg.pinv(
         np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], 2)
     )
+    two = -0.5 * np.einsum("nij,njk->kni", inverse, modes)
+    half = np.concatenate([-two.sum(axis=2, keepdims=True), two], axis=2)
+    # The element's own quadratic, on both sides of the point.
+    sides = np.concatenate([place.barycentric + half, place.barycentric - half]).reshape(-1, 3)
+    both = interpolation_matrix(nodes, np.tile(place.triangle, 2 * chosen.size), sides)
+    changes = both[: chosen.size * count] - both[chosen.size * count :]
     here = interpolation_matrix(nodes, place.triangle, place.barycentric)
     found = []
-    for k, std in enumerate([priors.pose_translation] * 3 + [priors.pose_rotation] * 3):
-        if std == 0.0:
-            continue
-        two = -0.5 * std * np.einsum("nij,nj->ni", inverse, modes[:, :, k])
-        half = np.column_stack([-two.sum(axis=1), two])
-        # The element's own quadratic, on both sides of the point.
-        higher, lower = (
-            interpolation_matrix(nodes, place.triangle, place.barycentric + sign * half)
-            for sign in (1.0, -1.0)
-        )
-        change = kron(higher - lower, np.eye(3))
+    for row, k in enumerate(chosen):
+        change = kron(changes[row * count : (row + 1) * count], np.eye(3))
         if k >= 3:
-            turn = std * np.cross(np.eye(3)[k - 3], np.eye(3)).T
+            turn = stds[k] * np.cross(np.eye(3)[k - 3], np.eye(3)).T
             change = change + kron(here, turn)
         found.append(csr_array(change))
     return found
