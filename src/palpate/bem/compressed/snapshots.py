@@ -10,6 +10,7 @@ Quarteroni, Manzoni and Negri, Reduced Basis Methods for Partial Differential Eq
 sections 3.2 and 7.1: least-squares reduced bases, greedy choice by the residual itself.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,7 +157,7 @@ class _Gathered:
             left = wanted - self.system.product(ratio, near)
         inverse = cluster_inverse(self.system, ratio)
         found = solve_compressed(inverse, left, scale=size, tolerance=tolerance)
-        direction = _unit_beside(found.solution, self.directions)
+        direction, _ = orthogonalised(found.solution, self.directions)
         self.directions.append(direction)
         self.ratios.append(ratio)
         self._iterations.append(found.iterations)
@@ -182,12 +183,27 @@ class _Gathered:
         )
 
 
-def _unit_beside(
-    vectors: Float[np.ndarray, "k c"], basis: list[Float[np.ndarray, "k c"]]
-) -> Float[np.ndarray, "k c"]:
-    """Unit vectors along what of some is orthogonal to a basis."""
+def orthogonalised(
+    vectors: Float[np.ndarray, "k c"], basis: Sequence[Float[np.ndarray, "k c"]]
+) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
+    """Unit vectors along what of some is orthogonal to a basis, each column by itself.
+
+    Parameters
+    ----------
+    vectors : (k, c) float
+    basis : sequence of j (k, c) float      orthonormal
+
+    Returns
+    -------
+    (k, c) float                            of length 1; 0 where nothing is left
+    (j + 1, c) float                        products with the basis, then the length of what is left
+    """
+    step = np.zeros((len(basis) + 1, vectors.shape[1]))
     # Twice: the first pass leaves rounding of the size of what it takes away.
     for _ in range(2):
-        for direction in basis:
-            vectors = vectors - np.einsum("kc,kc->c", direction, vectors) * direction
-    return vectors / (np.linalg.norm(vectors, axis=0) + _TINY)
+        for i, direction in enumerate(basis):
+            along = np.einsum("kc,kc->c", direction, vectors)
+            vectors = vectors - along * direction
+            step[i] += along
+    step[-1] = np.linalg.norm(vectors, axis=0)
+    return vectors / (step[-1] + _TINY), step
