@@ -364,7 +364,8 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
         row = work.inverse[a * bases]
         white += row[a * bases]
         robust += np.dot(row, np.dot(meat, row))
-    found.rough[i] = correction * robust / (white * excess)
+    # Of pictures that are the same nothing is left: as good as white.
+    found.rough[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
 
 
 @njit(cache=True, error_model="numpy")
