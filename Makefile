@@ -4,9 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-# What is ours and written in Python; what a stale kernel could come from.
+# What is ours and written in Python; what a stale kernel could come from: the rooms that have kernels,
+# and those below that these may take a constant from.
 PYTHON_FILES := src tests benchmarks examples docs
-SOURCES := $(shell find src -name '*.py')
+KERNEL_ROOMS := geometry records probe bem vision lab simulation
+KERNEL_SOURCES := $(shell find $(KERNEL_ROOMS:%=src/palpate/%) -name '*.py')
 
 .PHONY: demo test fuzz benchmark lint format contract types tests map reference docs notebooks wheel lock \
     oldest clean clean-cache
@@ -59,13 +61,14 @@ contract: $(VENV)/dev.stamp
 types: $(VENV)/dev.stamp
 	$(BIN)/mypy
 
-# One thread of linear algebra in each of the two processes: more would wait for each other.
+# One thread of linear algebra in each of the two processes: more would wait for each other. Compiled
+# modules are kept whatever the environment says: a hundred tests start processes of their own.
 tests: $(VENV)/dev.stamp $(VENV)/kernels.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # numba looks at the file of the kernel that is called, not at those that this one calls: kernels on
-# disk that are older than any source may hold old code.
-$(VENV)/kernels.stamp: $(SOURCES) | $(VENV)/run.stamp
+# disk that are older than any source of theirs may hold old code.
+$(VENV)/kernels.stamp: $(KERNEL_SOURCES) | $(VENV)/run.stamp
 	find src -name '*.nb[ic]' -delete
 	touch $@
 

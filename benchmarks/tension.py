@@ -20,7 +20,7 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity
 from benchmarks.meshes import sheet
 from palpate.estimation import ProbeObservations, fit
 from palpate.geometry import closest_points
-from palpate.pipeline import graded_session, make_object_model, settled_observations
+from palpate.pipeline import graded_observations
 from palpate.records import (
     EXACT,
     FREE,
@@ -100,10 +100,7 @@ def session_of(points: Points, errors: ErrorPriors) -> Session:
 
 def observed(session: Session) -> ProbeObservations:
     """The sheet as `palpate fit` models it: graded, beside the given mesh."""
-    plain = replace(session, errors=EXACT)
-    coarser = settled_observations(plain, make_object_model(plain, nominal=True))
-    graded = graded_session(session)
-    (seen,) = settled_observations(graded, make_object_model(graded), coarser=coarser)
+    (seen,) = graded_observations(session)
     return seen
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numba
 import pytest
 from jaxtyping import _import_hook
+from shape_checks import check_first_calls, start_counting_calls
 
 # The import hook wraps every function; numba cannot compile a wrapper, so kernels go unwrapped.
 # They are arrays in, arrays out, and called by functions that are checked. Versions of jaxtyping
@@ -22,6 +23,13 @@ def _is_unchecked(decorator: Any) -> bool:
 
 
 _import_hook._is_no_type_check = _is_unchecked
+check_first_calls()
+
+
+def pytest_runtest_setup() -> None:
+    """Every test has the shapes of its calls checked anew."""
+    start_counting_calls()
+
 
 # What takes longest starts first, so that processes that share the tests end together. The first
 # two need different kernels: none is compiled twice at the same time.

@@ -10,8 +10,6 @@ from palpate.errors import InputError
 
 # Nothing that is measured comes near this in SI units; its fourth power is still a number.
 LARGEST_NUMBER = 1e30
-# Multiplications below which OpenBLAS keeps to one thread.
-_UNTHREADED = 2**18
 
 
 def known_median(values: Float[np.ndarray, " k"]) -> float:
@@ -99,30 +97,3 @@ def with_rows(
     result = array.copy()
     result[rows] = values
     return result
-
-
-def weighted_square(
-    columns: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
-) -> Float[np.ndarray, "s s"]:
-    """Matrix of weighted products, columns W columns', in pieces too small for BLAS to start
-    threads.
-
-    Threads that wait for each other cost ten times the product where other work is running.
-
-    Parameters
-    ----------
-    columns : (s, r) float          few rows, many columns
-    weight : (r,) float
-
-    Returns
-    -------
-    (s, s) float
-    """
-    size, rows = columns.shape
-    piece = max(1, _UNTHREADED // size**2)
-    weighted = columns * weight
-    total = np.zeros((size, size))
-    for first in range(0, rows, piece):
-        chosen = slice(first, first + piece)
-        total += weighted[:, chosen] @ columns[:, chosen].T
-    return total

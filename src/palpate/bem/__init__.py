@@ -14,6 +14,7 @@ from palpate.bem.compressed import (
     SnapshotModel as SnapshotModel,
     compressed_system as compressed_system,
     held_system as held_system,
+    orthogonalised as orthogonalised,
     snapshot_model as snapshot_model,
 )
 from palpate.bem.elastic_map import (

@@ -14,6 +14,8 @@ from palpate.shapes import Vector3
 GROUP_COUNT = 8
 CLAIMED_GROUPS = slice(4, 8)
 TIP_GROUP = 3
+# Multiplications below which OpenBLAS keeps to one thread.
+_UNTHREADED = 2**18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,3 +267,30 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
         unit = np.concatenate([unit, tip_unit])
         group = np.concatenate([group, np.full(3, tip_group)])
     return displacement, unit, group.astype(np.int64)
+
+
+def weighted_square(
+    columns: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
+) -> Float[np.ndarray, "s s"]:
+    """Matrix of weighted products, columns W columns', in pieces too small for BLAS to start
+    threads.
+
+    Threads that wait for each other cost ten times the product where other work is running.
+
+    Parameters
+    ----------
+    columns : (s, r) float          few rows, many columns
+    weight : (r,) float
+
+    Returns
+    -------
+    (s, s) float
+    """
+    size, rows = columns.shape
+    piece = max(1, _UNTHREADED // size**2)
+    weighted = columns * weight
+    total = np.zeros((size, size))
+    for first in range(0, rows, piece):
+        chosen = slice(first, first + piece)
+        total += weighted[:, chosen] @ columns[:, chosen].T
+    return total

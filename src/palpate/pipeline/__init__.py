@@ -51,6 +51,7 @@ from palpate.pipeline.motion_figures import (
     write_flow_document as write_flow_document,
 )
 from palpate.pipeline.observations import (
+    graded_observations as graded_observations,
     session_observations as session_observations,
     settled_observations as settled_observations,
 )

@@ -29,11 +29,10 @@ from palpate.pipeline.model import (
     resolved_session,
     touched_session,
 )
-from palpate.pipeline.observations import settled_observations
+from palpate.pipeline.observations import coarser_observations, settled_observations
 from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
-    EXACT,
     ProbeEstimate,
     Session,
     SupportEstimate,
@@ -89,7 +88,7 @@ def fit_session(
     if has_tools(resolved):
         resolved, coarser = _with_touched_circles(resolved, settings, surface, cache)
     else:
-        _, coarser = _on_the_mesh_itself(resolved, settings, surface, cache)
+        _, coarser = coarser_observations(resolved, settings=settings, surface=surface, cache=cache)
     compared = time.perf_counter()
     progress("integrals over the surface", 0.25)
     graded = graded_session(resolved, surface=surface)
@@ -153,19 +152,6 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
     )
 
 
-def _on_the_mesh_itself(
-    session: Session,
-    settings: FitSettings,
-    surface: SurfaceSettings,
-    cache: Path | None,
-    like: ObjectModel | None = None,
-) -> tuple[ObjectModel, list[ProbeObservations]]:
-    """The model of the mesh as it is, nothing else being wrong, and what was seen beside it."""
-    plain = replace(session, errors=EXACT)
-    model = make_object_model(plain, surface=surface, cache=cache, nominal=True, like=like)
-    return model, settled_observations(plain, model, settings=settings)
-
-
 def _with_touched_circles(
     session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
 ) -> tuple[Session, list[ProbeObservations]]:
@@ -173,7 +159,9 @@ def _with_touched_circles(
     and what was seen beside its model."""
     model = None
     for _ in range(_MOST_TOUCHES):
-        model, observations = _on_the_mesh_itself(session, settings, surface, cache, model)
+        model, observations = coarser_observations(
+            session, settings=settings, surface=surface, cache=cache, like=model
+        )
         found = fit(observations, settings=settings).estimate
         touched = touched_session(
             session,

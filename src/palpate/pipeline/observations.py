@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
+from palpate.bem import SurfaceSettings
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
     Discretisation,
@@ -27,18 +29,15 @@ from palpate.pipeline.model import (
     ObjectModel,
     free_std,
     given_motion,
+    graded_session,
+    make_object_model,
     pose_changes,
     probe_rows,
     settlement,
     shared_errors,
     spring_responses,
 )
-from palpate.records import (
-    GIVEN,
-    DisplacementField,
-    Probing,
-    Session,
-)
+from palpate.records import EXACT, GIVEN, DisplacementField, Probing, Session
 from palpate.shapes import Vertices
 
 # Poisson's ratio at which the size of small terms is taken.
@@ -46,6 +45,60 @@ _MIDDLE = 0.3
 # Where supports give: how often the modulus about which the model is taken is found anew, the
 # change of its logarithm that ends this (what it leaves is of its square), and the longest step.
 _SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
+
+
+def coarser_observations(
+    session: Session,
+    *,
+    settings: FitSettings = FitSettings(),
+    surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
+    like: ObjectModel | None = None,
+) -> tuple[ObjectModel, list[ProbeObservations]]:
+    """The model of the mesh as it is, nothing else being wrong, and what was seen beside it.
+
+    Beside the same on the graded mesh it shows how much the mesh is off.
+
+    Parameters
+    ----------
+    session : Session                     k probings, each with displacements
+    settings : FitSettings
+    surface : SurfaceSettings
+    cache : Path or None                  folder that keeps the integrals
+    like : ObjectModel or None            as `make_object_model`
+
+    Returns
+    -------
+    ObjectModel
+    list of k ProbeObservations
+
+    Raises
+    ------
+    InputError, SingularSystemError, NotConvergedError    as `settled_observations`
+    """
+    plain = replace(session, errors=EXACT)
+    model = make_object_model(plain, surface=surface, cache=cache, nominal=True, like=like)
+    return model, settled_observations(plain, model, settings=settings)
+
+
+def graded_observations(session: Session) -> list[ProbeObservations]:
+    """What a fit would see: beside the graded mesh's model, with the error that its mesh has.
+
+    Parameters
+    ----------
+    session : Session                     k probings, each with displacements
+
+    Returns
+    -------
+    list of k ProbeObservations
+
+    Raises
+    ------
+    InputError, SingularSystemError, NotConvergedError    as `settled_observations`
+    """
+    _, coarser = coarser_observations(session)
+    graded = graded_session(session)
+    return settled_observations(graded, make_object_model(graded), coarser=coarser)
 
 
 def settled_observations(

@@ -1,14 +1,13 @@
 """Pieces of text that several formats share."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from palpate.records import json_text
+from palpate.records import json_text, write_text
 from palpate.simulation.solid_model import SolidModel
-
-REPLAY = "replay.json"
 
 
 def number_text(values: Shaped[np.ndarray, "..."]) -> str:
@@ -47,30 +46,30 @@ def numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> It
         yield ",\n".join(lines)
 
 
-def replay_json(model: SolidModel, load: Float[np.ndarray, "n 3"]) -> str:
-    """The push as nodal forces, with what the model says of it.
+def write_replay(folder: Path, model: SolidModel, load: Float[np.ndarray, "n 3"]) -> None:
+    """Write replay.json, the push as nodal forces with what the model says of it, if there is one.
 
     Parameters
     ----------
-    model : SolidModel              with a push
+    folder : Path
+    model : SolidModel
     load : (n, 3) float [N]
 
-    Returns
-    -------
-    str                             JSON
+    Raises
+    ------
+    RecordError                     the file cannot be written
     """
     push = model.body.push
     if push is None:
-        return json_text({})
+        return
     loaded = np.flatnonzero(load.any(axis=1))
-    return json_text(
-        {
-            "probing": push.name,
-            "force": push.force.tolist(),
-            "displacement": push.displacement.tolist(),
-            "loaded_nodes": loaded.tolist(),
-            "nodal_forces": load[loaded].tolist(),
-            "point_nodes": model.node.tolist(),
-            "point_shares": model.share.tolist(),
-        }
-    )
+    content = {
+        "probing": push.name,
+        "force": push.force.tolist(),
+        "displacement": push.displacement.tolist(),
+        "loaded_nodes": loaded.tolist(),
+        "nodal_forces": load[loaded].tolist(),
+        "point_nodes": model.node.tolist(),
+        "point_shares": model.share.tolist(),
+    }
+    write_text(folder / "replay.json", json_text(content))

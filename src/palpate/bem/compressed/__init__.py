@@ -18,6 +18,7 @@ from palpate.bem.compressed.preconditioner import (
 )
 from palpate.bem.compressed.snapshots import (
     SnapshotModel as SnapshotModel,
+    orthogonalised as orthogonalised,
     snapshot_model as snapshot_model,
 )
 from palpate.bem.compressed.system import (

@@ -10,6 +10,7 @@ Quarteroni, Manzoni and Negri, Reduced Basis Methods for Partial Differential Eq
 sections 3.2 and 7.1: least-squares reduced bases, greedy choice by the residual itself.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,9 +160,8 @@ class _Gathered:
         inverse = cluster_inverse(self.system, ratio)
         found = solve_compressed(inverse, left, scale=size, tolerance=tolerance)
         sloped = self.system.slope_product(found.solution)
-        direction, products = self._unit_beside(
-            found.solution, (found.product - ratio * sloped, sloped)
-        )
+        direction, step = orthogonalised(found.solution, self.directions)
+        products = self._products_of_direction(found.product - ratio * sloped, sloped, step)
         self.directions.append(direction)
         self._products.append(products)
         self.ratios.append(ratio)
@@ -186,16 +186,40 @@ class _Gathered:
             tuple(self._iterations[:count]),
         )
 
-    def _unit_beside(
-        self, vectors: Float[np.ndarray, "k c"], products: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[Float[np.ndarray, "k c"], tuple[np.ndarray, np.ndarray]]:
-        """Unit vectors along what of some is orthogonal to the directions, and their products."""
-        first, second = products
-        # Twice: the first pass leaves rounding of the size of what it takes away.
-        for _ in range(2):
-            for direction, (known, sloped) in zip(self.directions, self._products, strict=True):
-                along = np.einsum("kc,kc->c", direction, vectors)
-                vectors = vectors - along * direction
-                first, second = first - along * known, second - along * sloped
-        size = np.linalg.norm(vectors, axis=0) + _TINY
-        return vectors / size, (first / size, second / size)
+    def _products_of_direction(
+        self,
+        first: Float[np.ndarray, "k c"],
+        second: Float[np.ndarray, "k c"],
+        step: Float[np.ndarray, "rows c"],
+    ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
+        """Products of a new direction, from those of the vectors that `orthogonalised` took."""
+        for along, (known, sloped) in zip(step[:-1], self._products, strict=True):
+            first, second = first - along * known, second - along * sloped
+        length = step[-1] + _TINY
+        return first / length, second / length
+
+
+def orthogonalised(
+    vectors: Float[np.ndarray, "k c"], basis: Sequence[Float[np.ndarray, "k c"]]
+) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
+    """Unit vectors along what of some is orthogonal to a basis, each column by itself.
+
+    Parameters
+    ----------
+    vectors : (k, c) float
+    basis : sequence of j (k, c) float      orthonormal
+
+    Returns
+    -------
+    (k, c) float                            of length 1; 0 where nothing is left
+    (j + 1, c) float                        products with the basis, then the length of what is left
+    """
+    step = np.zeros((len(basis) + 1, vectors.shape[1]))
+    # Twice: the first pass leaves rounding of the size of what it takes away.
+    for _ in range(2):
+        for i, direction in enumerate(basis):
+            along = np.einsum("kc,kc->c", direction, vectors)
+            vectors = vectors - along * direction
+            step[i] += along
+    step[-1] = np.linalg.norm(vectors, axis=0)
+    return vectors / (step[-1] + _TINY), step

@@ -19,6 +19,7 @@ from palpate.geometry import (
     quadratic_shapes,
     side_nodes,
     split_sides,
+    triangle_areas,
 )
 
 
@@ -56,6 +57,8 @@ class BoundarySurface:
     element_nodes : (m, 6, 3) float   [m]
     displacement : QuadraticNodes     continuous, one node a vertex
     traction : QuadraticNodes         one node a side of a vertex
+    held_length : float [m]           root of the mean area of the support's triangles: scales
+                                      tractions to displacements
     follows_dips : bool               whether elements under a load may take the shape of the dip
                                       (`contact_shape`)
     """
@@ -67,6 +70,7 @@ class BoundarySurface:
     element_nodes: Float[np.ndarray, "m 6 3"]
     displacement: QuadraticNodes
     traction: QuadraticNodes
+    held_length: float
     follows_dips: bool
 
 
@@ -113,9 +117,10 @@ def make_surface(
         displacement, traction = linear_nodes(displacement), linear_nodes(traction)
     position = np.concatenate([mesh.vertices, geometry.weights @ mesh.vertices])
     nodes = position[geometry.element]
+    length = float(np.sqrt(triangle_areas(mesh)[held].mean()))
     follows_dips = settings.smooth and settings.quadratic
     return BoundarySurface(
-        mesh, sides, held, held_directions, nodes, displacement, traction, follows_dips
+        mesh, sides, held, held_directions, nodes, displacement, traction, length, follows_dips
     )
 
 

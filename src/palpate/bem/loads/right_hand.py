@@ -195,19 +195,13 @@ def traction_column(
     return RightHand(np.stack([columns[axis][:, :, axis] for axis in range(3)]).sum(0)[:, :, None])
 
 
-def face_columns(
-    system: BoundarySystem,
-    triangles: Int[np.ndarray, " k"],
-    *,
-    quadrature: Quadrature = Quadrature(),
-) -> RightHand:
+def face_columns(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> RightHand:
     """Columns of a uniform traction over some triangles, of one newton along each axis.
 
     Parameters
     ----------
     system : BoundarySystem
     triangles : (k,) int              of the free surface
-    quadrature : Quadrature
 
     Returns
     -------
@@ -219,25 +213,17 @@ def face_columns(
     density = 1.0 / total_traction(nodes, ones)[0]
     element = 1 + np.arange(6 * triangles.size).reshape(-1, 6)
     field = QuadraticNodes(element, 1, csr_array(np.full((element.size, 1), density)))
-    blocks = assemble(
-        surface, system.collocation, field, DISPLACEMENT, triangles=triangles, quadrature=quadrature
-    )
+    blocks = assemble(surface, system.collocation, field, DISPLACEMENT, triangles=triangles)
     return load_columns(blocks.by_row(0), -np.eye(3) / system.traction_length)
 
 
-def pressure_column(
-    system: BoundarySystem,
-    triangles: Int[np.ndarray, " k"],
-    *,
-    quadrature: Quadrature = Quadrature(),
-) -> RightHand:
+def pressure_column(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> RightHand:
     """One column for a pressure of one pascal against some triangles.
 
     Parameters
     ----------
     system : BoundarySystem
     triangles : (k,) int              of the free surface
-    quadrature : Quadrature
 
     Returns
     -------
@@ -245,7 +231,7 @@ def pressure_column(
     """
     points = element_points(system.surface.element_nodes[triangles], ELEMENT_NODES)
     outward = points[:, :, 3:] / np.linalg.norm(points[:, :, 3:], axis=2)[:, :, None]
-    return traction_column(system, triangles, -outward, quadrature=quadrature)
+    return traction_column(system, triangles, -outward)
 
 
 def joined(parts: list[RightHand]) -> RightHand:

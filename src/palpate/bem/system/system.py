@@ -24,7 +24,7 @@ from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocati
 from palpate.bem.system.large_lu import LARGEST_WHOLE, lu_by_panels
 from palpate.bem.system.rollers import Elimination, make_elimination
 from palpate.errors import SingularSystemError
-from palpate.geometry import QuadraticNodes, triangle_areas
+from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads
 
 # A body that floats has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
@@ -65,8 +65,7 @@ class BoundarySystem:
     def traction_length(self) -> float:
         """Size of the held triangles [m]: scales tractions to displacements, so that columns are
         alike."""
-        areas = triangle_areas(self.surface.mesh)[self.surface.held]
-        return float(np.sqrt(areas.mean()))
+        return self.surface.held_length
 
     @property
     def size(self) -> int:

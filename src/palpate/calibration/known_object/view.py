@@ -56,8 +56,6 @@ POSE_FORMAT = "palpate-object-pose/1"
 _SETTINGS = StereoSettings()
 # Every so many points of the grid have windows that do not overlap: their noise is their own.
 _APART = -(-_SETTINGS.subset // _SETTINGS.step)
-# A rig that has moved misses by pixels; what it is judged by must not be chosen by it.
-_LOOSE = 50.0
 # Where the rig says nothing of the object, the turns of a cube are tried, and from each so far on:
 # no turn is farther than 63 degrees from one of them, and few are farther than this.
 _ANGLE = np.deg2rad(45.0)

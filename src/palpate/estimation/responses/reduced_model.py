@@ -30,6 +30,7 @@ from palpate.bem import (
     SpringSlope,
     SpringSystem,
     factorise,
+    orthogonalised,
     snapshot_model,
     solve,
     system_slope,
@@ -184,7 +185,7 @@ def _gathered(
     scale, start = (np.linalg.norm(term, axis=0) + _TINY for term in (first, third))
     basis, steps = [third / start], []
     while len(basis) <= MOST_DIRECTIONS:
-        direction, step = _orthogonalised(solved(sloped(basis[-1])), basis)
+        direction, step = orthogonalised(solved(sloped(basis[-1])), basis)
         steps.append(step)
         model = ReducedModel(
             CENTRE, np.stack([first, second, *basis]), _hessenberg(steps), start, scale
@@ -198,22 +199,6 @@ def _gathered(
         f"{poisson_range[0]} to {poisson_range[1]}, at most {tolerance:.0e} is allowed; narrow the "
         "range, or use the method nelder-mead"
     )
-
-
-def _orthogonalised(
-    vectors: Float[np.ndarray, "k c"], basis: list[Float[np.ndarray, "k c"]]
-) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
-    """Unit vectors, one a column, orthogonal to the basis; and the products with the basis, then
-    the length of what was left."""
-    step = np.zeros((len(basis) + 1, vectors.shape[1]))
-    # Twice: the first pass leaves rounding of the size of what it takes away.
-    for _ in range(2):
-        for i, direction in enumerate(basis):
-            along = np.einsum("kc,kc->c", direction, vectors)
-            vectors = vectors - along * direction
-            step[i] += along
-    step[-1] = np.linalg.norm(vectors, axis=0)
-    return vectors / (step[-1] + _TINY), step
 
 
 def _hessenberg(steps: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "c rows rank"]:

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import weighted_square
 from palpate.errors import NotConvergedError
 from palpate.estimation.noise import NoiseModel
 from palpate.estimation.nuisance import NuisanceParameter
-from palpate.estimation.observed_rows import ObservedRows
+from palpate.estimation.observed_rows import ObservedRows, weighted_square
 
 _MAX_FORCE_STEPS = 200
 _FORCE_TOLERANCE = 1e-12

@@ -21,8 +21,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.arrays import weighted_square
-from palpate.estimation.observed_rows import ObservedRows
+from palpate.estimation.observed_rows import ObservedRows, weighted_square
 from palpate.estimation.responses import ResponseTable, interpolation_weights
 
 _MAX_NEWTON_STEPS = 8

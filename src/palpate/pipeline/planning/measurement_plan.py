@@ -19,15 +19,13 @@ from palpate.lab import Material, Pictures, Variant, planned_pictures
 from palpate.pipeline.calibrated_space import calibration_strains, with_stretch
 from palpate.pipeline.measure_motion import vertex_field
 from palpate.pipeline.model import (
-    graded_session,
     make_object_model,
     resolved_session,
     touched_session,
 )
-from palpate.pipeline.observations import session_observations, settled_observations
+from palpate.pipeline.observations import graded_observations, session_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
-    EXACT,
     DisplacementField,
     Probing,
     Rig,
@@ -249,11 +247,7 @@ def _measured(
 def _information(session: Session, material: Material) -> Information:
     """What the points tell, beside the model of a fit with all its errors."""
     shear, ratio = material.shear_modulus, material.poisson_ratio
-    resolved = _at_guess(session, material)
-    plain = replace(resolved, errors=EXACT)
-    coarser = settled_observations(plain, make_object_model(plain, nominal=True))
-    graded = graded_session(resolved)
-    observed = settled_observations(graded, make_object_model(graded), coarser=coarser)
+    observed = graded_observations(_at_guess(session, material))
     known = with_stretch(observed, calibration_strains(session))
     return fisher_information(known, poisson_ratio=ratio, shear_modulus=shear)
 

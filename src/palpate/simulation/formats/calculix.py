@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.records import write_text
-from palpate.simulation.format_texts import REPLAY, numbered_lines, replay_json
+from palpate.simulation.format_texts import numbered_lines, write_replay
 from palpate.simulation.solid_model import Format, SolidModel
 
 _POISSON = (-0.999, 0.499)
@@ -62,7 +62,7 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
             "U",
             "*END STEP",
         ]
-        write_text(folder / REPLAY, replay_json(model, model.load))
+    write_replay(folder, model, model.load)
     write_text(folder / "model.inp", "\n".join(lines) + "\n")
 
 

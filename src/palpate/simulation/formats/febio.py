@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.records import write_text
-from palpate.simulation.format_texts import REPLAY, replay_json
+from palpate.simulation.format_texts import write_replay
 from palpate.simulation.solid_model import Format, SolidModel
 
 _POISSON = (-0.999, 0.499)
@@ -91,8 +91,7 @@ def write_febio(folder: Path, model: SolidModel) -> None:
         ]
     )
     write_text(folder / "model.feb", text)
-    if model.body.push is not None:
-        write_text(folder / REPLAY, replay_json(model, model.load))
+    write_replay(folder, model, model.load)
 
 
 def _row(

@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.geometry import enclosed_volume
 from palpate.records import write_text
-from palpate.simulation.format_texts import REPLAY, number_text, replay_json
+from palpate.simulation.format_texts import number_text, write_replay
 from palpate.simulation.solid_model import Format, SolidModel
 
 _POISSON = (0.0, 0.495)
@@ -82,8 +82,8 @@ def write_mujoco(folder: Path, model: SolidModel) -> None:
         pin=number_text(np.flatnonzero(model.held)),
     )
     write_text(folder / "model.xml", text)
+    write_replay(folder, model, model.linear_load)
     if body.push is not None:
-        write_text(folder / REPLAY, replay_json(model, model.linear_load))
         write_text(folder / "replay.py", _REPLAY)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from palpate.records import write_text
-from palpate.simulation.format_texts import REPLAY, replay_json
+from palpate.simulation.format_texts import write_replay
 from palpate.simulation.solid_model import Format, SolidModel
 
 _POISSON = (0.0, 0.495)
@@ -82,8 +82,7 @@ def write_openusd(folder: Path, model: SolidModel) -> None:
         density=model.body.density,
     )
     write_text(folder / "model.usda", text)
-    if model.body.push is not None:
-        write_text(folder / REPLAY, replay_json(model, model.linear_load))
+    write_replay(folder, model, model.linear_load)
 
 
 def _tuples(rows: Shaped[np.ndarray, "n k"]) -> str:

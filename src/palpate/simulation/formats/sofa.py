@@ -12,7 +12,7 @@ import numpy as np
 
 from palpate.geometry import enclosed_volume
 from palpate.records import write_text
-from palpate.simulation.format_texts import REPLAY, number_text, replay_json
+from palpate.simulation.format_texts import number_text, write_replay
 from palpate.simulation.solid_model import Format, SolidModel
 
 _POISSON = (0.0, 0.495)
@@ -64,7 +64,6 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
     if body.push is not None:
         forces = number_text(model.linear_load[loaded])
         push = f'    <ConstantForceField indices="{number_text(loaded)}" forces="{forces}"/>\n'
-        write_text(folder / REPLAY, replay_json(model, model.linear_load))
     plugins = "\n".join(f'  <RequiredPlugin name="Sofa.Component.{name}"/>' for name in _PLUGINS)
     text = _SCENE.format(
         plugins=plugins,
@@ -77,6 +76,7 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
         push=push,
     )
     write_text(folder / "model.scn", text)
+    write_replay(folder, model, model.linear_load)
 
 
 SOFA = Format("SOFA", _POISSON, _RUN, of_solid=write_sofa)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.records import write_text
-from palpate.simulation.format_texts import REPLAY, number_text, replay_json
+from palpate.simulation.format_texts import number_text, write_replay
 from palpate.simulation.solid_model import Format, SolidModel
 
 _POISSON = (-0.999, 0.5)
@@ -55,8 +55,7 @@ def write_vtu(folder: Path, model: SolidModel) -> None:
         "</VTKFile>",
     ]
     write_text(folder / "model.vtu", "\n".join(lines) + "\n")
-    if model.body.push is not None:
-        write_text(folder / REPLAY, replay_json(model, model.load))
+    write_replay(folder, model, model.load)
 
 
 def _array(name: str, kind: str, values: np.ndarray, components: int) -> Iterable[str]:

@@ -157,20 +157,28 @@ def refine_joint(
     pictures = scene.pictures
     first = _First(
         scene.packed,
-        tuple(picture.grey for picture in pictures),
-        tuple(picture.along_column for picture in pictures),
-        tuple(picture.along_row for picture in pictures),
-        scene.surface,
-        scene.inner,
+        _of_four([picture.grey for picture in pictures]),
+        _of_four([picture.along_column for picture in pictures]),
+        _of_four([picture.along_row for picture in pictures]),
+        _of_four(scene.surface),
+        _of_four(scene.inner),
         scene.spread,
     )
     in_threads(
-        _refine_range, count, first, tuple(picture.coefficients for picture in moved),
+        _refine_range, count, first, _of_four([picture.coefficients for picture in moved]),
         _Points(scene.point[rows], scene.tangent[rows], scene.extent[rows]),
         np.ascontiguousarray(start), np.isfinite(start).all(axis=(1, 2)), noise, limits, found,
         fewest=_MIN_POINTS_PER_THREAD,
     )  # fmt: skip
     return found
+
+
+def _of_four(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Those of all cameras; of fewer than four, with empty ones behind them.
+
+    The kernel is compiled anew for every length of a tuple, which takes many seconds.
+    """
+    return (*arrays, *[arrays[0][:0]] * (4 - len(arrays)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -358,7 +366,8 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
         row = work.inverse[a * bases]
         white += row[a * bases]
         robust += np.dot(row, np.dot(meat, row))
-    found.rough[i] = correction * robust / (white * excess)
+    # Of pictures that are the same nothing is left: as good as white.
+    found.rough[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
 
 
 @njit(cache=True, error_model="numpy")
