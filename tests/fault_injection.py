@@ -1,10 +1,12 @@
 """A process that dies, or a disk that fails, at a step of one's choice: in a fork of the test."""
 
+import ctypes
 import errno
 import io
 import os
 import shutil
 import signal
+import struct
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -117,3 +119,35 @@ def _have_told(happens: Callable[..., object], folder: Path) -> None:
     os.fsync = lambda handle: (happens(), fsync(handle))[1]
     disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
     sys.addaudithook(seen)
+
+
+def without_rights(work: Callable[[], int]) -> tuple[int, str]:
+    """Run something in a fork as a user for whom the rights of files hold: root gives up its own.
+
+    Parameters
+    ----------
+    work : callable                 gives an exit code
+
+    Returns
+    -------
+    int                             the exit code
+    str                             what was said on standard error
+    """
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child:
+        os.close(writing)
+        with os.fdopen(reading) as said:
+            text = said.read()
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), text
+    code = 70
+    try:
+        if os.geteuid() == 0:
+            # Version 3 of the header, this process; no capability of any kind.
+            header, none = struct.pack("Ii", 0x20080522, 0), bytes(24)
+            assert ctypes.CDLL(None).capset(header, none) == 0
+        sys.stdout, sys.stderr = io.StringIO(), os.fdopen(writing, "w")
+        code = work()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)

@@ -15,8 +15,12 @@ from fault_injection import all_states, in_child
 from faults.bench import write_scan, write_shots
 
 from palpate.app.cli import main
+from palpate.app.commands.door import object_view
+from palpate.calibration import ObjectView
 from palpate.campaign.rows import Row
 from palpate.campaign.store import Store
+from palpate.geometry import TriangleMesh, register
+from palpate.records import Rig
 
 # What is run in a folder that has all that it needs.
 _COMMANDS = {
@@ -29,6 +33,12 @@ _COMMANDS = {
         "calibrate", "shots", "--target", "chessboard", "--columns", "7", "--rows", "5", "--square",
         "16mm", "--out", "made",
     ),
+    "an object before a rig": (
+        "calibrate", "object", "rest_{camera}.png", "mesh.ply", "--rig", "rig.toml", "--out",
+        "made",
+    ),
+    "a plan": ("plan", "cube", "--count", "1", "--out", "made"),
+    "a recording": ("record", "recorded", "--out", "made"),
     "a screenshot": ("view", "result", "--screenshot", "made.png"),
     "export": ("export", "result", "--to", "obj", "--out", "made"),
     "report": ("report", "result", "--out", "made.html"),
@@ -39,7 +49,11 @@ _COMMANDS = {
     ),
 }  # fmt: skip
 # They leave result folders as `fit` does: full disks and signals are tried with that one.
-_LIKE_FIT = ("mesh", "scan", "calibrate", "export")
+_LIKE_FIT = (
+    "mesh", "scan", "calibrate", "export", "an object before a rig", "a plan", "a recording"
+)  # fmt: skip
+# Seconds each: only where many are tried.
+_SLOW = ("scan", "a recording")
 _MANY = "PALPATE_FUZZ_EXAMPLES" in os.environ
 
 
@@ -77,13 +91,23 @@ def place(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", [name for name in _COMMANDS if _MANY or name != "scan"])
+@pytest.mark.parametrize("name", [name for name in _COMMANDS if _MANY or name not in _SLOW])
 def test_old_or_new_wherever_it_is_killed(
-    name: str, place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    place: Path,
+    recorded: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     words = list(_COMMANDS[name])
     work, copies = tmp_path / "work", tmp_path / "copies"
-    shutil.copytree(place, work)
+    if name == "a recording":
+        # Its videos are large, and every state is copied: nothing beside them.
+        shutil.copytree(recorded, work / "recorded")
+    else:
+        shutil.copytree(place, work)
+    if name == "an object before a rig":
+        monkeypatch.setattr(object_view, "view_object", _viewed)
     monkeypatch.chdir(work)
     before = _visible(work)
     # An estimate that is not ok is a result, too.
@@ -115,6 +139,14 @@ def test_old_or_new_wherever_it_is_killed(
             seen = _visible(folder)
             assert seen == before or (may_be_done and seen.keys() == after.keys())
             assert _hidden(folder) == []
+
+
+def _viewed(rig: Rig, mesh: TriangleMesh, *_: object, **__: object) -> ObjectView:
+    """What pictures of an object would tell, in the place of pictures that show one."""
+    points = mesh.vertices
+    found = register(points, None, mesh)
+    grey = tuple(np.zeros(camera.size[::-1]) for camera in rig.cameras)
+    return ObjectView(rig, found, found.covariance, len(points), None, grey, ())
 
 
 def _check_again(
