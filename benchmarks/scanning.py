@@ -198,7 +198,8 @@ def view_figure(folder: Path, shape: str) -> Figure:
     size = " x ".join(str(side) for side in rig.cameras[0].size or ())
     return Figure(
         DOOR, f"one dense view of the {shape}, {size} x 3, seconds of processors", min(seconds[1:]),
-        "s", must=3.0, reach=1.0, note=f"{len(found.point)} points; least of 3, threads: {numba.get_num_threads()}",
+        "s", must=3.0, reach=1.0,
+        note=f"{len(found.point)} points; least of 3, threads: {numba.get_num_threads()}",
     )  # fmt: skip
 
 
