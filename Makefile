@@ -19,7 +19,7 @@ help:
 	@echo "make demo   set up, then measure a virtual half ball: from pictures to constants"
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
 	@echo "make fuzz   read ten thousand damaged files of every kind (some ten minutes)"
-	@echo "make benchmark  measure every figure, write BENCHMARK.md (about an hour)"
+	@echo "make benchmark  measure every figure, write BENCHMARK.md (about two hours)"
 	@echo "make docs   build the documentation site in build/docs (opens from the disk, no network)"
 	@echo "make reference  make docs/reference and the gallery again from the code that reads the files"
 	@echo "make notebooks  run docs/notebooks, all of them (some minutes)"

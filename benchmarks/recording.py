@@ -35,7 +35,7 @@ from palpate.records import SESSION_FORMAT, read_session, write_text
 # Before the tool comes [s]: when a person takes the picture and the readings at rest.
 _BEFORE = FILM.approach + 0.6
 # Recordings that differ in the noise of pictures and gauge.
-DRAWS = 4
+DRAWS = 3
 
 
 def hand_sorted(folder: Path, out: Path) -> None:

@@ -13,10 +13,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.clock import shortest
 from benchmarks.figure import DOOR, Figure
 from benchmarks.machine import MADE
 from benchmarks.options import Options
@@ -188,19 +188,18 @@ def view_figure(folder: Path, shape: str) -> Figure:
     place = turntable(folder, shape)
     rig = read_rig(place / "rig.toml")
     pictures = read_pictures(rig, "images/s1_{camera}.png", folder=place, what="view")
-    busy: list[float] = []
-
-    def work() -> None:
+    seconds = []
+    # The first run is not counted: what is compiled once. Processors' time does not know what else
+    # a machine does; of several threads it is more than the clock's.
+    for _ in range(4):
         start = time.process_time()
-        stereo_points(prepare_pictures(rig, pictures.grey))
-        busy.append(time.process_time() - start)
-
-    seconds = shortest(work, repeats=5)
-    count = len(stereo_points(prepare_pictures(rig, pictures.grey)).point)
+        found = stereo_points(prepare_pictures(rig, pictures.grey))
+        seconds.append(time.process_time() - start)
     size = " x ".join(str(side) for side in rig.cameras[0].size or ())
     return Figure(
-        DOOR, f"one dense view of the {shape}, {size} x 3", seconds, "s", must=3.0, reach=1.0,
-        note=f"{count} points; shortest of 5, {min(busy):.1f} s of processors",
+        DOOR, f"one dense view of the {shape}, {size} x 3, seconds of processors", min(seconds[1:]),
+        "s", must=3.0, reach=1.0,
+        note=f"{len(found.point)} points; least of 3, threads: {numba.get_num_threads()}",
     )  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def test_a_blurred_picture_is_named_and_left_out(tmp_path: Path) -> None:
     found = find_boards(find_pictures(tmp_path), [board])
     assert found.views == ("00", "01", "02", "04", "05")
     assert len(found.notes) == 1
-    assert "03.png: blurred, its edges are" in found.notes[0]
+    assert "03.png: no board found, or blurred: its edges are" in found.notes[0]
 
 
 def test_swapped_pictures_of_one_view_are_named() -> None:

@@ -129,7 +129,7 @@ def find_boards(
             results.append(result)
             progress(f"{jobs[done - 1][2].name}", done / len(jobs))
     sizes = _sizes(jobs, [size for size, _, _ in results])
-    blurred = _blurred(jobs, [width for _, _, width in results])
+    blurred = _blurred(jobs, [seen for _, seen, _ in results], [width for _, _, width in results])
     sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]
     found = _gathered(list(pictures), sizes, sharp, targets)
     return replace(found, notes=(*blurred.values(), *found.notes))
@@ -161,18 +161,25 @@ def _edge_width(grey: UInt8[np.ndarray, "rows columns"], seen: Sequence[Sighting
     return float(bright - dark) / max(steepest, 1e-6)
 
 
-def _blurred(jobs: Sequence[_Job], widths: Sequence[float]) -> dict[int, str]:
+def _blurred(
+    jobs: Sequence[_Job], seen: Sequence[Sequence[Sighting]], widths: Sequence[float]
+) -> dict[int, str]:
     """Pictures whose edges are far wider than their camera's usually are, each with a sentence."""
     of_camera: dict[str, list[float]] = {}
     for (camera, _, _), width in zip(jobs, widths, strict=True):
         of_camera.setdefault(camera, []).append(width)
     usual = {camera: float(np.median(each)) for camera, each in of_camera.items()}
-    return {
-        k: f"{jobs[k][2]}: blurred, its edges are {width:.1f} px wide and those of '{jobs[k][0]}'"
-        f" usually {usual[jobs[k][0]]:.1f}; left out: did the board move?"
-        for k, width in enumerate(widths)
-        if width > _BLURRED * usual[jobs[k][0]]
-    }
+    found = {}
+    for k, ((camera, _, path), boards, width) in enumerate(zip(jobs, seen, widths, strict=True)):
+        if width <= _BLURRED * usual[camera]:
+            continue
+        # Where no board is found there may be none: an empty picture has no sharp edges either.
+        what = "blurred" if any(len(one.mark) for one in boards) else "no board found, or blurred"
+        found[k] = (
+            f"{path}: {what}: its edges are {width:.1f} px wide and those of '{camera}' usually"
+            f" {usual[camera]:.1f}; left out: did the board move?"
+        )
+    return found
 
 
 def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "rows columns"]:
