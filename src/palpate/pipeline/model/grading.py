@@ -160,8 +160,12 @@ def _placed_on(mesh: TriangleMesh, session: Session) -> Callable[[SurfacePoints]
         every, numbers = distinct_points([one.surface for one in fields])
         near = closest_points(mesh, every.position)
         for one, number in zip(fields, numbers, strict=True):
-            own = (part[number] for part in (near.triangle, near.barycentric, near.position))
-            found[id(one.surface)] = SurfacePoints(*own, one.surface.distance)
+            found[id(one.surface)] = SurfacePoints(
+                near.triangle[number],
+                near.barycentric[number],
+                near.position[number],
+                one.surface.distance,
+            )
     return lambda points: found[id(points)]
 
 
