@@ -189,19 +189,8 @@ def _series(folder: Path, way: str, key: str) -> tuple[np.ndarray, np.ndarray]:
 
 def fit(folder: Path, frequency: int) -> None:
     """A fit of three probings whose displacements come from a dense model of 2562 vertices."""
-    coarse, mesh = body(16), body(frequency)
-    silent = _session(coarse, [None] * len(PLACES))
-    model = make_object_model(replace(silent, errors=EXACT))
-    elastic = make_elastic_map(
-        model.system, shear_modulus=SHEAR_MODULUS, poisson_ratio=POISSON_RATIO
-    )
-    loads = [surface_load(patch) for patch in model.patches.values()]
-    states = elastic.respond(loads, np.array([one.force for one in silent.probings]))
-    rng = np.random.default_rng(0)
-    fields = [
-        _observed(coarse, mesh, one.contact.point, state.displacement, rng)
-        for one, state in zip(silent.probings, states, strict=True)
-    ]
+    mesh = body(frequency)
+    fields = _fields_on(mesh)
     clock = _clock()
     found = fit_session(_session(mesh, fields)).estimate
     wall, processors = clock()
@@ -217,6 +206,23 @@ def fit(folder: Path, frequency: int) -> None:
     lines.append(f"  seconds {found.seconds}")
     print("\n".join(lines))
     (folder / f"fit-{len(mesh.vertices)}.txt").write_text("\n".join(lines) + "\n")
+
+
+def _fields_on(mesh: TriangleMesh) -> list[DisplacementField]:
+    """What is seen of the dense model; it is gone, with its memory, before the fit begins."""
+    coarse = body(16)
+    silent = _session(coarse, [None] * len(PLACES))
+    model = make_object_model(replace(silent, errors=EXACT))
+    elastic = make_elastic_map(
+        model.system, shear_modulus=SHEAR_MODULUS, poisson_ratio=POISSON_RATIO
+    )
+    loads = [surface_load(patch) for patch in model.patches.values()]
+    states = elastic.respond(loads, np.array([one.force for one in silent.probings]))
+    rng = np.random.default_rng(0)
+    return [
+        _observed(coarse, mesh, one.contact.point, state.displacement, rng)
+        for one, state in zip(silent.probings, states, strict=True)
+    ]
 
 
 def _session(mesh: TriangleMesh, fields: Sequence[DisplacementField | None]) -> Session:

@@ -70,7 +70,7 @@ def make_receivers(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FarField:
-    """Products of the far part with vectors, in single precision.
+    """Products of the far part with vectors.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class FarField:
         (r, 3, c) float
         """
         if not self.moments:
-            return np.zeros((len(self.offset), 3, moved.shape[2]), dtype=np.float32)
+            return np.zeros((len(self.offset), 3, moved.shape[2]))
         charges = self._gathered(mix, moved, pressed)
         values = [np.zeros((0, 4, 0))] * len(self.far)
         in_threads(self._receive, len(self.far), charges, values)
@@ -120,7 +120,7 @@ class FarField:
         """Charges of all clusters of triangles, from the leaves up."""
         tree, sphere = self.sources, self.sphere
         shape = len(tree.start), len(sphere.charge), 4, moved.shape[2]
-        charges = np.zeros(shape, dtype=np.float32)
+        charges = np.zeros(shape)
         leaves = np.array(sorted(self.moments))
 
         def start(begin: int, end: int) -> None:
@@ -156,14 +156,12 @@ class FarField:
         for one in range(begin, end):
             seen, points = self.far[one], own.telling[one]
             columns = charges.shape[3]
-            values[one] = np.zeros((len(points), 4, columns), dtype=np.float32)
+            values[one] = np.zeros((len(points), 4, columns))
             if not seen.size:
                 continue
             # From the centre: single precision would lose places that are far from the origin.
-            shift = (own.tree.centre[one] - tree.centre[seen]).astype(np.float32)
-            place = tree.radius[seen, None, None] * sphere.charge - (
-                own.tree.centre[one] - tree.centre[seen, None]
-            )
+            shift = own.tree.centre[one] - tree.centre[seen]
+            place = tree.radius[seen, None, None] * sphere.charge - shift[:, None]
             place = np.ascontiguousarray(place.reshape(-1, 3).T, dtype=np.float32)
             points = (points - own.tree.centre[one]).astype(np.float32)
             # A copy already: changed in place.
@@ -179,15 +177,14 @@ class FarField:
     ) -> Float[np.ndarray, "r 3 c"]:
         """Values at all points, from the largest clusters down."""
         tree, spread = self.receivers.tree, self.receivers.spread
-        out = np.empty((len(self.offset), 3, columns), dtype=np.float32)
+        out = np.empty((len(self.offset), 3, columns))
         for one, children in enumerate(tree.children):
             weights = spread[one]
             told = (weights @ values[one].reshape(weights.shape[1], -1)).reshape(-1, 4, columns)
             values[one] = np.zeros((0, 4, 0))
             if children[0] < 0:
                 points = tree.members(one)
-                offset = self.offset[points].astype(np.float32)
-                out[points] = told[:, :3] + offset[:, :, None] * told[:, 3:]
+                out[points] = told[:, :3] + self.offset[points][:, :, None] * told[:, 3:]
                 continue
             first = 0
             for child in children:
@@ -209,7 +206,7 @@ def recentred(
     shift : (..., 3) float [m]        from the old centre to the new one
     """
     out = functions.copy()
-    out[..., :3, :] += shift.astype(out.dtype)[..., :, None] * functions[..., 3:, :]
+    out[..., :3, :] += shift[..., :, None] * functions[..., 3:, :]
     return out
 
 

@@ -70,7 +70,7 @@ class LeafMoments:
         """
         u = moved[self.nodes]
         count, columns = self.traction.shape[1], u.shape[2]
-        out = np.zeros((count, 4, columns), dtype=np.float32)
+        out = np.zeros((count, 4, columns))
         self._add_traction(mix, u, out)
         if self.sides.size:
             self._add_displacement(mix, pressed[self.sides], out)
@@ -79,16 +79,16 @@ class LeafMoments:
     def _add_traction(
         self, mix: Mix, u: Float[np.ndarray, "n 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        matrix = np.empty((len(out), 4, 3, len(u)), dtype=np.float32)
-        _fill_traction(np.float32(mix.skew), np.float32(mix.rest), self.traction, matrix)
+        matrix = np.empty((len(out), 4, 3, len(u)))
+        _fill_traction(mix.skew, mix.rest, self.traction, matrix)
         out += _product(matrix, u)
 
     def _add_displacement(
         self, mix: Mix, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        matrix = np.empty((len(out), 4, 3, len(q)), dtype=np.float32)
+        matrix = np.empty((len(out), 4, 3, len(q)))
         trace = 1.5 * mix.constant - 2.0 * mix.slope
-        _fill_displacement(np.float32(trace), np.float32(mix.constant), self.displacement, matrix)
+        _fill_displacement(trace, mix.constant, self.displacement, matrix)
         out += _product(matrix, q)
 
 

@@ -47,22 +47,22 @@ class NearBlock:
     def traction_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 3 n"]:
         """Equations against the three components of displacements."""
         count, nodes = self.traction.shape[1:]
-        out = np.empty((count, 3, 3, nodes), dtype=np.float32)
-        _fill_traction(np.float32(mix.skew), np.float32(mix.rest), self.traction, out)
+        out = np.empty((count, 3, 3, nodes))
+        _fill_traction(mix.skew, mix.rest, self.traction, out)
         return out
 
     def displacement_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 3 s"]:
         """Equations against the three components of tractions."""
         count, sides = self.displacement.shape[1:]
-        out = np.empty((count, 3, 3, sides), dtype=np.float32)
+        out = np.empty((count, 3, 3, sides))
         trace, rest = 1.5 * mix.constant - 2.0 * mix.slope, 0.5 * mix.constant
-        _fill_displacement(np.float32(trace), np.float32(rest), self.displacement, out)
+        _fill_displacement(trace, rest, self.displacement, out)
         return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearField:
-    """Products of the near part with vectors, in single precision.
+    """Products of the near part with vectors.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class NearField:
         self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
     ) -> Float[np.ndarray, "r 3 c"]:
         """The near part of the equations (as `FarField.apply`)."""
-        out = np.empty((self.n_points, 3, moved.shape[2]), dtype=np.float32)
+        out = np.empty((self.n_points, 3, moved.shape[2]))
         in_threads(self._multiply, len(self.blocks), mix, moved, pressed, out)
         return out
 
@@ -209,11 +209,11 @@ def _fill_traction(skew, rest, fields, out):
     that several are one instruction."""
     for m in range(fields.shape[1]):
         turn, tensor, part = fields[:3, m], fields[3:, m], out[m]
-        third = skew / np.float32(3.0)
+        third = skew / 3.0
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             for n in range(fields.shape[2]):
-                flux = third * (tensor[0, n] + tensor[1, n] + tensor[2, n])
+                flux = third * (np.float64(tensor[0, n]) + tensor[1, n] + tensor[2, n])
                 part[i, i, n] = -flux - rest * tensor[i, n]
             # Of yz, zx, xy the one without i.
             for n in range(fields.shape[2]):
@@ -230,7 +230,7 @@ def _fill_displacement(trace, rest, fields, out):
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             for n in range(fields.shape[2]):
-                along = trace * (tensor[0, n] + tensor[1, n] + tensor[2, n])
+                along = trace * (np.float64(tensor[0, n]) + tensor[1, n] + tensor[2, n])
                 part[i, i, n] = along + rest * tensor[i, n]
             for n in range(fields.shape[2]):
                 part[j, k, n] = rest * tensor[3 + i, n]

@@ -58,7 +58,7 @@ class Compression:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompressedOperator:
-    """Products of the integral equations with displacements and tractions, in single precision.
+    """Products of the integral equations with displacements and tractions.
 
     Attributes
     ----------
@@ -89,26 +89,11 @@ class CompressedOperator:
         -------
         (r, 3, c) float
         """
-        # What moves as a whole does nothing at all, rounding included.
-        moved = moved - moved.mean(axis=0)
-        found = _parts_together(self.near, self.far, mix, moved, pressed)
+        found = self.near.apply(mix, moved, pressed)
+        found += self.far.apply(mix, moved, pressed)
         own = (self.own @ moved.reshape(len(moved), -1)).reshape(found.shape)
         found -= (mix.skew * self.total[0] + mix.rest * self.total[1]) @ own
         return found
-
-
-def _parts_together(
-    near: NearField,
-    far: FarField,
-    mix: Mix,
-    moved: Float[np.ndarray, "v 3 c"],
-    pressed: Float[np.ndarray, "h 3 c"],
-) -> Float[np.ndarray, "r 3 c"]:
-    """Near and far part: single precision inside, double outside."""
-    vectors = moved.astype(np.float32), pressed.astype(np.float32)
-    found = near.apply(mix, *vectors).astype(np.float64)
-    found += far.apply(mix, *vectors)
-    return found
 
 
 def compress(
@@ -228,4 +213,6 @@ def _totals(
     shifts = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
     nothing = np.zeros((held_nodes.n_nodes, 3, 3))
     parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))
-    return np.stack([_parts_together(near, far, mix, shifts, nothing) for mix in parts])
+    return np.stack(
+        [near.apply(mix, shifts, nothing) + far.apply(mix, shifts, nothing) for mix in parts]
+    )

@@ -114,7 +114,7 @@ def solve_compressed(
     right: Float[np.ndarray, "k c"],
     *,
     scale: Float[np.ndarray, " c"] | None = None,
-    tolerance: float = 1e-8,
+    tolerance: float = 1e-9,
 ) -> IterativeSolution:
     """Solve a compressed system for several right-hand sides.
 

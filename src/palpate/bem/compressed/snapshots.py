@@ -92,7 +92,7 @@ def snapshot_model(
     right: Float[np.ndarray, "3 k c"],
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    tolerance: float = 2e-6,
+    tolerance: float = 5e-7,
 ) -> SnapshotModel:
     """Solve at a few Poisson's ratios until these serve the whole range.
 

@@ -238,7 +238,7 @@ def integrate_load(
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
     fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
     fields = fields.reshape(-1, DISPLACEMENT.count)[: blocks.n_rows].copy()
-    _mend_touching_rows(surface, load, points, collocation, order, fields)
+    _mend_touching_rows(surface, load, points, sources, collocation, order, fields)
     return fields
 
 
@@ -254,6 +254,7 @@ def _mend_touching_rows(
     surface: BoundarySurface,
     load: SurfaceLoad,
     points: LoadPoints,
+    sources: Float[np.ndarray, "q 6"],
     collocation: Collocation,
     order: Int[np.ndarray, " r"],
     fields: Float[np.ndarray, "r 6"],
@@ -271,17 +272,14 @@ def _mend_touching_rows(
     position, area, density = _load_at(surface, load, triangle, barycentric)
     scale = np.abs(np.linalg.det(corners))[:, None] * polar_weight / points.total
     weight = density * area * scale
+    around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
+    nothing = np.zeros(0, dtype=np.int64)
     for row in np.unique(place):
-        mine = place == row
-        away = ~np.isin(points.triangle, triangle[mine])
-        sources = np.concatenate(
-            [
-                _as_sources(position[mine].reshape(-1, 3), weight[mine].ravel()),
-                _as_sources(points.position[away], points.weight[away]),
-            ]
-        )
-        fields[row] = 0.0
-        _add_fields(collocation.point[order[row]], sources, fields[row : row + 1])
+        point, out, mine = collocation.point[order[row]], fields[row : row + 1], place == row
+        out[:] = 0.0
+        own = around[mine].reshape(-1, 6)
+        _add_fields(point, own, np.zeros(len(own), dtype=np.int64), nothing, out)
+        _add_fields(point, sources, points.triangle, triangle[mine], out)
 
 
 def _touching_parts(
@@ -333,7 +331,13 @@ def _sum_points(begin, end, lanes, sources, out):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def _add_fields(point, sources, out):
-    """Add the displacement fields of one load point from all sources; out is (1, 6)."""
+def _add_fields(point, sources, triangle, left_out, out):
+    """Add the displacement fields of one load point from all sources but those on some triangles;
+    out is (1, 6)."""
+    factor = np.ones(1)
     for q in range(sources.shape[0]):
-        add_point_fields(_N_FIELDS, point, sources[q], 1.0, np.ones(1), out)
+        counts = True
+        for k in range(left_out.size):
+            counts = counts and triangle[q] != left_out[k]
+        if counts:
+            add_point_fields(_N_FIELDS, point, sources[q], 1.0, factor, out)

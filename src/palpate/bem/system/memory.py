@@ -27,7 +27,7 @@ _COLUMNS_A_PROBING = 6
 LARGEST_DENSE = 5000
 # What the operator and its approximate inverses take for each vertex [bytes], and vectors that are
 # kept for each column by the iteration and by the solutions at a few Poisson's ratios.
-_BYTES_A_VERTEX = 150e3
+_BYTES_A_VERTEX = 170e3
 _VECTORS_BESIDE = 110
 _USABLE_SHARE = 0.9
 # Where Linux says how much a container may have.
