@@ -112,6 +112,9 @@ def _have_told(happens: Callable[..., object], folder: Path) -> None:
     def seen(event: str, given: tuple) -> None:
         if event not in _EVENTS or (event == "open" and not given[2] & _WRITING):
             return
+        # A number is a handle, of a file that was opened before.
+        if isinstance(given[0], int):
+            return
         if os.path.abspath(str(given[0])).startswith(str(folder)):
             happens(event, os.path.abspath(str(given[0])))
 

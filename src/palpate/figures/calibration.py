@@ -28,6 +28,8 @@ from palpate.shapes import Vector3
 from palpate.vision import project
 
 _INCH = 0.0254
+# Of a printed page that is kept as PNG.
+_DOTS_PER_INCH = 600.0
 _WIDTH = 3.2  # of one camera's panel [inches]
 # Picture around an object, of its size.
 _AROUND = 0.3
@@ -275,7 +277,7 @@ def board_figure(board: Charuco) -> Figure:
 
 
 @styled
-def save_page(figure: Figure, path: Path, *, kind: str, dots_per_inch: float = 600.0) -> None:
+def save_page(figure: Figure, path: Path, *, kind: str) -> None:
     """Write a figure in its true size.
 
     Parameters
@@ -283,10 +285,9 @@ def save_page(figure: Figure, path: Path, *, kind: str, dots_per_inch: float = 6
     figure : Figure
     path : Path
     kind : str                      "pdf" or "png"
-    dots_per_inch : float           of a PNG
 
     Raises
     ------
     OSError                         the file cannot be written
     """
-    figure.savefig(path, dpi=dots_per_inch, format=kind)
+    figure.savefig(path, dpi=_DOTS_PER_INCH, format=kind)

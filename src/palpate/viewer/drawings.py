@@ -111,7 +111,6 @@ def camera_picture(
     pattern: str,
     *,
     flow: FittedProbing | None = None,
-    share: float = 1.0,
     stretch: float = 1.0,
 ) -> RGB | None:
     """A camera's picture, small enough for a page, with arrows of the measured displacement.
@@ -123,7 +122,6 @@ def camera_picture(
     camera : int                    its number in the rig
     pattern : str                   of the file
     flow : FittedProbing or None    whose displacement is drawn; None: no arrows
-    share : float                   of the displacement that had happened by then
     stretch : float                 how many times longer than they are arrows are drawn
 
     Returns
@@ -139,7 +137,7 @@ def camera_picture(
     size = (round(grey.shape[1] * shrink), round(grey.shape[0] * shrink))
     picture = Image.fromarray(grey).resize(size).convert("RGB")
     if flow is not None:
-        _draw_flow(picture, rig.cameras[camera], flow, session, shrink, share, stretch)
+        _draw_flow(picture, rig.cameras[camera], flow, session, shrink, stretch)
     return np.asarray(picture)
 
 
@@ -149,14 +147,13 @@ def _draw_flow(
     flow: FittedProbing,
     session: Session,
     shrink: float,
-    share: float,
     stretch: float,
 ) -> None:
     """Arrows from where points were at rest along the way that they went."""
     known = np.isfinite(flow.displacement).all(axis=1) & _facing(camera, flow, session)
     points, moved = flow.points[known], flow.displacement[known]
     start = project(camera, points) * shrink
-    way = (project(camera, points + moved) * shrink - start) * share * stretch
+    way = (project(camera, points + moved) * shrink - start) * stretch
     draw = ImageDraw.Draw(picture)
     for row in _spread(start, max(picture.size) / _ARROWS):
         _arrow(draw, start[row], way[row])

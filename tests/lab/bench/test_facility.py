@@ -18,17 +18,33 @@ from palpate.vision import project, read_pictures
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Folder by name of the configuration."""
-    folders = {}
+def together(tmp_path_factory):
+    """Folders of sessions that were made in one go, by name, and how many bodies that took."""
+    folders, configs, bodies = {}, {}, []
     for name, text in (("ball", HALF_BALL), ("toy", STAGE)):
-        folder = tmp_path_factory.mktemp(name)
-        (folder / "config.toml").write_text(text)
-        out = folder / "out"
-        out.mkdir()
-        make_session(read_lab_config(folder / "config.toml"), out, variant=choose_variant())
-        folders[name] = out
-    return folders
+        file = tmp_path_factory.mktemp(name) / "config.toml"
+        file.write_text(text)
+        configs[name], folders[name] = read_lab_config(file), file.parent / "out"
+    configs["other"] = replace(configs["ball"], seed=4)
+    folders["other"] = folders["ball"].parent / "other"
+    for folder in folders.values():
+        folder.mkdir()
+
+    def counted(*arguments, **options):
+        bodies.append(make_body(*arguments, **options))
+        return bodies[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(facility, "make_body", counted)
+        wanted = [(config, folders[name]) for name, config in configs.items()]
+        make_sessions(wanted, variant=choose_variant())
+    return folders, len(bodies)
+
+
+@pytest.fixture(scope="module")
+def made(together):
+    """Folder by name of the configuration."""
+    return together[0]
 
 
 class _Killed(BaseException):
@@ -190,32 +206,20 @@ def test_a_stage_moves_the_toy_rigidly(made):
     np.testing.assert_allclose(last["encoder"], last["t"], atol=1e-15)
 
 
-def test_sessions_made_together_have_the_bytes_of_those_made_alone(made, tmp_path, monkeypatch):
-    config = read_lab_config(made["ball"].parent / "config.toml")
-    stage = read_lab_config(made["toy"].parent / "config.toml")
-    other = replace(config, seed=4)
-    wanted = [(config, tmp_path / "a"), (stage, tmp_path / "b"), (other, tmp_path / "c")]
-    for _, folder in wanted:
-        folder.mkdir()
-    bodies = []
-
-    def counted(*arguments, **options):
-        bodies.append(make_body(*arguments, **options))
-        return bodies[-1]
-
-    monkeypatch.setattr(facility, "make_body", counted)
-    make_sessions(wanted, variant=choose_variant())
+def test_sessions_made_together_have_the_bytes_of_those_made_alone(together, tmp_path):
+    made, bodies = together
     # One body for both balls, and the one with the same configuration comes out the same.
-    assert len(bodies) == 1
-    for alone, folder in (("ball", "a"), ("toy", "b")):
-        names = sorted(file.relative_to(made[alone]) for file in made[alone].rglob("*.*"))
-        assert len(names) > 10
-        for name in names:
-            assert (tmp_path / folder / name).read_bytes() == (made[alone] / name).read_bytes()
+    assert bodies == 1
+    config = read_lab_config(made["ball"].parent / "config.toml")
+    make_session(config, tmp_path, variant=choose_variant())
+    names = sorted(file.relative_to(tmp_path) for file in tmp_path.rglob("*.*"))
+    assert len(names) > 10
+    for name in names:
+        assert (made["ball"] / name).read_bytes() == (tmp_path / name).read_bytes()
     # Another seed: other noise, another texture, another misalignment.
     for name in ("images/rest_c0.png", "images/n01_c2.png"):
-        assert (tmp_path / "a" / name).read_bytes() != (tmp_path / "c" / name).read_bytes()
-    (here,), (there,) = _truth(tmp_path / "a")["probe"], _truth(tmp_path / "c")["probe"]
+        assert (made["ball"] / name).read_bytes() != (made["other"] / name).read_bytes()
+    (here,), (there,) = _truth(made["ball"])["probe"], _truth(made["other"])["probe"]
     assert here["direction"] != there["direction"]
 
 

@@ -17,6 +17,7 @@ Saad, Iterative Methods for Sparse Linear Systems (2003), algorithm 6.2 with reo
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,7 +26,6 @@ from palpate.bem import (
     BoundarySystem,
     CompressedSystem,
     RightHand,
-    SnapshotModel,
     SpringFactors,
     SpringSlope,
     SpringSystem,
@@ -42,9 +42,27 @@ MOST_DIRECTIONS = 80
 _TINY = np.finfo(float).tiny
 
 
+@runtime_checkable
+class SolutionModel(Protocol):
+    """Directions in which the solutions for all Poisson's ratios lie, for each of c right-hand
+    sides its own: `ReducedModel` from one factorisation, `SnapshotModel` from a few solutions."""
+
+    @property
+    def directions(self) -> Float[np.ndarray, "j k c"]:
+        """(j, k, c): j directions of k unknowns."""
+        ...
+
+    def coefficients(
+        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
+    ) -> tuple[Float[np.ndarray, "j c"], float]:
+        """Weights of the directions at one Poisson's ratio, for all or some right-hand sides, and
+        the largest relative residual that they leave."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedModel:
-    """Directions in which the solutions for all Poisson's ratios lie.
+    """A `SolutionModel` from one factorisation.
 
     Attributes
     ----------
@@ -98,7 +116,7 @@ def make_reduced_model(
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = 1e-8,
-) -> ReducedModel | SnapshotModel:
+) -> SolutionModel:
     """Factorise once and gather directions until they serve the whole range.
 
     A compressed system is not factorised: it is solved at a few Poisson's ratios.
@@ -113,7 +131,7 @@ def make_reduced_model(
 
     Returns
     -------
-    ReducedModel                      SnapshotModel for a compressed system
+    SolutionModel                     a `SnapshotModel` for a compressed system
 
     Raises
     ------

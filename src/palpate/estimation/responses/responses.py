@@ -18,13 +18,12 @@ from palpate.bem import (
     BoundarySystem,
     CompressedSystem,
     RightHand,
-    SnapshotModel,
     dilation_factor,
     factorise,
     solve,
 )
 from palpate.errors import InputError
-from palpate.estimation.responses.reduced_model import ReducedModel
+from palpate.estimation.responses.reduced_model import ReducedModel, SolutionModel
 
 _SLOPE_STEP = 1e-4
 _TINY = float(np.finfo(float).tiny)
@@ -348,12 +347,12 @@ def full_spring_responses(
     return [SpringResponse(probe, seen_by(probe)) for probe in rows]
 
 
-def reduced_response(model: ReducedModel | SnapshotModel, rows: ProbeRows) -> ProbeResponse:
+def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
     """Response of one probing, its rows projected on the directions of the reduced model.
 
     Parameters
     ----------
-    model : ReducedModel or SnapshotModel
+    model : SolutionModel
     rows : ProbeRows
 
     Returns

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.errors import InputError
-from palpate.estimation import FitSettings, Information, fisher_information
+from palpate.estimation import Information, fisher_information
 from palpate.geometry import (
     TriangleMesh,
     closest_points,
@@ -67,7 +67,6 @@ def plan_next(
     session: Session,
     *,
     count: int = 3,
-    settings: FitSettings = FitSettings(),
     progress: Progress = silent,
 ) -> NextProbings:
     """Find the places whose probings tell most, one after the other (D-optimal, greedily).
@@ -79,7 +78,6 @@ def plan_next(
     ----------
     session : Session               measured probings, one at least, under a round patch
     count : int                     how many to choose, at least 1
-    settings : FitSettings          of the fit that finds the constants
     progress : callable
 
     Returns
@@ -105,7 +103,7 @@ def plan_next(
             " are planned like the first one; put one first that has both"
         )
     progress("the constants", 0.0)
-    fitted = fit_session(session, settings=settings, progress=part_of(progress, 0.0, 0.4))
+    fitted = fit_session(session, progress=part_of(progress, 0.0, 0.4))
     estimate = fitted.estimate
     given = [
         _with_std(one, seen.rms_residual)
@@ -121,7 +119,7 @@ def plan_next(
     ]
     whole = resolved_session(replace(session, probings=(*given, *further)))
     progress("what every place tells", 0.4)
-    observed = session_observations(whole, make_object_model(whole), settings=settings)
+    observed = session_observations(whole, make_object_model(whole))
     information = fisher_information(
         observed,
         poisson_ratio=estimate.poisson_ratio.value,

@@ -63,13 +63,12 @@ def nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
     return gap, np.array(place).reshape(-1, 3)
 
 
-def deviation(true: TriangleMesh, other: TriangleMesh, *, samples: int = _SAMPLES) -> Deviation:
+def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
     """How far a closed surface is from another one, both ways.
 
     Parameters
     ----------
     true, other : TriangleMesh      closed, outward
-    samples : int                   points on each
 
     Returns
     -------
@@ -77,9 +76,9 @@ def deviation(true: TriangleMesh, other: TriangleMesh, *, samples: int = _SAMPLE
     """
     gap = np.concatenate(
         [
-            distances(spread(other, samples), true),
+            distances(spread(other, _SAMPLES), true),
             distances(other.vertices, true),
-            distances(spread(true, samples), other),
+            distances(spread(true, _SAMPLES), other),
         ]
     )
     return Deviation(

@@ -55,7 +55,7 @@ def united(parts: list[TriangleMesh]) -> tuple[TriangleMesh, list[Action]]:
     return _mesh(separate[0]), [Action("overlapping part", len(parts) - 1, place, "united")]
 
 
-def wrapped(mesh: TriangleMesh, *, nodes: float = _NODES) -> TriangleMesh:
+def wrapped(mesh: TriangleMesh) -> TriangleMesh:
     """The skin of what a surface winds around, found anew on a grid.
 
     Overlaps, folds, walls and gaps below a cell vanish; sharp edges are blunt by a part of a cell.
@@ -63,7 +63,6 @@ def wrapped(mesh: TriangleMesh, *, nodes: float = _NODES) -> TriangleMesh:
     Parameters
     ----------
     mesh : TriangleMesh             consistently oriented, outward as far as it can be said
-    nodes : float                   about so many nodes of the grid
 
     Returns
     -------
@@ -81,7 +80,7 @@ def wrapped(mesh: TriangleMesh, *, nodes: float = _NODES) -> TriangleMesh:
     """
     igl = late_import("igl", extra="surface", purpose="finding a surface anew")
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    cell = float((np.prod(high - low) / nodes) ** (1.0 / 3.0))
+    cell = float((np.prod(high - low) / _NODES) ** (1.0 / 3.0))
     sides = [np.arange(-_MARGIN, int(span / cell) + _MARGIN + 2) for span in high - low]
     # Off the faces of boxes, which would lie on the nodes.
     origin = low - 0.317 * cell
