@@ -144,7 +144,7 @@ def test_febio_has_every_nodal_force_once(exported):
 
 
 def test_openusd_names_the_constants_for_newton_and_for_physx(source, exported):
-    """As `newton.usd.get_tetmesh` of Newton 1.8 reads them, with a material of its proposal only."""
+    """As `get_tetmesh` of Newton 1.8 reads them from a material of the proposal, without others."""
     text = (exported["openusd"] / "model.usda").read_text()
     assert '"PhysicsVolumeDeformableMaterialAPI"' in text
     young = source.estimate.young_modulus.value
