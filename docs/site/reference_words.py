@@ -43,7 +43,9 @@ WORDS = {
     "point_std": "how well the point is known, along each tangent, 1 sigma; by default `contact_point` of"
     " `[errors]`",
     "tool": "what presses; the touched patch follows from force and constants",
-    "tool_radius": "of the sphere, or of the flat face",
+    "tool_radius": "of the sphere, of the flat face of a punch (`flat`) or of a `cylinder`, or of the"
+    " base of the cone",
+    "tool_angle": "of a cone, and only there: between its axis and its side",
     ("contact of a probe: a grip", "support"): "number of the support that is pulled, from 1",
     "contact": "where it presses: a table, below",
     "force": "on the object [N]",

@@ -8,7 +8,8 @@ from surfaces import box, sphere
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.probe import inward_push, surface_curvature, touch
-from palpate.records import FLAT, SPHERE, STICKS, Tool
+from palpate.records import CONE, CYLINDER, FLAT, SLIDES, SPHERE, STICKS, Tool
+from palpate.records.contact import cone_pressure
 
 SHEAR, NU = 2e4, 0.3
 REDUCED = 2.0 * SHEAR / (1.0 - NU)
@@ -60,6 +61,38 @@ def test_a_flat_face_touches_all_of_itself_or_less() -> None:
     assert found.radius == pytest.approx((0.75 * 1e-3 / (REDUCED * 50.0)) ** (1 / 3))
 
 
+@pytest.mark.parametrize("degrees", [45.0, 70.0, 85.0])
+def test_a_cone_is_sneddon_s(degrees: float) -> None:
+    """F = 2 E* tan(angle) d^2 / pi at the depth d, of a circle of 2 d tan(angle) / pi."""
+    angle, depth = np.radians(degrees), 1e-4
+    push = 2.0 / np.pi * REDUCED * np.tan(angle) * depth**2
+    found = touch(Tool(CONE, 0.05, SLIDES, angle), 0.0, push, shear_modulus=SHEAR, poisson_ratio=NU)
+    assert found.profile == "cone"
+    # The search ends at 1e-9 of the base.
+    assert found.radius == pytest.approx(2.0 / np.pi * depth * np.tan(angle), rel=1e-6)
+
+
+def test_its_pressure_gives_the_depth() -> None:
+    """Boussinesq: the middle of a level surface goes down by the integral of p / r over pi E*."""
+    s = np.array([0.01, 0.3, 0.9, 1.0, 1.5])
+    np.testing.assert_allclose(cone_pressure(s), np.arccosh(1.0 / np.minimum(s, 1.0)))
+    angle, radius = np.radians(70.0), 2e-3
+    total = quad(lambda s: 2.0 * np.pi * s * np.arccosh(1.0 / s), 0.0, 1.0)[0]
+    push = 0.5 * np.pi * REDUCED * radius**2 / np.tan(angle)
+    middle = quad(lambda s: 2.0 * np.arccosh(1.0 / s), 0.0, 1.0)[0]
+    depth = push / total / radius * middle / REDUCED
+    assert depth == pytest.approx(0.5 * np.pi * radius / np.tan(angle), rel=1e-6)
+
+
+def test_the_faces_of_a_punch_and_of_a_cylinder_are_one() -> None:
+    found = [
+        touch(Tool(shape, 4e-3), 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
+        for shape in (FLAT, CYLINDER)
+    ]
+    assert found[0] == found[1]
+    assert Tool(CYLINDER, 4e-3).contact(np.zeros(3)).profile == "flat"
+
+
 def test_curvature_is_that_of_the_surface() -> None:
     ball = TriangleMesh(0.03 * sphere(3).vertices, sphere(3).triangles)
     top = np.array([0.0, 0.0, 0.03])
@@ -88,7 +121,14 @@ def test_what_cannot_be() -> None:
 
 @pytest.mark.parametrize(
     ("change", "text"),
-    [({"shape": "wedge"}, "wedge"), ({"radius": 0.0}, "positive"), ({"friction": "glue"}, "glue")],
+    [
+        ({"shape": "wedge"}, "wedge"),
+        ({"radius": 0.0}, "positive"),
+        ({"friction": "glue"}, "glue"),
+        ({"shape": CONE}, "no tool_angle"),
+        ({"angle": 1.0}, "a tool_angle"),
+        ({"shape": CONE, "angle": 0.2}, "11.5 degrees"),
+    ],
 )
 def test_tools_that_there_are_not(change: dict[str, object], text: str) -> None:
     given = {"shape": SPHERE, "radius": 3e-3, "friction": STICKS} | change

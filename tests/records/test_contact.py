@@ -38,17 +38,17 @@ def test_a_contact_needs_a_radius_unless_it_is_a_vertex():
 
 
 def test_an_unknown_profile_is_refused():
-    text = "'conical'; must be one of smooth, uniform, hertz, flat, vertex"
+    text = "'conical'; must be one of smooth, uniform, hertz, flat, cone, vertex"
     with pytest.raises(InputError, match=text):
         Contact(np.zeros(3), 0.1, "conical")
 
 
 def test_a_new_tool_shape_is_one_line(edited, monkeypatch):
-    """A cone is registered: sessions may name it from then on."""
-    monkeypatch.setitem(PRESSURES, "cone", lambda s: np.clip(1.0 - s, 0.0, None))
-    assert contact_profiles() == ("smooth", "uniform", "hertz", "flat", "cone", "vertex")
-    session = read_session(edited('"smooth"', '"cone"'))
-    assert session.probings[0].contact.profile == "cone"
+    """A tent is registered: sessions may name it from then on."""
+    monkeypatch.setitem(PRESSURES, "tent", lambda s: np.clip(1.0 - s, 0.0, None))
+    assert contact_profiles() == ("smooth", "uniform", "hertz", "flat", "cone", "tent", "vertex")
+    session = read_session(edited('"smooth"', '"tent"'))
+    assert session.probings[0].contact.profile == "tent"
 
 
 def test_a_tool_is_named_instead_of_a_radius(edited):
@@ -60,9 +60,21 @@ def test_a_tool_is_named_instead_of_a_radius(edited):
     assert contact.radius == pytest.approx(0.05 * 0.04 * np.sqrt(3.0))
 
 
+def test_a_cone_has_an_angle(edited):
+    contact = 'radius = 0.006, profile = "smooth"'
+    cone = 'tool = "cone", tool_radius = "8 mm", tool_angle = "60 deg"'
+    contact = read_session(edited(contact, cone)).probings[0].contact
+    assert contact.tool is not None
+    assert contact.tool.angle == pytest.approx(np.pi / 3)
+    assert contact.profile == "cone"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ('tool = "cone", tool_radius = 3', "no tool_angle; a cone needs one"),
+        ('tool = "cone", tool_radius = 3, tool_angle = "5 deg"', "5 degrees; must be from 29"),
+        ('tool = "flat", tool_radius = 3, tool_angle = "60 deg"', "no other tool has one"),
         ('tool = "wedge", tool_radius = 3', "allowed: sphere, flat"),
         ('tool = "sphere"', "tool_radius"),
         ('tool = "sphere", tool_radius = -3', "tool_radius is -3"),

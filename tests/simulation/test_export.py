@@ -143,6 +143,19 @@ def test_febio_has_every_nodal_force_once(exported):
     np.testing.assert_allclose(np.sum(rows, axis=0), [0.0, 0.0, -1.2], atol=1e-8)
 
 
+def test_openusd_names_the_constants_for_newton_and_for_physx(source, exported):
+    """As `get_tetmesh` of Newton 1.8 reads them from a material of the proposal, without others."""
+    text = (exported["openusd"] / "model.usda").read_text()
+    assert '"PhysicsVolumeDeformableMaterialAPI"' in text
+    young = source.estimate.young_modulus.value
+    for space in ("physics", "omniphysics"):
+        found = float(text.split(f"float {space}:youngsModulus = ")[1].split()[0])
+        # Nine digits, of a modulus that is made of G and nu again.
+        assert found == pytest.approx(young, rel=1e-8)
+        assert f"float {space}:poissonsRatio = 0.3\n" in text
+        assert f"float {space}:density = " in text
+
+
 def test_surfaces_and_programs_are_written(source, exported):
     for name in ("obj", "genesis", "isaaclab"):
         mesh = read_mesh(exported[name] / "surface.obj")

@@ -25,14 +25,18 @@ from palpate.lab.bench import (
 )
 from palpate.lab.bodies import (
     SHAPES as SHAPES,
+    FinitePress as FinitePress,
     Punch as Punch,
     Solid as Solid,
+    Sphere as Sphere,
+    Tip as Tip,
     cylinder as cylinder,
     half_ball as half_ball,
     held_nodes as held_nodes,
     make_body as make_body,
     make_solid as make_solid,
     press as press,
+    press_finite as press_finite,
     pressure_load as pressure_load,
     solve_finite as solve_finite,
     solve_load as solve_load,

@@ -12,14 +12,14 @@ from scipy.optimize import brentq
 
 from palpate.errors import InputError
 from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_normals
-from palpate.records import FLAT, STICKS, Tool
+from palpate.records import CONE, STICKS, Tool
 from palpate.shapes import Vector3
 
 # Vertices within so many mean edges, and within so many radii of the tool, tell the curvature.
 _EDGES, _RADII = 2.5, 1.0
 # Coefficients of a quadratic surface, and of the fourth power that a ball has beside it.
 _FEWEST = 7
-# Of a sphere's radius; a circle that is nearly as large is no touch but a plunge.
+# Of a tool's radius; a circle that is nearly as large is no touch but a plunge.
 _LARGEST = 0.98
 
 
@@ -56,13 +56,15 @@ def touch(
 
     Raises
     ------
-    InputError                      the tool pulls; a sphere goes in by most of its radius
+    InputError                      the tool pulls; a sphere goes in by most of its radius, a cone
+                                    up to its base
 
     Source
     ------
     Sneddon, Int. J. Eng. Sci. 3 (1965) 47, for any smooth profile. A surface that sticks is stiffer
     by a factor that is exact for a flat face (Mossakovskii 1954; Spence, Proc. R. Soc. A 305 (1968)
-    55) and within 2 % for a sphere.
+    55) and within 2 % for a sphere; a cone has the pressure of a cone as long as more of the force
+    comes from its slope than from the surface's curvature.
     """
     if not push > 0.0:
         raise InputError(
@@ -72,21 +74,24 @@ def touch(
     reduced = 2.0 * shear_modulus / (1.0 - poisson_ratio)
     if tool.friction == STICKS:
         reduced *= _stiffer_when_stuck(poisson_ratio)
-    if tool.shape == FLAT:
+    if tool.is_flat:
         rounded = (0.75 * push / (reduced * curvature)) ** (1 / 3) if curvature > 0.0 else np.inf
         if rounded < tool.radius:
             return Touch(rounded, "hertz")
         return Touch(tool.radius, "flat")
 
     def excess(share: float) -> float:
-        return reduced * _sphere_push(tool.radius, curvature, share * tool.radius) - push
+        radius = share * tool.radius
+        return reduced * (_own_push(tool, radius) + _curved_push(curvature, radius)) - push
 
     if excess(_LARGEST) < 0.0:
         raise InputError(
-            f"a force of {push:.3g} N would bury a sphere of {1e3 * tool.radius:.3g} mm in a"
+            f"a force of {push:.3g} N would bury a {tool.shape} of {1e3 * tool.radius:.3g} mm in a"
             f" material of G = {shear_modulus:.3g} Pa; check the tool's radius and the force"
         )
-    return Touch(tool.radius * float(brentq(excess, 1e-6, _LARGEST, xtol=1e-9)), "hertz")
+    radius = tool.radius * float(brentq(excess, 1e-6, _LARGEST, xtol=1e-9))
+    pointed = tool.shape == CONE and _own_push(tool, radius) > abs(_curved_push(curvature, radius))
+    return Touch(radius, "cone" if pointed else "hertz")
 
 
 def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> float:
@@ -129,11 +134,18 @@ def inward_push(mesh: TriangleMesh, point: Vector3, force: Float[np.ndarray, "3"
     return -float(unit_normals(mesh)[triangle] @ force)
 
 
-def _sphere_push(sphere: float, curvature: float, radius: float) -> float:
-    """Force over the reduced modulus E / (1 - nu^2) for a touched circle of some radius [m^2]."""
-    log = np.log((sphere + radius) / (sphere - radius))
-    own = 0.5 * (radius**2 + sphere**2) * log - radius * sphere
-    return float(own + 4.0 / 3.0 * curvature * radius**3)
+def _own_push(tool: Tool, radius: float) -> float:
+    """Force over the reduced modulus E / (1 - nu^2) for a touched circle of a level surface [m^2]:
+    of a sphere, or of a cone (Sneddon 1965, equations 6.15 and 6.4)."""
+    if tool.angle is not None:
+        return 0.5 * np.pi * radius**2 / float(np.tan(tool.angle))
+    log = np.log((tool.radius + radius) / (tool.radius - radius))
+    return float(0.5 * (radius**2 + tool.radius**2) * log - radius * tool.radius)
+
+
+def _curved_push(curvature: float, radius: float) -> float:
+    """What the surface's own curvature adds to it [m^2]."""
+    return 4.0 / 3.0 * curvature * radius**3
 
 
 def _stiffer_when_stuck(poisson_ratio: float) -> float:

@@ -8,6 +8,8 @@ Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
 from palpate.records.contact import (
+    CONE as CONE,
+    CYLINDER as CYLINDER,
     FIXED as FIXED,
     FLAT as FLAT,
     FREE as FREE,

@@ -77,6 +77,24 @@ def flat_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.where(s < 1, 1.0 / np.sqrt(np.clip(1 - s**2, 1e-12, None)), 0.0)
 
 
+def cone_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """arcosh(1 / s), under a rigid cone without friction.
+
+    Parameters
+    ----------
+    s : array [-]                   distance from the contact point over the radius, >= 0
+
+    Returns
+    -------
+    array [-]                       without bound at the centre, as a logarithm; 0 from the rim on
+
+    Source
+    ------
+    Johnson, Contact Mechanics (1985), section 5.2; Love, Q. J. Math. 10 (1939) 161
+    """
+    return np.arccosh(1.0 / np.clip(s, 1e-9, 1.0))
+
+
 # To add a tool shape: a file with its pressure, and one line here. Only the shape of the curve
 # counts: it is scaled so that the total is the force.
 PRESSURES: Mapping[str, Pressure] = {
@@ -84,16 +102,19 @@ PRESSURES: Mapping[str, Pressure] = {
     "uniform": uniform_pressure,
     "hertz": hertz_pressure,
     "flat": flat_pressure,
+    "cone": cone_pressure,
 }
 # The hat function of the vertex nearest to the contact point; a patch without a radius.
 VERTEX = "vertex"
 # A load over given triangles: the same traction everywhere, or a grip that keeps them rigid.
 UNIFORM, RIGID = "uniform", "rigid"
 # Tools, and what a surface does under them.
-SPHERE, FLAT = TOOL_SHAPES = ("sphere", "flat")
+SPHERE, FLAT, CONE, CYLINDER = TOOL_SHAPES = ("sphere", "flat", "cone", "cylinder")
 SLIDES, STICKS = FRICTIONS = ("slides", "sticks")
 # Of a tool's radius, and at most of the object's size: where the search for the circle starts.
 _TOUCHED, _TOUCHED_OF_OBJECT = 0.5, 0.05
+# Sharpest cone [rad].
+_SHARPEST = 0.5
 # How a support moves.
 FIXED, GIVEN, FREE = MOTIONS = ("fixed", "given", "free")
 # Of the largest singular value: directions that add less to others are the same again.
@@ -116,18 +137,23 @@ class Tool:
 
     Parameters
     ----------
-    shape : str                     `SPHERE`; or `FLAT`, the round face of a punch
-    radius : float [m]              of the sphere, or of the face, > 0
+    shape : str                     `SPHERE`; `FLAT` or `CYLINDER`, the round face of a punch or of
+                                    a cylinder, which are the same; `CONE`, its tip ahead
+    radius : float [m]              of the sphere, of the face, or of the cone's base, > 0
     friction : str                  the surface `SLIDES` under it freely, or `STICKS` to it
+    angle : float [rad] or None     of a cone, and only there: between its axis and its side, from
+                                    0.5 (29 degrees) to below pi / 2
 
     Raises
     ------
-    InputError                      another shape or friction; a radius that is not positive
+    InputError                      another shape or friction; a radius that is not positive; an
+                                    angle that is missing, out of range, or of no cone
     """
 
     shape: str
     radius: float
     friction: str = SLIDES
+    angle: float | None = None
 
     def __post_init__(self) -> None:
         for name, value, known in (
@@ -138,14 +164,31 @@ class Tool:
                 raise InputError(f"{name} is '{value}'; must be one of {', '.join(known)}")
         if not (np.isfinite(self.radius) and self.radius > 0.0):
             raise InputError(f"tool_radius is {self.radius}; must be a positive length")
+        if (self.angle is None) == (self.shape == CONE):
+            raise InputError(
+                f"tool '{self.shape}' has {'no' if self.angle is None else 'a'} tool_angle; a cone"
+                " needs one, between its axis and its side, and no other tool has one"
+            )
+        if self.angle is not None and not _SHARPEST <= self.angle < 0.5 * np.pi:
+            raise InputError(
+                f"tool_angle is {np.degrees(self.angle):.3g} degrees; must be from"
+                f" {np.degrees(_SHARPEST):.0f} to below 90, between the cone's axis and its side: a"
+                " sharper cone cuts, and does not press"
+            )
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it presses with a round flat face."""
+        return self.shape in (FLAT, CYLINDER)
 
     def contact(self, point: Vector3, size: float = np.inf) -> "Contact":
-        """Where the search for the touched circle starts: half the sphere's radius, little of an
+        """Where the search for the touched circle starts: half the tool's radius, little of an
         object of some size [m]; or all of a flat face."""
-        if self.shape == FLAT:
+        if self.is_flat:
             return Contact(point, self.radius, "flat", tool=self)
         radius = min(_TOUCHED * self.radius, _TOUCHED_OF_OBJECT * size)
-        return Contact(point, radius, "hertz", tool=self)
+        profile = "cone" if self.shape == CONE else "hertz"
+        return Contact(point, radius, profile, tool=self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

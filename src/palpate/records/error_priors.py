@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import InputError
-from palpate.records.quantities import COMPLIANCE_UNITS, LENGTH_UNITS
+from palpate.records.quantities import ANGLE_UNITS, COMPLIANCE_UNITS, LENGTH_UNITS
 from palpate.records.text import TomlTable
 
-_ANGLES = {"deg": float(np.radians(1.0)), "rad": 1.0}
 _SHARES = {"%": 0.01}
 _SHARE_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
 
@@ -122,7 +121,7 @@ def read_error_priors(
     )
     found |= {key: table.quantity(key, _SHARES, 1.0) for key in _SHARE_KEYS if key in table.values}
     if "force_direction" in table.values:
-        found["force_direction"] = table.quantity("force_direction", _ANGLES)
+        found["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
     if "contact_point" in table.values:
         found["contact_point"] = table.quantity("contact_point", LENGTH_UNITS, metres_per_unit)
     if "support_compliance" in table.values:
@@ -153,5 +152,5 @@ def _pose(table: TomlTable, metres_per_unit: float) -> Mapping[str, float]:
     if "translation" in pose.values:
         found["pose_translation"] = pose.quantity("translation", LENGTH_UNITS, metres_per_unit)
     if "rotation" in pose.values:
-        found["pose_rotation"] = pose.quantity("rotation", _ANGLES)
+        found["pose_rotation"] = pose.quantity("rotation", ANGLE_UNITS)
     return found

@@ -8,6 +8,7 @@ from palpate.records.estimate import Constant, ErrorEstimate, Estimate
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 # The units of Palpate's own files, and of calibrations, which are never so small.
 FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
+ANGLE_UNITS = {"deg": math.pi / 180.0, "rad": 1.0}
 # Stiffness of a bed of springs: traction over displacement [N/m^3]; compliance is its inverse.
 STIFFNESS_UNITS = {"N/m^3": 1.0, "Pa/m": 1.0, "N/mm^3": 1e9, "kPa/mm": 1e6, "MPa/mm": 1e9}
 COMPLIANCE_UNITS = {"m/Pa": 1.0, "m^3/N": 1.0, "mm/kPa": 1e-6, "um/kPa": 1e-9, "mm/MPa": 1e-9}

@@ -7,7 +7,7 @@ import pytest
 from surfaces import box
 
 from palpate.errors import InputError
-from palpate.lab.bodies.contact import _facet_samples, press, press_to_force, touch
+from palpate.lab.bodies.contact import facet_samples, press, press_to_force, touch
 from palpate.lab.bodies.finite_elements import (
     hooke_moduli,
     make_body,
@@ -194,7 +194,7 @@ def test_a_sphere_deeper_than_its_radius_is_refused(block):
 
 
 def test_samples_of_a_face_are_of_degree_two():
-    place = _facet_samples()
+    place = facet_samples()
     assert place.shape == (48, 3)
     assert (place > 0.0).all()
     # Means over a triangle: a 1/3, a^2 1/6, a b 1/12; the rule is exact.

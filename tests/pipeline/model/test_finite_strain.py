@@ -52,7 +52,7 @@ def _session(push: float) -> Session:
 
 def _correction(push: float) -> np.ndarray:
     body = make_finite_body(_session(push))
-    (found,) = strain_corrections(body, shear_modulus=SHEAR, poisson_ratio=NU)
+    (found,), _ = strain_corrections(body, shear_modulus=SHEAR, poisson_ratio=NU)
     return found
 
 

@@ -7,9 +7,10 @@ import pytest
 from surfaces import box
 
 from palpate.bem import BoundarySystem, assemble_system, make_surface, traction_column
-from palpate.pipeline.model.outward import leans_outward, outward_columns
+from palpate.lab import make_solid
+from palpate.pipeline.model.outward import leans_outward, outward_columns, outward_load
 from palpate.probe import ContactPatch, find_contact_patch
-from palpate.records import FLAT, SPHERE, STICKS, Contact, Tool
+from palpate.records import CONE, FLAT, SLIDES, SPHERE, STICKS, Contact, Tool
 
 BALL, RADIUS, SIDE = 30e-3, 12e-3, 0.04
 PLACE = np.array([0.02, 0.02, SIDE])
@@ -49,8 +50,28 @@ def test_it_is_the_traction_itself(system: BoundarySystem) -> None:
 
 
 def test_what_has_an_outward_part(system: BoundarySystem) -> None:
-    assert leans_outward(_patch(system, Tool(SPHERE, BALL)))
-    assert not leans_outward(_patch(system, Tool(SPHERE, BALL, STICKS)))
-    assert not leans_outward(_patch(system, Tool(FLAT, RADIUS)))
+    assert leans_outward(_patch(system, Tool(SPHERE, BALL)).contact)
+    assert not leans_outward(_patch(system, Tool(SPHERE, BALL, STICKS)).contact)
+    assert not leans_outward(_patch(system, Tool(FLAT, RADIUS)).contact)
     patch = _patch(system, Tool(SPHERE, BALL))
-    assert not leans_outward(replace(patch, contact=replace(patch.contact, tool=None)))
+    assert not leans_outward(replace(patch.contact, tool=None))
+
+
+@pytest.mark.parametrize(
+    ("tool", "profile", "expected"),
+    [
+        (Tool(SPHERE, BALL), "hertz", 0.4 * RADIUS**2 / BALL),
+        (Tool(CONE, BALL, SLIDES, np.arctan(2.0)), "cone", np.pi / 6.0 * RADIUS / 2.0),
+    ],
+)
+def test_in_finite_elements_it_stretches_as_much(tool: Tool, profile: str, expected: float) -> None:
+    """Its virial, sum of force times place, over the force: the mean of r times the lean, which is
+    2 a^2 / (5 R) under a sphere and pi a cot(angle) / 6 under a cone."""
+    solid = make_solid(box((SIDE, SIDE, SIDE), 4), edge=9e-3, fine=[(PLACE, RADIUS, 4e-3)])
+    contact = Contact(PLACE, RADIUS, profile, tool=tool)
+    load = outward_load(solid, contact, np.array([0.0, 0.0, -2.0]))
+    assert np.abs(load.sum(axis=0)).max() < 1e-12
+    assert not load[:, 2].any()
+    virial = float((load * (solid.nodes - PLACE)).sum())
+    # Faces of a third of the radius, sampled at 196 points.
+    assert virial == pytest.approx(2.0 * expected, rel=0.01)

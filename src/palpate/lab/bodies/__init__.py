@@ -12,6 +12,10 @@ from palpate.lab.bodies.contact import (
     press as press,
     press_to_force as press_to_force,
 )
+from palpate.lab.bodies.finite_contact import (
+    FinitePress as FinitePress,
+    press_finite as press_finite,
+)
 from palpate.lab.bodies.finite_elements import (
     Body as Body,
     held_nodes as held_nodes,
@@ -28,4 +32,10 @@ from palpate.lab.bodies.specimens import (
     rod as rod,
 )
 from palpate.lab.bodies.tetrahedra import Solid as Solid, make_solid as make_solid
-from palpate.lab.bodies.tips import TIPS as TIPS, Punch as Punch, Tip as Tip, TipName as TipName
+from palpate.lab.bodies.tips import (
+    TIPS as TIPS,
+    Punch as Punch,
+    Sphere as Sphere,
+    Tip as Tip,
+    TipName as TipName,
+)

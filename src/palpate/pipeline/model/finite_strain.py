@@ -3,9 +3,12 @@
 The estimate is made with a linear model of measurements from which the difference between two
 solutions in finite elements was taken, one at finite strain and one linear, both under the same
 loads and with the constants found last (defect correction). What the elements themselves are off
-by cancels in the difference.
+by cancels in the difference. Where a probing names a ball that slides, the linear solution is that
+of the circle which the linear model takes it to touch, and the other one that of the ball itself,
+pressed in by the same force.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,21 +18,29 @@ from scipy.sparse import csr_array
 from palpate.errors import InputError
 from palpate.geometry import mesh_quality
 from palpate.lab import (
+    FinitePress,
     Solid,
+    Sphere,
+    Tip,
     held_nodes,
     make_body,
     make_solid,
+    press_finite,
     pressure_load,
     solve_finite,
     solve_load,
     surface_values,
 )
+from palpate.pipeline.model.grading import halved_session
+from palpate.pipeline.model.outward import leans_outward, outward_load
 from palpate.progress import Progress, silent
-from palpate.records import FIXED, PRESSURES, Probing, Session
+from palpate.records import FIXED, PRESSURES, SPHERE, Probing, Session
 from palpate.shapes import Points
 
 # Elements away from the tools over the mean edge of the mesh, and under a tool over its radius.
 _COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
+# The same under a ball, whose own shape says where it touches.
+_UNDER_BALL, _BALL_REACH = 0.6, 1.0
 # Neo-Hookean elements of a nearly incompressible material balance up to here.
 _LARGEST_RATIO = 0.495
 
@@ -42,7 +53,9 @@ class FiniteBody:
     ----------
     solid : Solid
     held : (n,) bool
-    loads : tuple of (n, 3) float [N]    one a probing
+    loads : tuple of (n, 3) float [N]    one a probing, as the linear model has it
+    tips : tuple of Tip or None          of each probing, where its contact is found at finite
+                                         strain; None: the load stays as it is
     seen : tuple of sparse (p, n)        of each probing, from nodes to its points and, where the
                                          tip's displacement was measured, to the contact point
     """
@@ -50,6 +63,7 @@ class FiniteBody:
     solid: Solid
     held: Bool[np.ndarray, " n"]
     loads: tuple[Float[np.ndarray, "n 3"], ...]
+    tips: tuple[Tip | None, ...]
     seen: tuple[csr_array, ...]
 
 
@@ -71,13 +85,16 @@ def make_finite_body(session: Session) -> FiniteBody:
     MeshError                       the surface cannot be filled
     """
     _require_fixed(session)
-    contacts = [probing.contact for probing in session.probings]
-    fine = [
-        (one.point, _FINE_REACH * one.radius, _FINE * one.radius)
-        for one in contacts
-        if one.radius is not None
-    ]
+    tips = tuple(_tip(probing) for probing in session.probings)
+    fine = []
+    for probing, tip in zip(session.probings, tips, strict=True):
+        reach, size = (_FINE_REACH, _FINE) if tip is None else (_BALL_REACH, _UNDER_BALL)
+        radius = float(probing.contact.radius or 0.0)
+        fine.append((probing.contact.point, reach * radius, size * radius))
     edge = _COARSE * mesh_quality(session.mesh).edge_mean
+    if any(tips):
+        # A ball meets the surface as it is curved.
+        session = halved_session(session)
     solid = make_solid(session.mesh, edge=edge, fine=fine)
     loads, seen = [], []
     for probing in session.probings:
@@ -87,9 +104,13 @@ def make_finite_body(session: Session) -> FiniteBody:
             float(probing.contact.radius or 0.0),
             PRESSURES[probing.contact.profile],
         )
-        loads.append(share[:, None] * probing.force)
+        load = share[:, None] * probing.force
+        if leans_outward(probing.contact):
+            load += outward_load(solid, probing.contact, probing.force)
+        loads.append(load)
         seen.append(surface_values(solid, _places(probing)))
-    return FiniteBody(solid, held_nodes(solid, session.held_triangles), tuple(loads), tuple(seen))
+    held = held_nodes(solid, session.held_triangles)
+    return FiniteBody(solid, held, tuple(loads), tips, tuple(seen))
 
 
 def strain_corrections(
@@ -97,8 +118,9 @@ def strain_corrections(
     *,
     shear_modulus: float,
     poisson_ratio: float,
+    starts: Sequence[FinitePress | None] = (),
     progress: Progress = silent,
-) -> tuple[Points, ...]:
+) -> tuple[tuple[Points, ...], tuple[FinitePress | None, ...]]:
     """Displacement at finite strain less that of the linear model, of every probing.
 
     Parameters
@@ -106,11 +128,13 @@ def strain_corrections(
     body : FiniteBody
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu < 0.5; above 0.495 that of 0.495 is given
+    starts : sequence               what was found with nearly the same constants; none: from rest
     progress : callable
 
     Returns
     -------
     tuple of (p, 3) float [m]       at its points, then at its contact point where that was measured
+    tuple of FinitePress or None    the presses that were found, where there is a tip
 
     Raises
     ------
@@ -122,11 +146,26 @@ def strain_corrections(
         shear_modulus=shear_modulus,
         poisson_ratio=min(poisson_ratio, _LARGEST_RATIO),
     )
-    found = []
-    for k, (load, seen) in enumerate(zip(body.loads, body.seen, strict=True)):
+    starts = starts or [None] * len(body.loads)
+    found, presses = [], []
+    for k, (load, tip, seen) in enumerate(zip(body.loads, body.tips, body.seen, strict=True)):
         progress("finite strain", k / len(body.loads))
-        found.append(seen @ (solve_finite(elastic, load) - solve_load(elastic, load)))
-    return tuple(found)
+        pressed = None
+        if tip is not None:
+            force = float(np.linalg.norm(load.sum(axis=0)))
+            pressed = press_finite(elastic, tip, force, start=starts[k])
+        finite = solve_finite(elastic, load) if pressed is None else pressed.displacement
+        found.append(seen @ (finite - solve_load(elastic, load)))
+        presses.append(pressed)
+    return tuple(found), tuple(presses)
+
+
+def _tip(probing: Probing) -> Tip | None:
+    """A ball that slides, on its way along the force through the contact point; None: a patch."""
+    tool = probing.contact.tool
+    if tool is None or tool.shape != SPHERE or not leans_outward(probing.contact):
+        return None
+    return Sphere(tool.radius, probing.contact.point, probing.force)
 
 
 def _places(probing: Probing) -> Points:

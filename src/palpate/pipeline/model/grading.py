@@ -70,6 +70,23 @@ def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettin
     return _divided_session(session, *graded_mesh(_boundary(session, surface)))
 
 
+def halved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
+    """The same session on a mesh whose every edge is cut in its middle.
+
+    Parameters
+    ----------
+    session : Session
+    surface : SurfaceSettings       new vertices lie on the surface so understood
+
+    Returns
+    -------
+    Session                         vertices of the given mesh first, in their order; all points of
+                                    its fields placed anew
+    """
+    boundary = _boundary(session, surface)
+    return _divided_session(session, *_divided(boundary, _edge_ends(boundary), 0.5))
+
+
 def resolved_mesh(boundary: BoundarySurface) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
     """Cut every edge that crosses a face between two of its creases or rims in its middle.
 

@@ -15,6 +15,7 @@ from palpate.estimation import (
     ProbeObservations,
     fit,
 )
+from palpate.lab import FinitePress
 from palpate.pipeline.model.finite_strain import make_finite_body, strain_corrections
 from palpate.progress import Progress, part_of
 from palpate.records import Session
@@ -57,13 +58,15 @@ def fit_at_finite_strain(
     """
     body = make_finite_body(session)
     found = linear
+    presses: tuple[FinitePress | None, ...] = ()
     for turn in range(_MOST_ROUNDS):
         before = found.estimate
         say = part_of(progress, turn / _MOST_ROUNDS, (turn + 1) / _MOST_ROUNDS)
-        corrections = strain_corrections(
+        corrections, presses = strain_corrections(
             body,
             shear_modulus=before.shear_modulus.value,
             poisson_ratio=before.poisson_ratio.value,
+            starts=presses,
             progress=say,
         )
         corrected = [_corrected(one, d) for one, d in zip(observations, corrections, strict=True)]

@@ -233,7 +233,7 @@ def _right_hand(
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
     nominal = [parts[change.nominal] for change in changes]
     for k, patch in enumerate(patches):
-        if leans_outward(patch):
+        if leans_outward(patch.contact):
             parts[k] = parts[k] + outward_columns(system, patch, cells=CHANGE_CELLS)
     parts += change_columns(system, changes, dips_of_changes, nominal)
     parts += dip_columns(changes, dipped)

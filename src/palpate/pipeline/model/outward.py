@@ -1,11 +1,13 @@
-"""The outward part of a sphere's pressure.
+"""The outward part of a sphere's or a cone's pressure.
 
 A sphere without friction presses along its own normals, which lean outward by r / R at the
-distance r from the middle of the touched circle. The outward traction p r / R has no resultant,
-but it widens the dent: left out, it makes nu 0.004 too large on the facility's half ball. It is
-minus the gradient of a potential Q(r): so it is what Q does, as a traction along each of two
-tangents, when it is shifted along that tangent.
+distance r from the middle of the touched circle; those of a cone lean by the same everywhere. The
+outward traction p r / R has no resultant, but it widens the dent: left out, it makes nu 0.004 too
+large on the facility's half ball. It is minus the gradient of a potential Q(r): so it is what Q
+does, as a traction along each of two tangents, when it is shifted along that tangent.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -20,19 +22,33 @@ from palpate.bem import (
     load_shape,
 )
 from palpate.geometry import unit_normals
+from palpate.lab import Solid, pressure_load
 from palpate.probe import ContactPatch
-from palpate.records import SLIDES, SPHERE
+from palpate.records import CONE, SLIDES, SPHERE, Contact, Tool
+from palpate.shapes import Vector3
 
 # Of the touched radius: a central difference over twice this far is exact to its square.
 _SHIFT = 0.05
-# Integral of Q over the circle, over force and a^2 / R, where the pressure is Hertz's.
-_INTEGRAL = 0.2
 
 
-def leans_outward(patch: ContactPatch) -> bool:
-    """Whether a patch's pressure has an outward part: under a sphere that slides."""
-    tool = patch.contact.tool
-    return tool is not None and tool.shape == SPHERE and tool.friction == SLIDES
+def _under_sphere(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Q at a distance over the touched radius, up to a factor."""
+    return np.clip(1.0 - s**2, 0.0, None) ** 1.5
+
+
+def _under_cone(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The same where the pressure is arcosh(1 / s)."""
+    s = np.clip(s, 1e-9, 1.0)
+    return np.arccos(s) - s * np.arccosh(1.0 / s)
+
+
+_POTENTIALS = {SPHERE: _under_sphere, CONE: _under_cone}
+
+
+def leans_outward(contact: Contact) -> bool:
+    """Whether a contact's pressure has an outward part: under a sphere or a cone that slides."""
+    tool = contact.tool
+    return tool is not None and tool.shape in _POTENTIALS and tool.friction == SLIDES
 
 
 def outward_columns(
@@ -43,7 +59,7 @@ def outward_columns(
     Parameters
     ----------
     system : BoundarySystem
-    patch : ContactPatch            of a sphere
+    patch : ContactPatch            of a sphere or a cone
     cells : LoadCells or None       see `load_points`
 
     Returns
@@ -54,35 +70,69 @@ def outward_columns(
     Source
     ------
     The traction p r / R of a frictionless sphere of radius R, with Hertz's p (Johnson, Contact
-    Mechanics, 1985, section 4.2, there neglected as small).
+    Mechanics, 1985, section 4.2, there neglected as small); p cot(angle) of a cone, with Love's.
     """
     contact = patch.contact
     if contact.tool is None or contact.radius is None:
         return RightHand(np.zeros((3, system.size, 3)))
     normal = unit_normals(system.surface.mesh)[patch.triangle]
-    tangents = np.linalg.svd(normal[None])[2][1:]
-    step = _SHIFT * contact.radius
-    size = _INTEGRAL * contact.radius**2 / contact.tool.radius / (2.0 * step)
-    loads, forces = [], []
-    for tangent in tangents:
-        for side in (1.0, -1.0):
-            loads.append(_potential_load(patch, contact.point + side * step * tangent))
-            forces.append(side * size * tangent)
+    potential, shifts = _POTENTIALS[contact.tool.shape], _shifts(contact, normal)
+    loads = [_potential_load(patch, centre, potential) for centre, _ in shifts]
+    forces = np.array([force for _, force in shifts])
     shapes = [load_shape(system.surface, load) for load in loads]
-    parts = load_right_hand(system, loads, shapes, forces=np.array(forces), cells=cells)
+    parts = load_right_hand(system, loads, shapes, forces=forces, cells=cells)
     return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
 
 
-def _potential(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Q at a distance over the touched radius, up to a factor."""
-    return np.clip(1.0 - s**2, 0.0, None) ** 1.5
+def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.ndarray, "n 3"]:
+    """The same as forces on the nodes of finite elements.
+
+    Parameters
+    ----------
+    solid : Solid
+    contact : Contact               of a sphere or a cone that slides, with its touched radius
+    force : (3,) float [N]          of the tool on the object
+
+    Returns
+    -------
+    (n, 3) float [N]                sums to zero
+    """
+    normal = -force / np.linalg.norm(force)
+    total = np.zeros_like(solid.nodes)
+    if contact.tool is None:
+        return total
+    potential = _POTENTIALS[contact.tool.shape]
+    for centre, share in _shifts(contact, normal):
+        spread = pressure_load(solid, centre, float(contact.radius or 0.0), potential)
+        total += spread[:, None] * (share * np.linalg.norm(force))
+    return total
 
 
-def _potential_load(patch: ContactPatch, centre: Float[np.ndarray, "3"]) -> SurfaceLoad:
+def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
+    """Centres of Q, and its total there for one newton of pressure."""
+    if contact.tool is None or contact.radius is None:
+        return []
+    tangents = np.linalg.svd(normal[None])[2][1:]
+    step = _SHIFT * contact.radius
+    size = _integral(contact.tool, contact.radius) / (2.0 * step)
+    signed = [side * tangent for tangent in tangents for side in (1.0, -1.0)]
+    return [(contact.point + step * one, size * one) for one in signed]
+
+
+def _integral(tool: Tool, radius: float) -> float:
+    """Of Q over the touched circle, for one newton [m]."""
+    if tool.angle is not None:
+        return np.pi / 12.0 * radius / float(np.tan(tool.angle))
+    return 0.2 * radius**2 / tool.radius
+
+
+def _potential_load(
+    patch: ContactPatch, centre: Vector3, potential: Callable[[np.ndarray], np.ndarray]
+) -> SurfaceLoad:
     """Q as a load, about a centre of its own."""
     radius = patch.contact.radius or 0.0
 
     def density(triangle: np.ndarray, barycentric: np.ndarray, position: np.ndarray) -> np.ndarray:
-        return _potential(np.linalg.norm(position - centre, axis=1) / radius)
+        return potential(np.linalg.norm(position - centre, axis=1) / radius)
 
-    return SurfaceLoad(patch.triangles, density, PressureDisc(centre, radius, _potential))
+    return SurfaceLoad(patch.triangles, density, PressureDisc(centre, radius, potential))

@@ -21,7 +21,7 @@ from palpate.records.contact import (
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.support import listed_triangles
 from palpate.records.probing import DisplacementField, Load
-from palpate.records.quantities import LENGTH_UNITS
+from palpate.records.quantities import ANGLE_UNITS, LENGTH_UNITS
 from palpate.records.text import TomlTable
 from palpate.shapes import Indices, Vector3
 
@@ -194,12 +194,13 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
 
 
 def _tool(contact: TomlTable, metres: float) -> Tool:
-    contact.check_keys(("point", "point_std", "tool", "tool_radius", "friction"))
+    contact.check_keys(("point", "point_std", "tool", "tool_radius", "tool_angle", "friction"))
     friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS))
     shape = contact.choice("tool", TOOL_SHAPES)
     radius = contact.quantity("tool_radius", LENGTH_UNITS, metres)
+    angle = contact.optional("tool_angle", lambda key: contact.quantity(key, ANGLE_UNITS))
     with contact.blamed():
-        return Tool(shape, radius, SLIDES if friction is None else friction)
+        return Tool(shape, radius, SLIDES if friction is None else friction, angle)
 
 
 def _middle(mesh: TriangleMesh, triangles: Indices) -> Vector3:

@@ -2,8 +2,9 @@
 
 Source
 ------
-OpenUSD's UsdGeomTetMesh; the deformable material of Omni Physics, whose attributes
-`omniphysics:youngsModulus`, `omniphysics:poissonsRatio` and `omniphysics:density` Newton reads too.
+OpenUSD's UsdGeomTetMesh. The constants stand there twice: as `physics:youngsModulus` and so on, by
+the Alliance for OpenUSD's proposal for deformable bodies, which Newton reads (`get_tetmesh` of
+`newton.usd`), and as `omniphysics:youngsModulus` and so on, as Omniverse's PhysX names them.
 """
 
 from pathlib import Path
@@ -48,9 +49,14 @@ def Xform "Object" (
     }}
 
     def Material "Estimated" (
-        prepend apiSchemas = ["OmniPhysicsDeformableMaterialAPI"]
+        prepend apiSchemas = [
+            "PhysicsVolumeDeformableMaterialAPI", "OmniPhysicsDeformableMaterialAPI"
+        ]
     )
     {{
+        float physics:youngsModulus = {young:.9g}
+        float physics:poissonsRatio = {poisson:.9g}
+        float physics:density = {density:.9g}
         float omniphysics:youngsModulus = {young:.9g}
         float omniphysics:poissonsRatio = {poisson:.9g}
         float omniphysics:density = {density:.9g}

@@ -1,0 +1,71 @@
+"""Tips at finite strain: a closed form, balance of forces, no entering."""
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.errors import InputError, NotConvergedError
+from palpate.lab.bodies.finite_contact import press_finite
+from palpate.lab.bodies.finite_elements import Body, make_body, quadratic_basis
+from palpate.lab.bodies.neo_hookean import inner_forces
+from palpate.lab.bodies.tetrahedra import make_solid
+from palpate.lab.bodies.tips import Punch, Sphere, Tip
+
+SHEAR, SIDE = 2e4, 0.02
+TOP = np.array([SIDE / 2, SIDE / 2, SIDE])
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def _block(poisson_ratio: float) -> Body:
+    solid = make_solid(box((SIDE, SIDE, SIDE)), edge=8e-3, fine=[(TOP, 4e-3, 4e-3)])
+    held = solid.nodes[:, 2] == 0.0
+    return make_body(solid, held, shear_modulus=SHEAR, poisson_ratio=poisson_ratio)
+
+
+def _entered(body: Body, tip: Tip, moved: np.ndarray, travel: float) -> float:
+    """How deep the deepest node of the top is in a tip."""
+    top = body.solid.nodes[:, 2] == SIDE
+    return -float(tip.distance(travel, (body.solid.nodes + moved)[top])[0].min())
+
+
+@pytest.mark.parametrize("stretch", [0.97, 0.9])
+def test_a_plate_on_a_block_is_the_closed_form(stretch: float) -> None:
+    """Without Poisson's ratio no width changes: P = mu (stretch - 1 / stretch). From 0.86 on the
+    block would lean to a side."""
+    body = _block(0.0)
+    plate = Punch(2 * SIDE, TOP, DOWN)
+    force = SIDE**2 * SHEAR * (1.0 / stretch - stretch)
+    found = press_finite(body, plate, force)
+    expected = (stretch - 1.0) * body.solid.nodes[:, 2]
+    # Quadratic elements hold the field exactly; Newton leaves 1e-7 of the force.
+    np.testing.assert_allclose(found.displacement[:, 2], expected, atol=1e-6 * SIDE)
+    assert np.abs(found.displacement[:, :2]).max() < 1e-6 * SIDE
+    # The springs give by pressure over 100 mu / R.
+    pressure = force / SIDE**2
+    depth = (1.0 - stretch) * SIDE + pressure * plate.radius / (100.0 * SHEAR)
+    assert found.travel == pytest.approx(depth, rel=1e-5)
+
+
+def test_a_ball_is_in_balance_and_enters_by_little() -> None:
+    body, ball = _block(0.3), Sphere(6e-3, TOP, DOWN)
+    force = 1.5
+    found = press_finite(body, ball, force)
+    inner = inner_forces(body, quadratic_basis(body.solid), found.displacement)
+    reaction = inner[body.held].sum(axis=0)
+    # Newton leaves 1e-7; across, the block's mesh is not symmetric.
+    assert reaction[2] == pytest.approx(force, rel=1e-5)
+    assert np.abs(reaction[:2]).max() < 0.05 * force
+    depth = found.travel + ball.radius
+    assert depth > 0.2 * ball.radius
+    # Pressures of twice the modulus, and more in the middle, over springs of 100 mu / R.
+    assert _entered(body, ball, found.displacement, found.travel) < 0.04 * ball.radius
+    # It is at rest there.
+    assert press_finite(body, ball, force, start=found) is found
+
+
+def test_what_cannot_be() -> None:
+    body, ball = _block(0.3), Sphere(6e-3, TOP, DOWN)
+    with pytest.raises(InputError, match="the force is -1"):
+        press_finite(body, ball, -1.0)
+    with pytest.raises(NotConvergedError, match="of the force under the tool"):
+        press_finite(body, ball, 1e4)
