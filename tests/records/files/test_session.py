@@ -183,6 +183,14 @@ def test_missing_paths_are_named(tmp_path):
         read_session(tmp_path)
 
 
+def test_a_recording_says_how_it_becomes_a_session(tmp_path):
+    (tmp_path / "recording.toml").write_text("")
+    with pytest.raises(
+        RecordError, match=r"session.toml; recording.toml becomes one by `palpate re"
+    ):
+        read_session(tmp_path)
+
+
 def test_session_file_that_is_not_text_is_refused(tmp_path):
     (tmp_path / "session.toml").write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(RecordError, match="not a text file in UTF-8"):

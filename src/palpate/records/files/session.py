@@ -38,6 +38,8 @@ from palpate.shapes import Vector3
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
+# What a folder of films and a force log has in place of a session.
+_RECORDING_FILE = "recording.toml"
 _ROOT_KEYS = (
     "format", "name", "object", "support", "gravity", "rig", "errors", "probe", "step",
 )  # fmt: skip
@@ -148,6 +150,8 @@ def session_file(path: Path) -> Path:
         if not is_file(file):
             others = sorted(map(quoted, (p.name for p in path.glob("*.toml") if is_file(p))))[:5]
             hint = f"; it has {', '.join(others)}: name one of them" if others else ""
+            if is_file(path / _RECORDING_FILE):
+                hint = f"; {_RECORDING_FILE} becomes one by `palpate record {path}`"
             raise RecordError(f"{path}: the folder has no session file session.toml{hint}")
         return file
     if not is_file(path):
