@@ -185,9 +185,7 @@ def test_missing_paths_are_named(tmp_path):
 
 def test_a_recording_says_how_it_becomes_a_session(tmp_path):
     (tmp_path / "recording.toml").write_text("")
-    with pytest.raises(
-        RecordError, match="recording.toml becomes one by `palpate record"
-    ):
+    with pytest.raises(RecordError, match=r"recording.toml becomes one by `palpate record"):
         read_session(tmp_path)
 
 
