@@ -29,13 +29,8 @@ from palpate.lab.bodies.finite_elements import (
 from palpate.lab.bodies.sparse_cholesky import factorise
 from palpate.lab.bodies.specimens import block, cylinder, half_ball, toy
 from palpate.lab.bodies.tetrahedra import Solid, make_solid
-from palpate.pipeline import (
-    graded_session,
-    make_object_model,
-    resolved_session,
-    settled_observations,
-)
-from palpate.records import EXACT, Contact, DisplacementField, Probing, Session, Status
+from palpate.pipeline import graded_observations, resolved_session
+from palpate.records import Contact, DisplacementField, Probing, Session, Status
 from palpate.records.contact import smooth_pressure
 
 SHEAR_MODULUS, POISSON_RATIO = 2e4, 0.3
@@ -165,16 +160,7 @@ def observations(mesh: TriangleMesh, moved: list[np.ndarray]) -> list[ProbeObser
         for k, (point, u) in enumerate(zip(contacts(mesh), moved, strict=True), start=1)
     )  # fmt: skip
     session = Session("truth", Path(), mesh, held, probings, None, None, None, ())
-    return graded_observations(session)
-
-
-def graded_observations(session: Session) -> list[ProbeObservations]:
-    """As `fit_session` has them: on the graded mesh, beside the given one."""
-    given = resolved_session(session)
-    plain = replace(given, errors=EXACT)
-    coarser = settled_observations(plain, make_object_model(plain))
-    graded = graded_session(given)
-    return settled_observations(graded, make_object_model(graded), coarser=coarser)
+    return graded_observations(resolved_session(session))
 
 
 def cases() -> Iterator[tuple[str, str, list[ProbeObservations]]]:

@@ -266,19 +266,17 @@ def scores_of(
     # Moments of a force's score by its uncertain components, for forces as uncertain as claimed.
     moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
     forces = [moments[probe.rows.force_components] for probe in local]
+    to_be_measured = noise is None
     if noise is None:
         noise = _noise_of(misfit, local)
-        turns = [
-            projection(probe, noise.slope, slope)[:, :2]
-            for probe, (_, slope) in zip(local, forces, strict=True)
-        ]
-        noise = replace(
-            noise, correlation=correlation_factor(local, turns, score_variance=noise.power)
-        )
     turns = [
         projection(probe, noise.slope, slope)
         for probe, (_, slope) in zip(local, forces, strict=True)
     ]
+    if to_be_measured:
+        constants = [turn[:, :2] for turn in turns]
+        correlation = correlation_factor(local, constants, score_variance=noise.power)
+        noise = replace(noise, correlation=correlation)
     parts = [
         _scores(probe, turn, noise, *force)
         for probe, turn, force in zip(local, turns, forces, strict=True)
