@@ -15,6 +15,7 @@ from palpate.records import (
     DisplacementField,
     Estimate,
     Images,
+    PointCorrelation,
     Probing,
     Session,
     Status,
@@ -107,6 +108,26 @@ def test_standard_deviation_may_be_missing_where_nothing_was_measured():
     assert _field(displacement=moved, std=std).std is not None
     with pytest.raises(InputError, match="std of 1 measured points is not positive"):
         _field(std=std)
+
+
+def test_correlations_follow_their_points():
+    known = PointCorrelation(np.array([[0, 3], [1, 2], [2, 3]]), np.array([0.5, -0.1, 0.2]))
+    some = known.among(np.array([3, 2, 0]), 5)
+    np.testing.assert_array_equal(some.pair, [[0, 2], [0, 1]])
+    np.testing.assert_array_equal(some.value, [0.5, 0.2])
+    share = np.array([1.0, 0.0, 1.0, 0.25])
+    np.testing.assert_allclose(known.scaled(share).value, [0.25, 0.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("pair", "value", "message"),
+    [([[1, 0]], [0.5], "lower number first"), ([[0, 1]], [1.5], "1.5 is more than 1"),
+     ([[2, 2]], [0.5], "lower number first")],
+)  # fmt: skip
+def test_correlations_are_checked(pair, value, message):
+    pairs, values = np.array(pair), np.array(value)
+    with pytest.raises(InputError, match=message):
+        PointCorrelation(pairs, values)
 
 
 def test_held_triangles_are_sorted_and_distinct():

@@ -120,8 +120,8 @@ def _length_text(metres: float) -> str:
 
 def _interval_notes(uncertainty: Uncertainty) -> list[str]:
     notes = []
-    if uncertainty.noise.correlation.variance > 1:
-        widened = np.sqrt(uncertainty.noise.correlation.variance)
+    if uncertainty.noise.excess > _MENTIONED_FACTOR:
+        widened = np.sqrt(uncertainty.noise.excess)
         notes.append(
             "Residuals of neighbouring points are correlated; what the displacements contribute to"
             f" the intervals was widened by {widened:.1f}."

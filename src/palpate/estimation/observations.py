@@ -10,6 +10,7 @@ from jaxtyping import Float
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.estimation.nuisance import Nuisance
+from palpate.records import INDEPENDENT, PointCorrelation
 from palpate.shapes import Points, Vector3
 
 
@@ -78,6 +79,8 @@ class ProbeObservations:
     covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, beside `std`; points
                                             then have all three components or none; None: their
                                             errors are independent
+    correlation : PointCorrelation          how nearly neighbouring points may share their errors:
+                                            in proportion, the size is measured from the residuals
     reference : str or None                 pictures at rest that the displacements were measured
                                             from; points of probings with the same ones share their
                                             noise
@@ -103,6 +106,7 @@ class ProbeObservations:
     settlement: Settlement | None = None
     vertices: ResponseModel | None = None
     covariance: Float[np.ndarray, "n 3 3"] | None = None
+    correlation: PointCorrelation = INDEPENDENT
     reference: str | None = None
 
     def __post_init__(self) -> None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_array, csr_array
 
 from palpate.errors import InputError
 from palpate.estimation.nuisance import Nuisance, NuisanceParameter
@@ -44,6 +45,8 @@ class ObservedRows:
     settlement : Settlement or None
     mixing : (k, 3, 3) float [-] or None    of the first k points, which have three rows each: their
                                             covariance to the power -1/2, times `unit`
+    neighbours : (r, r) sparse or None      correlation of the rows of neighbouring points, zero on
+                                            the diagonal; None: errors are independent
     reference : str or None                 pictures at rest that it was measured from
     """
 
@@ -64,6 +67,7 @@ class ObservedRows:
     nuisances: tuple[Nuisance, ...] = ()
     settlement: Settlement | None = None
     mixing: Float[np.ndarray, "k 3 3"] | None = None
+    neighbours: csr_array | None = None
     reference: str | None = None
 
     @property
@@ -138,6 +142,20 @@ class ObservedRows:
     def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
         """The value of its point for every row."""
         return np.repeat(values, self.components.astype(np.int64))
+
+    def correlated(
+        self, columns: Float[np.ndarray, "r c"], sharing: float
+    ) -> Float[np.ndarray, "r c"]:
+        """The rows' correlation matrix times columns.
+
+        Parameters
+        ----------
+        columns : (r, c) float
+        sharing : float [-]     part of the neighbours' correlation that there is, 0 to 1
+        """
+        if self.neighbours is None or sharing == 0.0:
+            return columns
+        return np.asarray(columns + sharing * (self.neighbours @ columns))
 
     def squared_length(self, residual: Float[np.ndarray, " r"]) -> Float[np.ndarray, " p"]:
         """Squared length of every point's vector of residuals, in the residuals' unit squared."""
@@ -235,8 +253,27 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         nuisances=probe.nuisances,
         settlement=probe.settlement,
         mixing=mixing,
+        neighbours=_neighbours(probe, point, start, count),
         reference=probe.reference,
     )
+
+
+def _neighbours(
+    probe: ProbeObservations,
+    point: Int[np.ndarray, " p"],
+    start: Int[np.ndarray, " p"],
+    count: Int[np.ndarray, " p"],
+) -> csr_array | None:
+    """`ObservedRows.neighbours` of the points that were measured whole."""
+    whole = np.flatnonzero(count == 3)
+    whole = whole[point[whole] < len(probe.position)]
+    known = probe.correlation.among(point[whole], len(probe.position))
+    if not len(known.value):
+        return None
+    first, second = ((start[whole][side, None] + np.arange(3)).ravel() for side in known.pair.T)
+    rows = int(start[-1] + count[-1])
+    upper = coo_array((np.repeat(known.value, 3), (first, second)), shape=(rows, rows)).tocsr()
+    return csr_array(upper + upper.T)
 
 
 def _mixing(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"] | None:

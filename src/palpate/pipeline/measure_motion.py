@@ -325,6 +325,7 @@ def vertex_field(
         source=source,
         scale_error=SCALE_ERROR,
         covariance=vertices.covariance[rows],
+        correlation=vertices.correlation.among(rows, len(mesh.vertices)),
     )
 
 

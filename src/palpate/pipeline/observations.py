@@ -292,14 +292,19 @@ def _observations(
         length = float(np.linalg.norm(probing.force))
         force_std = np.full(3, session.errors.force * length)
     error = _contact_mesh_error(model, index, response)
+    std = None if field.std is None else np.hypot(field.std, error)
+    correlation = field.correlation
+    if field.std is not None and std is not None:
+        correlation = correlation.scaled(((field.std / std) ** 2).mean(axis=1))
     return ProbeObservations(
         name=probing.name,
         position=field.points,
         displacement=field.displacement,
-        std=None if field.std is None else np.hypot(field.std, error),
+        std=std,
         covariance=None
         if field.covariance is None
         else field.covariance + error[:, None] ** 2 * np.eye(3),
+        correlation=correlation,
         force=probing.force,
         force_std=force_std,
         tip_displacement=probing.tip_displacement,

@@ -82,9 +82,11 @@ from palpate.records.measured_points import (
     on_surface as on_surface,
 )
 from palpate.records.probing import (
+    INDEPENDENT as INDEPENDENT,
     DisplacementField as DisplacementField,
     Images as Images,
     Load as Load,
+    PointCorrelation as PointCorrelation,
     Probing as Probing,
     measured_rows as measured_rows,
     observed_rows as observed_rows,

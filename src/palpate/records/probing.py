@@ -3,14 +3,72 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
 from palpate.records.contact import RIGID, Contact, RigidMotion
 from palpate.records.large_turn import check_turn
-from palpate.shapes import Flags, PointIndices, Points, Vector3
+from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCorrelation:
+    """Correlation of the errors of pairs of points; points of no pair err independently.
+
+    The same component of two points is correlated so, different ones are not.
+
+    Parameters
+    ----------
+    pair : (m, 2) int           two points, each pair once and the lower number first
+    value : (m,) float [-]      between -1 and 1
+
+    Raises
+    ------
+    InputError                  another shape, a pair out of order, a value beyond one
+    """
+
+    pair: Int[np.ndarray, "m 2"]
+    value: Float[np.ndarray, " m"]
+
+    def __post_init__(self) -> None:
+        pair = fixed_array(self.pair, name="pair", shape=(None, 2), integer=True)
+        value = fixed_array(self.value, name="value", shape=(len(pair),))
+        if (pair[:, 0] < 0).any() or (pair[:, 0] >= pair[:, 1]).any():
+            raise InputError("pairs of correlated points must have the lower number first")
+        # Sums of shares may leave rounding.
+        if (np.abs(value) > 1.0 + 1e-9).any():
+            raise InputError(f"a correlation of {np.abs(value).max():g} is more than 1")
+        object.__setattr__(self, "pair", pair)
+        object.__setattr__(self, "value", value)
+
+    def among(self, rows: Indices, count: int) -> "PointCorrelation":
+        """The same of some of `count` points, by their numbers among these.
+
+        Parameters
+        ----------
+        rows : (k,) int         points that are kept, each once
+        count : int
+        """
+        number = np.full(count, -1)
+        number[rows] = np.arange(len(rows))
+        pair = number[self.pair]
+        kept = (pair >= 0).all(axis=1)
+        return PointCorrelation(np.sort(pair[kept], axis=1), self.value[kept])
+
+    def scaled(self, share: Float[np.ndarray, " n"]) -> "PointCorrelation":
+        """The same where the correlated errors are a part of all errors.
+
+        Parameters
+        ----------
+        share : (n,) float [-]  of each point's variance, 0 to 1
+        """
+        root = np.sqrt(share[self.pair].prod(axis=1))
+        return PointCorrelation(self.pair, self.value * root)
+
+
+INDEPENDENT = PointCorrelation(np.zeros((0, 2), dtype=np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +87,7 @@ class DisplacementField:
                                     no single one shows; 0 where unknown
     covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, with the squares of
                                     `std` on its diagonal; None: its components err independently
+    correlation : PointCorrelation  of the errors of neighbouring points, where it is known
 
     Raises
     ------
@@ -43,6 +102,7 @@ class DisplacementField:
     source: str
     scale_error: float = 0.0
     covariance: Float[np.ndarray, "n 3 3"] | None = None
+    correlation: PointCorrelation = INDEPENDENT
 
     def __post_init__(self) -> None:
         points = fixed_array(self.points, name="points", shape=(None, 3))

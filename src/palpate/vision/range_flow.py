@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import map_coordinates
 
 from palpate.geometry import TriangleMesh
-from palpate.records import Rig
+from palpate.records import INDEPENDENT, PointCorrelation, Rig
 from palpate.shapes import Flags, PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.cameras import SurfaceMap
 
@@ -94,11 +94,13 @@ class VertexDisplacement:
     displacement : (v, 3) float [m]     NaN where not measured
     covariance : (v, 3, 3) float [m^2]  NaN where not measured
     count : (v,) int                    points of the range flow that it rests on
+    correlation : PointCorrelation      of the errors of neighbouring vertices
     """
 
     displacement: Float[np.ndarray, "v 3"]
     covariance: Float[np.ndarray, "v 3 3"]
     count: Int[np.ndarray, " v"]
+    correlation: PointCorrelation = INDEPENDENT
 
 
 @runtime_checkable

@@ -10,19 +10,14 @@ from scipy.stats import norm, t
 
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, cramer_rao_bound
-from palpate.estimation.intervals.sandwich import (
-    Scatter,
-    ScoreNoise,
-    Scores,
-    Variance,
-    directions,
-    scores_of,
-)
-from palpate.estimation.intervals.spatial_correlation import CorrelationFactor
+from palpate.estimation.intervals.sandwich import Scores, directions, scores_of
+from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter, Variance
+from palpate.estimation.intervals.score_noise import ScoreNoise
 from palpate.estimation.noise.noise_model import gaussian_moments
 from palpate.estimation.noise.student_t import StudentT
+from palpate.records import PointCorrelation
 
-INDEPENDENT = CorrelationFactor(1.0, np.inf, 1.0)
+CLAIMED = ScoreNoise(1.0, 1.0, np.inf, 0.0, NO_SCATTER)
 NOISE = 1e-4
 
 
@@ -160,7 +155,7 @@ def test_a_shared_error_is_not_averaged_away() -> None:
 
 def _common(count: int, share: float) -> np.ndarray:
     """Probings of two constants that see the same noises with a share of their variance of 1."""
-    return np.sqrt(share) * np.repeat(np.eye(2)[None], count, axis=0)
+    return share * np.tile(np.eye(2), (count, count, 1, 1))
 
 
 def test_noise_of_a_common_reference_is_not_averaged_away() -> None:
@@ -179,39 +174,84 @@ def test_what_probings_share_does_not_scatter() -> None:
     rng = np.random.default_rng(9)
     information, noise = _random_matrices(rng, 5), _random_matrices(rng, 5)
     root, common = np.linalg.cholesky(noise), rng.normal(size=(5, 3, 2))
+    shared = np.einsum("kri,lrj->klij", common, common)
     turn, ratios = np.array([1.0, 0.4]), []
     for _ in range(3000):
         drawn = (root @ rng.normal(size=(5, 2, 1)))[..., 0] + rng.normal(size=3) @ common
-        ratios.append(Scores(drawn, information, noise, noise, common).scatter(turn).ratio)
+        ratios.append(Scores(drawn, information, noise, noise, shared).scatter(turn).ratio)
     # As above.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
 
-def test_points_of_one_reference_err_together() -> None:
-    """Against X' C X with half of the noise of every point the same in all probings, dense."""
-    probes = [replace(probe, reference="rest") for probe in _probes()]
+def _near(probe: ProbeObservations) -> PointCorrelation:
+    """Neighbours on the grid are correlated by 0.3."""
+    apart = np.linalg.norm(probe.position[:, None] - probe.position[None], axis=2)
+    pair = np.argwhere(np.triu((apart > 0.0) & (apart < 0.016)))
+    return PointCorrelation(pair, np.full(len(pair), 0.3))
+
+
+@pytest.mark.parametrize("sharing", [0.0, 0.4])
+def test_points_of_one_reference_err_together(sharing: float) -> None:
+    """Against X' C X with half of the noise of every point the same in all probings, and a part of
+    the neighbours' correlation, dense."""
+    probes = [replace(p, reference="rest", correlation=_near(p)) for p in _probes()]
     probes[1] = replace(
         probes[1], displacement=np.where(np.arange(25)[:, None] < 7, np.nan, probes[1].displacement)
     )
     local = minimum_of(misfit_of(probes)).probes
-    known = ScoreNoise(1.0, 1.0, np.inf, INDEPENDENT)
+    known = replace(CLAIMED, sharing=sharing, blocks=Scatter(3.0, 2.0))
     found, _ = scores_of(misfit_of(probes), local, noise=known)
     whole = [one.design[:, :2] for one in local]
     rows = [np.isfinite(probe.displacement).ravel() for probe in probes]
+    near = np.eye(25)
+    pair = probes[0].correlation.pair
+    near[tuple(pair.T)] = near[tuple(pair.T[::-1])] = 0.3 * sharing
+    near = np.kron(near, np.eye(3))
     expected = np.zeros((2, 2))
     for k, (first, mine) in enumerate(zip(whole, rows, strict=True)):
         for m, (second, theirs) in enumerate(zip(whole, rows, strict=True)):
-            alike = np.eye(75)[mine][:, theirs] * (1.0 if k == m else 0.5)
+            both = 1.0 * (mine & theirs)
+            # Between probings what a point has that only one of them saw counts by half.
+            seen = 0.5 * (np.outer(mine, both) + np.outer(both, theirs))
+            share = np.outer(mine, theirs) if k == m else 0.5 * seen
+            alike = (near * share)[mine][:, theirs]
             expected += first.T @ alike @ second
-    common = found.common.sum(axis=0)
-    np.testing.assert_allclose(found.noise.sum(0) + common.T @ common, expected, rtol=1e-9)
+    together = found.noise.sum(0) + found.common.sum(axis=(0, 1))
+    # A claim worth one degree of freedom and a scatter of 3 with two: a factor of 7 / 3.
+    np.testing.assert_allclose(together, 7.0 / 3.0 * expected, rtol=1e-9)
+
+
+def test_neighbours_that_err_together_widen_what_they_say() -> None:
+    """Least squares on noise of a known correlation: the claim is its scatter over draws."""
+    rng, drawn = np.random.default_rng(11), []
+    probe = _probes(count=1, grid=9)[0]
+    clean = _probes(count=1, grid=9, noise=0.0)[0]
+    apart = np.linalg.norm(probe.position[:, None] - probe.position[None], axis=2)
+    like = np.exp(-((apart / 0.009) ** 2))
+    pair = np.argwhere(np.triu(like > 1e-4, 1))
+    known = PointCorrelation(pair, like[tuple(pair.T)])
+    root = np.linalg.cholesky(like + 1e-9 * np.eye(len(like)))
+    claims, sharings = [], []
+    for _ in range(120):
+        moved = clean.displacement + NOISE * root @ rng.normal(size=probe.displacement.shape)
+        one = replace(probe, displacement=moved, correlation=known)
+        best = minimum_of(misfit_of([one]))
+        scores, noise = scores_of(misfit_of([one]), best.probes)
+        plain = replace(noise, blocks=NO_SCATTER)
+        scores, _ = scores_of(misfit_of([one]), best.probes, noise=plain)
+        drawn.append(np.log(best.shear_modulus))
+        claims.append(scores.covariance()[1, 1])
+        sharings.append(noise.sharing)
+    # 6 % from 120 draws of a standard deviation.
+    assert np.sqrt(np.mean(claims)) / np.std(drawn) == pytest.approx(1.0, abs=0.2)
+    # The fit takes two of some 30 parts of the noise that are independent.
+    assert np.mean(sharings) == pytest.approx(1.0, abs=0.15)
 
 
 def test_other_references_are_independent() -> None:
     probes = [replace(probe, reference=f"rest {k}") for k, probe in enumerate(_probes())]
     local = minimum_of(misfit_of(probes)).probes
-    known = ScoreNoise(1.0, 1.0, np.inf, INDEPENDENT)
-    assert scores_of(misfit_of(probes), local, noise=known)[0].common.shape[1] == 0
+    assert not scores_of(misfit_of(probes), local, noise=CLAIMED)[0].common.any()
 
 
 def test_score_is_the_slope_of_the_misfit() -> None:
@@ -235,7 +275,7 @@ def test_least_squares_has_the_information_of_its_covariance(force_noise: float)
     as correlated noise in C."""
     misfit = misfit_of(_probes(force_noise=force_noise))
     local = minimum_of(misfit).probes
-    found, noise = scores_of(misfit, local, noise=ScoreNoise(1.0, 1.0, np.inf, INDEPENDENT))
+    found, noise = scores_of(misfit, local, noise=CLAIMED)
     assert noise.degrees == np.inf
     for k, one in enumerate(local):
         expected = dense_information(one)
@@ -250,7 +290,7 @@ def test_moments_of_the_score_enter_where_they_belong() -> None:
     misfit = misfit_of(_probes(force_noise=0.05), "student-t")
     local = minimum_of(misfit).probes
     power, slope = gaussian_moments(StudentT(8.0), 3)
-    found, _ = scores_of(misfit, local, noise=ScoreNoise(0.7, 0.8, np.inf, INDEPENDENT))
+    found, _ = scores_of(misfit, local, noise=replace(CLAIMED, power=0.7, slope=0.8))
     for k, one in enumerate(local):
         expected = dense_information(one, row_variance=1 / 0.8, force_variance=1 / slope)
         np.testing.assert_allclose(found.information[k], expected, rtol=1e-7)
@@ -261,7 +301,7 @@ def test_moments_of_the_score_enter_where_they_belong() -> None:
         np.testing.assert_allclose(found.curvature[k], expected, rtol=1e-7)
     # Where score power and slope are equal multiples for points and force, so are the matrices.
     share = power / slope
-    equal = ScoreNoise(0.4 * share, 0.8, np.inf, CorrelationFactor(2.0, np.inf, 5.0))
+    equal = ScoreNoise(0.4 * share, 0.8, np.inf, 0.0, Scatter(2.5, 2.0))
     found, _ = scores_of(misfit, local, noise=equal)
     np.testing.assert_allclose(found.noise, share * found.information, rtol=1e-7)
 

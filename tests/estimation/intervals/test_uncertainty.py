@@ -179,7 +179,7 @@ def _uncertainty(noise: float = 5e-5, **options: object) -> Uncertainty:
     """Of probings that agree with their claims and with each other."""
     probes = half_space_probes(np.random.default_rng(4), count=3, grid=6, noise=noise, **options)
     found = uncertainty_at(probes)
-    assert found.noise.degrees == found.noise.correlation.degrees == np.inf
+    assert found.noise.degrees == found.noise.blocks.total_degrees == np.inf
     return replace(found, scatters=dict.fromkeys(found.scatters, Scatter(1.0, 2.0)))
 
 

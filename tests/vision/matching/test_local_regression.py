@@ -6,6 +6,7 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from palpate.vision.matching.local_regression import Scatter, local_field
+from palpate.vision.matching.noise_correlation import noise_correlation
 
 PITCH = 3e-4
 SUBSET = 21
@@ -144,6 +145,40 @@ def test_covariance_with_windows_that_share_pixels(order):
     assert (claimed[0] < scale).all()
     assert (claimed[0] > 0.3 * scale).all()
     assert (claimed[4] > 1.15 * claimed[0]).all()
+
+
+def test_places_whose_windows_overlap_err_together():
+    """Against the correlation over many draws, of places a third of a window to two windows
+    apart."""
+    n, draws = 15, 400
+    pixel = _grid(n)
+    point = _surface(pixel)
+    along = np.array([0.0, 7.0, 14.0, 21.0, 42.0]) - 20.0
+    place = np.column_stack([along * PITCH, along * PITCH * 0.3, np.zeros(5)])
+    noise = SIGMA * np.stack([_correlated(n, seed, draws) for seed in range(3)], axis=2)
+    drawn = [
+        local_field(_scatter(point, pixel, one), place, _tangents(place), reach=1.2 * 10 * PITCH)
+        for one in noise
+    ]
+    value = np.array([field.displacement for field in drawn])[..., :2]
+    square = np.sqrt((value**2).sum(axis=(0, 2)))
+    actual = np.einsum("dta,dsa->ts", value, value) / np.outer(square, square)
+    found = noise_correlation(_scatter(point, pixel, noise[0]), drawn[0])
+    claimed = np.eye(5)
+    claimed[tuple(found.pair.T)] = found.value
+    # Three standard errors of 800 draws of a correlation.
+    np.testing.assert_allclose(np.triu(claimed), np.triu(actual), atol=0.11)
+    assert claimed[0, 1] > 0.5
+    assert abs(claimed[0, 4]) < 0.05
+
+
+def test_undetermined_places_are_correlated_with_none():
+    pixel = _grid()
+    point = _surface(pixel)
+    place = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1e-3, 0.0, 0.0]])
+    scatter = _scatter(point, pixel, np.zeros_like(point))
+    field = local_field(scatter, place, _tangents(place), reach=REACH)
+    np.testing.assert_array_equal(noise_correlation(scatter, field).pair, [[0, 2]])
 
 
 def test_displacements_that_share_nothing_average_out():

@@ -7,7 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.estimation.intervals.sandwich import directions, projection
+from palpate.estimation.intervals.sandwich import Scores, directions, scores_of
+from palpate.estimation.intervals.scatter import NO_SCATTER
+from palpate.estimation.intervals.score_noise import ScoreNoise
+from palpate.estimation.intervals.spatial_correlation import neighbours_sharing
 from palpate.estimation.noise import Gaussian
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import GROUP_COUNT, observed_rows_of
@@ -23,24 +26,27 @@ class Information:
 
     Attributes
     ----------
-    each : (k, d, d) float          on nu, log G and the d - 2 errors that probings share, these in
+    scores : Scores                 of nu, log G and the d - 2 errors that probings share, these in
                                     prior standard deviations
     poisson_ratio : float [-]       at which it is taken
     shear_modulus : float [Pa]
     """
 
-    each: Float[np.ndarray, "k d d"]
+    scores: Scores
     poisson_ratio: float
     shear_modulus: float
 
     def of(self, probings: Sequence[int]) -> Float[np.ndarray, "2 2"]:
         """What some of the probings tell together of nu and log G, the shared errors eliminated."""
-        whole = self.each[list(probings)].sum(axis=0)
+        whole = self.scores.information[list(probings)].sum(axis=0)
         whole[2:, 2:] += np.eye(len(whole) - 2)
         return whole[:2, :2] - whole[:2, 2:] @ np.linalg.solve(whole[2:, 2:], whole[2:, :2])
 
     def bound(self, probings: Sequence[int]) -> dict[str, float]:
         """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
+
+        Where neighbouring points err together, or probings by the noise of one picture at rest:
+        the standard deviations of an estimate that takes points for independent, as the fit does.
 
         Parameters
         ----------
@@ -52,14 +58,14 @@ class Information:
         """
         information = self.of(probings)
         covariance = np.linalg.pinv(information, hermitian=True)
+        spread = self.scores.among(probings).covariance()[:2, :2]
         young = 2 * self.shear_modulus * (1 + self.poisson_ratio)
         bound = {}
         for (name, turn), value in zip(
             directions(self.poisson_ratio).items(), (1.0, self.shear_modulus, young), strict=True
         ):
             identifiable = np.allclose(information @ covariance @ turn, turn, atol=1e-6)
-            spread = float(np.sqrt(turn @ covariance @ turn)) if identifiable else np.inf
-            bound[name] = value * spread
+            bound[name] = value * float(np.sqrt(turn @ spread @ turn)) if identifiable else np.inf
         return bound
 
 
@@ -70,7 +76,8 @@ def fisher_information(
 
     Parameters
     ----------
-    probes : sequence of ProbeObservations  all with standard deviations
+    probes : sequence of ProbeObservations  all with standard deviations; what they measured tells
+                                            how much neighbouring points err together
     poisson_ratio : float [-]
     shear_modulus : float [Pa]              > 0
 
@@ -91,11 +98,9 @@ def fisher_information(
     misfit = Misfit(rows, np.ones(GROUP_COUNT), Gaussian())
     shifts, errors = misfit.no_shifts(), np.zeros(len(misfit.shared))
     scaled = misfit.scaled(poisson_ratio, shear_modulus, shifts)
-    each = []
-    for local in misfit.linearised(scaled, 0.0, shear_modulus, shifts, errors):
-        turn = projection(local, 1.0, 1.0)
-        each.append(local.design[:, : local.common].T @ local.design @ turn)
-    return Information(np.stack(each), poisson_ratio, shear_modulus)
+    local = misfit.linearised(scaled, 0.0, shear_modulus, shifts, errors)
+    claimed = ScoreNoise(1.0, 1.0, np.inf, neighbours_sharing(local, 1.0), NO_SCATTER)
+    return Information(scores_of(misfit, local, noise=claimed)[0], poisson_ratio, shear_modulus)
 
 
 def cramer_rao_bound(

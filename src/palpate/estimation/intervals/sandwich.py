@@ -7,81 +7,20 @@ variance of what is independent between them is the claim, taken as one observat
 scatter as the others; the quantile is Student's for both together.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtri, stdtrit
 
-from palpate.estimation.intervals.spatial_correlation import CorrelationFactor, correlation_factor
-from palpate.estimation.noise import gaussian_moments, score_moments
+from palpate.estimation.intervals.scatter import Scatter, Variance
+from palpate.estimation.intervals.score_noise import ScoreNoise, common_noise, noise_of
+from palpate.estimation.intervals.spatial_correlation import block_scatter
+from palpate.estimation.noise import gaussian_moments
 from palpate.estimation.search import LocalProbe, Misfit, diagonal_root
 
 DIRECTIONS = ("poisson_ratio", "shear_modulus", "young_modulus")
 _RIDGE = 1e-11
-# Degrees of freedom that a claimed uncertainty is worth beside the scatter of the probings: the
-# fewest with which intervals hold where the claim is half of the truth (93 % of two to five
-# probings, by simulation; 2 give 91 %, 3 give 88 %).
-_CLAIM_DEGREES = 1.0
-# Share of the variance of a match that is the first picture's noise, the same for every later one.
-_REFERENCE_SHARE = 0.5
-_UPPER_TAIL = 0.975
-
-
-@dataclass(frozen=True, slots=True)
-class ScoreNoise:
-    """Noise of the robust scores, pooled over the probings of a session.
-
-    Parameters
-    ----------
-    power, slope : float        mean square and mean slope of the score per component
-    degrees : float             degrees of freedom of the noise, infinite where it was claimed
-    correlation : CorrelationFactor
-    """
-
-    power: float
-    slope: float
-    degrees: float
-    correlation: CorrelationFactor
-
-
-@dataclass(frozen=True, slots=True)
-class Variance:
-    """Variance of a combination of the constants.
-
-    Parameters
-    ----------
-    independent : float         of what differs from probing to probing
-    shared : float              of what all probings have in common
-    degrees : float             degrees of freedom of `independent`
-    """
-
-    independent: float
-    shared: float
-    degrees: float
-
-    @property
-    def total(self) -> float:
-        """Both together."""
-        return self.independent + self.shared
-
-    @property
-    def quantile(self) -> float:
-        """Half-width of a 95 % interval in standard deviations: Student's, 1.96 where the variance
-        is known.
-
-        Source
-        ------
-        Satterthwaite, An approximate distribution of estimates of variance components, Biometrics
-        Bulletin 2 (1946).
-        """
-        known = self.degrees == np.inf or self.independent == 0.0
-        if known:
-            return float(ndtri(_UPPER_TAIL))
-        degrees = self.degrees * (self.total / self.independent) ** 2
-        return float(stdtrit(degrees, _UPPER_TAIL))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,31 +35,41 @@ class Scores:
     noise : (k, d, d)           model-based covariance of the score, of what differs from probing to
                                 probing
     curvature : (k, 2, 2)       second derivative of half the misfit at fixed weights and errors
-    common : (k, r, d) or None  what each of r independent noises of variance 1 that probings share
-                                adds to the score
+    common : (k, k, d, d) or None    covariance of each score with each from the noise that probings
+                                share; None: they share none
     """
 
     score: Float[np.ndarray, "k d"]
     information: Float[np.ndarray, "k d d"]
     noise: Float[np.ndarray, "k d d"]
     curvature: Float[np.ndarray, "k 2 2"]
-    common: Float[np.ndarray, "k r d"] | None = None
+    common: Float[np.ndarray, "k k d d"] | None = None
 
     @property
-    def _common(self) -> Float[np.ndarray, "k r d"]:
+    def _common(self) -> Float[np.ndarray, "k k d d"]:
         count, d = self.score.shape
-        return np.zeros((count, 0, d)) if self.common is None else self.common
+        return np.zeros((count, count, d, d)) if self.common is None else self.common
 
     @property
     def _shared(self) -> Float[np.ndarray, "d d"]:
         """Covariance of the sum of the scores from what probings share."""
-        every = self._common.sum(axis=0)
-        return self._prior + every.T @ every
+        return np.asarray(self._prior + self._common.sum(axis=(0, 1)))
 
     @property
     def _prior(self) -> Float[np.ndarray, "d d"]:
         """Information, and covariance of the score, of what was known before."""
         return np.diag(np.append(np.zeros(2), np.ones(self.score.shape[1] - 2)))
+
+    def among(self, probings: Sequence[int]) -> "Scores":
+        """Those of some of the probings, by their numbers."""
+        some = list(probings)
+        return Scores(
+            self.score[some],
+            self.information[some],
+            self.noise[some],
+            self.curvature[some],
+            None if self.common is None else self.common[np.ix_(some, some)],
+        )
 
     def covariance(self) -> Float[np.ndarray, "d d"]:
         """Model-based covariance, A^-1 B A^-1 with A the information and B the noise; huge, not
@@ -192,9 +141,9 @@ class Scores:
         share = np.einsum("i,kij,jl->kl", influence, self.information, inverse)
         together = self._common @ influence
         crossed = np.einsum("ki,lij,j->kl", share, self.noise, influence)
-        crossed += share @ self._common.sum(axis=0).T @ together.T
+        crossed += share @ together.sum(axis=0).T
         own = np.diag(np.einsum("i,kij,j->k", influence, self.noise, influence))
-        own += together @ together.T
+        own += together @ influence
         total = share @ (self.noise.sum(0) + self._shared) @ share.T
         expected = own - crossed - crossed.T + total
         mean = float(np.trace(expected))
@@ -206,31 +155,6 @@ class Scores:
 
     def _inverse(self) -> tuple[np.ndarray, np.ndarray]:
         return _inverse(self.information.sum(0) + self._prior)
-
-
-@dataclass(frozen=True, slots=True)
-class Scatter:
-    """Scatter of the probings over what their claimed uncertainties explain.
-
-    Parameters
-    ----------
-    ratio : float [-]           of variances, >= 0
-    degrees : float             degrees of freedom: one less than probings, where all say as much
-    """
-
-    ratio: float
-    degrees: float
-
-    @property
-    def factor(self) -> float:
-        """Factor on the claimed variance: the mean of the claim and of the scatter, each by its
-        degrees of freedom."""
-        return (_CLAIM_DEGREES + self.degrees * self.ratio) / (_CLAIM_DEGREES + self.degrees)
-
-    @property
-    def total_degrees(self) -> float:
-        """Degrees of freedom of that mean; infinite where only the claim speaks."""
-        return _CLAIM_DEGREES + self.degrees if self.degrees > 0.0 else np.inf
 
 
 def directions(poisson_ratio: float) -> dict[str, Float[np.ndarray, " 2"]]:
@@ -268,54 +192,23 @@ def scores_of(
     forces = [moments[probe.rows.force_components] for probe in local]
     to_be_measured = noise is None
     if noise is None:
-        noise = _noise_of(misfit, local)
+        noise = noise_of(misfit, local)
     turns = [
-        projection(probe, noise.slope, slope)
+        _projection(probe, noise.slope, slope)
         for probe, (_, slope) in zip(local, forces, strict=True)
     ]
     if to_be_measured:
         constants = [turn[:, :2] for turn in turns]
-        correlation = correlation_factor(local, constants, score_variance=noise.power)
-        noise = replace(noise, correlation=correlation)
+        blocks = block_scatter(local, constants, score_variance=noise.power, sharing=noise.sharing)
+        noise = replace(noise, blocks=blocks)
     parts = [
         _scores(probe, turn, noise, *force)
         for probe, turn, force in zip(local, turns, forces, strict=True)
     ]
     scores = Scores(*(np.stack(column) for column in zip(*parts, strict=True)))
-    common = _common_noise(local, turns, noise)
-    own = scores.noise - common.swapaxes(1, 2) @ common
+    common = common_noise(local, turns, noise)
+    own = scores.noise - np.einsum("kkij->kij", common)
     return replace(scores, noise=own, common=common), noise
-
-
-def _common_noise(
-    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
-) -> Float[np.ndarray, "k r d"]:
-    """What the noise of pictures at rest that several probings were measured from adds to their
-    scores: three noises for each point that more than one of them has."""
-    points = [_reference_points(probe) for probe in local]
-    seen = Counter(name for names in points for name in names)
-    number = {name: k for k, name in enumerate(name for name in seen if seen[name] > 1)}
-    common = np.zeros((len(local), 3 * len(number), local[0].common))
-    size = np.sqrt(_REFERENCE_SHARE * noise.power * noise.correlation.variance)
-    for probe, turn, names, found in zip(local, turns, points, common, strict=True):
-        rows = probe.design @ turn
-        for name, start in names.items():
-            if name in number:
-                at = 3 * number[name]
-                found[at : at + 3] = size * rows[start : start + 3]
-    return common
-
-
-def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:
-    """First row of each point measured whole from pictures at rest, by these and by its place."""
-    rows = probe.rows
-    if rows.reference is None:
-        return {}
-    return {
-        (rows.reference, place.tobytes()): int(start)
-        for place, start, count in zip(rows.position, rows.start, rows.components, strict=True)
-        if count == 3 and np.isfinite(place[0])
-    }
 
 
 def _scores(
@@ -329,8 +222,9 @@ def _scores(
     d = probe.common
     gram = probe.design.T @ probe.design
     projected = turn.T @ gram @ turn
+    clean = probe.design @ turn
     information = noise.slope * projected + (turn[d:].T * probe.prior(force_slope)) @ turn[d:]
-    spread = noise.power * noise.correlation.variance * projected
+    spread = noise.power * noise.excess * (clean.T @ probe.rows.correlated(clean, noise.sharing))
     spread += (turn[d:].T * probe.prior(force_power)) @ turn[d:]
     weighted = probe.weighted_products()
     # Errors stay where they are, those of this probing alone, too: as in the misfit's profile.
@@ -340,47 +234,12 @@ def _scores(
     return weighted[:d, -1], information, spread, curvature
 
 
-def projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
+def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
     """(d + n, d) matrix that takes the n shifts out of the design of the d common parameters."""
     d = probe.common
     gram = slope * (probe.design.T @ probe.design)
     own = gram[d:, d:] + np.diag(probe.prior(force_slope))
     return np.vstack([np.eye(d), -np.linalg.solve(own, gram[d:, :d])])
-
-
-def _noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
-    """Moments of the robust score, as the residuals show them and never below a claim."""
-    squared = np.concatenate([probe.squared for probe in local])
-    components = np.concatenate([probe.rows.components for probe in local])
-    power, slope = score_moments(misfit.noise, squared, components)
-    rows, lost = float(components.sum()), 2 + _absorbed(local)
-    spare = rows - lost
-    power *= rows / max(spare, 1.0)
-    # No spare rows: the noise cannot be estimated, and the quantile becomes very large.
-    degrees = max(spare, 0.5)
-    independent = CorrelationFactor(1.0, np.inf, 1.0)
-    if not all(probe.rows.has_claims for probe in local):
-        return ScoreNoise(power, slope, degrees, independent)
-    count = round(float(components.mean()))
-    claimed_power, claimed_slope = gaussian_moments(misfit.noise, count)
-    excess = power > claimed_power * (1 + 2 * np.sqrt(2 / max(spare, 1.0)))
-    raised = excess or bool((misfit.level > 1).any())
-    return ScoreNoise(
-        max(power, claimed_power) if raised else claimed_power,
-        min(slope, claimed_slope),
-        degrees if raised else np.inf,
-        independent,
-    )
-
-
-def _absorbed(local: Sequence[LocalProbe]) -> float:
-    """Degrees of freedom of the displacements that the shifts of single probings take up."""
-    total = 0.0
-    for probe in local:
-        own = probe.design[:, probe.common :]
-        gram = own.T @ own
-        total += float(np.trace(np.linalg.solve(gram + np.diag(probe.prior()), gram)))
-    return total
 
 
 def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

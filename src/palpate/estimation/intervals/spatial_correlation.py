@@ -1,146 +1,164 @@
-"""How much the spatial correlation of residuals widens an interval.
+"""What errors of neighbouring points have in common, as the residuals show it.
 
-Residuals of neighbouring points of a full field are correlated. Points are cut into compact blocks
-along a Morton curve; if points were independent, the scores of a block would have a known
-covariance. The ratio of what is seen to that is the factor on the variance.
+Windows of the pictures overlap: points that share one err together by a part of what they share of
+it, the same part everywhere (`neighbours_sharing`). What is beyond that, and all of it where the
+windows are unknown, shows in blocks of neighbouring points: points are cut along a Morton curve,
+and scores of blocks scatter by more than their noise explains (`block_scatter`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
 
+from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter
 from palpate.estimation.search import LocalProbe
 from palpate.geometry import morton_order
 
-_MAX_HALVINGS = 7
+# Blocks of a probing, a power of two: more of them say more surely what is shared within them, and
+# miss more of what is shared across their borders.
+_MIN_HALVINGS, _MAX_HALVINGS = 3, 5
 _MIN_POINTS_PER_BLOCK = 6
-_MIN_BLOCKS = 8
-# Standard errors by which a factor must exceed 1.
-_SIGNIFICANT = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class CorrelationFactor:
-    """Factor on the variance of the constants for correlated residuals.
+def neighbours_sharing(local: Sequence[LocalProbe], score_variance: float) -> float:
+    """Part of the correlation of neighbours that their residuals show, pooled over all probings.
 
     Parameters
     ----------
-    variance : float            >= 1; exactly 1 where no correlation shows
-    degrees : float             degrees of freedom of the factor, infinite where it is 1
-    block_points : float        mean number of points in the blocks it was taken from, 1 = none
+    local : sequence of LocalProbe      at the joint minimum
+    score_variance : float              mean square of the robust score
+
+    Returns
+    -------
+    float [-]                           0 to 1; 0 where no correlation is known of
+
+    Source
+    ------
+    Least squares over all pairs of rows, of the product of their scores against its mean.
     """
+    seen = expected = 0.0
+    for probe in local:
+        known = probe.rows.neighbours
+        if known is not None:
+            score = _row_scores(probe)
+            seen += float(score @ (known @ score))
+            expected += score_variance * float((known.data**2).sum())
+    return float(np.clip(seen / expected, 0.0, 1.0)) if expected > 0.0 else 0.0
 
-    variance: float
-    degrees: float
-    block_points: float
 
-
-def correlation_factor(
+def block_scatter(
     local: Sequence[LocalProbe],
     projection: Sequence[Float[np.ndarray, "_ 2"]],
     *,
     score_variance: float,
-) -> CorrelationFactor:
-    """Factor on the variance of the constants, pooled over all probings.
+    sharing: float,
+) -> Scatter:
+    """Scatter of the scores of blocks of the surface, pooled over all probings.
 
     Parameters
     ----------
     local : sequence of LocalProbe      at the joint minimum
     projection : (d + n, 2) for each    takes the shifts out of the design of (nu, log G)
     score_variance : float              mean square of the robust score
+    sharing : float                     see `neighbours_sharing`
 
     Returns
     -------
-    CorrelationFactor                   the largest over block sizes, where any is significant
+    Scatter                             without degrees of freedom where no probing has eight blocks
+                                        of six points
     """
     parts = [
-        _block_sums(probe, turn)
+        _block_sums(probe, turn, sharing)
         for probe, turn in zip(local, projection, strict=True)
-        if np.isfinite(probe.rows.position[:, 0]).sum() >= _MIN_BLOCKS * _MIN_POINTS_PER_BLOCK
+        if _located(probe) >= _MIN_POINTS_PER_BLOCK << _MIN_HALVINGS
     ]
     if not parts:
-        return CorrelationFactor(1.0, np.inf, 1.0)
+        return NO_SCATTER
     metric = np.linalg.pinv(sum(part.information.sum(0) for part in parts), hermitian=True)
-    best, found = CorrelationFactor(1.0, np.inf, 1.0), False
-    level = 0
-    while True:
-        seen, expected, points = [], [], []
-        for part in parts:
-            if len(part.score) >> level >= _MIN_BLOCKS:
-                merged = part.merged(level)
-                seen.append(np.einsum("bi,ij,bj->b", merged.score, metric, merged.score))
-                expected.append(score_variance * merged.expected(metric))
-                points.append(part.points / len(merged.score))
-        if not seen:
-            return best if found else CorrelationFactor(1.0, np.inf, 1.0)
-        want = np.concatenate(expected)
-        ratio = float(np.concatenate(seen).sum() / want.sum())
-        degrees = float(want.sum() ** 2 / (want**2).sum())
-        found = found or ratio > 1 + _SIGNIFICANT * np.sqrt(2 / degrees)
-        if ratio > best.variance:
-            best = CorrelationFactor(ratio, degrees, float(np.mean(points)))
-        level += 1
+    seen = np.concatenate(
+        [np.einsum("bi,ij,bj->b", part.score, metric, part.score) for part in parts]
+    )
+    moments = [part.expected(metric) for part in parts]
+    mean, square = (np.concatenate(column).sum() for column in zip(*moments, strict=True))
+    return Scatter(float(seen.sum() / (score_variance * mean)), float(mean**2 / square))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _BlockSums:
-    """Sums over the blocks of one probing; b blocks in Morton order, a power of two."""
+    """Sums over the b blocks of one probing; `noise` is the information under the correlation of
+    neighbours."""
 
     score: Float[np.ndarray, "b 2"]
     information: Float[np.ndarray, "b 2 2"]
+    noise: Float[np.ndarray, "b 2 2"]
     leak: Float[np.ndarray, "b 2 n"]
     shift_covariance: Float[np.ndarray, "n n"]
-    points: int
 
-    def merged(self, level: int) -> "_BlockSums":
-        """Sums over blocks 2**level times as large."""
-        count = len(self.score) >> level
-        return _BlockSums(
-            self.score.reshape(count, -1, 2).sum(1),
-            self.information.reshape(count, -1, 2, 2).sum(1),
-            self.leak.reshape(count, -1, *self.leak.shape[1:]).sum(1),
-            self.shift_covariance,
-            self.points,
-        )
-
-    def expected(self, metric: np.ndarray) -> np.ndarray:
-        """Mean of score' metric score of each block for independent points, leverage taken off."""
+    def expected(
+        self, metric: np.ndarray
+    ) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
+        """Mean of score' metric score of each block, leverage taken off, and half its variance."""
         plain = np.einsum("bij,ij->b", self.information, metric)
         constants = np.einsum(
             "bij,jk,bkl,li->b", self.information, metric, self.information, metric
         )
         leak = np.einsum("bij,jk,blk,li->b", self.leak, self.shift_covariance, self.leak, metric)
-        return plain - constants - leak
+        left = 1.0 - (constants + leak) / np.maximum(plain, np.finfo(float).tiny)
+        noise = left[:, None, None] * (self.noise @ metric)
+        return np.einsum("bii->b", noise), np.einsum("bij,bji->b", noise, noise)
 
 
-def _block_sums(probe: LocalProbe, projection: np.ndarray) -> _BlockSums:
-    """Scores and information of the finest blocks of one probing, the tip left out."""
+def _block_sums(probe: LocalProbe, projection: np.ndarray, sharing: float) -> _BlockSums:
+    """Sums over the blocks of one probing, the tip left out."""
     rows = probe.rows
-    order = morton_order(rows.position)
-    order = order[: int(np.isfinite(rows.position[:, 0]).sum())]
-    finest = min(_MAX_HALVINGS, int(np.log2(len(order) / _MIN_POINTS_PER_BLOCK)))
+    block = np.repeat(_blocks(probe), rows.components.astype(np.int64))
+    count = int(block.max()) + 1
     clean, shifts = probe.design @ projection, probe.design[:, probe.common :]
-    row_score = rows.per_row(probe.weight) * probe.residual
-    columns = np.concatenate(
-        [
-            clean * row_score[:, None],
-            clean[:, [0]] * clean,
-            clean[:, [1]] * clean,
-            clean[:, [0]] * shifts,
-            clean[:, [1]] * shifts,
-        ],
-        axis=1,
-    )
-    point_sums = np.add.reduceat(columns, rows.start, axis=0)[order]
-    first = np.arange(2**finest) * len(order) // 2**finest
-    sums = np.add.reduceat(point_sums, first, axis=0)
+    near = clean
+    if rows.neighbours is not None:
+        near = clean + sharing * (_within(rows.neighbours, block) @ clean)
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        sums = np.zeros((count, *values.shape[1:]))
+        np.add.at(sums, block[block >= 0], values[block >= 0])
+        return sums
+
     normal = shifts.T @ shifts + np.eye(shifts.shape[1])
     return _BlockSums(
-        sums[:, :2],
-        sums[:, 2:6].reshape(-1, 2, 2),
-        sums[:, 6:].reshape(-1, 2, shifts.shape[1]),
+        summed(clean * _row_scores(probe)[:, None]),
+        summed(clean[:, :, None] * clean[:, None, :]),
+        summed(clean[:, :, None] * near[:, None, :]),
+        summed(clean[:, :, None] * shifts[:, None, :]),
         np.linalg.inv(normal),
-        len(order),
     )
+
+
+def _blocks(probe: LocalProbe) -> Int[np.ndarray, " p"]:
+    """Number of the block that each point is in, -1 for the tip."""
+    order = morton_order(probe.rows.position)[: _located(probe)]
+    halvings = min(_MAX_HALVINGS, int(np.log2(len(order) / _MIN_POINTS_PER_BLOCK)))
+    block = np.full(len(probe.rows.position), -1)
+    block[order] = (np.arange(len(order)) << halvings) // len(order)
+    return block
+
+
+def _located(probe: LocalProbe) -> int:
+    """How many points it has, the tip left out."""
+    return int(np.isfinite(probe.rows.position[:, 0]).sum())
+
+
+def _within(neighbours: csr_array, block: Int[np.ndarray, " r"]) -> csr_array:
+    """Correlations of the rows of one block."""
+    pairs = neighbours.tocoo()
+    first, second = pairs.coords
+    same = block[first] == block[second]
+    chosen = pairs.data[same], (first[same], second[same])
+    return csr_array(chosen, shape=neighbours.shape)
+
+
+def _row_scores(probe: LocalProbe) -> Float[np.ndarray, " r"]:
+    """Robust score of every row."""
+    return np.asarray(probe.rows.per_row(probe.weight) * probe.residual)

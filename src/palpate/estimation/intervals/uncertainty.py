@@ -13,13 +13,12 @@ import numpy as np
 from palpate.estimation.intervals.profile_likelihood import profile_curve, profile_intervals
 from palpate.estimation.intervals.sandwich import (
     DIRECTIONS,
-    Scatter,
-    ScoreNoise,
     Scores,
-    Variance,
     directions,
     scores_of,
 )
+from palpate.estimation.intervals.scatter import Scatter, Variance
+from palpate.estimation.intervals.score_noise import ScoreNoise
 from palpate.estimation.search import FixedWeights, Minimum, Misfit
 from palpate.records import Constant
 
@@ -71,7 +70,7 @@ class Uncertainty:
         """Variance of nu, log G or log E."""
         turn = directions(self.minimum.poisson_ratio)[name]
         found = self.scores.variance(turn, self.scatters[name])
-        known = min(self.noise.degrees, self.noise.correlation.degrees)
+        known = min(self.noise.degrees, self.noise.blocks.total_degrees)
         return replace(found, degrees=min(found.degrees, known))
 
     def error(self, name: str) -> float:

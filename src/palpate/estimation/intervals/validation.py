@@ -213,7 +213,7 @@ def _shift_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray,
     inverse = np.linalg.inv(products[d:-1, d:-1] + np.diag(probe.prior()))
     turn = inverse @ products[d:-1, :d]
     # As in the sandwich: the curvature holds the slope of the score, its noise has this power.
-    own = noise.power / noise.slope * noise.correlation.variance * np.diag(inverse)
+    own = noise.power / noise.slope * noise.excess * np.diag(inverse)
     shared = np.einsum("ni,ij,nj->n", turn, uncertainty.scores.covariance(), turn)
     # A share of the prior is left over: no noise of the displacements makes it larger.
     return np.sqrt(np.minimum(own, np.maximum(np.diag(inverse), 1.0)) + shared)

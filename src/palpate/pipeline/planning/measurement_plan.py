@@ -248,7 +248,10 @@ def _information(session: Session, material: Material) -> Information:
     """What the points tell, beside the model of a fit with all its errors."""
     shear, ratio = material.shear_modulus, material.poisson_ratio
     observed = graded_observations(_at_guess(session, material))
-    known = with_stretch(observed, calibration_strains(session))
+    known = [
+        replace(one, reference="planned pictures at rest")
+        for one in with_stretch(observed, calibration_strains(session))
+    ]
     return fisher_information(known, poisson_ratio=ratio, shear_modulus=shear)
 
 

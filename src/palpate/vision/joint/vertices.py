@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.geometry import vertex_normals
-from palpate.records import Camera, camera_centre
+from palpate.records import INDEPENDENT, Camera, PointCorrelation, camera_centre
 from palpate.shapes import Flags, Triangles, Vertices
 from palpate.vision.cameras import pixel_sizes
-from palpate.vision.matching import LocalField, Scatter, local_field
+from palpate.vision.matching import LocalField, Scatter, local_field, noise_correlation
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
 # Radius of the points that speak for a vertex, in half windows: those whose windows hold it.
@@ -42,8 +42,10 @@ def vertex_displacement(
     valid = is_valid(flow)
     normal = vertex_normals(vertices, triangles)
     rows = np.flatnonzero(_facing(camera, vertices, normal))
+    correlation = INDEPENDENT
     if valid.any() and len(rows) > 0:
-        field = _field_at(flow, valid, vertices[rows], normal[rows], camera)
+        scatter = _scatter(flow, valid)
+        field = _field_at(scatter, vertices[rows], normal[rows], camera)
         good = np.isfinite(field.displacement).all(axis=1) & (field.count >= _FEWEST)
         # Beside the points a polynomial goes anywhere, and its variance says so.
         trace = np.trace(field.covariance, axis1=1, axis2=2)
@@ -53,19 +55,15 @@ def vertex_displacement(
         displacement[rows[good]] = field.displacement[good]
         covariance[rows[good]] = field.covariance[good]
         count[rows] = field.count
-    return VertexDisplacement(displacement, covariance, count)
+        shared = noise_correlation(scatter, field)
+        kept = good[shared.pair].all(axis=1)
+        correlation = PointCorrelation(rows[shared.pair[kept]], shared.value[kept])
+    return VertexDisplacement(displacement, covariance, count, correlation)
 
 
-def _field_at(
-    flow: RangeFlow,
-    valid: Flags,
-    place: Float[np.ndarray, "k 3"],
-    normal: Float[np.ndarray, "k 3"],
-    camera: Camera,
-) -> LocalField:
-    """Local field at vertices."""
-    half = (flow.subset // 2) * float(np.median(pixel_sizes(camera, flow.point[valid])))
-    scatter = Scatter(
+def _scatter(flow: RangeFlow, valid: Flags) -> Scatter:
+    """The valid points of range flow."""
+    return Scatter(
         flow.point[valid],
         flow.pixel[valid],
         flow.displacement[valid],
@@ -73,6 +71,16 @@ def _field_at(
         flow.bias[valid],
         flow.subset,
     )
+
+
+def _field_at(
+    scatter: Scatter,
+    place: Float[np.ndarray, "k 3"],
+    normal: Float[np.ndarray, "k 3"],
+    camera: Camera,
+) -> LocalField:
+    """Local field at vertices."""
+    half = (scatter.subset // 2) * float(np.median(pixel_sizes(camera, scatter.point)))
     return local_field(scatter, place, _tangents(normal), reach=_REACH * half, fewest=_FEWEST)
 
 

@@ -3,8 +3,9 @@
 Purpose    : where every pixel went, without a guess (dense and sparse flow); where a window went,
              to a hundredth of a pixel; what the displacements around a point predict for it.
 Takes      : grey pictures, prepared by `images`; displacements of scattered points.
-Gives      : `dense_start`, `refine_planar`, `local_field`, `predicted`, and the window kernels.
-Depends on : `vision.images`.
+Gives      : `dense_start`, `refine_planar`, `local_field`, `noise_correlation`, `predicted`, and
+             the window kernels.
+Depends on : `vision.images`, `records`.
 Read first : `window_sums.py`, then `planar_match.py`, then `dense_flow.py`.
 """
 
@@ -14,6 +15,7 @@ from palpate.vision.matching.local_regression import (
     Scatter as Scatter,
     local_field as local_field,
 )
+from palpate.vision.matching.noise_correlation import noise_correlation as noise_correlation
 from palpate.vision.matching.outliers import (
     Prediction as Prediction,
     median_around as median_around,

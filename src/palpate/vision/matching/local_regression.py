@@ -66,6 +66,8 @@ class LocalField:
     curvature : (t, 3, 3) float [1/m]   coefficients of xi^2, xi eta, eta^2; zero for order 1
     covariance : (t, 3, 3) float [m^2]  larger where the field is rougher than its noise
     count : (t,) int                    displacements within reach
+    nearest : (t, m) int                which of the scatter's they are; -1 where there are fewer
+    share : (t, m) float [-]            each one's part in the displacement, NaN where undetermined
     """
 
     displacement: Float[np.ndarray, "t 3"]
@@ -73,6 +75,8 @@ class LocalField:
     curvature: Float[np.ndarray, "t 3 3"]
     covariance: Float[np.ndarray, "t 3 3"]
     count: Int[np.ndarray, " t"]
+    nearest: Int[np.ndarray, "t m"]
+    share: Float[np.ndarray, "t m"]
 
 
 def local_field(
@@ -108,14 +112,16 @@ def local_field(
     value, gradient, curvature, spread = (
         np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3))
     )
+    share = np.full(nearest.shape, np.nan)
     in_threads(
         _fit_range, count, np.ascontiguousarray(place, dtype=np.float64),
         np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
         scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
         float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, spread,
-        fewest=_MIN_PLACES_PER_THREAD,
+        share, fewest=_MIN_PLACES_PER_THREAD,
     )  # fmt: skip
-    return LocalField(value, gradient, curvature, spread, (nearest >= 0).sum(axis=1))
+    found = (nearest >= 0).sum(axis=1)
+    return LocalField(value, gradient, curvature, spread, found, nearest, share)
 
 
 def _neighbours(
@@ -141,7 +147,7 @@ def _neighbours(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_range(
     begin, end, place, tangent, nearest, point, pixel, displacement, covariance, bias, trace,
-    subset, reach, terms, value, gradient, curvature, spread,
+    subset, reach, terms, value, gradient, curvature, spread, share,
 ):  # fmt: skip
     most = nearest.shape[1]
     design = np.empty((most, terms))
@@ -191,9 +197,12 @@ def _fit_range(
         row[:] = 0.0
         row[0] = 1.0
         cholesky_solve_kernel(normal, row)
-        _covariance_kernel(
-            design, weight, robust, row, covariance, trace, pixel, subset, nearest[i], m, spread[i]
-        )
+        for j in range(m):
+            share[i, j] = 0.0
+            for k in range(terms):
+                share[i, j] += row[k] * design[j, k]
+            share[i, j] *= weight[j] * robust[j]
+        _covariance_kernel(share[i], covariance, trace, pixel, subset, nearest[i], m, spread[i])
         for a in range(3):
             for b in range(3):
                 spread[i, a, b] *= max(1.0, left * left)
@@ -289,18 +298,9 @@ def _reweigh_kernel(
 
 
 @njit(cache=True, error_model="numpy")
-def _covariance_kernel(
-    design, weight, robust, row, covariance, trace, pixel, subset, nearest, m, spread
-):
+def _covariance_kernel(share, covariance, trace, pixel, subset, nearest, m, spread):
     """Covariance of the value: each displacement's share, and the noise that windows share."""
-    terms = design.shape[1]
-    share = np.empty(m)
     mean = np.zeros((3, 3))
-    for j in range(m):
-        value = 0.0
-        for k in range(terms):
-            value += row[k] * design[j, k]
-        share[j] = value * weight[j] * robust[j]
     total = 0.0
     for j in range(m):
         n = nearest[j]

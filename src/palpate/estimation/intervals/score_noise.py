@@ -1,0 +1,135 @@
+"""Noise of the robust scores: its size, and what points and probings share of it."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter
+from palpate.estimation.intervals.spatial_correlation import neighbours_sharing
+from palpate.estimation.noise import gaussian_moments, score_moments
+from palpate.estimation.search import LocalProbe, Misfit
+
+# Share of the variance of a match that is the first picture's noise, the same for every later one.
+_REFERENCE_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreNoise:
+    """Noise of the robust scores, pooled over the probings of a session.
+
+    Parameters
+    ----------
+    power, slope : float        mean square and mean slope of the score per component
+    degrees : float             degrees of freedom of the noise, infinite where it was claimed
+    sharing : float             part of the correlation of neighbours that there is, 0 to 1
+    blocks : Scatter            of parts of the surface over what all of that explains
+    """
+
+    power: float
+    slope: float
+    degrees: float
+    sharing: float
+    blocks: Scatter
+
+    @property
+    def excess(self) -> float:
+        """Factor on the variance for what else neighbouring points share."""
+        return max(1.0, self.blocks.factor)
+
+
+def noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
+    """Moments of the robust score, as the residuals show them and never below a claim.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    local : sequence of LocalProbe      at a minimum
+
+    Returns
+    -------
+    ScoreNoise                          of independent blocks
+    """
+    squared = np.concatenate([probe.squared for probe in local])
+    components = np.concatenate([probe.rows.components for probe in local])
+    power, slope = score_moments(misfit.noise, squared, components)
+    rows, lost = float(components.sum()), 2 + _absorbed(local)
+    spare = rows - lost
+    power *= rows / max(spare, 1.0)
+    # No spare rows: the noise cannot be estimated, and the quantile becomes very large.
+    degrees = max(spare, 0.5)
+    sharing = neighbours_sharing(local, power)
+    if not all(probe.rows.has_claims for probe in local):
+        return ScoreNoise(power, slope, degrees, sharing, NO_SCATTER)
+    count = round(float(components.mean()))
+    claimed_power, claimed_slope = gaussian_moments(misfit.noise, count)
+    excess = power > claimed_power * (1 + 2 * np.sqrt(2 / max(spare, 1.0)))
+    raised = excess or bool((misfit.level > 1).any())
+    return ScoreNoise(
+        max(power, claimed_power) if raised else claimed_power,
+        min(slope, claimed_slope),
+        degrees if raised else np.inf,
+        sharing,
+        NO_SCATTER,
+    )
+
+
+def _absorbed(local: Sequence[LocalProbe]) -> float:
+    """Degrees of freedom of the displacements that the shifts of single probings take up."""
+    total = 0.0
+    for probe in local:
+        own = probe.design[:, probe.common :]
+        gram = own.T @ own
+        total += float(np.trace(np.linalg.solve(gram + np.diag(probe.prior()), gram)))
+    return total
+
+
+def common_noise(
+    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
+) -> Float[np.ndarray, "k k d d"]:
+    """Covariance of the scores of probings, each with each, from the noise of pictures at rest that
+    several of them were measured from: half of the noise of each point that more than one has.
+
+    Parameters
+    ----------
+    local : sequence of k LocalProbe    at a minimum
+    turns : (d + n, d) for each         takes the shifts out of its design
+    noise : ScoreNoise
+
+    Returns
+    -------
+    (k, k, d, d) float                  zero for probings that share nothing
+    """
+    names = [_reference_points(probe) for probe in local]
+    seen = Counter(name for own in names for name in own)
+    number = {name: k for k, name in enumerate(name for name in seen if seen[name] > 1)}
+    count, d = len(local), local[0].common
+    found = np.zeros((count, count, d, d))
+    if not number:
+        return found
+    plain, mixed = np.zeros((2, count, 3 * len(number), d))
+    for k, (probe, turn) in enumerate(zip(local, turns, strict=True)):
+        rows = probe.design @ turn
+        neighbours = probe.rows.correlated(rows, noise.sharing)
+        for name, start in names[k].items():
+            if name in number:
+                at = slice(3 * number[name], 3 * number[name] + 3)
+                plain[k, at], mixed[k, at] = rows[start : start + 3], neighbours[start : start + 3]
+    for k in range(count):
+        for m in range(count):
+            found[k, m] = 0.5 * (mixed[k].T @ plain[m] + plain[k].T @ mixed[m])
+    return _REFERENCE_SHARE * noise.power * noise.excess * found
+
+
+def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:
+    """First row of each point measured whole from pictures at rest, by these and by its place."""
+    rows = probe.rows
+    if rows.reference is None:
+        return {}
+    return {
+        (rows.reference, place.tobytes()): int(start)
+        for place, start, count in zip(rows.position, rows.start, rows.components, strict=True)
+        if count == 3 and np.isfinite(place[0])
+    }

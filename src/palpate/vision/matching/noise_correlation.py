@@ -1,0 +1,51 @@
+"""Correlation of the errors of neighbouring places of a field: their windows share pixels."""
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, dia_array
+from scipy.spatial import cKDTree
+
+from palpate.records import PointCorrelation
+from palpate.vision.matching.local_regression import LocalField, Scatter
+
+
+def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
+    """How the errors of a local field's displacements are correlated from place to place.
+
+    Each is a weighted sum of displacements whose windows overlap, as in the field's covariance;
+    what those share by their bias is as near as their noise.
+
+    Parameters
+    ----------
+    scatter : Scatter
+    field : LocalField              of that scatter
+
+    Returns
+    -------
+    PointCorrelation                of the t places; undetermined ones have none
+    """
+    known = np.isfinite(field.share)
+    place, column = np.nonzero(known)
+    shape = (len(field.share), len(scatter.point))
+    part = csr_array((field.share[known], (place, field.nearest[place, column])), shape=shape)
+    joint = (part @ _noise(scatter) @ part.T).tocoo()
+    variance = np.zeros(shape[0])
+    first, second = joint.coords
+    same = first == second
+    variance[first[same]] = joint.data[same]
+    chosen = first < second
+    first, second = first[chosen], second[chosen]
+    value = joint.data[chosen] / np.sqrt(variance[first] * variance[second])
+    return PointCorrelation(np.column_stack([first, second]), value)
+
+
+def _noise(scatter: Scatter) -> csr_array:
+    """Covariance of the noise of the scatter's displacements: overlap of their windows."""
+    pair = cKDTree(scatter.pixel).query_pairs(scatter.subset, p=np.inf, output_type="ndarray")
+    first, second = pair.T
+    apart = np.abs(scatter.pixel[first] - scatter.pixel[second]) / scatter.subset
+    size = np.sqrt(np.trace(scatter.covariance - scatter.bias, axis1=1, axis2=2))
+    count = len(size)
+    shared = np.maximum(1.0 - apart, 0.0).prod(axis=1) * size[first] * size[second]
+    upper = coo_array((shared, (first, second)), shape=(count, count)).tocsr()
+    own = dia_array((size[None] ** 2, [0]), shape=(count, count)).tocsr()
+    return csr_array(own + upper + upper.T)
