@@ -7,6 +7,10 @@ from scipy.spatial import cKDTree
 from palpate.records import PointCorrelation
 from palpate.vision.matching.local_regression import LocalField, Scatter
 
+# Three of four pairs of places whose windows touch are correlated less; together they add a
+# hundredth to a variance.
+_LEAST = 0.05
+
 
 def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
     """How the errors of a local field's displacements are correlated from place to place.
@@ -21,7 +25,7 @@ def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
 
     Returns
     -------
-    PointCorrelation                of the t places; undetermined ones have none
+    PointCorrelation                of the t places, of 0.05 and more; undetermined ones have none
     """
     known = np.isfinite(field.share)
     place, column = np.nonzero(known)
@@ -35,7 +39,8 @@ def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
     chosen = first < second
     first, second = first[chosen], second[chosen]
     value = joint.data[chosen] / np.sqrt(variance[first] * variance[second])
-    return PointCorrelation(np.column_stack([first, second]), value)
+    kept = np.abs(value) > _LEAST
+    return PointCorrelation(np.column_stack([first[kept], second[kept]]), value[kept])
 
 
 def _noise(scatter: Scatter) -> csr_array:
