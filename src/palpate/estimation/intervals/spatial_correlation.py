@@ -17,9 +17,10 @@ from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter
 from palpate.estimation.search import LocalProbe
 from palpate.geometry import morton_order
 
-# Blocks of a probing, a power of two: more of them say more surely what is shared within them, and
-# miss more of what is shared across their borders.
-_MIN_HALVINGS, _MAX_HALVINGS = 3, 5
+# Of a probing. Where a single probing's errors agree over a seventh of the surface, intervals hold
+# in 93 % with eight blocks and in 78 % with 32, by simulation; where points err independently they
+# are an eighth wider for it.
+_BLOCKS = 8
 _MIN_POINTS_PER_BLOCK = 6
 
 
@@ -73,7 +74,7 @@ def block_scatter(
     parts = [
         _block_sums(probe, turn, sharing)
         for probe, turn in zip(local, projection, strict=True)
-        if _located(probe) >= _MIN_POINTS_PER_BLOCK << _MIN_HALVINGS
+        if _located(probe) >= _BLOCKS * _MIN_POINTS_PER_BLOCK
     ]
     if not parts:
         return NO_SCATTER
@@ -115,14 +116,13 @@ def _block_sums(probe: LocalProbe, projection: np.ndarray, sharing: float) -> _B
     """Sums over the blocks of one probing, the tip left out."""
     rows = probe.rows
     block = np.repeat(_blocks(probe), rows.components.astype(np.int64))
-    count = int(block.max()) + 1
     clean, shifts = probe.design @ projection, probe.design[:, probe.common :]
     near = clean
     if rows.neighbours is not None:
         near = clean + sharing * (_within(rows.neighbours, block) @ clean)
 
     def summed(values: np.ndarray) -> np.ndarray:
-        sums = np.zeros((count, *values.shape[1:]))
+        sums = np.zeros((_BLOCKS, *values.shape[1:]))
         np.add.at(sums, block[block >= 0], values[block >= 0])
         return sums
 
@@ -139,9 +139,8 @@ def _block_sums(probe: LocalProbe, projection: np.ndarray, sharing: float) -> _B
 def _blocks(probe: LocalProbe) -> Int[np.ndarray, " p"]:
     """Number of the block that each point is in, -1 for the tip."""
     order = morton_order(probe.rows.position)[: _located(probe)]
-    halvings = min(_MAX_HALVINGS, int(np.log2(len(order) / _MIN_POINTS_PER_BLOCK)))
     block = np.full(len(probe.rows.position), -1)
-    block[order] = (np.arange(len(order)) << halvings) // len(order)
+    block[order] = _BLOCKS * np.arange(len(order)) // len(order)
     return block
 
 
