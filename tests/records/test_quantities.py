@@ -4,11 +4,12 @@ import math
 
 import pytest
 
-from palpate.records import Constant
+from palpate.records import Constant, ErrorEstimate
 from palpate.records.quantities import (
     FILE_LENGTH_UNITS,
     LENGTH_UNITS,
     constant_text,
+    error_texts,
     interval_text,
     length_unit,
     modulus_unit,
@@ -70,3 +71,17 @@ def test_units_as_programs_spell_them(word, name):
 def test_units_are_what_they_are():
     assert LENGTH_UNITS == {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
     assert FILE_LENGTH_UNITS == {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "texts"),
+    [
+        ("", 0.02, ("2 %", "1 %", "4 %")),
+        ("m", 5e-4, ("0.5 mm", "0.25 mm", "1 mm")),
+        ("rad", math.pi / 180.0, ("1 degrees", "0.5 degrees", "2 degrees")),
+        ("m/Pa", 3e-9, ("3 mm/MPa", "1.5 mm/MPa", "6 mm/MPa")),
+    ],
+)
+def test_errors_are_written_in_their_units(unit, value, texts):
+    error = ErrorEstimate("n01: contact along x", unit, value, 0.5 * value, 2.0 * value)
+    assert error_texts(error) == texts
