@@ -1,20 +1,26 @@
 """The same body at finite strain: what the linear model leaves out when it is pressed far."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.sparse import csr_array
 
 from palpate.errors import NotConvergedError, SingularSystemError
-from palpate.lab.bodies.finite_elements import Body, free_part, quadratic_basis, stiffness_matrix
-from palpate.lab.bodies.sparse_cholesky import factorise
+from palpate.lab.bodies.finite_elements import (
+    Body,
+    free_part,
+    quadratic_basis,
+    solve_free,
+    stiffness_matrix,
+)
+from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
+from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
 from palpate.optional_imports import late_import
 
-_MAX_STEPS = 25
 # Forces out of balance, of the load: Newton's last step leaves rounding.
 _BALANCED = 1e-9
-_MAX_HALVINGS = 8
 
 
 def solve_finite(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -46,21 +52,59 @@ def solve_finite(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
     smaller parts.
     """
     basis = quadratic_basis(body.solid)
-    displacement = np.zeros_like(load)
-    done, part = 0.0, 1.0
-    while done < 1.0:
-        share = min(1.0, done + part)
-        found = _equilibrium(body, basis, share * load, displacement)
-        if found is not None:
-            displacement, done = found, share
-            continue
-        part *= 0.5
-        if part < 0.5**_MAX_HALVINGS:
-            raise NotConvergedError(
-                f"no equilibrium beyond {100 * done:.1f} % of the load: the body buckles, or is"
-                " pressed farther than its elements bear; press less, or use smaller elements there"
-            )
-    return displacement
+    scale = float(np.linalg.norm(load[~body.held]))
+
+    def find(share: float, at: Unknowns) -> Unknowns | None:
+        loaded = _Loaded(body, basis, share * load)
+        return find_rest(loaded, at, balanced=_BALANCED * share * scale)
+
+    found, done = find_in_parts(find, np.zeros(load.size))
+    if done < 1.0:
+        raise NotConvergedError(
+            f"no equilibrium beyond {100 * done:.1f} % of the load: the body buckles, or is"
+            " pressed farther than its elements bear; press less, or use smaller elements there"
+        )
+    return found.reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Loaded:
+    """A body under dead loads, in the displacement of all nodes (`Potential`)."""
+
+    body: Body
+    basis: Any
+    load: Float[np.ndarray, "n 3"]
+
+    def value(self, at: Unknowns) -> float:
+        return energy(self.body, self.basis, at.reshape(-1, 3)) - float(self.load.ravel() @ at)
+
+    def forces(self, at: Unknowns) -> Unknowns:
+        missing = self.load - inner_forces(self.body, self.basis, at.reshape(-1, 3))
+        missing[self.body.held] = 0.0
+        return missing.ravel()
+
+    def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
+        moduli = tangent_moduli(self.body, self.basis, at.reshape(-1, 3))
+        factor = stable_factor(self.body, stiffness_matrix(self.basis, moduli))
+        return None if factor is None else solve_free(self.body.held, factor, forces[:, None])[:, 0]
+
+
+def stable_factor(body: Body, tangent: csr_array) -> Cholesky | None:
+    """Factor of a tangent's free part.
+
+    Parameters
+    ----------
+    body : Body
+    tangent : (3 n, 3 n) sparse [N/m]
+
+    Returns
+    -------
+    Cholesky or None                None where the body is not stable
+    """
+    try:
+        return factorise(free_part(tangent, body.held), body.solid.nodes[~body.held])
+    except SingularSystemError:
+        return None
 
 
 def energy(body: Body, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> float:
@@ -171,45 +215,3 @@ def _determinant(gradient: Float[np.ndarray, "3 3 m q"]) -> Float[np.ndarray, "m
 
 def _inverse_transposed(gradient: Float[np.ndarray, "3 3 m q"]) -> Float[np.ndarray, "3 3 m q"]:
     return np.linalg.inv(gradient.transpose(2, 3, 0, 1)).transpose(3, 2, 0, 1)
-
-
-def _equilibrium(
-    body: Body, basis: Any, load: np.ndarray, displacement: np.ndarray
-) -> np.ndarray | None:
-    """Equilibrium near a displacement, by Newton's method; None where it does not converge."""
-    free = ~body.held
-    scale = np.linalg.norm(load[free])
-
-    def potential(u: np.ndarray) -> float:
-        return energy(body, basis, u) - float((load * u).sum())
-
-    for _ in range(_MAX_STEPS):
-        missing = load - inner_forces(body, basis, displacement)
-        if np.linalg.norm(missing[free]) <= _BALANCED * scale:
-            return displacement
-        matrix = stiffness_matrix(basis, tangent_moduli(body, basis, displacement))
-        try:
-            factor = factorise(free_part(matrix, body.held), body.solid.nodes[free])
-        except SingularSystemError:
-            return None
-        change = np.zeros_like(displacement)
-        change[free] = factor.solve(missing[free].reshape(-1, 1)).reshape(-1, 3)
-        shortened = _shortened(potential, displacement, change)
-        if shortened is None:
-            return None
-        displacement = shortened
-    return None
-
-
-def _shortened(
-    potential: Callable[[np.ndarray], float], displacement: np.ndarray, change: np.ndarray
-) -> np.ndarray | None:
-    """The end of the step, halved until the potential falls (rounding apart); None if it never
-    does."""
-    before = potential(displacement)
-    for _ in range(_MAX_HALVINGS):
-        after = potential(displacement + change)
-        if after <= before + 1e-12 * abs(before):
-            return displacement + change
-        change = 0.5 * change
-    return None
