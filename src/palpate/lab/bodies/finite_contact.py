@@ -1,6 +1,6 @@
 """A rigid tip pressed into a body at finite strain: without friction, with a given force.
 
-The tip's shape is exact, the body is neo-Hookean. The surface may enter the tip by a little, which
+The tip's shape is exact, the body hyperelastic. The surface may enter the tip by a little, which
 a stiff layer of springs resists: what a body does under a given force hardly depends on how deep
 the tip that gives it has gone.
 """
@@ -16,18 +16,15 @@ from scipy.sparse import csr_array, diags_array
 from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import quadratic_shapes
 from palpate.lab.bodies.contact import facet_samples, touch
-from palpate.lab.bodies.finite_elements import (
-    Body,
-    quadratic_basis,
-    solve_free,
-    stiffness_matrix,
-)
-from palpate.lab.bodies.neo_hookean import (
+from palpate.lab.bodies.finite_elements import Body, quadratic_basis, solve_free
+from palpate.lab.bodies.finite_strain import (
+    LawOf,
     energy,
     inner_forces,
     stable_factor,
-    tangent_moduli,
+    tangent,
 )
+from palpate.lab.bodies.laws import Law, NeoHookean
 from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
 from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, PointScalars
@@ -88,15 +85,21 @@ class _Springs:
 
 
 def press_finite(
-    body: Body, tip: Tip, force: float, *, start: FinitePress | None = None
+    body: Body,
+    tip: Tip,
+    force: float,
+    *,
+    law: LawOf = NeoHookean,
+    start: FinitePress | None = None,
 ) -> FinitePress:
-    """Press a freely sliding tip into a neo-Hookean body until it pushes with a given force.
+    """Press a freely sliding tip into a body at finite strain until it pushes with a given force.
 
     Parameters
     ----------
     body : Body
     tip : Tip                       goes along its axis; what is across is held by the arm
     force : float [N]               along the tip's motion, > 0
+    law : function                  Lame's constants mu and lambda [Pa] -> `Law`
     start : FinitePress or None     of nearly the same body and force; None: from rest
 
     Returns
@@ -117,7 +120,9 @@ def press_finite(
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
-    meeting = _Meeting(body, quadratic_basis(body.solid), tip, _skin(body, tip), force)
+    meeting = _Meeting(
+        body, law(*body.lame), quadratic_basis(body.solid), tip, _skin(body, tip), force
+    )
     found = None
     if start is not None:
         found = meeting.rest(_joined(start))
@@ -132,6 +137,7 @@ class _Meeting:
     (`Potential`)."""
 
     body: Body
+    law: Law
     basis: Any
     tip: Tip
     skin: _Skin
@@ -139,14 +145,14 @@ class _Meeting:
 
     def value(self, at: Unknowns) -> float:
         """Energy of body and springs less the work of the force on the tip."""
-        stored = energy(self.body, self.basis, at[:-1].reshape(-1, 3))
+        stored = energy(self.law, self.basis, at[:-1].reshape(-1, 3))
         return stored + self.springs(at).energy - self.force * float(at[-1])
 
     def forces(self, at: Unknowns) -> Unknowns:
         """Of the springs on the nodes less the body's own; then what the springs leave to the
         tip."""
         springs = self.springs(at)
-        missing = springs.force - inner_forces(self.body, self.basis, at[:-1].reshape(-1, 3))
+        missing = springs.force - inner_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
         missing[self.body.held] = 0.0
         return np.append(missing, self.force - springs.push)
 
@@ -155,10 +161,12 @@ class _Meeting:
         entered, normal = self.entered(at)
         weight = np.where(entered > 0.0, self.skin.stiffness, 0.0)
         ahead = normal @ self.tip.direction
-        moduli = tangent_moduli(self.body, self.basis, at[:-1].reshape(-1, 3))
         across = _along_normals(self.skin.shape, normal)
-        matrix = stiffness_matrix(self.basis, moduli) + across.T @ diags_array(weight) @ across
-        factor = stable_factor(self.body, csr_array(matrix))
+        matrix = (
+            tangent(self.law, self.basis, at[:-1].reshape(-1, 3))
+            + across.T @ diags_array(weight) @ across
+        )
+        factor = stable_factor(self.body, matrix)
         if factor is None:
             return None
         coupling = across.T @ (weight * ahead)
