@@ -138,7 +138,7 @@ class _Task:
         self, corrections: Sequence[Points], coarser: Sequence[_Coarser]
     ) -> list[ProbeObservations]:
         """What a linear object would have shown, with what the corrections may be off by."""
-        known = coarser or [None] * len(corrections)
+        known: Sequence[_Coarser | None] = coarser or [None] * len(corrections)
         return [
             _corrected(observed, correction, rough)
             for observed, correction, rough in zip(
