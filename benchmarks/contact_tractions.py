@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from palpate.geometry import closest_points
-from palpate.lab import built_in, half_ball, held_nodes, make_body, make_solid, read_lab_config
-from palpate.lab.bench.arm import aim, fine_place
+from palpate.lab import built_in, half_ball, held_nodes, make_body, read_lab_config
+from palpate.lab.bench.arm import aim, solid_under
 from palpate.lab.bodies import press_to_force, surface_values
 from palpate.lab.bodies.finite_elements import solve_load
 from palpate.pipeline import fit_session
@@ -45,9 +45,7 @@ def main() -> None:
     material, specimen = config.material, config.specimen
     for k, probe in enumerate(config.probes):
         tip = aim(probe, config.arm, specimen.mesh, rng=np.random.default_rng([1, 1, k]))
-        solid = make_solid(
-            specimen.body, edge=specimen.element, fine=(fine_place(tip, probe, material),)
-        )
+        solid = solid_under(specimen, tip, probe, material)
         body = make_body(
             solid, held_nodes(solid, specimen.held), shear_modulus=material.shear_modulus,
             poisson_ratio=material.poisson_ratio,

@@ -25,11 +25,11 @@ from palpate.estimation.intervals import (
 )
 from palpate.estimation.nuisance import (
     ContactError as ContactError,
+    CorrectionError as CorrectionError,
     Discretisation as Discretisation,
     ForceDirection as ForceDirection,
     ForceGain as ForceGain,
     LengthScale as LengthScale,
-    MaterialLaw as MaterialLaw,
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     Pose as Pose,

@@ -26,9 +26,12 @@ from palpate.lab.bench import (
 from palpate.lab.bodies import (
     SHAPES as SHAPES,
     FinitePress as FinitePress,
+    LawOf as LawOf,
+    NeoHookean as NeoHookean,
     Punch as Punch,
     Solid as Solid,
     Sphere as Sphere,
+    SplitNeoHookean as SplitNeoHookean,
     Tip as Tip,
     cylinder as cylinder,
     half_ball as half_ball,

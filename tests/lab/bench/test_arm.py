@@ -8,12 +8,13 @@ import pytest
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
 from palpate.lab import Arm, Head, Material, Probe, built_in, read_lab_config
-from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at
+from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at, solid_under
 from palpate.lab.bench.session_text import probe_tables
 from palpate.lab.bodies.contact import touch
 from palpate.lab.bodies.finite_elements import held_nodes, make_body
 from palpate.lab.bodies.specimens import block, half_ball, toy
 from palpate.lab.bodies.tetrahedra import make_solid
+from palpate.lab.config import Specimen
 from palpate.lab.pictures.head import make_head
 
 BALL = half_ball(radius=0.04, edge=0.006)
@@ -156,6 +157,20 @@ def test_elements_are_small_where_the_tip_touches(kind, probe, radius):
     point, reach, edge = fine_place(tip, probe, Material(5e4, 0.3))
     np.testing.assert_array_equal(point, TOP)
     assert (reach, edge) == pytest.approx((radius, radius / 3))
+
+
+def test_the_rim_of_a_punch_lies_on_nodes():
+    mesh = block(length=0.05, width=0.04, height=0.03, edge=0.01)
+    top = np.array([0.0, 0.0, 0.03])
+    specimen = Specimen(mesh, mesh, np.arange(2), {}, 0.012)
+    probe, arm = replace(_probe(), point=top), Arm(tip="punch", radius=5e-3, placement=1e-3)
+    tip = aim(probe, arm, mesh, rng=_rng(3))
+    solid = solid_under(specimen, tip, probe, Material(5e4, 0.3))
+    outer = solid.nodes[np.unique(solid.facets)]
+    gap = np.linalg.norm(tip.rim(5e-3 / 8)[:, None] - outer, axis=2).min(axis=1)
+    # It is where the tip goes, a millimetre beside where it was sent; rounding.
+    assert np.linalg.norm(tip.point - top) > 5e-4
+    assert gap.max() < 1e-9
 
 
 @pytest.mark.parametrize("kind", ["sphere", "punch"])

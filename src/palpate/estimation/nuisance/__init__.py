@@ -4,17 +4,17 @@ Purpose    : what a wrong gain, direction, contact, pose or scale does to the di
 Takes      : the response of a probing and what it is multiplied with.
 Gives      : `Nuisance` (a protocol); `ForceGain`, `ForceDirection`, `LengthScale`,
              `SpaceStretch`, `ContactError`, `Pose`, `Discretisation`, `SupportCompliance`,
-             `MaterialLaw`.
+             `CorrectionError`.
 Depends on : nothing but the ground floor.
 Read first : `nuisance.py`, then `force_gain.py`.
 """
 
 from palpate.estimation.nuisance.contact import ContactError as ContactError
+from palpate.estimation.nuisance.correction_error import CorrectionError as CorrectionError
 from palpate.estimation.nuisance.discretisation import Discretisation as Discretisation
 from palpate.estimation.nuisance.force_direction import ForceDirection as ForceDirection
 from palpate.estimation.nuisance.force_gain import ForceGain as ForceGain
 from palpate.estimation.nuisance.length_scale import LengthScale as LengthScale
-from palpate.estimation.nuisance.material_law import MaterialLaw as MaterialLaw
 from palpate.estimation.nuisance.nuisance import (
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,

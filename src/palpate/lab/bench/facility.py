@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, write_mesh
-from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at
+from palpate.lab.bench.arm import aim, probe_body, rod_at, solid_under
 from palpate.lab.bench.session_text import (
     Table,
     instant_name,
@@ -24,7 +24,7 @@ from palpate.lab.bench.session_text import (
     step_tables,
     write_session,
 )
-from palpate.lab.bodies import Body, Tip, held_nodes, make_body, make_solid, surface_values
+from palpate.lab.bodies import Body, Tip, held_nodes, make_body, surface_values
 from palpate.lab.config import LabConfig, Probe, Stage
 from palpate.lab.pictures import (
     Studio,
@@ -293,8 +293,7 @@ def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress)
 def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
     """The specimen in finite elements, small ones under the tip."""
     material, specimen = config.material, config.specimen
-    fine = (fine_place(tip, probe, material),)
-    solid = make_solid(specimen.body, edge=specimen.element, fine=fine)
+    solid = solid_under(specimen, tip, probe, material)
     held = held_nodes(solid, specimen.held)
     return make_body(
         solid, held, shear_modulus=material.shear_modulus, poisson_ratio=material.poisson_ratio

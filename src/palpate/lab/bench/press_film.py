@@ -18,13 +18,12 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 from palpate.errors import RecordError
-from palpate.lab.bench.arm import fine_place, rod_at
+from palpate.lab.bench.arm import rod_at, solid_under
 from palpate.lab.bodies import (
     Solid,
     Tip,
     held_nodes,
     make_body,
-    make_solid,
     press,
     press_to_force,
     surface_values,
@@ -156,8 +155,7 @@ def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedP
     SolvedPress
     """
     probe, specimen = config.probes[number], config.specimen
-    fine = (fine_place(tip, probe, config.material),)
-    solid = make_solid(specimen.body, edge=specimen.element, fine=fine)
+    solid = solid_under(specimen, tip, probe, config.material)
     body = make_body(
         solid, held_nodes(solid, specimen.held),
         shear_modulus=config.material.shear_modulus,

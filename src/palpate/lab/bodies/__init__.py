@@ -24,7 +24,11 @@ from palpate.lab.bodies.finite_elements import (
     solve_load as solve_load,
     surface_values as surface_values,
 )
-from palpate.lab.bodies.neo_hookean import solve_finite as solve_finite
+from palpate.lab.bodies.finite_strain import LawOf as LawOf, solve_finite as solve_finite
+from palpate.lab.bodies.laws import (
+    NeoHookean as NeoHookean,
+    SplitNeoHookean as SplitNeoHookean,
+)
 from palpate.lab.bodies.specimens import (
     SHAPES as SHAPES,
     cylinder as cylinder,

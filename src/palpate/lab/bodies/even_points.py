@@ -73,21 +73,26 @@ def make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -
     return spacing
 
 
-def surface_points(mesh: TriangleMesh, spacing: Spacing) -> Points:
+def surface_points(
+    mesh: TriangleMesh, spacing: Spacing, marked: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, "n 3"]:
     """Points on a surface, its sharp edges and corners among them.
 
     Parameters
     ----------
     mesh : TriangleMesh                 closed
     spacing : (n, 3) -> (n,) [m]
+    marked : (k, 3) float [m]           on the surface: they are among the points, but for those
+                                        too near to a sharp edge or to each other
 
     Returns
     -------
     (n, 3) float [m]
     """
-    sharp = _thinned(_crease_candidates(mesh, spacing), spacing)
+    sharp = _crease_candidates(mesh, spacing)
+    fixed = _thinned(np.concatenate([sharp, marked]), spacing)
     candidates, share = _surface_candidates(mesh, spacing)
-    points = _thinned(np.concatenate([sharp, candidates]), spacing)
+    points = _thinned(np.concatenate([fixed, candidates]), spacing)
     for _ in range(_ROUNDS):
         _, owner = cKDTree(points).query(candidates)
         weight = np.bincount(owner, share, minlength=len(points))
@@ -96,9 +101,9 @@ def surface_points(mesh: TriangleMesh, spacing: Spacing) -> Points:
             axis=1,
         )
         moves = weight > 0.0
-        moves[: len(sharp)] = False
+        moves[: len(fixed)] = False
         points[moves] = centre[moves] / weight[moves, None]
-    points[len(sharp) :] = closest_points(mesh, points[len(sharp) :]).position
+    points[len(fixed) :] = closest_points(mesh, points[len(fixed) :]).position
     return points
 
 

@@ -1,24 +1,31 @@
 """A rigid tip pressed into a body at finite strain: without friction, with a given force.
 
-The tip's shape is exact, the body is neo-Hookean. The surface may enter the tip by a little, which
+The tip's shape is exact, the body hyperelastic. The surface may enter the tip by a little, which
 a stiff layer of springs resists: what a body does under a given force hardly depends on how deep
 the tip that gives it has gone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array
 
-from palpate.errors import InputError, NotConvergedError, SingularSystemError
+from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import quadratic_shapes
 from palpate.lab.bodies.contact import facet_samples, touch
-from palpate.lab.bodies.finite_elements import Body, free_part, quadratic_basis, stiffness_matrix
-from palpate.lab.bodies.neo_hookean import energy, inner_forces, tangent_moduli
-from palpate.lab.bodies.sparse_cholesky import factorise
+from palpate.lab.bodies.finite_elements import Body, quadratic_basis, solve_free
+from palpate.lab.bodies.finite_strain import (
+    LawOf,
+    energy,
+    inner_forces,
+    stable_factor,
+    tangent,
+)
+from palpate.lab.bodies.laws import Law, NeoHookean
+from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
 from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, PointScalars
 
@@ -27,12 +34,8 @@ from palpate.shapes import Points, PointScalars
 _SPRINGS = 100.0
 # The surface may meet the tip within so many of its radii.
 _REACH = 1.6
-_MAX_STEPS = 40
 # Forces out of balance, of the load; of the tip's force alike.
 _BALANCED = 1e-7
-_MAX_HALVINGS = 10
-# Steps of the force, halved where one is too large, become no smaller than this share of it.
-_LEAST_STEP = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +85,21 @@ class _Springs:
 
 
 def press_finite(
-    body: Body, tip: Tip, force: float, *, start: FinitePress | None = None
+    body: Body,
+    tip: Tip,
+    force: float,
+    *,
+    law: LawOf = NeoHookean,
+    start: FinitePress | None = None,
 ) -> FinitePress:
-    """Press a freely sliding tip into a neo-Hookean body until it pushes with a given force.
+    """Press a freely sliding tip into a body at finite strain until it pushes with a given force.
 
     Parameters
     ----------
     body : Body
     tip : Tip                       goes along its axis; what is across is held by the arm
     force : float [N]               along the tip's motion, > 0
+    law : function                  Lame's constants mu and lambda [Pa] -> `Law`
     start : FinitePress or None     of nearly the same body and force; None: from rest
 
     Returns
@@ -111,39 +120,64 @@ def press_finite(
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
-    meeting = _Meeting(body, quadratic_basis(body.solid), tip, _skin(body, tip))
+    meeting = _Meeting(
+        body, law(*body.lame), quadratic_basis(body.solid), tip, _skin(body, tip), force
+    )
+    found = None
     if start is not None:
-        found = meeting.equilibrium(force, start)
-        if found is not None:
-            return found
-    now = FinitePress(np.zeros_like(body.solid.nodes), touch(body.solid, tip))
-    done, part = 0.0, 1.0
-    while done < 1.0:
-        share = min(1.0, done + part)
-        guess = now if done else meeting.first(now, share * force)
-        found = None if guess is None else meeting.equilibrium(share * force, guess)
-        if found is not None:
-            now, done = found, share
-            continue
-        part *= 0.5
-        if part < _LEAST_STEP:
-            raise NotConvergedError(
-                f"no equilibrium beyond {100 * done:.1f} % of the force under the tool: the body"
-                " buckles, or is pressed farther than its elements bear; press less"
-            )
-    return now
+        found = meeting.rest(_joined(start))
+    if found is None:
+        found = meeting.rest_from_touch()
+    return FinitePress(found[:-1].reshape(-1, 3), float(found[-1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Meeting:
-    """A body and a tip, with what is needed to bring them to rest."""
+    """A body and a tip under a force: the nodes' displacement, then the tip's travel
+    (`Potential`)."""
 
     body: Body
+    law: Law
     basis: Any
     tip: Tip
     skin: _Skin
+    force: float
 
-    def springs(self, at: FinitePress) -> _Springs:
+    def value(self, at: Unknowns) -> float:
+        """Energy of body and springs less the work of the force on the tip."""
+        stored = energy(self.law, self.basis, at[:-1].reshape(-1, 3))
+        return stored + self.springs(at).energy - self.force * float(at[-1])
+
+    def forces(self, at: Unknowns) -> Unknowns:
+        """Of the springs on the nodes less the body's own; then what the springs leave to the
+        tip."""
+        springs = self.springs(at)
+        missing = springs.force - inner_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
+        missing[self.body.held] = 0.0
+        return np.append(missing, self.force - springs.push)
+
+    def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
+        """The tip's travel is eliminated last."""
+        entered, normal = self.entered(at)
+        weight = np.where(entered > 0.0, self.skin.stiffness, 0.0)
+        ahead = normal @ self.tip.direction
+        across = _along_normals(self.skin.shape, normal)
+        matrix = (
+            tangent(self.law, self.basis, at[:-1].reshape(-1, 3))
+            + across.T @ diags_array(weight) @ across
+        )
+        factor = stable_factor(self.body, matrix)
+        if factor is None:
+            return None
+        coupling = across.T @ (weight * ahead)
+        both = solve_free(self.body.held, factor, np.stack([forces[:-1], coupling], axis=1))
+        left = float(weight @ ahead**2) - float(coupling @ both[:, 1])
+        if not left > 0.0:
+            return None
+        travel = (forces[-1] + float(coupling @ both[:, 0])) / left
+        return np.append(both[:, 0] + travel * both[:, 1], travel)
+
+    def springs(self, at: Unknowns) -> _Springs:
         """Energy and forces of the skin's springs."""
         entered, normal = self.entered(at)
         size = self.skin.stiffness * entered
@@ -153,85 +187,50 @@ class _Meeting:
             float(size @ (normal @ self.tip.direction)),
         )
 
-    def entered(self, at: FinitePress) -> tuple[PointScalars, Points]:
+    def entered(self, at: Unknowns) -> tuple[PointScalars, Points]:
         """How deep the skin's points are in the tip, and the tip's normals there."""
-        places = self.skin.rest + self.skin.shape @ at.displacement
-        distance, normal = self.tip.distance(at.travel, places)
+        places = self.skin.rest + self.skin.shape @ at[:-1].reshape(-1, 3)
+        distance, normal = self.tip.distance(float(at[-1]), places)
         return np.maximum(-distance, 0.0), normal
 
-    def potential(self, at: FinitePress, force: float) -> float:
-        """Energy of body and springs less the work of the force on the tip."""
-        stored = energy(self.body, self.basis, at.displacement)
-        return stored + self.springs(at).energy - force * at.travel
+    def rest(self, at: Unknowns) -> Unknowns | None:
+        """Rest near a place; None where it is not found."""
+        return find_rest(self, at, balanced=_BALANCED * self.force)
 
-    def first(self, at: FinitePress, force: float) -> FinitePress | None:
+    def rest_from_touch(self) -> Unknowns:
+        """Rest, by way of smaller forces, from the tip's first touch of the body at rest."""
+        touching = FinitePress(
+            np.zeros_like(self.body.solid.nodes), touch(self.body.solid, self.tip)
+        )
+
+        def find(share: float, at: Unknowns) -> Unknowns | None:
+            part = replace(self, force=share * self.force)
+            guess = at if at[:-1].any() else part.first(at)
+            return None if guess is None else part.rest(guess)
+
+        found, done = find_in_parts(find, _joined(touching))
+        if done < 1.0:
+            raise NotConvergedError(
+                f"no equilibrium beyond {100 * done:.1f} % of the force under the tool: the body"
+                " buckles, or is pressed farther than its elements bear; press less"
+            )
+        return found
+
+    def first(self, at: Unknowns) -> Unknowns | None:
         """The tip as deep in the resting skin as its springs alone would bear; None: too deep."""
 
         def excess(depth: float) -> float:
-            return self.springs(FinitePress(at.displacement, at.travel + depth)).push - force
+            return self.springs(np.append(at[:-1], at[-1] + depth)).push - self.force
 
         deepest = 0.5 * self.tip.radius
         if excess(deepest) < 0.0:
             return None
-        return FinitePress(at.displacement, at.travel + float(brentq(excess, 0.0, deepest)))
+        return np.append(at[:-1], at[-1] + float(brentq(excess, 0.0, deepest)))
 
-    def equilibrium(self, force: float, at: FinitePress) -> FinitePress | None:
-        """Rest under a force, near a place; None where Newton's method does not find it."""
-        free = ~self.body.held
-        for _ in range(_MAX_STEPS):
-            springs = self.springs(at)
-            missing = springs.force - inner_forces(self.body, self.basis, at.displacement)
-            lacking = force - springs.push
-            if max(float(np.linalg.norm(missing[free])), abs(lacking)) <= _BALANCED * force:
-                return at
-            step = self.step(at, missing, lacking, free)
-            moved = None if step is None else self.shortened(force, at, step)
-            if moved is None:
-                return None
-            at = moved
-        return None
 
-    def step(
-        self, at: FinitePress, missing: Points, lacking: float, free: Bool[np.ndarray, " n"]
-    ) -> FinitePress | None:
-        """Newton's step; None where the tangent is not stable."""
-        entered, normal = self.entered(at)
-        weight = np.where(entered > 0.0, self.skin.stiffness, 0.0)
-        ahead = normal @ self.tip.direction
-        moduli = tangent_moduli(self.body, self.basis, at.displacement)
-        across = _along_normals(self.skin.shape, normal)
-        matrix = stiffness_matrix(self.basis, moduli) + across.T @ diags_array(weight) @ across
-        coupling = (across.T @ (weight * ahead)).reshape(-1, 3)[free].reshape(-1, 1)
-        try:
-            factor = factorise(free_part(csr_array(matrix), self.body.held), self.nodes[free])
-        except SingularSystemError:
-            return None
-        both = factor.solve(np.hstack([missing[free].reshape(-1, 1), coupling]))
-        left = float(weight @ ahead**2) - float(coupling[:, 0] @ both[:, 1])
-        if not left > 0.0:
-            return None
-        travel = (lacking + float(coupling[:, 0] @ both[:, 0])) / left
-        change = np.zeros_like(at.displacement)
-        change[free] = (both[:, 0] + travel * both[:, 1]).reshape(-1, 3)
-        return FinitePress(change, travel)
-
-    @property
-    def nodes(self) -> Points:
-        """Of the body at rest."""
-        return self.body.solid.nodes
-
-    def shortened(self, force: float, at: FinitePress, step: FinitePress) -> FinitePress | None:
-        """The end of a step, halved until the potential falls (rounding apart)."""
-        before, share = self.potential(at, force), 1.0
-        for _ in range(_MAX_HALVINGS):
-            moved = FinitePress(
-                at.displacement + share * step.displacement, at.travel + share * step.travel
-            )
-            after = self.potential(moved, force)
-            if after <= before + 1e-12 * abs(before):
-                return moved
-            share *= 0.5
-        return None
+def _joined(press: FinitePress) -> Unknowns:
+    """Displacement of the nodes, then the travel."""
+    return np.append(press.displacement, press.travel)
 
 
 def _along_normals(shape: csr_array, normal: Points) -> csr_array:

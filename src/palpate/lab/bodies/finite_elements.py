@@ -232,10 +232,29 @@ def solve_load(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, 
     -------
     (n, 3) float [m]
     """
-    displacement = np.zeros(load.shape)
-    free = ~body.held
-    displacement[free] = body.factor.solve(load[free].reshape(-1, 1)).reshape(-1, 3)
-    return displacement
+    return solve_free(body.held, body.factor, load.reshape(-1, 1)).reshape(-1, 3)
+
+
+def solve_free(
+    held: Bool[np.ndarray, " n"], factor: Cholesky, right: Float[np.ndarray, "m k"]
+) -> Float[np.ndarray, "m k"]:
+    """Displacement of all nodes under several loads.
+
+    Parameters
+    ----------
+    held : (n,) bool                nodes that cannot move
+    factor : Cholesky               of the free nodes' stiffness
+    right : (3 n, k) float [N]      three loads a node, node by node; those on held nodes move
+                                    nothing
+
+    Returns
+    -------
+    (3 n, k) float [m]
+    """
+    free = np.repeat(~held, 3)
+    moved = np.zeros_like(right)
+    moved[free] = factor.solve(right[free])
+    return moved
 
 
 def pressure_load(

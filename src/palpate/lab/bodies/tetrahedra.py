@@ -44,6 +44,7 @@ _MIN_VOLUME = 0.3
 _MAX_DEVIATION = 0.4
 # Elements along a body: candidates for points are many times finer still.
 _MOST_ACROSS = 2000
+_NONE = np.zeros((0, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +82,7 @@ def make_solid(
     *,
     edge: float,
     fine: Sequence[tuple[Float[np.ndarray, "3"], float, float]] = (),
+    marked: Float[np.ndarray, "k 3"] = _NONE,
 ) -> Solid:
     """Fill a closed surface with quadratic tetrahedra.
 
@@ -93,6 +95,8 @@ def make_solid(
     edge : float [m]                  wanted length of an element's edge
     fine : (point (3,), radius, edge) within `radius` of `point` elements of at most that edge [m];
                                       they grow by 0.3 m/m around it
+    marked : (k, 3) float [m]         points that become nodes of the surface, where they are not
+                                      too near to its sharp edges: an element's edge apart
 
     Returns
     -------
@@ -120,7 +124,7 @@ def make_solid(
             raise InputError(f"radius of a fine place is {radius}; must not be negative")
     mesh, _ = checked_mesh(mesh)
     spacing = make_spacing(edge, fine)
-    shell = surface_points(mesh, spacing)
+    shell = surface_points(mesh, spacing, closest_points(mesh, marked).position)
     inner = volume_points(mesh, spacing, shell)
     if len(shell) < 4 or not len(inner):
         raise MeshError(

@@ -127,6 +127,19 @@ class Tip(ABC):
         float [m]                       at most the tip's
         """
 
+    def rim(self, apart: float) -> Float[np.ndarray, "k 3"]:
+        """Points of a sharp rim that the body is pressed with, at its first touch.
+
+        Parameters
+        ----------
+        apart : float [m]               largest distance between neighbours, > 0
+
+        Returns
+        -------
+        (k, 3) float [m]                none where the tip is round
+        """
+        return np.zeros((0, 3))
+
     @abstractmethod
     def outline(self) -> Float[np.ndarray, "k 2"]:
         """The rod's end, from its axis to the shaft.
@@ -202,6 +215,13 @@ class Punch(Tip):
     def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
         """Its whole face, however deep."""
         return self.radius
+
+    def rim(self, apart: float) -> Float[np.ndarray, "k 3"]:
+        """Round the face."""
+        count = int(np.ceil(2.0 * np.pi * self.radius / apart))
+        angle = 2.0 * np.pi * np.arange(count) / count
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        return self.point + self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
 
     def outline(self) -> Float[np.ndarray, "k 2"]:
         """The face."""

@@ -19,6 +19,8 @@ from palpate.errors import InputError
 from palpate.geometry import mesh_quality
 from palpate.lab import (
     FinitePress,
+    LawOf,
+    NeoHookean,
     Solid,
     Sphere,
     Tip,
@@ -67,12 +69,13 @@ class FiniteBody:
     seen: tuple[csr_array, ...]
 
 
-def make_finite_body(session: Session) -> FiniteBody:
+def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
     """Fill a session's object with tetrahedra, smaller ones under its tools.
 
     Parameters
     ----------
     session : Session
+    coarser : float [-]             edges of all elements over the usual ones
 
     Returns
     -------
@@ -90,8 +93,8 @@ def make_finite_body(session: Session) -> FiniteBody:
     for probing, tip in zip(session.probings, tips, strict=True):
         reach, size = (_FINE_REACH, _FINE) if tip is None else (_BALL_REACH, _UNDER_BALL)
         radius = float(probing.contact.radius or 0.0)
-        fine.append((probing.contact.point, reach * radius, size * radius))
-    edge = _COARSE * mesh_quality(session.mesh).edge_mean
+        fine.append((probing.contact.point, reach * radius, coarser * size * radius))
+    edge = coarser * _COARSE * mesh_quality(session.mesh).edge_mean
     if any(tips):
         # A ball meets the surface as it is curved.
         session = halved_session(session)
@@ -118,6 +121,7 @@ def strain_corrections(
     *,
     shear_modulus: float,
     poisson_ratio: float,
+    law: LawOf = NeoHookean,
     starts: Sequence[FinitePress | None] = (),
     progress: Progress = silent,
 ) -> tuple[tuple[Points, ...], tuple[FinitePress | None, ...]]:
@@ -128,6 +132,7 @@ def strain_corrections(
     body : FiniteBody
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu < 0.5; above 0.495 that of 0.495 is given
+    law : function                  Lame's constants mu and lambda [Pa] -> `Law` of finite strain
     starts : sequence               what was found with nearly the same constants; none: from rest
     progress : callable
 
@@ -153,8 +158,10 @@ def strain_corrections(
         pressed = None
         if tip is not None:
             force = float(np.linalg.norm(load.sum(axis=0)))
-            pressed = press_finite(elastic, tip, force, start=starts[k])
-        finite = solve_finite(elastic, load) if pressed is None else pressed.displacement
+            pressed = press_finite(elastic, tip, force, law=law, start=starts[k])
+            finite = pressed.displacement
+        else:
+            finite = solve_finite(elastic, load, law=law)
         found.append(seen @ (finite - solve_load(elastic, load)))
         presses.append(pressed)
     return tuple(found), tuple(presses)

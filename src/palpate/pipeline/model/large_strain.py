@@ -1,22 +1,23 @@
 """An estimate whose object was pressed far: the linear one, corrected until it stands still."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
+    CorrectionError,
     FitResult,
     FitSettings,
-    MaterialLaw,
+    NuisanceParameter,
     ProbeFit,
     ProbeObservations,
     fit,
 )
-from palpate.lab import FinitePress
-from palpate.pipeline.model.finite_strain import make_finite_body, strain_corrections
+from palpate.lab import FinitePress, SplitNeoHookean
+from palpate.pipeline.model.finite_strain import FiniteBody, make_finite_body, strain_corrections
 from palpate.progress import Progress, part_of
 from palpate.records import Session
 from palpate.shapes import Points
@@ -28,6 +29,10 @@ _SETTLED_SHEAR, _SETTLED_RATIO = 1e-3, 5e-4
 # Soft materials of the same constants differ from each other, at finite strain, by a good part of
 # what they differ from a linear one.
 _OTHER_LAWS = 0.3
+# Elements that show what the elements are off by: an error of second order is the step from these.
+_COARSER = 1.4
+# Of the work.
+_ROUGH = 0.35
 
 
 def fit_at_finite_strain(
@@ -56,47 +61,120 @@ def fit_at_finite_strain(
     InputError                      supports or loads that finite strain does not serve
     NotConvergedError               no equilibrium, or the constants do not settle
     """
-    body = make_finite_body(session)
-    found = linear
-    presses: tuple[FinitePress | None, ...] = ()
-    for turn in range(_MOST_ROUNDS):
-        before = found.estimate
-        say = part_of(progress, turn / _MOST_ROUNDS, (turn + 1) / _MOST_ROUNDS)
-        corrections, presses = strain_corrections(
-            body,
-            shear_modulus=before.shear_modulus.value,
-            poisson_ratio=before.poisson_ratio.value,
-            starts=presses,
-            progress=say,
-        )
-        corrected = [_corrected(one, d) for one, d in zip(observations, corrections, strict=True)]
-        found = fit(corrected, settings=settings)
-        now = found.estimate
-        moved = abs(now.shear_modulus.value / before.shear_modulus.value - 1.0)
-        turned = abs(now.poisson_ratio.value - before.poisson_ratio.value)
-        if moved < _SETTLED_SHEAR and turned < _SETTLED_RATIO:
-            break
-    else:
+    task = _Task(observations, settings)
+    rough = task.settled(
+        make_finite_body(session, coarser=_COARSER), linear, (), part_of(progress, 0.0, _ROUGH)
+    )
+    constants = rough.found.estimate
+    other, _ = strain_corrections(
+        rough.body,
+        shear_modulus=constants.shear_modulus.value,
+        poisson_ratio=constants.poisson_ratio.value,
+        law=SplitNeoHookean,
+        starts=rough.presses,
+    )
+    coarser = [_Coarser(one, law - one) for one, law in zip(rough.corrections, other, strict=True)]
+    fine = task.settled(
+        make_finite_body(session), rough.found, coarser, part_of(progress, _ROUGH, 1.0)
+    )
+    found = fine.found
+    notes = (*found.estimate.notes, _size_note(observations, fine.corrections))
+    probes = [_whole(one, d) for one, d in zip(found.probes, fine.corrections, strict=True)]
+    return replace(found, estimate=replace(found.estimate, notes=notes), probes=tuple(probes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Coarser:
+    """Of one probing: its correction in coarser elements, and what the other law adds to it."""
+
+    correction: Points
+    law: Points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Settled:
+    """An estimate that stands still, with the corrections that it was made with."""
+
+    body: FiniteBody
+    found: FitResult
+    corrections: tuple[Points, ...]
+    presses: tuple[FinitePress | None, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What is corrected."""
+
+    observations: Sequence[ProbeObservations]
+    settings: FitSettings
+
+    def settled(
+        self, body: FiniteBody, start: FitResult, coarser: Sequence[_Coarser], progress: Progress
+    ) -> _Settled:
+        """Correct in given elements until the constants stand still."""
+        found = start
+        presses: tuple[FinitePress | None, ...] = ()
+        for turn in range(_MOST_ROUNDS):
+            before = found.estimate
+            corrections, presses = strain_corrections(
+                body,
+                shear_modulus=before.shear_modulus.value,
+                poisson_ratio=before.poisson_ratio.value,
+                starts=presses,
+                progress=part_of(progress, turn / _MOST_ROUNDS, (turn + 1) / _MOST_ROUNDS),
+            )
+            found = fit(self.corrected(corrections, coarser), settings=self.settings)
+            now = found.estimate
+            moved = abs(now.shear_modulus.value / before.shear_modulus.value - 1.0)
+            turned = abs(now.poisson_ratio.value - before.poisson_ratio.value)
+            if moved < _SETTLED_SHEAR and turned < _SETTLED_RATIO:
+                return _Settled(body, found, corrections, presses)
         raise NotConvergedError(
             f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
             " object is pressed too far for this; press less, or leave --strain finite out"
         )
-    notes = (*found.estimate.notes, _size_note(observations, corrections))
-    probes = [_whole(one, d) for one, d in zip(found.probes, corrections, strict=True)]
-    return replace(found, estimate=replace(found.estimate, notes=notes), probes=tuple(probes))
+
+    def corrected(
+        self, corrections: Sequence[Points], coarser: Sequence[_Coarser]
+    ) -> list[ProbeObservations]:
+        """What a linear object would have shown, with what the corrections may be off by."""
+        known: Sequence[_Coarser | None] = coarser or [None] * len(corrections)
+        return [
+            _corrected(observed, correction, rough)
+            for observed, correction, rough in zip(
+                self.observations, corrections, known, strict=True
+            )
+        ]
 
 
-def _corrected(observed: ProbeObservations, correction: Points) -> ProbeObservations:
-    """What a linear object would have shown."""
+def _corrected(
+    observed: ProbeObservations, correction: Points, rough: _Coarser | None
+) -> ProbeObservations:
     n = len(observed.position)
     tip = observed.tip_displacement
-    law = MaterialLaw(_OTHER_LAWS, correction.ravel())
     return replace(
         observed,
         displacement=observed.displacement - correction[:n],
         tip_displacement=None if tip is None else tip - correction[n],
-        nuisances=(*observed.nuisances, law),
+        nuisances=(*observed.nuisances, _error(observed.name, correction, rough)),
     )
+
+
+def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionError:
+    """What a correction may be off by."""
+    parameters = [
+        NuisanceParameter("finite strain, in steps from linear to neo-Hookean,", _OTHER_LAWS)
+    ]
+    steps = [_OTHER_LAWS * correction]
+    if rough is not None:
+        parameters += [
+            NuisanceParameter("finite strain, in steps from one neo-Hookean law to another,", 1.0),
+            NuisanceParameter(
+                f"finite strain of {name}, in steps from coarser elements to finer,", 1.0
+            ),
+        ]
+        steps += [rough.law, correction - rough.correction]
+    return CorrectionError(tuple(parameters), np.stack([one.ravel() for one in steps], axis=1))
 
 
 def _whole(probe: ProbeFit, correction: Points) -> ProbeFit:

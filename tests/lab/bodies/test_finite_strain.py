@@ -13,12 +13,19 @@ from palpate.lab.bodies.finite_elements import (
     make_body,
     quadratic_basis,
     solve_load,
-    stiffness_matrix,
 )
-from palpate.lab.bodies.neo_hookean import energy, inner_forces, solve_finite, tangent_moduli
+from palpate.lab.bodies.finite_strain import (
+    deformation_gradient,
+    energy,
+    inner_forces,
+    solve_finite,
+    tangent,
+)
+from palpate.lab.bodies.laws import NeoHookean, SplitNeoHookean
 from palpate.lab.bodies.tetrahedra import make_solid
 
 SHEAR = 7e4
+LAWS = pytest.mark.parametrize("law", [NeoHookean, SplitNeoHookean])
 
 
 @pytest.fixture(scope="module")
@@ -41,38 +48,52 @@ def wavy(block, size):
     return size * field
 
 
-def test_forces_are_the_slope_of_the_energy(block, basis):
+@LAWS
+def test_forces_are_the_slope_of_the_energy(block, basis, law):
     at, along = wavy(block, 2e-3), wavy(block, 1.0)[::-1]
     step = 1e-7
-    ahead, behind = (energy(block, basis, at + s * step * along) for s in (1, -1))
-    force = inner_forces(block, basis, at)
+    ahead, behind = (energy(law(*block.lame), basis, at + s * step * along) for s in (1, -1))
+    force = inner_forces(law(*block.lame), basis, at)
     # Central differences: step^2 against rounding over step.
     assert (force * along).sum() == pytest.approx((ahead - behind) / (2 * step), rel=1e-6)
 
 
-def test_tangent_is_the_slope_of_the_forces(block, basis):
+@LAWS
+def test_tangent_is_the_slope_of_the_forces(block, basis, law):
     at, along = wavy(block, 2e-3), wavy(block, 1.0)[::-1]
     step = 1e-7
-    ahead, behind = (inner_forces(block, basis, at + s * step * along) for s in (1, -1))
-    matrix = stiffness_matrix(basis, tangent_moduli(block, basis, at))
+    ahead, behind = (inner_forces(law(*block.lame), basis, at + s * step * along) for s in (1, -1))
+    matrix = tangent(law(*block.lame), basis, at)
     found = (matrix @ along.ravel()).reshape(-1, 3)
     other = (ahead - behind) / (2 * step)
     np.testing.assert_allclose(found, other, atol=1e-6 * np.abs(other).max())
 
 
-def test_moduli_at_rest_are_hookes(block, basis):
-    moduli = tangent_moduli(block, basis, np.zeros_like(block.solid.nodes))
+@LAWS
+def test_moduli_at_rest_are_hookes(block, basis, law):
+    still = deformation_gradient(basis, np.zeros_like(block.solid.nodes))
+    moduli = law(*block.lame).moduli(still)
     hooke = hooke_moduli(SHEAR, 0.3)
     # Rounding.
     np.testing.assert_allclose(moduli, hooke[..., None, None] + 0.0 * moduli, atol=1e-12 * SHEAR)
 
 
-def test_a_turned_body_has_no_energy(block, basis):
+@LAWS
+def test_a_turned_body_has_no_energy(block, basis, law):
     c, s = np.cos(1.0), np.sin(1.0)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     at = block.solid.nodes @ turn.T - block.solid.nodes
-    assert abs(energy(block, basis, at)) < 1e-12 * SHEAR * 0.03 * 0.02**2
-    assert np.abs(inner_forces(block, basis, at)).max() < 1e-12 * SHEAR * 0.02**2
+    assert abs(energy(law(*block.lame), basis, at)) < 1e-12 * SHEAR * 0.03 * 0.02**2
+    assert np.abs(inner_forces(law(*block.lame), basis, at)).max() < 1e-12 * SHEAR * 0.02**2
+
+
+def test_shape_and_volume_are_apart_in_the_split_law() -> None:
+    law = SplitNeoHookean(SHEAR, 2 * SHEAR)
+    larger, sheared = 1.2 * np.eye(3), np.eye(3) + 0.5 * np.eye(3, k=2)
+    swollen, slid = (float(law.density(one[:, :, None, None]).item()) for one in (larger, sheared))
+    # K is 8/3 mu; rounding.
+    assert swollen == pytest.approx(0.5 * (8 / 3 * SHEAR) * (1.2**3 - 1.0) ** 2, rel=1e-12)
+    assert slid == pytest.approx(0.5 * SHEAR * 0.5**2, rel=1e-12)
 
 
 @pytest.mark.parametrize("stretch", [0.7, 1.3])
@@ -90,7 +111,7 @@ def test_uniaxial_stretch_is_in_equilibrium(block, basis, stretch, poisson):
     body = make_body(block.solid, block.held, shear_modulus=SHEAR, poisson_ratio=poisson)
     nodes = block.solid.nodes
     at = nodes * (np.array([side, side, stretch]) - 1.0)
-    inner = inner_forces(body, basis, at)
+    inner = inner_forces(NeoHookean(*body.lame), basis, at)
     ends = sum(
         traction_load(
             block.solid,
@@ -122,10 +143,11 @@ def test_drawn_block_without_sideways_strain_is_the_closed_form(block, basis):
     exact = (stretch - 1.0) * block.solid.nodes[:, 2]
     np.testing.assert_allclose(found[:, 2], exact, atol=1e-9 * 0.02)
     np.testing.assert_allclose(found[:, :2], 0.0, atol=1e-9 * 0.02)
-    reaction = inner_forces(body, basis, found)[body.held].sum(axis=0)
+    reaction = inner_forces(NeoHookean(*body.lame), basis, found)[body.held].sum(axis=0)
     np.testing.assert_allclose(reaction, [0.0, 0.0, -force], atol=1e-9 * abs(force))
     stored = 0.5 * SHEAR * (stretch**2 - 1) - SHEAR * np.log(stretch)
-    assert energy(body, basis, found) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=1e-9)
+    law = NeoHookean(*body.lame)
+    assert energy(law, basis, found) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=1e-9)
 
 
 def test_a_block_that_buckles_is_refused(block):
@@ -161,7 +183,8 @@ def test_half_ball_pressed_far_goes_farther_than_linear(shared_data):
     pole = np.linalg.norm(solid.nodes - data["load_point"], axis=1).argmin()
     force = 2e-3 / -solve_load(body, unit)[pole, 2]
     found = solve_finite(body, force * unit)
-    reaction = inner_forces(body, quadratic_basis(solid), found)[body.held].sum(axis=0)
+    inner = inner_forces(NeoHookean(*body.lame), quadratic_basis(solid), found)
+    reaction = inner[body.held].sum(axis=0)
     # Forces balance to Newton's 1e-9 of the load.
     np.testing.assert_allclose(reaction, [0.0, 0.0, force], atol=1e-8 * force)
     assert 1.08 < -found[pole, 2] / 2e-3 < 1.22

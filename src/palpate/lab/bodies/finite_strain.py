@@ -1,0 +1,189 @@
+"""The same body at finite strain: what the linear model leaves out when it is pressed far."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_array
+
+from palpate.errors import NotConvergedError, SingularSystemError
+from palpate.lab.bodies.finite_elements import (
+    Body,
+    free_part,
+    quadratic_basis,
+    solve_free,
+    stiffness_matrix,
+)
+from palpate.lab.bodies.laws import Law, NeoHookean
+from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
+from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
+from palpate.optional_imports import late_import
+
+# Forces out of balance, of the load: Newton's last step leaves rounding.
+_BALANCED = 1e-9
+
+LawOf = Callable[[float, float], Law]
+
+
+def solve_finite(
+    body: Body, load: Float[np.ndarray, "n 3"], *, law: LawOf = NeoHookean
+) -> Float[np.ndarray, "n 3"]:
+    """Displacement at finite strain under nodal forces, a dead load.
+
+    Parameters
+    ----------
+    body : Body                     of linear elements, which small strains are
+    load : (n, 3) float [N]         forces on the nodes
+    law : function                  Lame's constants mu and lambda [Pa] -> `Law`
+
+    Returns
+    -------
+    (n, 3) float [m]
+
+    Raises
+    ------
+    NotConvergedError               no stable equilibrium is found: the body buckles, or the load is
+                                    too large for the elements
+
+    Source
+    ------
+    Bonet and Wood, Nonlinear continuum mechanics for finite element analysis (2nd ed. 2008),
+    chapter 9: total Lagrangian elements. Newton with steps shortened until no element turns over
+    and the energy less the load's work does not rise (`find_rest`); where that fails the load is
+    applied in smaller parts.
+    """
+    basis = quadratic_basis(body.solid)
+    scale = float(np.linalg.norm(load[~body.held]))
+
+    def find(share: float, at: Unknowns) -> Unknowns | None:
+        loaded = _Loaded(body, law(*body.lame), basis, share * load)
+        return find_rest(loaded, at, balanced=_BALANCED * share * scale)
+
+    found, done = find_in_parts(find, np.zeros(load.size))
+    if done < 1.0:
+        raise NotConvergedError(
+            f"no equilibrium beyond {100 * done:.1f} % of the load: the body buckles, or is"
+            " pressed farther than its elements bear; press less, or use smaller elements there"
+        )
+    return found.reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Loaded:
+    """A body under dead loads, in the displacement of all nodes (`Potential`)."""
+
+    body: Body
+    law: Law
+    basis: Any
+    load: Float[np.ndarray, "n 3"]
+
+    def value(self, at: Unknowns) -> float:
+        return energy(self.law, self.basis, at.reshape(-1, 3)) - float(self.load.ravel() @ at)
+
+    def forces(self, at: Unknowns) -> Unknowns:
+        missing = self.load - inner_forces(self.law, self.basis, at.reshape(-1, 3))
+        missing[self.body.held] = 0.0
+        return missing.ravel()
+
+    def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
+        matrix = tangent(self.law, self.basis, at.reshape(-1, 3))
+        factor = stable_factor(self.body, matrix)
+        return None if factor is None else solve_free(self.body.held, factor, forces[:, None])[:, 0]
+
+
+def stable_factor(body: Body, matrix: csr_array) -> Cholesky | None:
+    """Factor of a tangent's free part.
+
+    Parameters
+    ----------
+    body : Body
+    matrix : (3 n, 3 n) sparse [N/m]    a tangent
+
+    Returns
+    -------
+    Cholesky or None                None where the body is not stable
+    """
+    try:
+        return factorise(free_part(matrix, body.held), body.solid.nodes[~body.held])
+    except SingularSystemError:
+        return None
+
+
+def energy(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> float:
+    """Energy that a deformed body stores.
+
+    Parameters
+    ----------
+    law : Law
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    float [J]                       infinite where an element is turned over
+    """
+    gradient = deformation_gradient(basis, displacement)
+    if (np.linalg.det(gradient.transpose(2, 3, 0, 1)) <= 0.0).any():
+        return np.inf
+    return float((law.density(gradient) * basis.dx).sum())
+
+
+def inner_forces(
+    law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Derivative of the stored energy by the nodes' displacement.
+
+    Parameters
+    ----------
+    law : Law
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    (n, 3) float [N]                NaN where an element is turned over
+
+    Raises
+    ------
+    InputError                      scikit-fem is not installed
+    """
+    stress = law.stress(deformation_gradient(basis, displacement))
+    skfem = late_import("skfem", extra="fem", purpose="the finite elements of a specimen")
+    forms = [skfem.LinearForm(lambda v, _, row=row: (row * v.grad).sum(axis=0)) for row in stress]
+    return np.stack([form.assemble(basis) for form in forms], axis=1)
+
+
+def tangent(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> csr_array:
+    """Derivative of the inner forces by the nodes' displacement.
+
+    Parameters
+    ----------
+    law : Law
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    (3 n, 3 n) sparse [N/m]         as `stiffness_matrix`
+    """
+    return stiffness_matrix(basis, law.moduli(deformation_gradient(basis, displacement)))
+
+
+def deformation_gradient(
+    basis: Any, displacement: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "3 3 m q"]:
+    """F = I + du/dX at every quadrature point.
+
+    Parameters
+    ----------
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+
+    Returns
+    -------
+    (3, 3, m, q) float [-]          row: component of the place now; column: direction at rest
+    """
+    slopes = np.stack([basis.interpolate(component).grad for component in displacement.T])
+    return np.eye(3)[:, :, None, None] + slopes
