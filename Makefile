@@ -132,7 +132,8 @@ wheel: $(VENV)/run.stamp
 # of cyclopts and rich `--help` takes longer and a stopped command writes an empty line more: tests
 # of the terminal are not among these.
 OLDEST := import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
-    print(*(d.replace('>=', '==') for d in p['dependencies'] + p['optional-dependencies']['mesh']), sep='\n')
+    more = p['optional-dependencies']; \
+    print(*(d.replace('>=', '==') for d in p['dependencies'] + more['hdf5'] + more['mesh']), sep='\n')
 OLDEST_TESTS := tests/api tests/geometry tests/records tests/figures tests/estimation/search
 
 oldest:

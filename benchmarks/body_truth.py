@@ -129,7 +129,9 @@ class Truth:
         return surface_values(self.body.solid, points) @ nodal
 
 
-def make_truth(name: str, *, edge: float, rim: float) -> Truth:
+def make_truth(
+    name: str, *, edge: float, rim: float, support_stiffness: float | None = None
+) -> Truth:
     """A body of `BODIES`, filled from a surface much finer than the one that estimates.
 
     Parameters
@@ -138,6 +140,7 @@ def make_truth(name: str, *, edge: float, rim: float) -> Truth:
     edge : float [m]            of the tetrahedra, away from the tools
     rim : float [m]             of those where the support ends and in hollow corners, where
                                 stresses have no bound
+    support_stiffness : float [N/m^3]    of springs under the support; None: rigid
     """
     shape = BODIES[name]
     places = contacts(shape.make(shape.edge), shape)
@@ -148,8 +151,11 @@ def make_truth(name: str, *, edge: float, rim: float) -> Truth:
     solid = make_solid(surface, edge=edge, fine=fine)
     held = _held(solid, shape)
     return Truth(
-        make_body(solid, held, shear_modulus=SHEAR_MODULUS, poisson_ratio=shape.poisson_ratio)
-    )
+        make_body(
+            solid, held, shear_modulus=SHEAR_MODULUS, poisson_ratio=shape.poisson_ratio,
+            support_stiffness=support_stiffness,
+        )
+    )  # fmt: skip
 
 
 def _held(solid: Solid, shape: Shape) -> Bool[np.ndarray, " n"]:

@@ -76,16 +76,16 @@ class Measured:
         return dict(zip(NAMES, values, strict=True))
 
 
-def measured_body(name: str, folder: Path) -> Measured:
-    """Truth of a body, computed once."""
+def measured_body(name: str, folder: Path, stiffness: float | None = None) -> Measured:
+    """Truth of a body on a rigid support, or on springs [N/m^3]; computed once."""
     shape = BODIES[name]
     mesh = shape.make(shape.edge)
-    coarse, fine = (_solved(name, mesh, folder, *sizes) for sizes in MESHES)
+    coarse, fine = (_solved(name, mesh, folder, *sizes, stiffness) for sizes in MESHES)
     step, left = fine - coarse, USUAL
     # The steps shrink as a geometric series does.
     if np.linalg.norm(step) * left / (1.0 - left) > ENOUGH * np.linalg.norm(fine):
         first, middle = step, fine
-        fine = _solved(name, mesh, folder, *FINEST)
+        fine = _solved(name, mesh, folder, *FINEST, stiffness)
         step = fine - middle
         # Aitken's extrapolation.
         left = float(np.clip((first * step).sum() / (first**2).sum(), *LEFT))
@@ -95,12 +95,15 @@ def measured_body(name: str, folder: Path) -> Measured:
 
 
 def _solved(
-    name: str, mesh: TriangleMesh, folder: Path, edge: float, rim: float
+    name: str, mesh: TriangleMesh, folder: Path, edge: float, rim: float, stiffness: float | None
 ) -> Float[np.ndarray, "c v 3"]:
-    file = folder / f"{name}_{edge}_{rim}.npy"
+    on_springs = "" if stiffness is None else f"_{stiffness:g}"
+    file = folder / f"{name}_{edge}_{rim}{on_springs}.npy"
     if not file.exists():
         shape = BODIES[name]
-        truth = make_truth(name, edge=edge * shape.edge, rim=rim * shape.edge)
+        truth = make_truth(
+            name, edge=edge * shape.edge, rim=rim * shape.edge, support_stiffness=stiffness
+        )
         moved = [
             truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
             for one in contacts(mesh, shape)
@@ -166,7 +169,8 @@ def held(estimate: Estimate, truth: dict[str, float]) -> np.ndarray:
     )
 
 
-def _counts(every: Sequence[np.ndarray]) -> str:
+def counts(every: Sequence[np.ndarray]) -> str:
+    """How often each constant's interval held."""
     return ", ".join(f"{name} {n}" for name, n in zip(NAMES, np.sum(every, axis=0), strict=True))
 
 
@@ -192,8 +196,8 @@ def main() -> None:
                 flush=True,
             )
         every += found
-        print(f"{'':10s} of {count}: {_counts(found)}", flush=True)
-    print(f"of {len(every)} sessions intervals hold: {_counts(every)}")
+        print(f"{'':10s} of {count}: {counts(found)}", flush=True)
+    print(f"of {len(every)} sessions intervals hold: {counts(every)}")
 
 
 if __name__ == "__main__":

@@ -65,6 +65,14 @@ def test_a_mesh_of_ones_own(read, tmp_path):
     assert config.specimen.element == pytest.approx(np.sqrt(0.5e-4 * 4 / np.sqrt(3)), rel=1e-6)
 
 
+def test_a_support_on_springs_is_the_base_unless_said_otherwise_and_the_session_gets_it(read):
+    rigid, springs = read(HALF_BALL), read(HALF_BALL + '[support]\nstiffness = "20 kPa/mm"\n')
+    assert rigid.specimen.support_stiffness is None
+    assert springs.specimen.support_stiffness == 20e6
+    np.testing.assert_array_equal(springs.specimen.held, rigid.specimen.held)
+    assert springs.specimen.support == {**rigid.specimen.support, "stiffness": 20e6}
+
+
 @pytest.mark.parametrize("name", built_in())
 def test_built_in_configurations_are_sound_and_say_what_they_are(name):
     file = built_in()[name]
@@ -75,6 +83,16 @@ def test_built_in_configurations_are_sound_and_say_what_they_are(name):
 
 
 BAD = [
+    (
+        "[look]",
+        "[support]\nstiffness = -1.0\n[look]",
+        r"\[support\] stiffness: is -1 N/m\^3; must be positive",
+    ),
+    (
+        "poisson_ratio = 0.21",
+        'poisson_ratio = 0.21\nlaw = "neo-hookean"\n[support]\nstiffness = 1e6',
+        r"objects on springs are linear",
+    ),
     ("palpate-lab/1", "palpate-lab/2", r"format: is 'palpate-lab/2'; must be 'palpate-lab/1'"),
     ("[look]", "[looks]", r"unknown key 'looks'; did you mean 'look'"),
     ('"half-ball"', '"half-bal"', r"\[specimen\] shape: is 'half-bal'; did you mean 'half-ball'"),

@@ -63,6 +63,7 @@ from palpate.bem.system import (
     factorise as factorise,
     loose_motions as loose_motions,
     make_spring_factors as make_spring_factors,
+    make_spring_system as make_spring_system,
     make_springs as make_springs,
     point_equations as point_equations,
     solve as solve,

@@ -35,6 +35,7 @@ from palpate.bem.system import (
     SpringSystem,
     factorise,
     make_spring_factors,
+    make_spring_system,
     solve,
 )
 from palpate.errors import InputError
@@ -170,7 +171,9 @@ def make_elastic_map(
     if springs is not None and compliance is not None:
         give = springs.give(compliance * shear_modulus / system.traction_length)
         none = np.zeros((0, give.size))
-        on_springs = SpringSystem(make_spring_factors(factorised, system, springs), give, none)
+        on_springs = make_spring_system(
+            make_spring_factors(factorised, system, springs), give, none
+        )
     return ElasticMap(system, factorised, shear_modulus, poisson_ratio, on_springs)
 
 

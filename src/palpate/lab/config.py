@@ -72,8 +72,10 @@ class Specimen:
     mesh : TriangleMesh             closed, outward: what the session gets as the object's mesh
     body : TriangleMesh             surface of what is really pressed: a round specimen is rounder
                                     than the session's mesh of it
-    held : (k,) int                 triangles of `body` that do not move
+    held : (k,) int                 triangles of `body` that do not move, or stand on springs
     support : mapping               the table of it that the session gets
+    support_stiffness : float [N/m^3] or None    traction over displacement of these springs; None:
+                                    rigid
     element : float [m]             edge of the finite elements away from the tip
     """
 
@@ -82,6 +84,7 @@ class Specimen:
     held: Indices
     support: Mapping[str, object]
     element: float
+    support_stiffness: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,6 +368,11 @@ class LabConfig(_Limited):
         _Limited.__post_init__(self)
         if bool(self.probes) == (self.stage is not None):
             raise InputError("give [[probe]] tables or a [stage], one of them")
+        if self.specimen.support_stiffness is not None and self.material.law != "linear":
+            raise InputError(
+                f"law is '{self.material.law}' and the support has a stiffness; objects on springs"
+                " are linear: leave one of them out"
+            )
         names = [probe.name for probe in self.probes]
         if twins := {name for name in names if names.count(name) > 1}:
             raise InputError(f"two probes are named '{min(twins)}'; give each its own name")

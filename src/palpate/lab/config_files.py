@@ -1,7 +1,7 @@
 """Configurations of the virtual facility from files: `palpate-lab/1`, in TOML."""
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from types import NoneType, UnionType
@@ -10,10 +10,12 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import numpy as np
 
 from palpate.errors import quoted
-from palpate.geometry import enclosed_volume, read_mesh, triangle_areas
+from palpate.geometry import TriangleMesh, enclosed_volume, read_mesh, triangle_areas
 from palpate.lab.bodies import SHAPES
 from palpate.lab.config import LabConfig, Probe, Specimen
 from palpate.records import TomlTable, read_support, read_toml
+from palpate.records.quantities import STIFFNESS_UNITS
+from palpate.shapes import Indices
 
 LAB_FORMAT = "palpate-lab/1"
 # Keys that are no fields of `LabConfig`, or not as they stand in the file.
@@ -98,9 +100,27 @@ def _specimen(root: TomlTable) -> Specimen:
             f"is {element:g} m, which makes more than {_MOST_TETRAHEDRA} tetrahedra of the object;"
             f" must be {least:.2g} m or more (missing: the edge)",
         )
-    held_by = TomlTable(root.file, "", {"support": {"plane": _BASE}} | root.values).table("support")
-    held = read_support(held_by, body, metres_per_unit=1.0)
-    return Specimen(mesh, body, held, held_by.values, element)
+    held, support, stiffness = _support(root, body)
+    return Specimen(mesh, body, held, support, element, stiffness)
+
+
+def _support(
+    root: TomlTable, body: TriangleMesh
+) -> tuple[Indices, Mapping[str, object], float | None]:
+    """Held triangles of [support], the table of it that the session gets, and its stiffness."""
+    table = root.table("support") if "support" in root.values else replace(root, values={})
+    table = replace(table, name="[support]")
+    stiffness = None
+    if "stiffness" in table.values:
+        stiffness = table.quantity("stiffness", STIFFNESS_UNITS, 1.0)
+        if not 0.0 < stiffness < np.inf:
+            table.fail("stiffness", f"is {stiffness:g} N/m^3; must be positive")
+    selectors = {key: value for key, value in table.values.items() if key != "stiffness"}
+    if not selectors and (stiffness is not None or "support" not in root.values):
+        selectors = {"plane": _BASE}
+    held = read_support(replace(table, values=selectors), body, metres_per_unit=1.0)
+    told = {} if stiffness is None else {"stiffness": stiffness}
+    return held, selectors | told, stiffness
 
 
 def _check_edge(table: TomlTable, edge: float, lengths: Mapping[str, float]) -> None:

@@ -6,12 +6,12 @@ import pytest
 from surfaces import box
 
 from palpate.bem import (
-    SpringSystem,
     assemble_system,
     face_columns,
     factorise,
     make_elastic_map,
     make_spring_factors,
+    make_spring_system,
     make_springs,
     make_surface,
     solve,
@@ -110,7 +110,7 @@ def test_what_a_softer_support_changes(glued, give):
     one = springs.give(np.ones(1))
 
     def solved(at, changes):
-        found = SpringSystem(factors, at * one, changes)
+        found = make_spring_system(factors, at * one, changes)
         return found.solve(right.on_springs(at * one, changes).at(NU))
 
     step = 1e-5

@@ -263,3 +263,25 @@ def test_held_nodes_are_those_of_the_faces_on_the_triangles(block):
 def test_a_support_without_faces_is_refused(ball):
     with pytest.raises(InputError, match="none of the body's"):
         held_nodes(ball, np.array([10_000_000]))
+
+
+def test_a_block_on_springs_sinks_and_rocks_as_winkler_says(block):
+    """Exact where nu is nought: the block under a traction that grows along x stays upright."""
+    even, tilt, stiffness = 30.0, 2e3, 5e6
+    young = 2 * SHEAR
+    held = block.nodes[:, 2] == 0.0
+    body = make_body(
+        block, held, shear_modulus=SHEAR, poisson_ratio=0.0, support_stiffness=stiffness
+    )
+
+    def traction(x):
+        return np.stack([0 * x[0], 0 * x[0], -even - tilt * x[0]])
+
+    # A linear traction on shapes of degree 2.
+    load = traction_load(block, traction, top, order=3)
+    x, _, z = block.nodes.T
+    wanted = np.zeros_like(block.nodes)
+    wanted[:, 0] = tilt * (z**2 / (2 * young) + z / stiffness)
+    wanted[:, 2] = -(even + tilt * x) * (z / young + 1 / stiffness)
+    # Rounding: the field is of second degree, as the elements are.
+    np.testing.assert_allclose(solve_load(body, load), wanted, atol=1e-9 * np.abs(wanted).max())

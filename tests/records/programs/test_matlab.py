@@ -1,6 +1,7 @@
 """MATLAB's stereoParameters: structures of all versions, and objects that cannot be read."""
 
 import struct
+import sys
 
 import h5py
 import numpy as np
@@ -9,7 +10,7 @@ from program_files import cv_pixels
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from palpate.errors import CalibrationError, RecordError
+from palpate.errors import CalibrationError, InputError, RecordError
 from palpate.records import read_rig
 from palpate.vision import project
 
@@ -99,6 +100,15 @@ def test_structures(tmp_path, newer, within, version):
     else:
         _write_hdf5(path, content)
     _check(read_rig(path))
+
+
+def test_files_of_version_7_3_need_their_package_and_older_ones_do_not(tmp_path, monkeypatch):
+    savemat(tmp_path / "old.mat", _struct())
+    _write_hdf5(tmp_path / "new.mat", _struct())
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    _check(read_rig(tmp_path / "old.mat"))
+    with pytest.raises(InputError, match=r"reading new\.mat needs .*'palpate\[hdf5\]'"):
+        read_rig(tmp_path / "new.mat")
 
 
 def test_units(tmp_path):

@@ -26,6 +26,7 @@ from palpate.bem.system.springs import (
     SpringSlope as SpringSlope,
     SpringSystem as SpringSystem,
     make_spring_factors as make_spring_factors,
+    make_spring_system as make_spring_system,
     make_springs as make_springs,
     spring_columns as spring_columns,
 )

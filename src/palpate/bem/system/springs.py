@@ -208,11 +208,13 @@ class SpringSystem:
     factors : SpringFactors
     give : (e,) float                     G / (k traction_length); 0: rigid
     changes : (d, e) float                derivative of it
+    below : (e, e), (e,) float            LU factors of the equations that are left for w
     """
 
     factors: SpringFactors
     give: Float[np.ndarray, " e"]
     changes: Float[np.ndarray, "d e"]
+    below: tuple[Float[np.ndarray, "e e"], Int[np.ndarray, " e"]]
 
     def solve(self, right: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "n c"]:
         """Solve for several right-hand sides.
@@ -227,15 +229,38 @@ class SpringSystem:
         """
         pressed, answer = self.factors.springs.pressed, self.factors.answer
         count, give = self.give.size, self.give[:, None]
-        pair = lu_factor(np.eye(count) + give * (pressed @ answer))
+        blocks = np.split(right, 1 + len(self.changes))
+        # One solution for all blocks: a matrix is read once for many columns.
+        above = solve(self.factors.factorised, np.hstack([block[:-count] for block in blocks]))
         solved: list[np.ndarray] = []
-        for k, block in enumerate(np.split(right, 1 + len(self.changes))):
-            rigid, below = solve(self.factors.factorised, block[:-count]), block[-count:]
+        for k, (block, rigid) in enumerate(
+            zip(blocks, np.split(above, len(blocks), axis=1), strict=True)
+        ):
+            left = block[-count:] - give * (pressed @ rigid)
             if k:
-                below = below - self.changes[k - 1][:, None] * (pressed @ solved[0][:-count])
-            moved = lu_solve(pair, below - give * (pressed @ rigid))
+                left -= self.changes[k - 1][:, None] * (pressed @ solved[0][:-count])
+            moved = lu_solve(self.below, left, check_finite=False)
             solved.append(np.concatenate([rigid + answer @ moved, moved]))
         return np.concatenate(solved)
+
+
+def make_spring_system(
+    factors: SpringFactors, give: Float[np.ndarray, " e"], changes: Float[np.ndarray, "d e"]
+) -> SpringSystem:
+    """Factorise what is left for the springs.
+
+    Parameters
+    ----------
+    factors : SpringFactors
+    give : (e,) float                     G / (k traction_length); 0: rigid
+    changes : (d, e) float                derivative of it
+
+    Returns
+    -------
+    SpringSystem
+    """
+    left = np.eye(give.size) + give[:, None] * (factors.springs.pressed @ factors.answer)
+    return SpringSystem(factors, give, changes, lu_factor(left, check_finite=False))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,8 +28,8 @@ from palpate.bem import (
     RightHand,
     SpringFactors,
     SpringSlope,
-    SpringSystem,
     factorise,
+    make_spring_system,
     orthogonalised,
     snapshot_model,
     solve,
@@ -181,7 +181,7 @@ def make_spring_model(
     ------
     NotConvergedError                 as `make_reduced_model`
     """
-    solver = SpringSystem(factors, give, changes)
+    solver = make_spring_system(factors, give, changes)
     slope = SpringSlope(system_slope(system), factors.columns[1], 1 + len(changes))
     right = right.on_springs(give, changes, known)
     return _gathered(solver.solve, slope.apply, right, poisson_range, tolerance)

@@ -205,7 +205,8 @@ def _body_key(config: LabConfig) -> object:
         return object()
     specimen, arm, material = config.specimen, config.arm, config.material
     same = (id(config.probes), id(specimen.body), id(specimen.held), specimen.element)
-    return (*same, arm.tip, arm.radius, material.young_modulus, material.poisson_ratio)
+    below = specimen.support_stiffness
+    return (*same, below, arm.tip, arm.radius, material.young_modulus, material.poisson_ratio)
 
 
 def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress) -> None:
@@ -296,8 +297,9 @@ def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
     solid = solid_under(specimen, tip, probe, material)
     held = held_nodes(solid, specimen.held)
     return make_body(
-        solid, held, shear_modulus=material.shear_modulus, poisson_ratio=material.poisson_ratio
-    )
+        solid, held, shear_modulus=material.shear_modulus, poisson_ratio=material.poisson_ratio,
+        support_stiffness=specimen.support_stiffness,
+    )  # fmt: skip
 
 
 def _rig(config: LabConfig) -> Rig:

@@ -160,6 +160,7 @@ def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedP
         solid, held_nodes(solid, specimen.held),
         shear_modulus=config.material.shear_modulus,
         poisson_ratio=config.material.poisson_ratio,
+        support_stiffness=specimen.support_stiffness,
     )  # fmt: skip
     last = press_to_force(body, tip, float(probe.force or 0.0))
     share = np.arange(film.depths + 1) / film.depths

@@ -27,12 +27,12 @@ _SAMPLES = 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A solid of one material, held at some nodes, ready for loads.
+    """A solid of one material, held at some nodes or on springs, ready for loads.
 
     Parameters
     ----------
     solid : Solid
-    held : (n,) bool                nodes that cannot move
+    held : (n,) bool                nodes that cannot move; none on springs
     shear_modulus : float [Pa]
     poisson_ratio : float [-]
     factor : Cholesky               of the free nodes' stiffness
@@ -79,16 +79,23 @@ def held_nodes(solid: Solid, triangles: Int[np.ndarray, " k"]) -> Bool[np.ndarra
 
 
 def make_body(
-    solid: Solid, held: Bool[np.ndarray, " n"], *, shear_modulus: float, poisson_ratio: float
+    solid: Solid,
+    held: Bool[np.ndarray, " n"],
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
+    support_stiffness: float | None = None,
 ) -> Body:
     """Stiffness of a held solid, factorised once for any number of loads.
 
     Parameters
     ----------
     solid : Solid
-    held : (n,) bool                nodes that cannot move
+    held : (n,) bool                nodes that cannot move, or that stand on springs
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu < 0.5; quadratic elements lock little up to 0.499
+    support_stiffness : float [N/m^3]    traction over displacement of springs under the faces whose
+                                    nodes are all held, along all directions; None: rigid
 
     Returns
     -------
@@ -117,10 +124,29 @@ def make_body(
             f"the {int(held.sum())} held nodes lie in a line: the body is free to turn about it;"
             " hold more of its surface"
         )
-    moduli = hooke_moduli(shear_modulus, poisson_ratio)
-    stiffness = free_part(stiffness_matrix(quadratic_basis(solid), moduli), held)
-    factor = factorise(stiffness, solid.nodes[~held])
+    moduli, basis = hooke_moduli(shear_modulus, poisson_ratio), quadratic_basis(solid)
+    stiffness = stiffness_matrix(basis, moduli)
+    if support_stiffness is not None:
+        stiffness = csr_array(stiffness + support_stiffness * _bed(basis, held))
+        held = np.zeros_like(held)
+    factor = factorise(free_part(stiffness, held), solid.nodes[~held])
     return Body(solid, held, shear_modulus, poisson_ratio, factor)
+
+
+def _bed(basis: Any, held: Bool[np.ndarray, " n"]) -> csr_array:
+    """Springs of unit stiffness under the outer faces whose nodes are all held, (3 n, 3 n) [m^2].
+
+    Source
+    ------
+    Winkler's foundation: its energy is half the integral of k u.u over the faces.
+    """
+    skfem, mesh = _skfem(), basis.mesh
+    below = mesh.boundary_facets()
+    below = below[held[mesh.facets[:, below]].all(axis=0)]
+    # Shape functions of degree 2, squared.
+    faces = skfem.FacetBasis(mesh, skfem.ElementTetP2(), facets=below, intorder=4)
+    mass = skfem.BilinearForm(lambda u, v, _: u * v).assemble(faces)
+    return csr_array(kron(mass, np.eye(3)))
 
 
 def quadratic_basis(solid: Solid) -> Any:

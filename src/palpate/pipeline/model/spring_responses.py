@@ -7,9 +7,9 @@ from jaxtyping import Float
 
 from palpate.bem import (
     Springs,
-    SpringSystem,
     factorise,
     make_spring_factors,
+    make_spring_system,
 )
 from palpate.estimation import (
     CENTRE,
@@ -65,7 +65,7 @@ def spring_responses(
 
             def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
                 factors = make_spring_factors(factorise(system, poisson_ratio), system, springs)
-                return SpringSystem(factors, give, changes).solve(right.at(poisson_ratio))
+                return make_spring_system(factors, give, changes).solve(right.at(poisson_ratio))
 
             return full_spring_responses(solution, rows, blocks)
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-import h5py
 import numpy as np
 from jaxtyping import Float
 from scipy.io import netcdf_file
@@ -24,7 +23,7 @@ from palpate.records.program import (
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import read_text_table
+from palpate.records.text import open_hdf5, read_text_table
 
 _PLACE = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
@@ -139,11 +138,11 @@ def _classic_arrays(path: Path) -> dict[str, np.ndarray]:
 
 def _hdf5_arrays(path: Path) -> dict[str, np.ndarray]:
     """Arrays of an Exodus file in NetCDF-4, that is HDF5."""
-    with h5py.File(path) as file:
+    with open_hdf5(path) as file:
         return {
             name: np.asarray(checked_size(item))
             for name, item in file.items()
-            if isinstance(item, h5py.Dataset) and name.startswith(("name_nod", "vals_nod"))
+            if not isinstance(item, Mapping) and name.startswith(("name_nod", "vals_nod"))
         }
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from palpate.files import checked_file, damage, read_bytes
@@ -18,7 +17,7 @@ from palpate.records.program import (
 )
 from palpate.records.quantities import FILE_LENGTH_UNITS, unit_name
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import read_mat
+from palpate.records.text import open_hdf5, read_mat
 
 _CAMERAS = ("CameraParameters1", "CameraParameters2")
 _TURN, _SHIFT = "RotationOfCamera2", "TranslationOfCamera2"
@@ -118,7 +117,7 @@ def _variables(path: Path) -> dict[str, Any]:
     start = read_bytes(path, 520)
     with damage(checked_file(path), "save it again in MATLAB", what="is no MATLAB file"):
         if HDF5_MARK in (start[:8], start[512:520]):
-            with h5py.File(path) as file:
+            with open_hdf5(path) as file:
                 return {name: _value(file[name]) for name in file if not name.startswith("#")}
         found = read_mat(path, what="is no MATLAB file", cure="save it again in MATLAB")
     names = [name for name in found if not name.startswith("__")]
@@ -143,7 +142,7 @@ def _tables(content: Any, depth: int = _DEPTH) -> Iterator[dict[str, Any]]:
 
 def _value(item: Any) -> Any:
     """A variable of a file of version 7.3: structures are groups, arrays are transposed."""
-    if isinstance(item, h5py.Group):
+    if isinstance(item, Mapping):
         return {name: _value(item[name]) for name in item}
     kind = _text(item.attrs.get("MATLAB_class", b"double"))
     if kind in ("cell", "struct"):

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import rq
@@ -22,7 +21,7 @@ from palpate.records.program import (
     make_pose,
 )
 from palpate.records.rig import Camera, PictureTracks, Rig
-from palpate.records.text import MAT_MARK, read_mat
+from palpate.records.text import MAT_MARK, open_hdf5, read_mat
 
 _PLACES, _PIXELS = "Points3D", "Points"
 _CURE = "save it again in MATLAB"
@@ -158,9 +157,9 @@ def _cells(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]
 
 def _cells_of_hdf5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
     """Cells of a file of version 7.3, which is HDF5: arrays are transposed, cells are links."""
-    with h5py.File(path) as file:
+    with open_hdf5(path) as file:
         present = [name for name in file if not name.startswith("#")]
-        groups = [name for name in present if isinstance(file[name], h5py.Group)]
+        groups = [name for name in present if isinstance(file[name], Mapping)]
         struct = file[_only_struct(path, keys[0], what, groups, present, file)]
         items = [struct.get(key) for key in keys]
         links = [

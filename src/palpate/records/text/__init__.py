@@ -3,7 +3,7 @@
 Purpose    : one reader for each kind of text, whoever wrote it.
 Takes      : paths.
 Gives      : `TomlTable`, `TextTable`, whole texts.
-Depends on : `shapes`, `files`, `errors`.
+Depends on : `optional_imports`, `shapes`, `files`, `errors`.
 Read first : `toml_table.py`, then `csv_table.py`.
 """
 
@@ -16,6 +16,7 @@ from palpate.records.text.csv_table import (
     split_cells as split_cells,
     text_lines as text_lines,
 )
+from palpate.records.text.hdf5 import open_hdf5 as open_hdf5
 from palpate.records.text.json_file import (
     json_text as json_text,
     read_json as read_json,

@@ -11,7 +11,13 @@ touch are solved together: the capacitance matrix of James and Pai, ArtDefo (SIG
 import numba
 import numpy as np
 
-from palpate.simulation.kernels.linear import add_displacement, dot, solve_in_place
+from palpate.simulation.kernels.linear import (
+    add_columns,
+    add_displacement,
+    component,
+    dot,
+    invert,
+)
 from palpate.simulation.kernels.state import GLUE, OPEN, ROUNDING, SLIDES, STICKS
 
 # Steps of a node's own problem of friction.
@@ -21,12 +27,12 @@ _LARGEST_TURN = 0.5
 
 
 @numba.njit(cache=True, error_model="numpy")
-def node_force(w, q, friction, state, force, work, trial):
+def node_force(w, inverse, q, friction, state, force, trial):
     """The force on one node, the others given, in the frame of its normal.
 
-    w (3, 3) is its own compliance, q (3,) gap and slide without force; work (3, 3) and trial (3,)
-    are room to work in. Writes the force and returns the state. What sticks whatever its force,
-    and was torn loose, does not stick again before the tick is over.
+    w (3, 3) is its own compliance, and its inverse; q (3,) gap and slide without force; trial (3,)
+    is room to work in. Writes the force and returns the state. What sticks whatever its force, and
+    was torn loose, does not stick again before the tick is over.
     """
     if q[0] >= 0.0:
         for a in range(3):
@@ -34,10 +40,7 @@ def node_force(w, q, friction, state, force, work, trial):
         return OPEN
     if friction > 0.0 and (friction < GLUE or state == STICKS):
         for a in range(3):
-            trial[a] = -q[a]
-            for b in range(3):
-                work[a, b] = w[a, b]
-        solve_in_place(work, trial)
+            trial[a] = -(inverse[a, 0] * q[0] + inverse[a, 1] * q[1] + inverse[a, 2] * q[2])
         across = np.sqrt(trial[1] ** 2 + trial[2] ** 2)
         if trial[0] > 0.0 and across <= friction * trial[0]:
             for a in range(3):
@@ -53,23 +56,31 @@ def node_force(w, q, friction, state, force, work, trial):
             s2 = t2 - step * (q[2] + w[2, 0] * p + w[2, 1] * t1 + w[2, 2] * t2)
             size = np.sqrt(s1**2 + s2**2)
             shrink = 1.0 if size <= friction * p or size == 0.0 else friction * p / size
+            change = max(abs(shrink * s1 - t1), abs(shrink * s2 - t2))
             t1, t2 = shrink * s1, shrink * s2
+            if change <= ROUNDING * friction * p:
+                break
     force[0], force[1], force[2] = p, t1, t2
     return SLIDES if p > 0.0 else OPEN
 
 
 @numba.njit(cache=True, error_model="numpy")
 def own_compliances(block, frames):
-    """What each node's force does to itself, in the frame of its normal: (k, 3, 3)."""
+    """What each node's force does to itself, in the frame of its normal, and the inverse.
+
+    Both are (k, 3, 3).
+    """
     k = len(frames)
-    own = np.zeros((k, 3, 3))
+    own, inverse = np.zeros((k, 3, 3)), np.empty((k, 3, 3))
     for i in range(k):
-        e = frames[i]
         for a in range(3):
             for b in range(3):
                 for c in range(3):
-                    own[i, a, b] += e[a, c] * dot(block[3 * i + c, 3 * i : 3 * i + 3], e[b])
-    return own
+                    for d in range(3):
+                        part = frames[i, a, c] * block[3 * i + c, 3 * i + d]
+                        own[i, a, b] += part * frames[i, b, d]
+        invert(own[i], inverse[i])
+    return own, inverse
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -81,31 +92,28 @@ def sweep(block, frames, friction, residual, force, status, times):
     """
     k = friction.size
     local, now, q, trial = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    work, flat = np.empty((3, 3)), residual.reshape(-1)
-    own = own_compliances(block, frames)
+    flat = residual.reshape(-1)
+    own, inverse = own_compliances(block, frames)
     for step in range(times * k):
         i = step % k
-        e, w = frames[i], own[i]
+        w = own[i]
         for a in range(3):
-            now[a] = local[a] = dot(e[a], force[i])
+            now[a] = local[a] = component(frames, i, a, force)
         for a in range(3):
-            q[a] = dot(e[a], residual[i]) - dot(w[a], now)
-        status[i] = node_force(w, q, friction[i], status[i], local, work, trial)
+            free = w[a, 0] * now[0] + w[a, 1] * now[1] + w[a, 2] * now[2]
+            q[a] = component(frames, i, a, residual) - free
+        status[i] = node_force(w, inverse[i], q, friction[i], status[i], local, trial)
         change = 0.0
         for a in range(3):
             local[a] -= now[a]
             change = max(change, abs(local[a]))
-        if change == 0.0:
-            continue
-        x = e[0, 0] * local[0] + e[1, 0] * local[1] + e[2, 0] * local[2]
-        y = e[0, 1] * local[0] + e[1, 1] * local[1] + e[2, 1] * local[2]
-        z = e[0, 2] * local[0] + e[1, 2] * local[1] + e[2, 2] * local[2]
-        force[i, 0] += x
-        force[i, 1] += y
-        force[i, 2] += z
-        first, second, third = block[3 * i], block[3 * i + 1], block[3 * i + 2]
-        for j in range(flat.size):
-            flat[j] += x * first[j] + y * second[j] + z * third[j]
+        if change > 0.0:
+            for a in range(3):
+                now[a] = 0.0
+                for b in range(3):
+                    now[a] += frames[i, b, a] * local[b]
+                force[i, a] += now[a]
+            add_columns(block, i, now, flat)
 
 
 @numba.njit(cache=True, error_model="numpy")

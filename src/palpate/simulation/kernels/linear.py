@@ -30,31 +30,27 @@ def set_frame(normal, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def solve_in_place(matrix, right):
-    """Gauss with partial pivoting; `right` becomes the solution."""
-    size = right.size
-    for c in range(size):
-        best = c
-        for r in range(c + 1, size):
-            if abs(matrix[r, c]) > abs(matrix[best, c]):
-                best = r
-        if best != c:
-            right[c], right[best] = right[best], right[c]
-            for h in range(c, size):
-                matrix[c, h], matrix[best, h] = matrix[best, h], matrix[c, h]
-        for r in range(c + 1, size):
-            factor = matrix[r, c] / matrix[c, c]
-            if factor != 0.0:
-                right[r] -= factor * right[c]
-                low, high = matrix[c], matrix[r]
-                for h in range(c + 1, size):
-                    high[h] -= factor * low[h]
-    for c in range(size - 1, -1, -1):
-        row = matrix[c]
-        total = right[c]
-        for h in range(c + 1, size):
-            total -= row[h] * right[h]
-        right[c] = total / row[c]
+def component(frames, i, a, vectors):
+    """Component of a node's vector along one of its unit vectors, without a view of either."""
+    return (
+        frames[i, a, 0] * vectors[i, 0]
+        + frames[i, a, 1] * vectors[i, 1]
+        + frames[i, a, 2] * vectors[i, 2]
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def invert(matrix, out):
+    """The inverse of a (3, 3) matrix, by its minors."""
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            out[d, a] = matrix[b, e] * matrix[c, f] - matrix[b, f] * matrix[c, e]
+    whole = matrix[0, 0] * out[0, 0] + matrix[0, 1] * out[1, 0] + matrix[0, 2] * out[2, 0]
+    for a in range(3):
+        for d in range(3):
+            out[a, d] /= whole
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -83,6 +79,15 @@ def add_displacement(block, nodes, force, sign, out):
                 row = block[3 * j + b]
                 for i in range(out.size):
                     out[i] += f * row[i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def add_columns(block, i, force, out):
+    """Add what a force on one node does to all of them; out is flat, (3 n,)."""
+    x, y, z = force[0], force[1], force[2]
+    first, second, third = block[3 * i], block[3 * i + 1], block[3 * i + 2]
+    for j in range(out.size):
+        out[j] += x * first[j] + y * second[j] + z * third[j]
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -63,6 +63,16 @@ def to_tool(turn, place, x, y):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def beyond(tools, t, x, margin):
+    """Whether a point is farther from a tool than its reach and a margin."""
+    far = 0.0
+    for a in range(3):
+        far += (x[a] - tools.place[t, a]) ** 2
+    # What is on the rim is looked at: rounding does not decide.
+    return far > (1.0 + 1e3 * ROUNDING) * (tools.reach[t] + margin) ** 2
+
+
+@numba.njit(cache=True, error_model="numpy")
 def find_contacts(tools, rest, before, near, nodal):
     """Gaps of the nodes that may touch, at their present places; nodes that came into a tool join.
 
@@ -76,6 +86,8 @@ def find_contacts(tools, rest, before, near, nodal):
             x0[a] = rest[i, a] + before[i, a]
         if nodal.tool_of[i] < 0:
             for t in range(tools.kind.size):
+                if beyond(tools, t, x, 0.0):
+                    continue
                 to_tool(tools.turn[t], tools.place[t], x, y)
                 gap, _ = tool_gap(tools, t, -1, y, local)
                 if gap < 0.0 and nodal.tool_of[i] < 0:
@@ -104,12 +116,11 @@ def near_nodes(tools, rest, nodal):
         for a in range(3):
             x[a] = rest[i, a] + nodal.moved[i, a]
         for t in range(tools.kind.size):
-            step, far = 0.0, 0.0
+            step = 0.0
             for a in range(3):
                 step += (tools.place[t, a] - tools.before[t, a]) ** 2
-                far += (x[a] - tools.place[t, a]) ** 2
             margin = 2.0 * np.sqrt(step) + _NEAR * tools.reach[t]
-            if not keep and far <= (tools.reach[t] + margin) ** 2:
+            if not keep and not beyond(tools, t, x, margin):
                 to_tool(tools.turn[t], tools.place[t], x, y)
                 keep = tool_gap(tools, t, -1, y, normal)[0] < margin
         if keep:
