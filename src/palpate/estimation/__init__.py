@@ -43,6 +43,7 @@ from palpate.estimation.observations import (
 )
 from palpate.estimation.responses import (
     CENTRE as CENTRE,
+    SNAPSHOT_RESIDUAL as SNAPSHOT_RESIDUAL,
     PointRows as PointRows,
     ProbeMotions as ProbeMotions,
     ProbeResponse as ProbeResponse,

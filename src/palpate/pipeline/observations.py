@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from palpate.bem import SurfaceSettings
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
+    SNAPSHOT_RESIDUAL,
     Discretisation,
     FitMethod,
     FitSettings,
@@ -42,6 +43,9 @@ from palpate.shapes import Vertices
 
 # Poisson's ratio at which the size of small terms is taken.
 _MIDDLE = 0.3
+# Relative residual of a compressed model that shows the step to a finer mesh only: a thousandth of
+# the displacement or more, so that the step is known to a hundredth.
+_COARSER_RESIDUAL = 1e-5
 # Where supports give: how often the modulus about which the model is taken is found anew, the
 # change of its logarithm that ends this (what it leaves is of its square), and the longest step.
 _SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
@@ -78,7 +82,9 @@ def coarser_observations(
     """
     plain = replace(session, errors=EXACT)
     model = make_object_model(plain, surface=surface, cache=cache, nominal=True, like=like)
-    return model, settled_observations(plain, model, settings=settings)
+    return model, settled_observations(
+        plain, model, settings=settings, snapshot_residual=_COARSER_RESIDUAL
+    )
 
 
 def graded_observations(session: Session) -> list[ProbeObservations]:
@@ -108,6 +114,7 @@ def settled_observations(
     settings: FitSettings = FitSettings(),
     coarser: Sequence[ProbeObservations] = (),
     with_surface: bool = False,
+    snapshot_residual: float = SNAPSHOT_RESIDUAL,
 ) -> list[ProbeObservations]:
     """What each probing saw, with what the model says at the modulus that fits it best, where
     supports give and the model depends on it.
@@ -121,6 +128,7 @@ def settled_observations(
                                           the mesh is added
     with_surface : bool                   have the displacement of all vertices told along with the
                                           estimate
+    snapshot_residual : float             as `make_reduced_model`
 
     Returns
     -------
@@ -131,7 +139,10 @@ def settled_observations(
     InputError, SingularSystemError, NotConvergedError    as `session_observations`; the springs
                                           explain the motion alone, so no modulus fits best
     """
-    make = session_observations_at(session, model, settings=settings, with_surface=with_surface)
+    make = session_observations_at(
+        session, model, settings=settings, with_surface=with_surface,
+        snapshot_residual=snapshot_residual,
+    )  # fmt: skip
     stiffnesses = [one.stiffness for one in session.supports if one.stiffness is not None]
     if not stiffnesses:
         return _with_mesh_errors(make(1.0), coarser)
@@ -201,6 +212,7 @@ def session_observations_at(
     *,
     settings: FitSettings = FitSettings(),
     with_surface: bool = False,
+    snapshot_residual: float = SNAPSHOT_RESIDUAL,
 ) -> Callable[[float], list[ProbeObservations]]:
     """The same for any modulus, from one factorisation.
 
@@ -210,6 +222,7 @@ def session_observations_at(
     model : ObjectModel
     settings : FitSettings
     with_surface : bool                   with the displacement of all vertices
+    snapshot_residual : float             as `make_reduced_model`
 
     Returns
     -------
@@ -230,8 +243,9 @@ def session_observations_at(
         responses = full_responses(model.system, model.right, rows)
     else:
         reduced = make_reduced_model(
-            model.system, model.right, poisson_range=settings.poisson_range
-        )
+            model.system, model.right, poisson_range=settings.poisson_range,
+            snapshot_residual=snapshot_residual,
+        )  # fmt: skip
         responses = [reduced_response(reduced, row) for row in rows]
     return lambda modulus: _all_observations(session, model, responses, modulus)
 

@@ -108,7 +108,7 @@ class FarField:
         (r, 3, c) float
         """
         if not self.moments:
-            return np.zeros((len(self.offset), 3, moved.shape[2]))
+            return np.zeros((len(self.offset), 3, moved.shape[2]), dtype=moved.dtype)
         charges = self._gathered(mix, moved, pressed)
         values = [np.zeros((0, 4, 0))] * len(self.far)
         in_threads(self._receive, len(self.far), charges, values)
@@ -120,7 +120,7 @@ class FarField:
         """Charges of all clusters of triangles, from the leaves up."""
         tree, sphere = self.sources, self.sphere
         shape = len(tree.start), len(sphere.charge), 4, moved.shape[2]
-        charges = np.zeros(shape)
+        charges = np.zeros(shape, dtype=moved.dtype)
         leaves = np.array(sorted(self.moments))
 
         def start(begin: int, end: int) -> None:
@@ -156,7 +156,7 @@ class FarField:
         for one in range(begin, end):
             seen, points = self.far[one], own.telling[one]
             columns = charges.shape[3]
-            values[one] = np.zeros((len(points), 4, columns))
+            values[one] = np.zeros((len(points), 4, columns), dtype=charges.dtype)
             if not seen.size:
                 continue
             # From the centre: single precision would lose places that are far from the origin.
@@ -166,7 +166,7 @@ class FarField:
             points = (points - own.tree.centre[one]).astype(np.float32)
             # A copy already: changed in place.
             shifted = charges[seen]
-            shifted[:, :, :3] += shift[:, None, :, None] * shifted[:, :, 3:]
+            shifted[:, :, :3] += shift[:, None, :, None].astype(shifted.dtype) * shifted[:, :, 3:]
             kernel = np.empty((len(points), place.shape[1]), dtype=np.float32)
             fill_inverse_distances(points, place, kernel)
             found = kernel @ shifted.reshape(kernel.shape[1], -1)
@@ -177,7 +177,7 @@ class FarField:
     ) -> Float[np.ndarray, "r 3 c"]:
         """Values at all points, from the largest clusters down."""
         tree, spread = self.receivers.tree, self.receivers.spread
-        out = np.empty((len(self.offset), 3, columns))
+        out = np.empty((len(self.offset), 3, columns), dtype=values[0].dtype)
         for one, children in enumerate(tree.children):
             weights = spread[one]
             told = (weights @ values[one].reshape(weights.shape[1], -1)).reshape(-1, 4, columns)
@@ -206,7 +206,7 @@ def recentred(
     shift : (..., 3) float [m]        from the old centre to the new one
     """
     out = functions.copy()
-    out[..., :3, :] += shift[..., :, None] * functions[..., 3:, :]
+    out[..., :3, :] += shift[..., :, None].astype(out.dtype) * functions[..., 3:, :]
     return out
 
 

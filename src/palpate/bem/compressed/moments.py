@@ -70,7 +70,7 @@ class LeafMoments:
         """
         u = moved[self.nodes]
         count, columns = self.traction.shape[1], u.shape[2]
-        out = np.zeros((count, 4, columns))
+        out = np.zeros((count, 4, columns), dtype=moved.dtype)
         self._add_traction(mix, u, out)
         if self.sides.size:
             self._add_displacement(mix, pressed[self.sides], out)
@@ -79,14 +79,14 @@ class LeafMoments:
     def _add_traction(
         self, mix: Mix, u: Float[np.ndarray, "n 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        matrix = np.empty((len(out), 4, 3, len(u)))
+        matrix = np.empty((len(out), 4, 3, len(u)), dtype=out.dtype)
         _fill_traction(mix.skew, mix.rest, self.traction, matrix)
         out += _product(matrix, u)
 
     def _add_displacement(
         self, mix: Mix, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
-        matrix = np.empty((len(out), 4, 3, len(q)))
+        matrix = np.empty((len(out), 4, 3, len(q)), dtype=out.dtype)
         trace = 1.5 * mix.constant - 2.0 * mix.slope
         _fill_displacement(trace, mix.constant, self.displacement, matrix)
         out += _product(matrix, q)
@@ -220,6 +220,7 @@ def _displacement_values(sources, centre, check, out):
 def _fill_traction(skew, rest, moments, out):
     """F and psi of skew A + rest B from the 16 moments of a node; node by node within each part, so
     that several are one instruction."""
+    skew, rest = out.dtype.type(skew), out.dtype.type(rest)
     for c in range(moments.shape[1]):
         turn, flux, part = moments[:3, c], moments[3, c], out[c]
         for i in range(4):
@@ -239,6 +240,7 @@ def _fill_traction(skew, rest, moments, out):
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _fill_displacement(trace, rest, moments, out):
     """F and psi of the displacement kernel from the 13 moments of a side."""
+    trace, rest = out.dtype.type(trace), out.dtype.type(rest)
     for c in range(moments.shape[1]):
         part = out[c]
         for i in range(4):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import DTypeLike
 from scipy.sparse import csr_array
 
 from palpate.bem.compressed.clusters import ClusterTree
@@ -44,17 +45,21 @@ class NearBlock:
     sides: Int[np.ndarray, " s"]
     displacement: Float[np.ndarray, "6 m s"]
 
-    def traction_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 3 n"]:
+    def traction_matrix(
+        self, mix: Mix, dtype: DTypeLike = np.float64
+    ) -> Float[np.ndarray, "m 3 3 n"]:
         """Equations against the three components of displacements."""
         count, nodes = self.traction.shape[1:]
-        out = np.empty((count, 3, 3, nodes))
+        out = np.empty((count, 3, 3, nodes), dtype=dtype)
         _fill_traction(mix.skew, mix.rest, self.traction, out)
         return out
 
-    def displacement_matrix(self, mix: Mix) -> Float[np.ndarray, "m 3 3 s"]:
+    def displacement_matrix(
+        self, mix: Mix, dtype: DTypeLike = np.float64
+    ) -> Float[np.ndarray, "m 3 3 s"]:
         """Equations against the three components of tractions."""
         count, sides = self.displacement.shape[1:]
-        out = np.empty((count, 3, 3, sides))
+        out = np.empty((count, 3, 3, sides), dtype=dtype)
         trace, rest = 1.5 * mix.constant - 2.0 * mix.slope, 0.5 * mix.constant
         _fill_displacement(trace, rest, self.displacement, out)
         return out
@@ -77,7 +82,7 @@ class NearField:
         self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
     ) -> Float[np.ndarray, "r 3 c"]:
         """The near part of the equations (as `FarField.apply`)."""
-        out = np.empty((self.n_points, 3, moved.shape[2]))
+        out = np.empty((self.n_points, 3, moved.shape[2]), dtype=moved.dtype)
         in_threads(self._multiply, len(self.blocks), mix, moved, pressed, out)
         return out
 
@@ -91,9 +96,10 @@ class NearField:
         out: Float[np.ndarray, "r 3 c"],
     ) -> None:
         for block in self.blocks[begin:end]:
-            found = _product(block.traction_matrix(mix), moved[block.nodes])
+            found = _product(block.traction_matrix(mix, moved.dtype), moved[block.nodes])
             if block.sides.size:
-                found += _product(block.displacement_matrix(mix), pressed[block.sides])
+                matrix = block.displacement_matrix(mix, moved.dtype)
+                found += _product(matrix, pressed[block.sides])
             out[block.points] = found
 
 
@@ -207,13 +213,14 @@ def _product(
 def _fill_traction(skew, rest, fields, out):
     """skew A + rest B from the nine fields (`traction_parts`); node by node within each part, so
     that several are one instruction."""
+    kind = out.dtype.type
+    third, skew, rest = kind(skew / 3.0), kind(skew), kind(rest)
     for m in range(fields.shape[1]):
         turn, tensor, part = fields[:3, m], fields[3:, m], out[m]
-        third = skew / 3.0
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             for n in range(fields.shape[2]):
-                flux = third * (np.float64(tensor[0, n]) + tensor[1, n] + tensor[2, n])
+                flux = third * (kind(tensor[0, n]) + tensor[1, n] + tensor[2, n])
                 part[i, i, n] = -flux - rest * tensor[i, n]
             # Of yz, zx, xy the one without i.
             for n in range(fields.shape[2]):
@@ -225,12 +232,14 @@ def _fill_traction(skew, rest, fields, out):
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _fill_displacement(trace, rest, fields, out):
     """trace times 1 / r in the diagonal, and rest times the six fields (`displacement_parts`)."""
+    kind = out.dtype.type
+    trace, rest = kind(trace), kind(rest)
     for m in range(fields.shape[1]):
         tensor, part = fields[:, m], out[m]
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             for n in range(fields.shape[2]):
-                along = trace * (np.float64(tensor[0, n]) + tensor[1, n] + tensor[2, n])
+                along = trace * (kind(tensor[0, n]) + tensor[1, n] + tensor[2, n])
                 part[i, i, n] = along + rest * tensor[i, n]
             for n in range(fields.shape[2]):
                 part[j, k, n] = rest * tensor[3 + i, n]

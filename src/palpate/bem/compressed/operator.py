@@ -92,7 +92,8 @@ class CompressedOperator:
         found = self.near.apply(mix, moved, pressed)
         found += self.far.apply(mix, moved, pressed)
         own = (self.own @ moved.reshape(len(moved), -1)).reshape(found.shape)
-        found -= (mix.skew * self.total[0] + mix.rest * self.total[1]) @ own
+        total = mix.skew * self.total[0] + mix.rest * self.total[1]
+        found -= total.astype(found.dtype) @ own.astype(found.dtype)
         return found
 
 

@@ -133,10 +133,18 @@ def solve_compressed(
     ------
     NotConvergedError                 the tolerance is not met
     """
+
+    def product(vectors: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
+        return inverse.system.product(inverse.poisson_ratio, vectors)
+
+    def rough(vectors: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
+        # Half the time. By itself its rounding, another in every product, would bend a slender body
+        # wrongly by up to 1e-4.
+        return product(vectors.astype(np.float32)).astype(np.float64)
+
     return solve_together(
-        lambda vectors: inverse.system.product(inverse.poisson_ratio, vectors),
-        inverse.solve, right, scale=scale, tolerance=tolerance,
-    )  # fmt: skip
+        product, inverse.solve, right, rough=rough, scale=scale, tolerance=tolerance
+    )
 
 
 def paired_unknowns(system: CompressedSystem) -> Int[np.ndarray, " r"]:

@@ -103,7 +103,7 @@ class CompressedSystem(BoundarySystem):
         self, mix: Mix, unknowns: Float[np.ndarray, "k c"]
     ) -> tuple[Float[np.ndarray, "r 3 c"], Float[np.ndarray, "h 3 c"]]:
         free, columns = self.unknowns.free_vertices, unknowns.shape[1]
-        moved = np.zeros((len(self.surface.mesh.vertices), 3, columns))
+        moved = np.zeros((len(self.surface.mesh.vertices), 3, columns), dtype=unknowns.dtype)
         moved[free] = unknowns[: 3 * free.size].reshape(-1, 3, columns)
         pressed = unknowns[3 * free.size : -3].reshape(-1, 3, columns)
         return self.operator.apply(mix, moved, pressed), pressed

@@ -39,6 +39,8 @@ from palpate.errors import NotConvergedError
 
 CENTRE = 0.3
 MOST_DIRECTIONS = 80
+# Relative residual that a compressed system's model leaves over the range.
+SNAPSHOT_RESIDUAL = 5e-7
 _TINY = np.finfo(float).tiny
 
 
@@ -116,6 +118,7 @@ def make_reduced_model(
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = 1e-8,
+    snapshot_residual: float = SNAPSHOT_RESIDUAL,
 ) -> SolutionModel:
     """Factorise once and gather directions until they serve the whole range.
 
@@ -128,6 +131,7 @@ def make_reduced_model(
     poisson_range : (float, float)    Poisson's ratios that will be asked for
     tolerance : float                 largest relative residual at both ends, where it is largest;
                                       thin bodies make up to 1000 times as large an error of it
+    snapshot_residual : float         the same for a compressed system, over the whole range
 
     Returns
     -------
@@ -139,7 +143,9 @@ def make_reduced_model(
     NotConvergedError                 the tolerance is not met with `MOST_DIRECTIONS`
     """
     if isinstance(system, CompressedSystem):
-        return snapshot_model(system, right.terms, poisson_range=poisson_range)
+        return snapshot_model(
+            system, right.terms, poisson_range=poisson_range, tolerance=snapshot_residual
+        )
     factorised = factorise(system, CENTRE)
     return _gathered(
         lambda terms: solve(factorised, terms), system_slope(system).apply, right, poisson_range,
