@@ -6,9 +6,9 @@ than each would need by itself, and every product is one with a block of vectors
 Source
 ------
 Saad, Iterative Methods for Sparse Linear Systems (2003), section 6.12 and algorithm 9.5:
-preconditioned from the right, so that the residual is that of the system itself. Higham, Accuracy and
-Stability of Numerical Algorithms (2002), chapter 12: iterative refinement, rough solutions of what
-exact residuals leave.
+preconditioned from the right, so that the residual is that of the system itself. Higham, Accuracy
+and Stability of Numerical Algorithms (2002), chapter 12: iterative refinement, rough solutions of
+what exact residuals leave.
 """
 
 from collections.abc import Callable
