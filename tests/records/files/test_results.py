@@ -111,6 +111,11 @@ def _add(result):
     (result / "thesis.txt").write_text("years of work")
 
 
+def _add_many(result):
+    for name in ("a" * 60, "b" * 40, "c", "d", "e"):
+        (result / name).write_text("")
+
+
 def _link(result):
     (result / "link").symlink_to(result.parent)
 
@@ -132,6 +137,11 @@ def _strange(result):
     [
         (_edit, r"is a result that was changed since: first \(changed\)"),
         (_add, r"is a result that was changed since: thesis\.txt \(not listed\)"),
+        (
+            _add_many,
+            "since: " + "a" * 37 + r"\.\.\., " + "b" * 37 + r"\.\.\., c \(not listed\)"
+            " and 2 more",
+        ),
         (_link, r"is a result that was changed since: link \(not listed\)"),
         (_drop, r"is a result that was changed since: first \(missing\)"),
         (_forget, "is a result of an earlier version"),
