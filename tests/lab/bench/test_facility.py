@@ -266,7 +266,7 @@ def test_a_body_that_cannot_be_filled_is_refused_before_anything_is_rendered(tmp
     def rendered(*_, **__):
         raise AssertionError("light was made")
 
-    monkeypatch.setattr(facility, "make_solid", refused)
+    monkeypatch.setattr(facility, "solid_under", refused)
     monkeypatch.setattr(facility, "make_studio", rendered)
     (tmp_path / "config.toml").write_text(HALF_BALL)
     out = tmp_path / "out"

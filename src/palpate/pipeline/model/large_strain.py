@@ -162,19 +162,16 @@ def _corrected(
 
 def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionError:
     """What a correction may be off by."""
-    parameters = [
-        NuisanceParameter("finite strain, in steps from linear to neo-Hookean,", _OTHER_LAWS)
-    ]
-    steps = [_OTHER_LAWS * correction]
+    errors = [("finite strain", "from linear to neo-Hookean", _OTHER_LAWS, correction)]
     if rough is not None:
-        parameters += [
-            NuisanceParameter("finite strain, in steps from one neo-Hookean law to another,", 1.0),
-            NuisanceParameter(
-                f"finite strain of {name}, in steps from coarser elements to finer,", 1.0
-            ),
+        mesh_step = correction - rough.correction
+        errors += [
+            ("finite strain", "from one neo-Hookean law to another", 1.0, rough.law),
+            (f"finite strain of {name}", "from coarser to finer elements", 1.0, mesh_step),
         ]
-        steps += [rough.law, correction - rough.correction]
-    return CorrectionError(tuple(parameters), np.stack([one.ravel() for one in steps], axis=1))
+    parameters = (NuisanceParameter(f"{of}, in steps {step},", std) for of, step, std, _ in errors)
+    steps = [std * moved.ravel() for *_, std, moved in errors]
+    return CorrectionError(tuple(parameters), np.stack(steps, axis=1))
 
 
 def _whole(probe: ProbeFit, correction: Points) -> ProbeFit:
