@@ -1,6 +1,8 @@
 """Write a session folder by hand: mesh, support, one probing, one table of displacements.
 
 python examples/05_write_a_session.py
+
+A body of your own in such a folder, fitted: docs/notebooks/own_mesh.py.
 """
 
 import tempfile

@@ -13,8 +13,7 @@ from palpate.errors import quoted
 from palpate.geometry import TriangleMesh, enclosed_volume, read_mesh, triangle_areas
 from palpate.lab.bodies import SHAPES
 from palpate.lab.config import LabConfig, Probe, Specimen
-from palpate.records import TomlTable, read_support, read_toml
-from palpate.records.quantities import STIFFNESS_UNITS
+from palpate.records import STIFFNESS_UNITS, TomlTable, read_support, read_toml
 from palpate.shapes import Indices
 
 LAB_FORMAT = "palpate-lab/1"

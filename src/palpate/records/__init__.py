@@ -105,6 +105,7 @@ from palpate.records.quantities import (
     FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
     LENGTH_UNITS as LENGTH_UNITS,
     NOT_DETERMINED as NOT_DETERMINED,
+    STIFFNESS_UNITS as STIFFNESS_UNITS,
     SYMBOLS as SYMBOLS,
     constant_row as constant_row,
     constant_text as constant_text,

@@ -22,6 +22,9 @@ from palpate.simulation.kernels.state import GLUE, OPEN, ROUNDING, SLIDES, STICK
 
 # Steps of a node's own problem of friction.
 _NODE_STEPS = 12
+# Of the largest force, and of the farthest that a touching node has moved: what is left of the
+# equations counts as nothing.
+_NOTHING = 1e-11
 # Of the way a node slides, in one round [rad].
 _LARGEST_TURN = 0.5
 
@@ -190,6 +193,34 @@ def capacitance(block, frames, friction, residual, force, status, slide):
             matrix[g, h] = row[g, 0] * part[i] + row[g, 1] * part[i + 1] + row[g, 2] * part[i + 2]
         matrix[h, h] += extra[h]
     return matrix, node[:m], along[:m], row[:m]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def at_rest(frames, friction, residual, force, status, slide, depth):
+    """Whether the forces are those that `solve_together` would find, to `_NOTHING` of the largest
+    force and of a depth."""
+    slide_directions(frames, friction, residual, force, status, slide)
+    across, strength = np.empty(3), 0.0
+    for i in range(friction.size):
+        for a in range(3):
+            strength = max(strength, abs(force[i, a]))
+    for i in range(friction.size):
+        left = 0.0
+        if status[i] == STICKS:
+            left = max(abs(residual[i, 0]), abs(residual[i, 1]), abs(residual[i, 2]))
+        elif status[i] == SLIDES:
+            left, rubs = abs(component(frames, i, 0, residual)), 0.0 < friction[i] < GLUE
+            pull = np.hypot(component(frames, i, 1, force), component(frames, i, 2, force))
+            limit = friction[i] * component(frames, i, 0, force) if rubs else 0.0
+            # The normal has turned since the force was found.
+            if abs(pull - limit) > _NOTHING * strength:
+                return False
+            if rubs:
+                set_across(frames[i, 0], slide[i], across)
+                left = max(left, abs(dot(across, residual[i])))
+        if left > _NOTHING * depth:
+            return False
+    return keeps_state(frames, friction, residual, force, status, slide, depth)
 
 
 @numba.njit(cache=True, error_model="numpy")

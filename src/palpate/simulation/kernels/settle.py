@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from palpate.simulation.kernels.friction import solve_together, sweep
+from palpate.simulation.kernels.friction import at_rest, solve_together, sweep
 from palpate.simulation.kernels.linear import add_displacement, displace, dot, gather, set_frame
 from palpate.simulation.kernels.nodes import begin_tick, find_contacts, leave, near_nodes, touching
 
@@ -45,12 +45,25 @@ def take_over(nodes, nodal, now, own, slide):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def farthest(nodes, nodal):
+    """How far the touching nodes have moved at most."""
+    most = 0.0
+    for i in nodes:
+        for a in range(3):
+            most = max(most, abs(nodal.moved[i, a]))
+    return most
+
+
+@numba.njit(cache=True, error_model="numpy")
 def solve_round(tools, rest, nodes, block, nodal, swept):
     """One round of all touching nodes; returns whether they settled, the change and the force."""
     k = nodes.size
     frames, residual, now = np.empty((k, 3, 3)), np.empty((k, 3)), np.empty((k, 3))
     friction, own, slide = np.empty(k), np.empty(k, dtype=np.int64), np.empty((k, 3))
     set_up(tools, rest, nodes, nodal, frames, friction, residual, now, own)
+    if not swept and at_rest(frames, friction, residual, now, own, slide, farthest(nodes, nodal)):
+        take_over(nodes, nodal, now, own, slide)
+        return True, 0.0, 0.0
     if swept:
         sweep(block, frames, friction, residual, now, own, swept)
     settled = solve_together(block, frames, friction, residual, now, own, slide)

@@ -34,6 +34,9 @@ from palpate.errors import InputError
 from palpate.figures import save_figure
 from palpate.records import check_free, disk_errors, modulus_unit
 
+# What several commands say of an argument that they share.
+_Campaign = Annotated[Path, Parameter(help="Folder of the campaign.")]
+_Force = Annotated[bool, Parameter(negative="", help="Replace a file of that name.")]
 _NOT_OK = 3
 _WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
 # A message in a table is for knowing what it is about; the files have all of it.
@@ -103,13 +106,8 @@ def run(
     return _NOT_OK if any(row.state == FAILED for row in rows) else 0
 
 
-def status(folder: Path, /) -> int:
+def status(folder: _Campaign, /) -> int:
     """Say how far a campaign is, also while it runs: what is done, what failed, what stands out.
-
-    Parameters
-    ----------
-    folder
-        Of the campaign.
 
     Returns
     -------
@@ -121,22 +119,18 @@ def status(folder: Path, /) -> int:
 
 
 def table(
-    folder: Path,
+    folder: _Campaign,
     /,
     *,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: _Force = False,
 ) -> int:
     """Print a campaign's table, or write it as CSV or Parquet.
 
     Parameters
     ----------
-    folder
-        Of the campaign.
     out
         File to write instead, ending .csv or .parquet (which needs palpate[parquet]).
-    force
-        Replace a file of that name.
 
     Returns
     -------
@@ -166,23 +160,19 @@ def table(
 
 
 def plot(
-    folder: Path,
+    folder: _Campaign,
     /,
     *,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: _Force = False,
 ) -> int:
     """Draw both constants of all sessions with their intervals, group beside group.
 
     Parameters
     ----------
-    folder
-        Of the campaign.
     out
         File to write, ending .png, .svg or .pdf. Default: the folder's name followed by .png, in
         the current folder.
-    force
-        Replace a file of that name.
 
     Returns
     -------
