@@ -211,7 +211,7 @@ def _gathered(
     while len(basis) <= MOST_DIRECTIONS:
         direction, step = orthogonalised(solved(sloped(basis[-1])), basis)
         steps.append(step)
-        # Residuals rest on the Hessenberg matrices alone; all directions are large, and copied once.
+        # Residuals rest on the Hessenberg matrices alone; directions are large, and copied once.
         none = np.zeros((2 + len(basis), 0, len(start)))
         model = ReducedModel(CENTRE, none, _hessenberg(steps), start, scale)
         residual = max(model.coefficients(nu)[1] for nu in poisson_range)
