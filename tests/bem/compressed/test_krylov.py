@@ -49,6 +49,29 @@ def test_together_they_need_fewer_products(system):
     assert all_of_them.iterations < alone.iterations
 
 
+@pytest.mark.parametrize("rounding", [1e-6, 1e-2])
+def test_rough_products_leave_no_trace(system, rounding):
+    matrix, right = system
+    rng = np.random.default_rng(1)
+    calls = []
+
+    def exact(x):
+        calls.append(x.shape[1])
+        return matrix @ x
+
+    def rough(x):
+        found = matrix @ x
+        return found + rounding * np.abs(found).max() * rng.normal(size=found.shape)
+
+    found = solve_together(exact, same, right[:, :20], rough=rough, tolerance=1e-12)
+    wanted = np.linalg.solve(matrix, right[:, :20])
+    # The tolerance, times a condition of three.
+    assert np.abs(found.solution - wanted).max() < 1e-11 * np.abs(wanted).max()
+    assert np.abs(found.product - matrix @ found.solution).max() < 1e-12 * np.abs(right).max()
+    # 1e-12 in steps of 1e-5: three exact products. What is too rough to converge is not iterated.
+    assert len(calls) == 3 if rounding < 1e-4 else len(calls) < 40
+
+
 def test_columns_of_nothing_and_alike_columns(system):
     matrix, right = system
     right = np.column_stack([right[:, 0], np.zeros(300), 1e-9 * right[:, 0], right[:, 1]])

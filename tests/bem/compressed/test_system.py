@@ -24,6 +24,7 @@ from palpate.bem import (
 from palpate.bem.compressed import CompressedSystem, choice, cluster_inverse, solve_compressed
 from palpate.bem.system.system import system_matrix
 from palpate.errors import InputError
+from palpate.estimation import make_reduced_model
 
 # The operator's own error of 1e-7, made larger by the condition of a beam that bends, some tens.
 CLOSE = 1e-5
@@ -89,6 +90,15 @@ def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
     # Of some columns as of all.
     some, _ = model.coefficients(0.2, np.array([1, 3]))
     assert np.array_equal(some, model.coefficients(0.2)[0][:, [1, 3]])
+
+
+def test_the_residual_that_is_asked_for_decides_how_many_solutions_are_made(compressed, right):
+    loose, tight = (
+        make_reduced_model(compressed, right, poisson_range=(0.1, 0.45), snapshot_residual=residual)
+        for residual in (1e-3, 1e-6)
+    )
+    assert len(loose.ratios) < len(tight.ratios)
+    assert max(loose.coefficients(nu)[1] for nu in np.linspace(0.1, 0.45, 9)) <= 1e-3
 
 
 def test_linear_elements_on_flat_facets_are_served_too(long_surface):

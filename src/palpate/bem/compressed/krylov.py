@@ -25,6 +25,9 @@ _TOGETHER = 24
 # Reduction of the residual that is asked of rough products at a time: rounding of 3e-7 in each, and
 # what the iteration makes of it in slender bodies, stays below.
 _ROUGHLY = 1e-5
+# Rough products serve no longer where the residual is so many times the one that was aimed at, or
+# where they took more than a few iterations: the next round begins without their Krylov space.
+_TOO_ROUGH, _FEW = 10.0, 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,19 +112,22 @@ def _refined(
     tolerance: float,
     most: int,
 ) -> IterativeSolution:
-    """Rough solutions, each of what those before it leave."""
+    """Rough solutions, each of what those before it leave; exact ones where these do not serve."""
     solution, known, iterations = np.zeros_like(right), np.zeros_like(right), 0
-    residual = np.linalg.norm(right, axis=0)
+    residual, roughly = np.linalg.norm(right, axis=0), True
     while (worst := residual.max(initial=0.0)) > tolerance and iterations < most:
-        rounds = np.ceil(np.log(tolerance / worst) / np.log(_ROUGHLY))
+        rounds = np.ceil(np.log(tolerance / worst) / np.log(_ROUGHLY)) if roughly else 1.0
         # Half: what is rounded shall not cost another round.
         aim = 0.5 * worst * (tolerance / worst) ** (1.0 / rounds)
         own = np.flatnonzero(residual > tolerance)
-        step = _solve_block(rough, inverse, (right - known)[:, own], aim, most - iterations)
+        step = _solve_block(
+            rough if roughly else product, inverse, (right - known)[:, own], aim, most - iterations
+        )
         solution[:, own] += step.solution
-        known[:, own] += product(step.solution)
+        known[:, own] += product(step.solution) if roughly else step.product
         iterations += step.iterations
         residual = np.linalg.norm(right - known, axis=0)
+        roughly &= step.iterations <= _FEW and residual.max() <= _TOO_ROUGH * aim
     return IterativeSolution(solution, known, iterations, residual)
 
 

@@ -41,6 +41,8 @@ _N_FIELDS = DISPLACEMENT.count
 _MOST_LEVELS, _RIM_LEVELS = 2, 3
 # Panels, and Gauss points of each, of the polar coordinates along and across.
 _POLAR_PANELS, _POLAR_POINTS = 3, 4
+# Sources whose fields are made before they are summed: as many as stay in the first cache.
+_AT_ONCE = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,11 +325,16 @@ def _polar_panels() -> tuple[Float[np.ndarray, " p"], ...]:
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _sum_points(begin, end, lanes, sources, out):
     """Displacement fields of some blocks of load points, summed over the sources."""
+    width = _N_FIELDS * LANES
+    buffer = np.empty(_AT_ONCE * width)
     for b in range(begin, end):
-        row = np.empty(_N_FIELDS * LANES)
-        for q in range(sources.shape[0]):
-            lane_fields(_N_FIELDS, lanes[b], sources[q : q + 1], row)
-            out[b] += row
+        total = out[b]
+        for first in range(0, sources.shape[0], _AT_ONCE):
+            last = min(first + _AT_ONCE, sources.shape[0])
+            lane_fields(_N_FIELDS, lanes[b], sources[first:last], buffer)
+            for q in range(last - first):
+                for i in range(width):
+                    total[i] += buffer[q * width + i]
 
 
 @numba.njit(error_model="numpy", cache=True)

@@ -16,7 +16,7 @@ Saad, Iterative Methods for Sparse Linear Systems (2003), algorithm 6.2 with reo
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -211,12 +211,12 @@ def _gathered(
     while len(basis) <= MOST_DIRECTIONS:
         direction, step = orthogonalised(solved(sloped(basis[-1])), basis)
         steps.append(step)
-        model = ReducedModel(
-            CENTRE, np.stack([first, second, *basis]), _hessenberg(steps), start, scale
-        )
+        # Residuals rest on the Hessenberg matrices alone; directions are large, and copied once.
+        none = np.zeros((2 + len(basis), 0, len(start)))
+        model = ReducedModel(CENTRE, none, _hessenberg(steps), start, scale)
         residual = max(model.coefficients(nu)[1] for nu in poisson_range)
         if residual <= tolerance:
-            return model
+            return replace(model, directions=np.stack([first, second, *basis]))
         basis.append(direction)
     raise NotConvergedError(
         f"the reduced model leaves a residual of {residual:.1e} over Poisson's ratios "
