@@ -58,6 +58,7 @@ def test_what_it_says_of_itself(wheel):
         "cad",
         "e57",
         "fem",
+        "hdf5",
         "lab",
         "mesh",
         "parquet",

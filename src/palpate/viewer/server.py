@@ -41,6 +41,8 @@ class Tab:
         self._workshop = workshop
         self._fitted = workshop.fitted
         self._drag_start = np.zeros(3)
+        # The workshop's thread and the one that opens the tab both say that something is ready.
+        self._updating = threading.Lock()
         self.stage = Stage(client, subject)
         gui.add_markdown(f"**{subject.session.name}**  \n{_heading(subject)}")
         tabs = gui.add_tab_group()
@@ -65,13 +67,14 @@ class Tab:
 
     def update(self) -> None:
         """Something is ready that was not."""
-        with self._material_folder:
-            self.material.update()
-        self.touching.update()
-        if self._workshop.fitted is not self._fitted:
-            self._fitted = self._workshop.fitted
-            if self.touching.pressed is None:
-                self.look.draw()
+        with self._updating:
+            with self._material_folder:
+                self.material.update()
+            self.touching.update()
+            if self._workshop.fitted is not self._fitted:
+                self._fitted = self._workshop.fitted
+                if self.touching.pressed is None:
+                    self.look.draw()
 
     def _clicked(self, event: Any) -> None:
         """A place of the object was clicked."""
