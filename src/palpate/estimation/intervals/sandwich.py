@@ -220,10 +220,10 @@ def _scores(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Score, information, covariance of the score and curvature of one probing."""
     d = probe.common
-    gram = probe.design.T @ probe.design
-    projected = turn.T @ gram @ turn
     clean = probe.design @ turn
-    information = noise.slope * projected + (turn[d:].T * probe.prior(force_slope)) @ turn[d:]
+    information = (
+        noise.slope * (clean.T @ clean) + (turn[d:].T * probe.prior(force_slope)) @ turn[d:]
+    )
     spread = noise.power * noise.excess * (clean.T @ probe.rows.correlated(clean, noise.sharing))
     spread += (turn[d:].T * probe.prior(force_power)) @ turn[d:]
     weighted = probe.weighted_products()
