@@ -58,8 +58,6 @@ def main() -> None:
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder, STIFFNESS)
         clean = told(body, EXACT, 0.0, 0, 0.0)
-        print(f"{name}: clean {errors_of(timed(clean, folder)[0], body.truth)}", flush=True)
-        rigid = replace(clean, supports=(Support(clean.held_triangles),))
         rigid = replace(clean, supports=(Support(clean.held_triangles),))
         for kind, one in (("clean", clean), ("clean, taken as rigid", rigid)):
             print(f"{name}: {kind} {errors_of(timed(one, folder)[0], body.truth)}", flush=True)
