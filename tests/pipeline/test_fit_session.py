@@ -235,12 +235,12 @@ def test_what_the_calibration_leaves_open_is_in_the_interval(
 
 
 def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
-    errors = replace(EXACT, contact_point=4e-4, contact_points={"a": 1e-4})
+    errors = replace(EXACT, contact_point=8e-4, contact_points={"a": 4e-4})
     first, second = session_observations(
         (only := replace(still, probings=still.probings[:2], errors=errors)),
         make_object_model(only),
     )
-    for seen, std in ((first, 1e-4), (second, 4e-4)):
+    for seen, std in ((first, 4e-4), (second, 8e-4)):
         assert [one.std for one in seen.nuisances[-1].parameters[:2]] == [std, std]
     same = replace(only, errors=replace(errors, contact_points={}))
     (usual, _) = session_observations(same, make_object_model(same))
@@ -249,9 +249,9 @@ def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
         one.nuisances[-1].columns(rows, one.response.value(NU), _unit_load(only), NU)[:, :2]
         for one in (first, usual)
     ]
-    # Linear in the shift, but for the curvature of the displacement over 0.4 mm.
+    # Linear in the shift, but for terms of third order over 0.8 mm.
     slope = (columns[0] * columns[1]).sum() / np.square(columns[1]).sum()
-    assert slope == pytest.approx(0.25, rel=0.02)
+    assert slope == pytest.approx(0.5, rel=0.02)
 
 
 def _unit_load(session: Session) -> np.ndarray:
@@ -265,7 +265,9 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     (seen,) = session_observations(first, make_object_model(first))
     contact, load = first.probings[0].contact, _unit_load(first)
     response = seen.response.value(NU)
-    found = seen.nuisances[-1].columns(np.arange(len(response)), response, load, NU)
+    rows = np.arange(len(response))
+    found = seen.nuisances[-1].columns(rows, response, load, NU)
+    curvature = seen.nuisances[-1].curvature(rows, load, NU)
 
     def moved(other: Contact) -> np.ndarray:
         probing = replace(first.probings[0], contact=other)
@@ -279,10 +281,13 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     axes = ["xyz".index(one.name[-1]) for one in seen.nuisances[-1].parameters[:2]]
     for k, axis in enumerate(axes):
         shift = 4e-4 * np.eye(3)[axis]
-        end = closest_points(first.mesh, (contact.point + shift)[None]).position[0]
-        expected = moved(replace(contact, point=end)) - response @ load
+        ends = closest_points(first.mesh, contact.point + np.stack([shift, -shift])).position
+        on, back = (moved(replace(contact, point=end)) for end in ends)
+        expected = 0.5 * (on - back)
         # Coarser cells, and a tangent that is not quite the axis.
         np.testing.assert_allclose(found[:, k], expected, atol=0.06 * np.abs(expected).max())
+        expected = on + back - 2.0 * (response @ load)
+        np.testing.assert_allclose(curvature[:, k, k], expected, atol=0.06 * np.abs(expected).max())
     expected = moved(replace(contact, radius=1.05 * contact.radius)) - response @ load
     np.testing.assert_allclose(found[:, 2], expected, atol=0.02 * np.abs(expected).max())
 
@@ -354,9 +359,9 @@ def test_one_contact_is_one_patch(still: Session) -> None:
     model = make_object_model(replace(still, probings=(first, second, again)))
     assert model.patch_of.tolist() == [0, 1, 0]
     assert len(model.patches) == 2
-    # Three columns a contact, two of gravity, three changes of every probing's contact and one of
-    # the mesh about it.
-    assert model.right.terms.shape[2] == 3 * 2 + 2 + 4 * 3
+    # Three columns a contact, two of gravity; of every probing's contact five other places, another
+    # radius and another mesh about it.
+    assert model.right.terms.shape[2] == 3 * 2 + 2 + 7 * 3
 
 
 def test_integrals_are_kept(session: Session, result: FitResult, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from palpate.bem.compressed import (
     ClusterInverse,
@@ -39,6 +39,7 @@ from palpate.bem.system import (
     solve,
 )
 from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, closest_points, element_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,9 +235,19 @@ def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | No
     """
     if load.disc is None or not surface.follows_dips or _crosses_edge(surface, load):
         return None
-    centre = surface.mesh.vertices[surface.mesh.triangles[load.triangles]].mean(axis=1)
-    nearest = load.triangles[np.argmin(np.linalg.norm(centre - load.disc.centre, axis=1))]
-    return contact_shape(surface, load.disc, int(nearest))
+    return contact_shape(surface, load.disc, _normal_at(surface, load.triangles, load.disc.centre))
+
+
+def _normal_at(
+    surface: BoundarySurface, triangles: Int[np.ndarray, " k"], point: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Outward unit normal of the curved elements at the place nearest to a point: it turns as the
+    point moves on, where those of flat triangles jump."""
+    near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
+    place = closest_points(near, point[None])
+    element = surface.element_nodes[triangles[place.triangle]]
+    normal = element_points(element, place.barycentric)[0, 0, 3:]
+    return np.asarray(normal / np.linalg.norm(normal))
 
 
 def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad) -> bool:

@@ -174,7 +174,10 @@ def _weights(
         misfit.level,
         [probe.weight for probe in minimum.probes],
         np.array([probe.force_weight for probe in minimum.probes]),
-        [minimum.explained(k) * row.sigma(misfit.level) for k, row in enumerate(rows)],
+        [
+            probe.explained * row.sigma(misfit.level)
+            for probe, row in zip(minimum.probes, rows, strict=True)
+        ],
     )
 
 

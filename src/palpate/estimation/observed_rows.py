@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 
 from palpate.errors import InputError
-from palpate.estimation.nuisance import Nuisance, NuisanceParameter
+from palpate.estimation.nuisance import CurvedNuisance, Nuisance, NuisanceParameter
 from palpate.estimation.observations import ProbeObservations, ResponseModel, Settlement
 from palpate.shapes import Vector3
 
@@ -89,6 +89,18 @@ class ObservedRows:
             plain = _mixed(np.linalg.inv(self.mixing), response)
         found = [n.columns(self.rows, plain, load, poisson_ratio) for n in self.nuisances]
         return _mixed(self.mixing, np.concatenate(found, axis=1))
+
+    def nuisance_curvature(
+        self, load: Float[np.ndarray, " c"], poisson_ratio: float
+    ) -> list[tuple[tuple[NuisanceParameter, ...], Float[np.ndarray, "r p p"]]]:
+        """Parameters in which the displacements are not linear, and their second derivative [m]."""
+        found = []
+        for one in self.nuisances:
+            if isinstance(one, CurvedNuisance):
+                plain = one.curvature(self.rows, load, poisson_ratio)
+                mixed = _mixed(self.mixing, plain.reshape(len(plain), -1))
+                found.append((one.parameters, mixed.reshape(plain.shape)))
+        return found
 
     @property
     def force_components(self) -> int:

@@ -45,28 +45,30 @@ def _predicted(probe: ProbeObservations, force: np.ndarray) -> np.ndarray:
     return probe.response.value(NU)[:, :3] @ force / SHEAR
 
 
+# Where else a contact is tried: in standard deviations along x and y.
+STEPS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]])
+
+
 @dataclass(frozen=True)
 class _MovedContact:
-    """Displacement for contacts beside the stated one, per prior standard deviation."""
+    """Displacement under contacts at `STEPS` beside the stated one, less that under it."""
 
     probe: ProbeObservations
     std: float
 
+    def at(self, steps: np.ndarray, poisson_ratio: float) -> np.ndarray:
+        offset = self.probe.response.offset - self.std * np.append(steps, 0.0)
+        return HalfSpace(offset).value(poisson_ratio)[:, :3] @ self.probe.force
+
     def __call__(self, poisson_ratio: float) -> np.ndarray:
-        offset, force = self.probe.response.offset, self.probe.force
-        columns = []
-        for axis in (0, 1):
-            shift = 0.5 * self.std * np.eye(3)[axis]
-            higher, lower = (HalfSpace(offset - sign * shift) for sign in (1.0, -1.0))
-            change = higher.value(poisson_ratio) - lower.value(poisson_ratio)
-            columns.append(change[:, :3] @ force)
-        return np.stack(columns, axis=1)
+        stated = self.at(np.zeros(2), poisson_ratio)
+        return np.stack([self.at(one, poisson_ratio) - stated for one in STEPS], axis=1)
 
 
 def _contact_error(probe: ProbeObservations, std: float = 5e-4) -> ContactError:
     names = (f"contact point of {probe.name} toward +{axis}" for axis in "xy")
     parameters = tuple(NuisanceParameter(name, std, "m") for name in names)
-    return ContactError(parameters, _MovedContact(probe, std))
+    return ContactError(parameters, STEPS, _MovedContact(probe, std), len(probe.position))
 
 
 def test_a_gain_is_a_force_that_is_larger() -> None:
@@ -108,6 +110,33 @@ def test_a_pose_takes_the_field_of_the_vertices() -> None:
     assert [one.name for one in pose.parameters] == [
         f"shift of the object along {axis}" for axis in "xyz"
     ]
+
+
+def test_a_contact_elsewhere_is_told_to_third_order() -> None:
+    """Half as far, an eighth of the error: slope and curvature are both right."""
+    probe, place = _probes(tip=True)[0], np.array([1.4, -0.8])
+    rows, load = np.arange(3 * len(probe.position)), _load(probe)
+    missed = []
+    for std in (2e-4, 1e-4):
+        error = _contact_error(probe, std)
+        found = _columns(error, probe)[rows] @ place
+        bend = 0.5 * (error.curvature(rows, load, NU) @ place) @ place
+        moved = _MovedContact(probe, std)
+        wanted = (moved.at(place, NU) - moved.at(np.zeros(2), NU))[rows] / SHEAR
+        assert np.abs(bend).max() > 0.01 * np.abs(wanted).max()
+        missed.append(np.linalg.norm(found + bend - wanted))
+    # Terms of fourth order are a tenth of those of third at the point next to the contact.
+    assert missed[0] / missed[1] == pytest.approx(8.0, rel=0.15)
+
+
+def test_a_measured_tool_moves_with_its_contact() -> None:
+    """It stands where the contact is: its square is not that of a point that stays."""
+    probe = _probes(tip=True)[0]
+    count = len(probe.position)
+    rows, load = np.arange(3 * count + 3), _load(probe)
+    bend = _contact_error(probe).curvature(rows, load, NU)
+    assert not bend[-3:].any()
+    assert bend[:-3].any()
 
 
 @pytest.mark.parametrize(
@@ -153,13 +182,13 @@ def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
         name: abs(found.young_modulus.value / 5.2e4 - 1)
         for name, found in (("wrong", wrong), ("right", right))
     }
-    assert error["right"] < 0.4 * error["wrong"]
-    assert error["right"] < 0.01
+    assert error["right"] < 0.1 * error["wrong"]
+    assert error["right"] < 0.003
     for one in right.probes:
         along = one.errors[0]
         assert along.name == f"contact point of {one.name} toward +x"
-        # Linear about the stated point, three standard deviations away.
-        assert along.value == pytest.approx(-1.8e-3, rel=0.35)
+        # Quadratic about the stated point, three standard deviations away.
+        assert along.value == pytest.approx(-1.8e-3, rel=0.15)
     assert any("Likely fault: the contact point of n01 toward +x" in n for n in right.notes)
 
 

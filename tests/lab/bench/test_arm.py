@@ -173,6 +173,30 @@ def test_the_rim_of_a_punch_lies_on_nodes():
     assert gap.max() < 1e-9
 
 
+def test_elements_are_small_where_the_support_ends():
+    """Half of the base is held: nodes lie closely along its rim, which crosses the face."""
+    mesh = block(length=0.05, width=0.04, height=0.03, edge=0.01)
+    corner = mesh.vertices[mesh.triangles]
+    held = np.flatnonzero((corner[:, :, 2] < 1e-9).all(axis=1) & (corner[:, :, 0] < 5.1e-3).all(1))
+    specimen = Specimen(mesh, mesh, held, {}, 0.012)
+    top = np.array([-0.02, 0.0, 0.03])
+    probe = replace(_probe(), point=top)
+    tip = aim(probe, Arm(radius=5e-3), mesh, rng=_rng(3))
+    solid = solid_under(specimen, tip, probe, Material(5e4, 0.3))
+    base = solid.nodes[np.unique(solid.facets)]
+    base = base[base[:, 2] < 1e-9]
+
+    def nearest(at: np.ndarray) -> float:
+        return float(np.linalg.norm(base - at, axis=1).min())
+
+    rim = [nearest(np.array([5e-3, y, 0.0])) for y in np.linspace(-0.018, 0.018, 37)]
+    away = [nearest(np.array([0.02, y, 0.0])) for y in np.linspace(-0.018, 0.018, 37)]
+    # Held are 40 mm times 30: a circle of 19.5 mm. Corners and middles of edges of a tenth of that
+    # are half as far apart, and no place is farther than that from one.
+    assert max(rim) < 0.98e-3
+    assert max(away) > 1.5e-3
+
+
 @pytest.mark.parametrize("kind", ["sphere", "punch"])
 def test_the_rod_stands_on_the_tip_and_ends_before_the_cameras(body, kind):
     rig = make_head(Head(distance=0.4), BALL)

@@ -21,8 +21,9 @@ from palpate.geometry import QuadraticNodes, unit_normals
 
 # A midpoint may differ from its fit within this many edges of the patch.
 _REACH_EDGES = 2.5
-# Triangles whose normal is turned further from that of the patch are not part of its half space.
-_MIN_COSINE = 0.7
+# Triangles whose normal is turned further from that of the patch are not part of its half space;
+# those in between are in part, so that a contact that moves on a little dips a little otherwise.
+_TURNED = (0.6, 0.8)
 # Share of the largest dip below which what the fit misses is left out.
 _NEGLIGIBLE = 2e-3
 
@@ -48,31 +49,32 @@ class ContactShape:
         return ContactShape(self.midpoints, (self.missing @ force)[..., None])
 
 
-def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -> ContactShape:
+def contact_shape(
+    surface: BoundarySurface, disc: PressureDisc, normal: Float[np.ndarray, "3"]
+) -> ContactShape:
     """Compare the dip under a load with its own fit, at the midpoints around the load.
 
     Parameters
     ----------
     surface : BoundarySurface
     disc : PressureDisc
-    triangle : int                    triangle at its centre, for the normal
+    normal : (3,) float [-]           outward unit normal of the half space that dips
 
     Returns
     -------
     ContactShape
     """
     mesh, nodes = surface.mesh, surface.displacement
-    normals = unit_normals(mesh)
-    normal = normals[triangle]
     middle = surface.element_nodes[:, 3:]
     edge = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], -1, axis=1)
     distance = np.linalg.norm(middle - disc.centre, axis=2)
     reach = disc.radius + _REACH_EDGES * np.linalg.norm(edge, axis=2)
-    level = ~surface.held & (normals @ normal > _MIN_COSINE)
-    edge_level = np.ones(nodes.weights.shape[0], dtype=bool)
+    low, high = _TURNED
+    level = np.clip((unit_normals(mesh) @ normal - low) / (high - low), 0.0, 1.0)
+    edge_level = np.ones(nodes.weights.shape[0])
     row = nodes.element[:, 3:] - nodes.n_nodes
-    edge_level[row[~level].ravel()] = False
-    chosen = (distance < reach) & edge_level[row] & ~surface.sides.cut[surface.sides.edge]
+    np.minimum.at(edge_level, row, np.where(surface.held, 0.0, level)[:, None])
+    chosen = (distance < reach) & (edge_level[row] > 0.0) & ~surface.sides.cut[surface.sides.edge]
     midpoints, first = np.unique(row[chosen], return_index=True)
     position = middle[chosen][first]
     weights = csr_array(nodes.weights[midpoints])
@@ -80,7 +82,7 @@ def contact_shape(surface: BoundarySurface, disc: PressureDisc, triangle: int) -
     at_vertices = disc_displacement(disc, normal, mesh.vertices[vertices])
     fitted = np.einsum("pv,svij->spij", weights[:, vertices].toarray(), at_vertices)
     dip = disc_displacement(disc, normal, position)
-    missing = dip - fitted
+    missing = edge_level[midpoints, None, None] * (dip - fitted)
     counts = np.abs(missing).max(axis=(0, 2, 3)) > _NEGLIGIBLE * np.abs(dip).max(initial=0.0)
     return ContactShape(midpoints[counts], missing[:, counts])
 

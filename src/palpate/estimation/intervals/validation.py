@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.noise import relative_weight
-from palpate.estimation.nuisance import NuisanceParameter
+from palpate.estimation.nuisance import CurvedNuisance, NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import LocalProbe, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
@@ -247,6 +247,8 @@ def predicted_points(
     for nuisance in probe.nuisances:
         sigmas = np.array([errors.get(one.name, 0.0) for one in nuisance.parameters])
         moved = moved + nuisance.columns(rows, response, load, nu) @ sigmas
+        if isinstance(nuisance, CurvedNuisance):
+            moved += 0.5 * (nuisance.curvature(rows, load, nu) @ sigmas) @ sigmas
     return np.asarray(moved).reshape(-1, 3)
 
 

@@ -2,9 +2,9 @@
 
 Purpose    : what a wrong gain, direction, contact, pose or scale does to the displacements.
 Takes      : the response of a probing and what it is multiplied with.
-Gives      : `Nuisance` (a protocol); `ForceGain`, `ForceDirection`, `LengthScale`,
-             `SpaceStretch`, `ContactError`, `Pose`, `Discretisation`, `SupportCompliance`,
-             `CorrectionError`.
+Gives      : `Nuisance` and `CurvedNuisance` (protocols); `ForceGain`, `ForceDirection`,
+             `LengthScale`, `SpaceStretch`, `ContactError`, `Pose`, `Discretisation`,
+             `SupportCompliance`, `CorrectionError`.
 Depends on : nothing but the ground floor.
 Read first : `nuisance.py`, then `force_gain.py`.
 """
@@ -16,6 +16,7 @@ from palpate.estimation.nuisance.force_direction import ForceDirection as ForceD
 from palpate.estimation.nuisance.force_gain import ForceGain as ForceGain
 from palpate.estimation.nuisance.length_scale import LengthScale as LengthScale
 from palpate.estimation.nuisance.nuisance import (
+    CurvedNuisance as CurvedNuisance,
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
 )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,18 +12,27 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactError:
-    """Place and radius of one probing's contact (`Nuisance`).
+    """Place and radius of one probing's contact (`CurvedNuisance`).
+
+    A place is known to a tenth of the tool or less, and two or three standard deviations happen:
+    what a tool does to the points beside it is then as much its square as itself.
 
     Parameters
     ----------
     parameters : tuple of p NuisanceParameter
-    derivative : function           Poisson's ratio -> (n_rows, p) float [m Pa]: displacement times
-                                    shear modulus for one standard deviation of each parameter,
-                                    under the measured force
+    steps : (m, p) float            how many standard deviations of each parameter m other contacts
+                                    differ from the stated one
+    change : function               Poisson's ratio -> (n_rows, m) float [m Pa]: displacement times
+                                    shear modulus under each of these, less that under the stated
+                                    one, under the measured force
+    count : int                     of the points; rows behind theirs are of the tool, which the
+                                    contact moves along with
     """
 
     parameters: tuple[NuisanceParameter, ...]
-    derivative: Callable[[float], Float[np.ndarray, "n_rows p"]]
+    steps: Float[np.ndarray, "m p"]
+    change: Callable[[float], Float[np.ndarray, "n_rows m"]]
+    count: int
 
     def columns(
         self,
@@ -32,4 +42,36 @@ class ContactError:
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
         """The model's own derivative, over the shear modulus (`Nuisance.columns`)."""
-        return self.derivative(poisson_ratio)[rows] * load[3]
+        linear, _ = self._expansion()
+        return self.change(poisson_ratio)[rows] @ (load[3] * linear)
+
+    def curvature(
+        self,
+        rows: Int[np.ndarray, " r"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p p"]:
+        """The model's own second derivative, over the shear modulus (`CurvedNuisance.curvature`);
+        none where the contacts show none."""
+        _, square = self._expansion()
+        found = np.tensordot(self.change(poisson_ratio)[rows], load[3] * square, axes=1)
+        found[rows >= 3 * self.count] = 0.0
+        return found
+
+    def _expansion(self) -> tuple[Float[np.ndarray, "m p"], Float[np.ndarray, "m p p"]]:
+        """Which combinations of the m changes are the first and the second derivatives: those of
+        the polynomial that goes through all of them, with as many terms as there are changes."""
+        p = len(self.parameters)
+        pairs = [x for x in combinations_with_replacement(range(p), 2) if self._shows(*x)]
+        products = [self.steps[:, i] * self.steps[:, j] / (1 + (i == j)) for i, j in pairs]
+        weights = np.linalg.inv(np.column_stack([self.steps, *products])).T
+        square = np.zeros((len(self.steps), p, p))
+        for weight, (i, j) in zip(weights[:, p:].T, pairs, strict=True):
+            square[:, i, j] = square[:, j, i] = weight
+        return weights[:, :p], square
+
+    def _shows(self, i: int, j: int) -> bool:
+        """Whether the contacts lie so that the product of two parameters can be told apart."""
+        if i == j:
+            return bool(np.unique(self.steps[np.flatnonzero(self.steps[:, i]), i]).size > 1)
+        return bool((self.steps[:, i] * self.steps[:, j]).any())

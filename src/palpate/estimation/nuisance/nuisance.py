@@ -3,8 +3,8 @@
 A force gauge that reads 1 % too much, a tool that pressed half a millimetre beside the point that
 the session names, an object that lies a little turned: such errors move all points of a probing
 together, or all probings. No number of points averages them away. Each is a parameter b with a
-prior of mean 0; the prediction is linear in b about the estimate, and b is eliminated along with
-the true forces.
+prior of mean 0, eliminated along with the true forces. The prediction is linear in b but for the
+kinds that say otherwise (`CurvedNuisance`): about the estimate it is linear in these as well.
 """
 
 from dataclasses import dataclass
@@ -59,5 +59,28 @@ class Nuisance(Protocol):
         Returns
         -------
         (r, p) float [m]
+        """
+        ...
+
+
+@runtime_checkable
+class CurvedNuisance(Nuisance, Protocol):
+    """A kind of error that may be so large that its square counts; it belongs to one probing."""
+
+    def curvature(
+        self,
+        rows: Int[np.ndarray, " r"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p p"]:
+        """Second derivative of the displacements, per prior standard deviation of each parameter.
+
+        Parameters
+        ----------
+        rows, load, poisson_ratio   as `Nuisance.columns`
+
+        Returns
+        -------
+        (r, p, p) float [m]
         """
         ...

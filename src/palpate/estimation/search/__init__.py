@@ -5,18 +5,15 @@ Takes      : `ObservedRows`, a `ResponseTable`, a `NoiseModel`.
 Gives      : `Misfit`, `Minimum` with the probings linearised there, `FixedWeights`.
 Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.responses`; the observations of
              its room.
-Read first : `misfit.py`, `variable_projection.py`, then `global_search.py`.
+Read first : `local_probe.py`, `misfit.py`, `variable_projection.py`, then `global_search.py`.
 """
 
 from palpate.estimation.search.global_search import (
     fitted_parameters as fitted_parameters,
     global_start as global_start,
 )
-from palpate.estimation.search.misfit import (
-    LocalProbe as LocalProbe,
-    Misfit as Misfit,
-    total_loss as total_loss,
-)
+from palpate.estimation.search.local_probe import LocalProbe as LocalProbe
+from palpate.estimation.search.misfit import Misfit as Misfit, total_loss as total_loss
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum as nelder_mead_minimum
 from palpate.estimation.search.scoring import (
     Minimum as Minimum,

@@ -11,13 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation.noise import NoiseModel, score_moments
-from palpate.estimation.search.misfit import (
-    LocalProbe,
-    Misfit,
-    ScaledRows,
-    common_equations,
-    total_loss,
-)
+from palpate.estimation.search.local_probe import LocalProbe, ScaledRows
+from palpate.estimation.search.misfit import Misfit, common_equations, total_loss
 
 _MAX_LINEARISATIONS = 8
 _MAX_STEPS = 12
@@ -50,18 +45,6 @@ class Minimum:
     probes: tuple[LocalProbe, ...]
     errors: Float[np.ndarray, " m"]
     converged: bool
-
-    def explained(self, probing: int) -> Float[np.ndarray, " r"]:
-        """What errors with a prior explain of one probing's displacements, in units of the noise.
-
-        Parameters
-        ----------
-        probing : int               its number
-        """
-        probe = self.probes[probing]
-        shared = probe.design[:, 2 : probe.common] @ self.errors
-        own = 3 + len(probe.rows.motion)
-        return np.asarray(shared + probe.design[:, probe.common + own :] @ probe.shift[own:])
 
 
 def scored_minimum(

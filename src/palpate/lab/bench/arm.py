@@ -7,7 +7,13 @@ import cv2
 import numpy as np
 
 from palpate.errors import InputError
-from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, vertex_normals
+from palpate.geometry import (
+    SurfacePoints,
+    TriangleMesh,
+    closest_points,
+    triangle_areas,
+    vertex_normals,
+)
 from palpate.lab.bodies import (
     TIPS,
     Body,
@@ -22,7 +28,7 @@ from palpate.lab.bodies import (
 )
 from palpate.lab.config import Arm, Material, Probe, Specimen
 from palpate.records import Camera, camera_centre
-from palpate.shapes import Vector3
+from palpate.shapes import Points, Vector3
 
 # Of the tip's radius: a point farther from the surface was not meant to be on it.
 _MAX_DISTANCE = 0.25
@@ -30,6 +36,10 @@ _MAX_DISTANCE = 0.25
 _ELEMENTS_ACROSS = 6.0
 # Edge of the elements at the rim of a punch, of its radius.
 _RIM = 0.125
+# The same where the support ends, of the radius of a circle as large as the support. The traction
+# has no bound there: elements of half the radius make a ball on a small patch of glue so stiff
+# that its Poisson's ratio seems 0.005 too small. What is left of that is in proportion to the edge.
+_SUPPORT_RIM = 0.1
 # Of the distance to the nearest camera: the rod ends before it.
 _ROD_LENGTH = 0.5
 
@@ -100,7 +110,7 @@ def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, flo
 
 
 def solid_under(specimen: Specimen, tip: Tip, probe: Probe, material: Material) -> Solid:
-    """The specimen in finite elements, small ones under the tip.
+    """The specimen in finite elements, small ones under the tip and where the support ends.
 
     A punch's rim lies on nodes: between them it would be a punch that is smaller by some of the
     distance between nodes, 3 % at six elements across. The pressure has no bound there, and the
@@ -125,7 +135,23 @@ def solid_under(specimen: Specimen, tip: Tip, probe: Probe, material: Material) 
     rim = tip.rim(small)
     rim = rim[closest_points(specimen.body, rim).distance < _MAX_DISTANCE * tip.radius]
     fine = [fine_place(tip, probe, material), *((point, 0.0, small) for point in rim)]
+    area = triangle_areas(specimen.body)[specimen.held].sum()
+    edge = min(_SUPPORT_RIM * float(np.sqrt(area / np.pi)), specimen.element)
+    fine += [(point, 0.0, edge) for point in _support_rim(specimen, edge)]
     return make_solid(specimen.body, edge=specimen.element, fine=fine, marked=rim)
+
+
+def _support_rim(specimen: Specimen, apart: float) -> Points:
+    """Points along the edges between what is held and what is free, no farther apart."""
+    triangles = specimen.body.triangles
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    held = np.repeat(np.isin(np.arange(len(triangles)), specimen.held), 3)
+    edge, number = np.unique(sides, axis=0, return_inverse=True)
+    ends = specimen.body.vertices[edge[np.bincount(number.ravel(), held) == 1]]
+    along = ends[:, 1] - ends[:, 0]
+    parts = int(np.ceil(np.linalg.norm(along, axis=1).max(initial=0.0) / apart))
+    share = (np.arange(parts) + 0.5) / max(parts, 1)
+    return (ends[:, None, 0] + share[:, None] * along[:, None]).reshape(-1, 3)
 
 
 def probe_body(

@@ -1,7 +1,7 @@
 """Contacts that differ a little from what a session says: beside their point, wider or narrower.
 And what the mesh about them may be off by."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,25 +33,28 @@ CHANGE_CELLS = LoadCells(degree=3, coarsest=2, finest_rim=3, finest=3)
 # is none: root mean square of the 32 contacts of twelve bodies against tetrahedra
 # (benchmarks/coverage_of_bodies.py prints them).
 DIP_SHARE = 0.35
+# Where else a contact is tried, in standard deviations along two tangents: what first and second
+# derivatives take.
+_PLACES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactChange:
-    """One way in which a probing's contact, or the mesh about it, may differ from what is taken.
+    """A contact of a probing, or a mesh about it, that differs from what is taken.
 
     Attributes
     ----------
     probing : int                   its number
     nominal : int                   which of the model's patches it has
-    parameter : NuisanceParameter
-    patch : ContactPatch or None    the contact changed by one standard deviation; None: the contact
-                                    as it is, the half space's dip changed by `DIP_SHARE`
+    steps : parameter -> float      what it differs in, in standard deviations
+    patch : ContactPatch or None    the changed contact; None: the contact as it is, the half
+                                    space's dip changed by `DIP_SHARE`
     force : (3,) float [N]          of the probing
     """
 
     probing: int
     nominal: int
-    parameter: NuisanceParameter
+    steps: Mapping[NuisanceParameter, float]
     patch: ContactPatch | None
     force: Vector3
 
@@ -66,16 +69,17 @@ def contact_changes(session: Session, nominal: Int[np.ndarray, " k"]) -> tuple[C
 
     Returns
     -------
-    tuple of ContactChange          up to three a probing: place along two tangents, and radius;
-                                    none where a contact has no radius or is a part of the surface
+    tuple of ContactChange          up to six a probing: place along two tangents, as many as its
+                                    first and second derivatives take, and radius; none where a
+                                    contact has no radius or is a part of the surface
     """
     found = []
     for k, probing in enumerate(session.probings):
         if probing.contact.profile != RIGID and probing.contact.radius is not None:
             patch = _wide_patch(session, probing, probing.contact.radius)
-            for parameter, contact in _changed(session, probing, patch):
+            for steps, contact in _changed(session, probing, patch):
                 changed = replace(patch, contact=contact)
-                found.append(ContactChange(k, int(nominal[k]), parameter, changed, probing.force))
+                found.append(ContactChange(k, int(nominal[k]), steps, changed, probing.force))
     return tuple(found)
 
 
@@ -96,7 +100,7 @@ def dip_changes(
                                     exact the laboratory is
     """
     return tuple(
-        ContactChange(k, int(nominal[k]), _dip_parameter(probing.name), None, probing.force)
+        ContactChange(k, int(nominal[k]), {_dip_parameter(probing.name): 1.0}, None, probing.force)
         for k, probing in enumerate(session.probings)
         if nominal[k] >= 0 and adds(dips[nominal[k]])
     )
@@ -196,7 +200,8 @@ def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPat
     """Triangles that the contact reaches, changed or not; where that takes in the support, those
     that it reaches itself."""
     contact, priors = probing.contact, session.errors
-    wider = radius * (1.0 + _radius_std(session, contact)) + priors.contact_std(probing.name)
+    farthest = np.linalg.norm(_PLACES, axis=1).max() * priors.contact_std(probing.name)
+    wider = radius * (1.0 + _radius_std(session, contact)) + float(farthest)
     surface = session.mesh, session.held_triangles
     try:
         return find_contact_patch(
@@ -208,25 +213,27 @@ def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPat
 
 def _changed(
     session: Session, probing: Probing, patch: ContactPatch
-) -> Iterator[tuple[NuisanceParameter, Contact]]:
-    """Parameters of a contact with the contact one standard deviation on."""
+) -> Iterator[tuple[dict[NuisanceParameter, float], Contact]]:
+    """Contacts beside the stated one, each with what it differs in."""
     contact, priors = probing.contact, session.errors
     point_std = priors.contact_std(probing.name)
     if point_std > 0.0:
         tangents, names = _tangents(session, patch)
-        moved = contact.point + point_std * tangents
+        moved = contact.point + point_std * _PLACES @ tangents
         # Along the surface, as far from it as the stated point is.
         places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
-        for name, place in zip(names, places[1:], strict=True):
-            parameter = NuisanceParameter(
-                f"contact point of {probing.name} toward {name}", point_std, "m"
-            )
-            yield parameter, replace(contact, point=contact.point + place - places[0])
+        toward = [
+            NuisanceParameter(f"contact point of {probing.name} toward {name}", point_std, "m")
+            for name in names
+        ]
+        for steps, place in zip(_PLACES.tolist(), places[1:], strict=True):
+            steps = dict(zip(toward, steps, strict=True))
+            yield steps, replace(contact, point=contact.point + place - places[0])
     radius_std = _radius_std(session, contact)
     if radius_std > 0.0 and contact.radius is not None:
         parameter = NuisanceParameter(f"contact radius of {probing.name}", radius_std)
         wider = contact.radius * (1.0 + radius_std)
-        yield parameter, replace(contact, radius=wider)
+        yield {parameter: 1.0}, replace(contact, radius=wider)
 
 
 def _radius_std(session: Session, contact: Contact) -> float:

@@ -62,12 +62,23 @@ def shared_errors(
         found.append(LengthScale(scale))
     if change:
         found.append(Pose(priors.pose_translation, priors.pose_rotation, tuple(change), vertices))
-    mine = tuple(one.parameter for one in model.changes if one.probing == index)
-    if mine:
-        found.append(ContactError(mine, response.change))
+    found += _contact_errors(model, index, response)
     if isinstance(response, SpringResponse):
         found += filter(None, [compliance_error(model, response)])
     return tuple(found)
+
+
+def _contact_errors(
+    model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
+) -> list[Nuisance]:
+    """What the contact of one probing, and the mesh about it, may differ in."""
+    mine = [one.steps for one in model.changes if one.probing == index]
+    if not mine:
+        return []
+    parameters = tuple(dict.fromkeys(parameter for steps in mine for parameter in steps))
+    steps = np.array([[one.get(parameter, 0.0) for parameter in parameters] for one in mine])
+    count = response.rows.surface.shape[0] // 3
+    return [ContactError(parameters, steps, response.change, count)]
 
 
 def _measured_components(probing: Probing, turn: float) -> tuple[bool, bool, bool]:

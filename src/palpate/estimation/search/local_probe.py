@@ -1,0 +1,160 @@
+"""One probing in units of the noise, and linearised at some constants, forces and errors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.estimation.noise import NoiseModel
+from palpate.estimation.observed_rows import ObservedRows, weighted_square
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaledRows:
+    """Response and measurement of one probing in units of the noise.
+
+    Parameters
+    ----------
+    probe : ObservedRows
+    measured : (r,) float [-]
+    base : (r, c) float             response at a reference Poisson's ratio, over the noise
+    slope : (r, c) float            its derivative with respect to Poisson's ratio, zero where not
+                                    asked for
+    effects : (r, m + e) float      change for one prior standard deviation of each error, at the
+                                    reference: of the m that probings share, then of its own
+    curvature : (r, o, o) float or None     second derivative in the o errors of its own; None: the
+                                    effects are linear
+    shear_modulus : float [Pa]      at which effects were taken; they are inverse to it
+    settling : (r, c) float or None derivative of the response with respect to log G there, over the
+                                    noise; None: there is none
+    """
+
+    probe: ObservedRows
+    measured: Float[np.ndarray, " r"]
+    base: Float[np.ndarray, "r c"]
+    slope: Float[np.ndarray, "r c"]
+    effects: Float[np.ndarray, "r e"]
+    curvature: Float[np.ndarray, "r o o"] | None
+    shear_modulus: float
+    settling: Float[np.ndarray, "r c"] | None = None
+
+    def response(self, offset: float, shear_modulus: float) -> Float[np.ndarray, "r c"]:
+        """Response at nu = reference + offset and a shear modulus, over the noise."""
+        response = self.base if offset == 0 else self.base + offset * self.slope
+        if self.settling is None:
+            return response
+        return response + (shear_modulus / self.shear_modulus - 1.0) * self.settling
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalProbe:
+    """One probing linearised at given constants, true force, motions and errors, in units of the
+    noise.
+
+    Parameters
+    ----------
+    rows : ObservedRows
+    table : (r, d + n + 1) float    slope of the prediction in d parameters of all probings (nu, log
+                                    G, errors that probings share) and in the n shifts, and last the
+                                    residual, measured minus predicted
+    squared : (p,) float            squared residual of every point
+    explained : (r,) float          what the errors explain of the displacements
+    weight : (p,) float             robust weight of every point
+    shift : (n,) float              true minus measured force, then the same of the motions of
+                                    supports, then errors of this probing alone, in sigmas
+    force_weight : float            robust weight of the measured force
+    loss : float                    contribution to the misfit
+    """
+
+    rows: ObservedRows
+    table: Float[np.ndarray, "r t"]
+    squared: Float[np.ndarray, " p"]
+    explained: Float[np.ndarray, " r"]
+    weight: Float[np.ndarray, " p"]
+    shift: Float[np.ndarray, " n"]
+    force_weight: float
+    loss: float
+
+    @property
+    def common(self) -> int:
+        """How many parameters it has in common with the other probings, d."""
+        return self.table.shape[1] - len(self.shift) - 1
+
+    @property
+    def design(self) -> Float[np.ndarray, "r d"]:
+        """Slope of the prediction."""
+        return self.table[:, :-1]
+
+    @property
+    def residual(self) -> Float[np.ndarray, " r"]:
+        """Measured minus predicted."""
+        return self.table[:, -1]
+
+    def prior(self, force_weight: float | None = None) -> Float[np.ndarray, " n"]:
+        """Weight of what was known before about each shift; of the force as it turned out to be,
+        or as given."""
+        weight = self.force_weight if force_weight is None else force_weight
+        known = self.rows.prior(weight)
+        return np.append(known, np.ones(len(self.shift) - len(known)))
+
+    def weighted_products(self) -> Float[np.ndarray, "t t"]:
+        """Products of the table's columns under the robust weights, table' W table."""
+        return weighted_square(self.table.T, self.rows.per_row(self.weight))
+
+
+def linearised_probe(
+    noise: NoiseModel,
+    rows: ScaledRows,
+    offset: float,
+    shear_modulus: float,
+    shift: Float[np.ndarray, " n"],
+    errors: Float[np.ndarray, " m"],
+) -> LocalProbe:
+    """One probing at nu = reference + offset, a shear modulus, a true force and errors.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    rows : ScaledRows
+    offset : float [-]              in Poisson's ratio
+    shear_modulus : float [Pa]      > 0
+    shift : (n,) float              see `LocalProbe.shift`
+    errors : (m,) float             that probings share, in sigmas
+    """
+    probe = rows.probe
+    response = rows.response(offset, shear_modulus)
+    load = probe.load(shear_modulus, shift)
+    pushed = response[:, :4] @ load[:4]
+    shared, first = len(errors), 2 + len(errors)
+    motions = 3 + len(probe.motion)
+    effects = rows.effects * (rows.shear_modulus / shear_modulus)
+    explained = effects @ np.append(errors, shift[motions:])
+    if rows.curvature is not None:
+        bend = (rows.shear_modulus / shear_modulus) * (rows.curvature @ shift[motions:])
+        explained += 0.5 * bend @ shift[motions:]
+        effects[:, shared:] += bend
+    pushed += explained
+    table = np.empty((len(pushed), first + len(shift) + 1))
+    table[:, 0] = rows.slope @ load
+    np.negative(pushed, out=table[:, 1])
+    if rows.settling is not None:
+        table[:, 1] += (shear_modulus / rows.shear_modulus) * (rows.settling @ load)
+    table[:, 2:first] = effects[:, :shared]
+    table[:, first : first + motions] = probe.per_shift(response, shear_modulus)
+    table[:, first + motions : -1] = effects[:, shared:]
+    np.subtract(rows.measured, pushed + response[:, 4:] @ load[4:], out=table[:, -1])
+    squared = probe.squared_length(table[:, -1])
+    length = np.array([shift[:3] @ shift[:3]])
+    count = np.array([float(probe.force_components)])
+    loss = noise.loss(squared, probe.components).sum() + noise.loss(length, count).sum()
+    loss += shift[3:] @ shift[3:]
+    return LocalProbe(
+        rows=probe,
+        table=table,
+        squared=squared,
+        explained=explained,
+        weight=noise.weight(squared, probe.components),
+        shift=shift,
+        force_weight=float(noise.weight(length, count)[0]),
+        loss=float(loss),
+    )
