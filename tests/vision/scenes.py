@@ -131,8 +131,13 @@ class Stage:
 
     def views(self, motion: Motion = STILL) -> list[np.ndarray]:
         """Pictures of all cameras after a motion, without noise, (rows, columns) each."""
-        texture = Speckle(SHAPE, self.seed, self.blob)
-        return [texture.image(self._warp(camera, motion)) for camera in self.rig.cameras]
+        return self.textured_views(motion, self.seed)[0]
+
+    def textured_views(self, motion: Motion, *seeds: int) -> list[list[np.ndarray]]:
+        """The same with each of some textures; what moves where is found once for all of them."""
+        textures = [Speckle(SHAPE, seed, self.blob) for seed in seeds]
+        warps = [self._warp(camera, motion) for camera in self.rig.cameras]
+        return [[texture.image(warp) for warp in warps] for texture in textures]
 
     def mesh(self, spacing: float = 1e-3, half: float = 0.06) -> tuple[np.ndarray, np.ndarray]:
         """Vertices and triangles of the surface over a square, normals up."""
@@ -194,14 +199,18 @@ class Stage:
         below 1e-4 px and the same on both sides.
         """
         rows, columns = SHAPE
+        found: list[np.ndarray] = []
 
         def inverse(place: np.ndarray) -> np.ndarray:
-            place = place.reshape(rows * columns, -1, 2)
-            centre = pixel_grid(SHAPE).reshape(-1, 2)
-            flat, slope = self._solved(camera, centre, motion)
-            source = flat[:, None] + _turned(slope[:, None], place - centre[:, None])
-            middle = np.array([columns / 2 - 0.5, rows / 2 - 0.5])
-            return (source / PITCH + middle).reshape(-1, 2)
+            # Every texture asks for the same places.
+            if not found:
+                place = place.reshape(rows * columns, -1, 2)
+                centre = pixel_grid(SHAPE).reshape(-1, 2)
+                flat, slope = self._solved(camera, centre, motion)
+                source = flat[:, None] + _turned(slope[:, None], place - centre[:, None])
+                middle = np.array([columns / 2 - 0.5, rows / 2 - 0.5])
+                found.append((source / PITCH + middle).reshape(-1, 2))
+            return found[0]
 
         return Warp(inverse)
 
