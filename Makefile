@@ -48,7 +48,11 @@ demo: $(VENV)/lab.stamp
 	$(BIN)/palpate lab demo demo-session
 	$(BIN)/palpate fit demo-session --out demo-result || [ $$? -eq 3 ]
 
-test: lint contract types tests
+# Contracts and types keep one processor busy for a minute: beside the tests, shown after them.
+test: lint
+	@$(MAKE) --no-print-directory contract types > $(VENV)/beside.txt 2>&1 & beside=$$!; \
+	$(MAKE) --no-print-directory tests; tests=$$?; \
+	wait $$beside; beside=$$?; cat $(VENV)/beside.txt; [ $$tests -eq 0 ] && [ $$beside -eq 0 ]
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check $(PYTHON_FILES)

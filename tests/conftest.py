@@ -31,22 +31,39 @@ def pytest_runtest_setup() -> None:
     start_counting_calls()
 
 
-# What takes longest starts first, so that processes that share the tests end together. The first
-# two need different kernels: none is compiled twice at the same time.
+# What takes longest starts first, so that processes that share the tests end together: first the
+# files that take more than some ten seconds, and rooms whose files take seconds each. The first two
+# need different kernels: none is compiled twice at the same time.
 _LONGEST_FIRST = (
     "tests/vision/joint/test_flow.py",
-    "tests/truth",
-    "tests/paper",
-    "tests/vision/joint",
-    "tests/lab",
-    "tests/vision",
-    "tests/pipeline",
+    "tests/paper/test_table3.py",
+    "tests/app/test_tutorial.py",
+    "tests/faults/test_kinds.py",
+    "tests/faults/test_interrupted.py",
     "tests/examples",
-    "tests/calibration",
+    "tests/pipeline/test_fit_session.py",
+    "tests/lab/bench",
+    "tests/geometry/registration",
+    "tests/scanning",
+    "tests/pipeline/test_flow_methods.py",
+    "tests/vision/joint",
+    "tests/docs/test_blocks.py",
+    "tests/paper",
+    "tests/app/commands",
+    "tests/simulation",
+    "tests/estimation",
+    "tests/lab",
+    "tests/truth",
     "tests/app",
-    "tests/faults",
+    "tests/pipeline",
+    "tests/recording",
+    "tests/bem",
+    "tests/vision",
+    "tests/calibration",
     "tests/campaign",
     "tests/viewer",
+    "tests/faults",
+    "tests/report",
 )
 
 

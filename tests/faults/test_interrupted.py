@@ -7,13 +7,16 @@ user sees it. `PALPATE_FUZZ_EXAMPLES` has full disks and signals tried at many s
 import hashlib
 import os
 import shutil
+from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 
 import numpy as np
 import pytest
 from fault_injection import all_states, in_child
 from faults.bench import write_scan, write_shots
 
+from palpate.app import commands
 from palpate.app.cli import main
 from palpate.app.commands.door import object_view
 from palpate.calibration import ObjectView
@@ -72,6 +75,13 @@ def _is_hidden(name: str) -> bool:
 
 def _hidden(folder: Path) -> list[str]:
     return [path.name for path in folder.rglob(".*")]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _imported() -> None:
+    """What commands import when they are called: here once, or each fork would do it again."""
+    for module in walk_packages(commands.__path__, f"{commands.__name__}."):
+        import_module(module.name)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -205,21 +206,28 @@ def _closest_in_block(search: SurfaceSearch, points: Points) -> tuple[PointIndic
     # The centroid of a piece is on the surface: its distance bounds the answer from above.
     reach = near + radius.max()
     candidates = tree.query_ball_point(points, reach * (1.0 + 1e-12), return_sorted=False)
-    counts = np.array([len(found) for found in candidates])
-    piece = np.concatenate([np.asarray(found, dtype=np.int64) for found in candidates])
+    counts = np.fromiter(map(len, candidates), np.int64, len(candidates))
+    piece = np.fromiter(chain.from_iterable(candidates), np.int64, int(counts.sum()))
     row = np.repeat(np.arange(len(points)), counts)
-    gap = np.linalg.norm(points[row] - tree.data[piece], axis=1) - radius[piece]
+    gap = _lengths(points[row] - tree.data[piece]) - radius[piece]
     keep = gap <= near[row] * (1.0 + 1e-12)
-    pair = np.unique(np.stack([row[keep], search.owner[piece[keep]]], axis=1), axis=0)
-    row, triangle = pair[:, 0], pair[:, 1]
+    # Each pair of a point and a triangle once, by point and then by triangle.
+    pair = np.unique(row[keep] * len(mesh.triangles) + search.owner[piece[keep]])
+    row, triangle = np.divmod(pair, len(mesh.triangles))
     corner = mesh.vertices[mesh.triangles[triangle]]
     barycentric = _closest_in_triangle(corner, points[row])
-    offset = np.einsum("nv,nva->na", barycentric, corner) - points[row]
-    distance = np.linalg.norm(offset, axis=1)
-    order = np.lexsort((triangle, distance, row))
-    _, first = np.unique(row[order], return_index=True)
-    best = order[first]
+    distance = _lengths(np.einsum("nv,nva->na", barycentric, corner) - points[row])
+    # The first of the nearest: every point has some, in the order of the points.
+    begin = np.searchsorted(row, np.arange(len(points)))
+    nearest = np.flatnonzero(distance == np.minimum.reduceat(distance, begin)[row])
+    best = nearest[np.searchsorted(nearest, begin)]
     return triangle[best], barycentric[best]
+
+
+def _lengths(vector: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, " p"]:
+    """Lengths; numpy's own norm along so short an axis takes ten times as long."""
+    x, y, z = vector.T
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def _closest_in_triangle(

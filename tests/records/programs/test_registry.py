@@ -150,6 +150,7 @@ def test_infinity_is_no_measurement(tmp_path):
         ("a.xml", b"<ParameterList></ParameterList>", "is no camera calibration"),
         ("a.xml", b"<project><b></project>", "is not valid XML"),
         ("a.yml", b"%YAML:1.0\n---\na: [1", "is not valid YAML"),
+        ("a.yml", b"a: 1\nb: " + b"[" * 51 + b"]" * 51, "line 2: more than 50 brackets are open"),
         ("a.yml", b"- 1\n- 2\n", "is no camera calibration; known are rig.toml, DICe"),
         (
             "a.yml",

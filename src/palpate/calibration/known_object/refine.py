@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from palpate.calibration.known_object.body import GROUPS, Body, KnownSurface
 from palpate.calibration.known_object.ties import Ties, places, residuals, shared_factor, slopes
@@ -173,10 +173,11 @@ def _good(
     residual: Float[np.ndarray, "n r"], freedom: PointScalars
 ) -> tuple[Bool[np.ndarray, " n"], float]:
     """Points that are no gross errors, and the noise over the one claimed, both from medians."""
+    # Quantiles of chi-squared; scipy.stats has them too, and takes most of a second to import.
     square = (residual**2).sum(axis=1)
-    noise = float(np.sqrt(np.median(square / chi2.ppf(0.5, freedom))))
+    noise = float(np.sqrt(np.median(square / chdtri(freedom, 0.5))))
     noise = max(noise, 1e-9)
-    return square < noise**2 * chi2.isf(_GROSS, freedom), noise
+    return square < noise**2 * chdtri(freedom, _GROSS), noise
 
 
 def _left(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[float, float, float]:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from numba import njit
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from palpate.errors import SingularSystemError
 
@@ -136,20 +138,53 @@ def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
 def _cut(
     graph: csr_array, points: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Nodes that part a piece in two when they are taken out, and the two halves."""
+    """Nodes that part a piece in two when they are taken out, and the two halves.
+
+    The halves lie on both sides of a plane, or in and out of a sphere: about a place where elements
+    are small a sphere meets fewer of them. Of the nodes at links from one half to the other, the
+    fewest that all of these links meet.
+    """
     if len(nodes) <= _LEAF_NODES:
         return nodes, ()
-    links = graph[nodes][:, nodes]
-    cuts = []
-    for axis in range(3):
+    links, place = graph[nodes][:, nodes], points[nodes]
+    away = np.linalg.norm(place - np.median(place, axis=0), axis=1)
+    sides = []
+    for key in (*place.T, away):
         upper = np.zeros(len(nodes), dtype=bool)
-        order = np.argsort(points[nodes, axis], kind="stable")
-        upper[order[len(nodes) // 2 :]] = True
+        upper[np.argsort(key, kind="stable")[len(nodes) // 2 :]] = True
         above = links @ upper.astype(np.int64)
-        cuts.append((~upper & (above > 0), upper))
-        cuts.append((upper & (above < np.diff(links.indptr)), upper))
-    cut, upper = min(cuts, key=lambda pair: int(pair[0].sum()))
+        ends = ~upper & (above > 0), upper & (above < np.diff(links.indptr))
+        sides.append((min(int(end.sum()) for end in ends), upper, *ends))
+    _, upper, low, high = min(sides, key=lambda side: side[0])
+    cut = np.zeros(len(nodes), dtype=bool)
+    rows, columns = np.flatnonzero(low), np.flatnonzero(high)
+    some, others = _cover(csr_array(links[rows][:, columns]))
+    cut[rows[some]] = cut[columns[others]] = True
     return nodes[cut], (nodes[~upper & ~cut], nodes[upper & ~cut])
+
+
+def _cover(links: csr_array) -> tuple[np.ndarray, np.ndarray]:
+    """The fewest rows and columns that meet all entries of a matrix, as masks.
+
+    Source
+    ------
+    König, Gráfok és mátrixok, Matematikai és Fizikai Lapok 38 (1931) 116: as many as there are
+    pairs in a largest matching; they are found along the ways that alternate in it.
+    """
+    partner = maximum_bipartite_matching(links, perm_type="column")
+    row_of = np.full(links.shape[1], -1)
+    row_of[partner[partner >= 0]] = np.flatnonzero(partner >= 0)
+    back = csr_array(links.T)
+    reached, columns = partner < 0, np.zeros(links.shape[1], dtype=bool)
+    last = reached
+    while last.any():
+        new = (back @ last.astype(np.int64) > 0) & ~columns
+        columns |= new
+        last = np.zeros_like(reached)
+        # A column without a partner would end a way that makes the matching larger: there is none.
+        last[row_of[new]] = True
+        reached = reached | last
+    return ~reached, columns
 
 
 def _front(
@@ -162,7 +197,7 @@ def _front(
 ) -> tuple[_Front, np.ndarray]:
     """Eliminate a front's own unknowns; what is left over is for the front above.
 
-    The lower left of a front's matrix is filled by parts only: its upper triangle is what counts.
+    But for the block of its own unknowns a front's matrix is filled above the diagonal only.
     """
     own, later = _unknowns(own), _unknowns(later)
     everything = np.concatenate([own, later])
@@ -172,8 +207,7 @@ def _front(
     full[len(own) :] = 0.0
     full[: len(own)] = rows[own][:, everything].toarray()
     for nodes, added in parts:
-        at = place[_unknowns(nodes)]
-        full[at[:, None], at] += added
+        _add_kernel(full, len(own), place[_unknowns(nodes)], added)
     k = len(own)
     try:
         lower = cholesky(full[:k, :k], lower=True, check_finite=False)
@@ -186,6 +220,17 @@ def _front(
     rest = coupling.T @ coupling
     np.subtract(full[k:, k:], rest, out=rest)
     return _Front(own, later, lower, coupling), rest
+
+
+@njit(cache=True, error_model="numpy")
+def _add_kernel(full: np.ndarray, own: int, at: np.ndarray, added: np.ndarray) -> None:
+    """Add a symmetric matrix at some places: to the upper triangle, and to all of the own block."""
+    for i in range(len(at)):
+        for j in range(i, len(at)):
+            first, last = min(at[i], at[j]), max(at[i], at[j])
+            full[first, last] += added[i, j]
+            if last < own and first < last:
+                full[last, first] += added[i, j]
 
 
 def _unknowns(nodes: np.ndarray) -> np.ndarray:

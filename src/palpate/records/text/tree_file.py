@@ -12,6 +12,8 @@ from palpate.files import checked_file, damage, read_bytes
 TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
 # YAML is parsed at a tenth of a megabyte a second; a calibration has some kilobytes.
 _MOST_BYTES = 2**20
+# The parser looks through all open brackets at each one: thousands take minutes. Matrices have two.
+_MOST_NESTED = 50
 _CURE = "export the calibration again"
 
 
@@ -47,7 +49,14 @@ def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain values, and OpenCV's matrices as tables; no key twice."""
+    """Plain values, and OpenCV's matrices as tables; no key twice, no deep nesting."""
+
+    def fetch_flow_collection_start(self, token: type[yaml.Token]) -> None:
+        """A bracket that is opened; many open ones are no calibration."""
+        if self.flow_level == _MOST_NESTED:
+            line = self.get_mark().line + 1
+            raise ValueError(f"line {line}: more than {_MOST_NESTED} brackets are open")
+        super().fetch_flow_collection_start(token)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """A table; YAML forbids a key that is there twice, the parser lets it pass."""
