@@ -6,7 +6,7 @@ import numpy as np
 from flow_samples import rig
 
 from palpate.geometry import closest_points
-from palpate.records import DisplacementField, read_session, write_rig
+from palpate.records import DisplacementField, PointCorrelation, read_session, write_rig
 
 
 def with_pictures(folder):
@@ -36,6 +36,7 @@ def measured(session):
         points=points, displacement=moved, std=np.full(points.shape, 2e-6), vertex=rows,
         surface=closest_points(session.mesh, points), source="images of n01", scale_error=0.007,
         covariance=covariance,
+        correlation=PointCorrelation(np.array([[0, 1], [1, 4]]), np.array([0.6, -0.1])),
     )  # fmt: skip
     return replace(
         session,

@@ -25,8 +25,12 @@ def test_the_kept_motion_is_the_measured_one(kept):
     given, found, folder = kept
     again = with_kept_motion(given, folder)
     mine, theirs = again.probings[0].displacement, found.probings[0].displacement
-    for name in ("points", "displacement", "std", "vertex"):
+    for name in ("points", "displacement", "std", "vertex", "covariance"):
         np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+    # Without it the next fit's intervals would be those of independent errors.
+    for name in ("pair", "value"):
+        found_there = getattr(theirs.correlation, name)
+        np.testing.assert_array_equal(getattr(mine.correlation, name), found_there)
     assert (mine.source, mine.scale_error) == (theirs.source, theirs.scale_error)
     assert again.notes == found.notes
 

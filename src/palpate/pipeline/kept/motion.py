@@ -14,11 +14,11 @@ from palpate.files import read_bytes
 from palpate.geometry import closest_points
 from palpate.pipeline.measure_motion import SCALE_ERROR, motion_key
 from palpate.pipeline.object_pose import PoseChoice
-from palpate.records import DisplacementField, Session, folder_changes
+from palpate.records import DisplacementField, PointCorrelation, Session, folder_changes
 from palpate.vision import JointFlow
 
 MOTION_FILE = "motion.npz"
-MOTION_FORMAT = "palpate-motion/1"
+MOTION_FORMAT = "palpate-motion/2"
 # How `palpate fit` measures.
 _HOW: tuple[JointFlow, PoseChoice] = JointFlow(), "auto"
 
@@ -48,6 +48,8 @@ def keep_motion(folder: Path, given: Session, measured: Session) -> None:
             content[f"vertex {probing.name}"] = field.vertex
             content[f"displacement {probing.name}"] = field.displacement
             content[f"std {probing.name}"] = field.std
+            content[f"pairs {probing.name}"] = field.correlation.pair
+            content[f"correlation {probing.name}"] = field.correlation.value
             if field.covariance is not None:
                 content[f"covariance {probing.name}"] = field.covariance
     packed = io.BytesIO()
@@ -97,6 +99,9 @@ def _with_fields(session: Session, kept: dict[str, np.ndarray]) -> Session:
                 source=f"images of {probing.name}",
                 scale_error=SCALE_ERROR,
                 covariance=kept.get(f"covariance {probing.name}"),
+                correlation=PointCorrelation(
+                    kept[f"pairs {probing.name}"], kept[f"correlation {probing.name}"]
+                ),
             )
             probing = replace(probing, displacement=field)
         probings.append(probing)
