@@ -187,8 +187,8 @@ def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
     for one in right.probes:
         along = one.errors[0]
         assert along.name == f"contact point of {one.name} toward +x"
-        # Quadratic about the stated point, three standard deviations away.
-        assert along.value == pytest.approx(-1.8e-3, rel=0.15)
+        # Four standard deviations away: terms of third order are left, and the prior pulls.
+        assert along.value == pytest.approx(-1.8e-3, rel=0.2)
     assert any("Likely fault: the contact point of n01 toward +x" in n for n in right.notes)
 
 
