@@ -30,7 +30,7 @@ from benchmarks.tension import (
 )
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
-from palpate.records import Camera, DisplacementField, Estimate, Rig, Session
+from palpate.records import Camera, DisplacementField, ErrorPriors, Estimate, Rig, Session
 from palpate.vision import JointFlow, RangeFlow, is_valid
 
 # Columns and rows; a pixel is 0.07 mm on the sheet.
@@ -66,7 +66,7 @@ class DeformedFace:
     def __init__(self) -> None:
         x, y = np.linspace(0.0, SIZE[0], 201), np.linspace(0.0, SIZE[1], 41)
         grid = np.stack([a.ravel() for a in np.meshgrid(x, y, SIZE[2:], indexing="ij")], axis=1)
-        moved = true_displacement(grid).reshape(x.size, y.size, 3)
+        moved = true_displacement()(grid).reshape(x.size, y.size, 3)
         self.splines = [RectBivariateSpline(x, y, moved[:, :, k]) for k in range(3)]
 
     def __call__(self, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
@@ -122,7 +122,7 @@ def repeated(count: int) -> list[Estimate]:
     texture = 120.0 + 40.0 * texture / texture.std()
     rig, face = make_rig(), DeformedFace()
     clean = [[picture(camera, texture, moved) for camera in rig.cameras] for moved in (None, face)]
-    session = session_of(np.array([[0.05, 0.01, SIZE[2]]]))
+    session = session_of(np.array([[0.05, 0.01, SIZE[2]]]), ErrorPriors())
     found = []
     for _ in range(count):
         begun = time.perf_counter()
