@@ -1,4 +1,5 @@
-"""Copies of arrays: checked and read-only for frozen dataclasses; with some rows replaced."""
+"""Copies of arrays: checked and read-only for frozen dataclasses; with some rows replaced. Lengths of
+many vectors."""
 
 from collections.abc import Sequence
 
@@ -25,6 +26,21 @@ def known_median(values: Float[np.ndarray, " k"]) -> float:
     """
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else np.nan
+
+
+def lengths(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Lengths of vectors; numpy's own norm along so short an axis takes ten times as long.
+
+    Parameters
+    ----------
+    vectors : (n, 3) float
+
+    Returns
+    -------
+    (n,) float                      in the unit of the vectors
+    """
+    x, y, z = vectors.T
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def fixed_array(

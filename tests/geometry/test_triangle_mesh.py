@@ -89,6 +89,15 @@ def test_half_edges_of_a_tetrahedron():
     assert np.array_equal(opposite[opposite], np.arange(12))
 
 
+def test_a_rim_runs_between_what_is_chosen_and_what_is_not():
+    halves = half_edges(np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
+    assert halves.rim(np.array([True, False, False, False])).tolist() == [[0, 1], [0, 2], [1, 2]]
+    two = np.array([True, True, False, False])
+    assert halves.rim(two).tolist() == [[0, 2], [0, 3], [1, 2], [1, 3]]
+    assert halves.rim(~two).tolist() == halves.rim(two).tolist()
+    assert not len(halves.rim(np.ones(4, dtype=bool)))
+
+
 def test_pairs_leave_out_edges_of_one_and_of_three_triangles():
     halves = half_edges(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [3, 2, 1]]))
     count = dict(zip(map(tuple, halves.ends.tolist()), halves.count.tolist(), strict=True))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.arrays import fixed_array, with_rows
+from palpate.arrays import fixed_array, lengths, with_rows
 from palpate.errors import InputError
 
 
@@ -44,3 +44,8 @@ def test_rows_are_replaced_in_a_copy():
     changed = with_rows(array, np.array([2, 0]), np.array([[8.0, 9.0], [6.0, 7.0]]))
     np.testing.assert_array_equal(changed, [[6.0, 7.0], [2.0, 3.0], [8.0, 9.0]])
     np.testing.assert_array_equal(array, np.arange(6.0).reshape(3, 2))
+
+
+def test_lengths_are_those_of_each_vector():
+    vectors = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, -2.0], [1.0, 2.0, 2.0]])
+    assert lengths(vectors).tolist() == [5.0, 2.0, 3.0]

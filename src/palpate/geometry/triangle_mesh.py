@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from palpate.arrays import fixed_array
 from palpate.errors import MeshError
-from palpate.shapes import Indices, Triangles, TriangleScalars, TriangleVectors, Vertices
+from palpate.shapes import Flags, Indices, Triangles, TriangleScalars, TriangleVectors, Vertices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,6 +187,16 @@ class HalfEdges:
         order = np.argsort(self.edge, kind="stable")
         first = (np.cumsum(self.count) - self.count)[self.count == 2]
         return np.stack([order[first], order[first + 1]], axis=1)
+
+    def rim(self, chosen: Flags) -> Int[np.ndarray, "k 2"]:
+        """Both vertices of every edge between a chosen triangle and one that is not.
+
+        Parameters
+        ----------
+        chosen : (m,) bool
+        """
+        a, b = self.pairs().T
+        return self.ends[self.edge[a[chosen[a // 3] != chosen[b // 3]]]]
 
     def opposite(self) -> Indices:
         """The other half-edge of each one's edge; itself where the surface ends."""

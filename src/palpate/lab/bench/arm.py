@@ -11,6 +11,7 @@ from palpate.geometry import (
     SurfacePoints,
     TriangleMesh,
     closest_points,
+    half_edges,
     triangle_areas,
     vertex_normals,
 )
@@ -143,11 +144,9 @@ def solid_under(specimen: Specimen, tip: Tip, probe: Probe, material: Material) 
 
 def _support_rim(specimen: Specimen, apart: float) -> Points:
     """Points along the edges between what is held and what is free, no farther apart."""
-    triangles = specimen.body.triangles
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    held = np.repeat(np.isin(np.arange(len(triangles)), specimen.held), 3)
-    edge, number = np.unique(sides, axis=0, return_inverse=True)
-    ends = specimen.body.vertices[edge[np.bincount(number.ravel(), held) == 1]]
+    body = specimen.body
+    held = np.isin(np.arange(len(body.triangles)), specimen.held)
+    ends = body.vertices[half_edges(body.triangles).rim(held)]
     along = ends[:, 1] - ends[:, 0]
     parts = int(np.ceil(np.linalg.norm(along, axis=1).max(initial=0.0) / apart))
     share = (np.arange(parts) + 0.5) / max(parts, 1)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from palpate.arrays import lengths
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, displacement_nodes, quadratic_shapes, split_sides
 from palpate.records import Camera, camera_centre, picture_size
@@ -124,11 +125,11 @@ def _seen_lengths(
     a, b, c = (pieces.vertices[column] for column in pieces.triangles.T)
     middle, normal = (a + b + c) / 3.0, np.cross(b - a, c - a)
     # Axis by axis: numpy sums and compares along a short last axis ten times as slowly.
-    size = _norm(normal)
+    size = lengths(normal)
     for camera in cameras:
         toward = camera_centre(camera) - middle
         facing = np.einsum("ma,ma->m", normal, toward)
-        facing /= size * _norm(toward)
+        facing /= size * lengths(toward)
         pixel = project(camera, pieces.vertices)
         seen = np.zeros(len(length), dtype=bool)
         in_view = (facing > _MIN_COSINE) & _in_picture(camera, pixel, pieces.triangles)
@@ -152,12 +153,6 @@ def _in_picture(
         inside &= np.maximum(np.maximum(a, b), c) > -_MAX_OUTSIDE * size
         inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _MAX_OUTSIDE) * size
     return inside
-
-
-def _norm(vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
-    """Lengths of vectors."""
-    x, y, z = vector.T
-    return np.sqrt(x * x + y * y + z * z)
 
 
 def _edges_to_halve(

@@ -227,8 +227,8 @@ def _changed(
             for name in names
         ]
         for steps, place in zip(_PLACES.tolist(), places[1:], strict=True):
-            steps = dict(zip(toward, steps, strict=True))
-            yield steps, replace(contact, point=contact.point + place - places[0])
+            there = replace(contact, point=contact.point + place - places[0])
+            yield dict(zip(toward, steps, strict=True)), there
     radius_std = _radius_std(session, contact)
     if radius_std > 0.0 and contact.radius is not None:
         parameter = NuisanceParameter(f"contact radius of {probing.name}", radius_std)

@@ -81,10 +81,7 @@ def adapted(
 def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:
     """Edges between a triangle in a plane and one that is not."""
     flat = abs(support.heights(mesh.vertices)) < _IN_PLANE * bounding_diagonal(mesh)
-    lies = flat[mesh.triangles].all(axis=1)
-    halves = half_edges(mesh.triangles)
-    a, b = halves.pairs().T
-    return halves.ends[halves.edge[a[lies[a // 3] != lies[b // 3]]]]
+    return half_edges(mesh.triangles).rim(flat[mesh.triangles].all(axis=1))
 
 
 def _put_on(free: TriangleMesh, onto: TriangleMesh) -> TriangleMesh:
