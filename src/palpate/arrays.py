@@ -1,5 +1,5 @@
-"""Copies of arrays: checked and read-only for frozen dataclasses; with some rows replaced. Lengths of
-many vectors."""
+"""Copies of arrays: checked and read-only for frozen dataclasses; with some rows replaced. And the
+lengths of many vectors."""
 
 from collections.abc import Sequence
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array, kron
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from surfaces import sphere
 
@@ -29,6 +31,7 @@ from palpate.records import (
     RigCovariance,
     Session,
     Status,
+    SurfaceAverage,
     write_rig,
     write_rig_covariance,
 )
@@ -341,6 +344,44 @@ def test_a_force_without_a_claim_has_the_default(still: Session) -> None:
     )
     # One per cent of the force's length.
     np.testing.assert_allclose(seen.force_std, 0.01 * np.linalg.norm(silent.force), rtol=1e-12)
+
+
+def _seen_through_windows(session: Session) -> Session:
+    """What was measured, as the mean over each point's seven nearest; one in five points alone."""
+    probings = []
+    for probing in session.probings:
+        field = probing.displacement
+        count = len(field.points)
+        near = cKDTree(field.points).query(field.points, k=7)[1]
+        averaged = np.arange(count) % 5 > 0
+        rows = np.repeat(np.arange(count)[averaged], 7)
+        mean = csr_array(
+            (np.full(len(rows), 1 / 7), (rows, near[averaged].ravel())), (count, count)
+        )
+        average = SurfaceAverage(field.points, csr_array(kron(mean, np.eye(3))))
+        moved = field.displacement.copy()
+        moved[averaged] = (mean @ field.displacement)[averaged]
+        field = replace(field, displacement=moved, average=average)
+        probings.append(replace(probing, displacement=field))
+    return replace(session, probings=tuple(probings))
+
+
+def test_displacements_that_are_averages_have_the_constants_of_their_points(
+    session: Session, result: FitResult
+) -> None:
+    through = _seen_through_windows(session)
+    found = fit_session(through).estimate
+    # Weights have the digits of single precision.
+    for name in CONSTANTS:
+        expected = getattr(result.estimate, name)
+        assert abs(getattr(found, name).value / expected.value - 1.0) < 1e-5
+    alone = tuple(
+        replace(one, displacement=replace(one.displacement, average=None))
+        for one in through.probings
+    )
+    # Taken for the points' own: 0.008 away.
+    other = fit_session(replace(through, probings=alone)).estimate
+    assert abs(other.poisson_ratio.value - result.estimate.poisson_ratio.value) > 0.004
 
 
 def test_a_probing_without_displacement_is_refused(session: Session) -> None:

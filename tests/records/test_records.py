@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from surfaces import box
 
 from palpate.errors import InputError
@@ -19,6 +20,7 @@ from palpate.records import (
     Probing,
     Session,
     Status,
+    SurfaceAverage,
 )
 from palpate.records.session import Step, require_probings
 
@@ -36,6 +38,12 @@ def _field(**changes):
         "source": "memory",
     }
     return DisplacementField(**(values | changes))
+
+
+def _average(blocks=((1.0, 0.0, 0.0), (0.25, 0.75, 0.0))):
+    """Three points of the surface, and displacements that are sums of theirs."""
+    points = np.array([[0.5, 0.5, 1.0], [0.25, 0.5, 1.0], [0.75, 0.5, 1.0]])
+    return SurfaceAverage(points, csr_array(np.kron(np.array(blocks), np.eye(3))))
 
 
 def _probing(**changes):
@@ -204,3 +212,36 @@ def test_constants_and_estimates_are_checked():
     one = Constant(1.0, 0.1, (0.8, 1.2))
     with pytest.raises(InputError, match="identifiable has the keys"):
         Estimate(Status.OK, one, one, one, {}, (), {}, "reduced", {}, ())
+
+
+def test_an_average_is_a_sum_over_points_or_the_point_itself():
+    average = _average(((0.5, 0.5, 0.0), (0.0, 0.0, 0.0)))
+    assert average.given.tolist() == [True, False]
+    alone = csr_array(np.array([[1.0, 0.0], [0.0, 1.0]]))
+    around = csr_array(np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    found = average.of(alone, around).toarray()
+    np.testing.assert_array_equal(found, np.kron([[0.75, 0.25], [0.0, 1.0]], np.eye(3)))
+
+
+def test_some_of_the_averages_and_averages_among_others():
+    average = _average()
+    (second,) = average.among(np.array([1])).weights.toarray().reshape(1, 3, 9)
+    np.testing.assert_array_equal(second, np.kron([[0.25, 0.75, 0.0]], np.eye(3)))
+    spread = average.spread(np.array([1, 3]), 5)
+    assert spread.given.tolist() == [False, True, False, True, False]
+    np.testing.assert_array_equal(
+        spread.among(np.array([1, 3])).weights.toarray(), average.weights.toarray()
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (lambda: _average(((0.5, 0.6, 0.0),)), "displacement 0 add up to"),
+        (lambda: _average(((1.0, 0.0),)), "weights are 3 x 6; must have three columns for each"),
+        (lambda: _field(average=_average(((1.0, 0.0, 0.0),))), "average has 3 rows; must be 6"),
+    ],
+)
+def test_averages_that_are_none_are_refused(wrong, text):
+    with pytest.raises(InputError, match=text):
+        wrong()

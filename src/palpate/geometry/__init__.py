@@ -27,6 +27,7 @@ from palpate.geometry.mesh_quality import (
 from palpate.geometry.midpoints import (
     QuadraticNodes as QuadraticNodes,
     displacement_nodes as displacement_nodes,
+    free_nodes as free_nodes,
     interpolation_matrix as interpolation_matrix,
     linear_nodes as linear_nodes,
     side_nodes as side_nodes,
@@ -39,7 +40,10 @@ from palpate.geometry.quadratic_triangle import (
     quadratic_shapes as quadratic_shapes,
     quartered as quartered,
 )
-from palpate.geometry.refinement import refined_surface as refined_surface
+from palpate.geometry.refinement import (
+    piece_middles as piece_middles,
+    refined_surface as refined_surface,
+)
 from palpate.geometry.registration import (
     Registration as Registration,
     RegistrationSettings as RegistrationSettings,

@@ -110,6 +110,21 @@ def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
     return QuadraticNodes(nodes.element, nodes.n_nodes, weights)
 
 
+def free_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
+    """The same nodes where every midpoint carries a value of its own.
+
+    Parameters
+    ----------
+    nodes : QuadraticNodes
+
+    Returns
+    -------
+    QuadraticNodes            n_nodes = nodes and midpoints of the given ones, no weights
+    """
+    count = nodes.n_nodes + nodes.weights.shape[0]
+    return QuadraticNodes(nodes.element, count, csr_array((0, count)))
+
+
 def interpolation_matrix(
     nodes: QuadraticNodes, triangle: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
 ) -> csr_array:

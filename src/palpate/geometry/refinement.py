@@ -45,6 +45,21 @@ def refined_surface(mesh: TriangleMesh, *, pieces: int = 4) -> tuple[Vertices, T
     return np.asarray(place @ mesh.vertices), triangles.reshape(-1, 3)
 
 
+def piece_middles(pieces: int) -> Float[np.ndarray, "s 3"]:
+    """Where the middles of the small triangles lie in the one they are cut from.
+
+    Parameters
+    ----------
+    pieces : int                    parts of an edge, at least 1
+
+    Returns
+    -------
+    (pieces^2, 3) float [-]         barycentric, in the order of `refined_surface`
+    """
+    lattice, small = _lattice(pieces)
+    return lattice[small].mean(axis=1)
+
+
 def _lattice(pieces: int) -> tuple[Float[np.ndarray, "q 3"], Int[np.ndarray, "s 3"]]:
     """Barycentric coordinates of the corners of the parts, and the parts."""
     number = {}

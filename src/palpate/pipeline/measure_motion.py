@@ -326,6 +326,7 @@ def vertex_field(
         scale_error=SCALE_ERROR,
         covariance=vertices.covariance[rows],
         correlation=vertices.correlation.among(rows, len(mesh.vertices)),
+        average=None if vertices.average is None else vertices.average.among(rows),
     )
 
 

@@ -229,7 +229,7 @@ def session_observations_at(
     function                              shear modulus [Pa] -> list of ProbeObservations
     """
     rows = [
-        probe_rows(model, k, _measured(probing).surface)
+        probe_rows(model, k, _measured(probing).surface, average=_measured(probing).average)
         for k, probing in enumerate(session.probings)
     ]
     with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0

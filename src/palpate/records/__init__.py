@@ -88,6 +88,7 @@ from palpate.records.probing import (
     Load as Load,
     PointCorrelation as PointCorrelation,
     Probing as Probing,
+    SurfaceAverage as SurfaceAverage,
     measured_rows as measured_rows,
     observed_rows as observed_rows,
 )

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import csr_array, diags_array, kron
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
@@ -11,6 +12,9 @@ from palpate.geometry import SurfacePoints
 from palpate.records.contact import RIGID, Contact, RigidMotion
 from palpate.records.large_turn import check_turn
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
+
+# Of a sum of some hundred weights.
+_ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +76,89 @@ INDEPENDENT = PointCorrelation(np.zeros((0, 2), dtype=np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SurfaceAverage:
+    """Displacements that are averages over the surface around, as windows of finite size see it.
+
+    The displacement of point i is sum_j weights[3i:3i+3, 3j:3j+3] @ displacement of points[j];
+    where a point has no weights it is that of the point itself.
+
+    Parameters
+    ----------
+    points : (s, 3) float [m]       of the surface at rest
+    weights : (3 n, 3 s) sparse [-] 3 x 3 blocks that add up to the unit matrix along every row, or
+                                    to zero; kept in single precision
+
+    Raises
+    ------
+    InputError                      shapes that differ, blocks that add up to something else
+    """
+
+    points: Points
+    weights: csr_array
+
+    def __post_init__(self) -> None:
+        points = fixed_array(self.points, name="points", shape=(None, 3))
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "weights", csr_array(self.weights, dtype=np.float32))
+        rows, columns = self.weights.shape
+        if columns != 3 * len(points) or rows % 3:
+            raise InputError(
+                f"weights are {rows} x {columns}; must have three columns for each of the"
+                f" {len(points)} points, and three rows for each displacement"
+            )
+        total = self._total()
+        wrong = np.abs(total - np.eye(3) * self.given[:, None, None]).max(axis=(1, 2), initial=0.0)
+        if (wrong > _ROUNDING).any():
+            row = int(wrong.argmax())
+            raise InputError(f"weights of displacement {row} add up to {total[row].tolist()}")
+
+    @property
+    def given(self) -> Flags:
+        """True for the displacements that have weights, (n,) bool."""
+        return np.diff(self.weights.indptr)[::3] > 0
+
+    def _total(self) -> Float[np.ndarray, "n 3 3"]:
+        return (self.weights @ np.tile(np.eye(3), (len(self.points), 1))).reshape(-1, 3, 3)
+
+    def of(self, alone: csr_array, around: csr_array) -> csr_array:
+        """The averages from the displacements of nodes, (3 n, 3 v) sparse.
+
+        Parameters
+        ----------
+        alone : (n, v) sparse   each displacement's own point from the nodes
+        around : (s, v) sparse  `points` from the nodes
+        """
+        unit = np.eye(3)
+        left = diags_array((~self.given).astype(np.float64)) @ alone
+        return csr_array(self.weights @ kron(around, unit) + kron(left, unit))
+
+    def among(self, rows: Indices) -> "SurfaceAverage":
+        """The same of some displacements.
+
+        Parameters
+        ----------
+        rows : (k,) int
+        """
+        chosen = (3 * rows[:, None] + np.arange(3)).ravel()
+        return SurfaceAverage(self.points, csr_array(self.weights[chosen]))
+
+    def spread(self, rows: Indices, count: int) -> "SurfaceAverage":
+        """The same as some of `count` displacements, the others without weights.
+
+        Parameters
+        ----------
+        rows : (n,) int         where these go, rising
+        count : int
+        """
+        entries = np.zeros(3 * count, dtype=np.int64)
+        entries[(3 * rows[:, None] + np.arange(3)).ravel()] = np.diff(self.weights.indptr)
+        starts = np.concatenate([[0], np.cumsum(entries)])
+        content = self.weights.data, self.weights.indices, starts
+        shape = 3 * count, self.weights.shape[1]
+        return SurfaceAverage(self.points, csr_array(content, shape=shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DisplacementField:
     """Displacement of surface points between rest and load; NaN rows were not measured.
 
@@ -88,6 +175,8 @@ class DisplacementField:
     covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, with the squares of
                                     `std` on its diagonal; None: its components err independently
     correlation : PointCorrelation  of the errors of neighbouring points, where it is known
+    average : SurfaceAverage or None    what each displacement is the average of; None: each is that
+                                    of its point alone
 
     Raises
     ------
@@ -103,6 +192,7 @@ class DisplacementField:
     scale_error: float = 0.0
     covariance: Float[np.ndarray, "n 3 3"] | None = None
     correlation: PointCorrelation = INDEPENDENT
+    average: SurfaceAverage | None = None
 
     def __post_init__(self) -> None:
         points = fixed_array(self.points, name="points", shape=(None, 3))
@@ -134,6 +224,8 @@ class DisplacementField:
             object.__setattr__(self, "vertex", vertex)
         if len(self.surface.triangle) != n:
             raise InputError(f"surface has {len(self.surface.triangle)} points; must be {n}")
+        if self.average is not None and self.average.weights.shape[0] != 3 * n:
+            raise InputError(f"average has {self.average.weights.shape[0]} rows; must be {3 * n}")
 
     def __repr__(self) -> str:
         seen = observed_rows(self)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import map_coordinates
 
 from palpate.geometry import TriangleMesh
-from palpate.records import INDEPENDENT, PointCorrelation, Rig
+from palpate.records import INDEPENDENT, PointCorrelation, Rig, SurfaceAverage
 from palpate.shapes import Flags, PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.cameras import SurfaceMap
 
@@ -95,12 +95,15 @@ class VertexDisplacement:
     covariance : (v, 3, 3) float [m^2]  NaN where not measured
     count : (v,) int                    points of the range flow that it rests on
     correlation : PointCorrelation      of the errors of neighbouring vertices
+    average : SurfaceAverage or None    what each displacement is the average of; None: that of the
+                                        vertex alone
     """
 
     displacement: Float[np.ndarray, "v 3"]
     covariance: Float[np.ndarray, "v 3 3"]
     count: Int[np.ndarray, " v"]
     correlation: PointCorrelation = INDEPENDENT
+    average: SurfaceAverage | None = None
 
 
 @runtime_checkable

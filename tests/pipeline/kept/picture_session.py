@@ -4,9 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 from flow_samples import rig
+from scipy.sparse import csr_array, dia_array, kron
 
 from palpate.geometry import closest_points
-from palpate.records import DisplacementField, PointCorrelation, read_session, write_rig
+from palpate.records import (
+    DisplacementField,
+    PointCorrelation,
+    SurfaceAverage,
+    read_session,
+    write_rig,
+)
 
 
 def with_pictures(folder):
@@ -37,12 +44,22 @@ def measured(session):
         surface=closest_points(session.mesh, points), source="images of n01", scale_error=0.007,
         covariance=covariance,
         correlation=PointCorrelation(np.array([[0, 1], [1, 4]]), np.array([0.6, -0.1])),
+        average=_averages(points),
     )  # fmt: skip
     return replace(
         session,
         probings=(replace(probing, displacement=field),),
         notes=(*session.notes, "the pictures are dark"),
     )
+
+
+def _averages(points):
+    """Each point but the last two is the mean of itself and the next two."""
+    count = len(points)
+    mean = np.array([1 / 3, 1 / 3, 1 / 3])[:, None] * np.ones(count)
+    rows = dia_array((mean, [0, 1, 2]), shape=(count - 2, count))
+    weights = csr_array(kron(rows, np.eye(3)))
+    return SurfaceAverage(points, weights).spread(np.arange(count - 2), count)
 
 
 def given_and_measured(folder):

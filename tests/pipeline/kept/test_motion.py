@@ -31,6 +31,10 @@ def test_the_kept_motion_is_the_measured_one(kept):
     for name in ("pair", "value"):
         found_there = getattr(theirs.correlation, name)
         np.testing.assert_array_equal(getattr(mine.correlation, name), found_there)
+    # Without what each displacement is the average of, it would have other constants.
+    np.testing.assert_array_equal(mine.average.points, theirs.average.points)
+    assert abs(mine.average.weights - theirs.average.weights).sum() == 0.0
+    assert mine.average.given.any()
     assert (mine.source, mine.scale_error) == (theirs.source, theirs.scale_error)
     assert again.notes == found.notes
 

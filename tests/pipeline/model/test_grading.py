@@ -154,6 +154,47 @@ def _angle_mesh(cells: int) -> TriangleMesh:
     return TriangleMesh(mesh.vertices[used], triangles.reshape(-1, 3))
 
 
+def _punched(cells: int, *, profile: str = "flat") -> Session:
+    """The glued cube under a round punch of 4 mm, seen beside it."""
+    mesh = box((0.04, 0.04, 0.04), cells)
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    points = np.array([[0.03, 0.02, 0.04], [0.02, 0.01, 0.04], [0.04, 0.02, 0.03]])
+    field = DisplacementField(
+        points, np.zeros((3, 3)), None, None, closest_points(mesh, points), ""
+    )
+    contact = Contact(np.array([0.021, 0.018, 0.04]), 0.004, profile)
+    push = np.array([0.0, 0.0, -1.0])
+    probing = Probing("n", contact, push, None, None, None, field, None)
+    return Session("cube", Path("cube"), mesh, held, (probing,), None, None, None, (), errors=EXACT)
+
+
+def test_long_edges_about_a_flat_punch_are_cut() -> None:
+    given = _punched(6)
+    fine = resolved_session(given)
+    place = given.probings[0].contact.point
+    # Under a smooth pressure only diagonals that cut off a corner of the cube are.
+    smooth = resolved_session(_punched(6, profile="hertz")).mesh.vertices
+    new = fine.mesh.vertices[~np.isin(fine.mesh.vertices, smooth).all(axis=1)]
+    away = np.linalg.norm(new - place, axis=1)
+    assert 15 < len(new) < 60
+    # Its own length from the punch: 6.7 mm, 9.4 mm across a square.
+    assert away.max() < 0.004 + 0.0095
+    again = resolved_session(resolved_session(fine)).mesh
+    edge = again.vertices[again.triangles] - np.roll(again.vertices[again.triangles], 1, axis=1)
+    under = np.linalg.norm(again.vertices[again.triangles].mean(axis=1) - place, axis=1) < 0.004
+    # At most half its radius.
+    assert np.linalg.norm(edge[under], axis=2).max() < 0.0021
+
+
+def test_the_error_about_a_flat_punch_falls() -> None:
+    """Against three times as many cells along an edge, which need not be cut."""
+    given = _punched(6)
+    truth = _moved(_punched(18), 0.3)
+    error = [np.linalg.norm(_moved(one, 0.3) - truth) for one in (given, resolved_session(given))]
+    # The rim of the support is a part of what is left.
+    assert error[1] < 0.6 * error[0]
+
+
 def test_hollow_edges_are_graded_and_others_are_not() -> None:
     mesh = _angle_mesh(2)
     held = np.isclose(mesh.vertices[mesh.triangles][:, :, 1], 0.0).all(axis=1)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import bsr_array, csr_array
 
 from palpate.disk import write_bytes
 from palpate.errors import InputError, RecordError
@@ -14,11 +15,17 @@ from palpate.files import read_bytes
 from palpate.geometry import closest_points
 from palpate.pipeline.measure_motion import SCALE_ERROR, motion_key
 from palpate.pipeline.object_pose import PoseChoice
-from palpate.records import DisplacementField, PointCorrelation, Session, folder_changes
+from palpate.records import (
+    DisplacementField,
+    PointCorrelation,
+    Session,
+    SurfaceAverage,
+    folder_changes,
+)
 from palpate.vision import JointFlow
 
 MOTION_FILE = "motion.npz"
-MOTION_FORMAT = "palpate-motion/2"
+MOTION_FORMAT = "palpate-motion/3"
 # How `palpate fit` measures.
 _HOW: tuple[JointFlow, PoseChoice] = JointFlow(), "auto"
 
@@ -52,6 +59,8 @@ def keep_motion(folder: Path, given: Session, measured: Session) -> None:
             content[f"correlation {probing.name}"] = field.correlation.value
             if field.covariance is not None:
                 content[f"covariance {probing.name}"] = field.covariance
+            if field.average is not None:
+                content |= _average_parts(field.average, probing.name)
     packed = io.BytesIO()
     np.savez_compressed(packed, **content)
     write_bytes(folder / MOTION_FILE, packed.getvalue())
@@ -84,6 +93,29 @@ def with_kept_motion(session: Session, folder: Path) -> Session | None:
         return None
 
 
+def _average_parts(average: SurfaceAverage, name: str) -> dict[str, np.ndarray]:
+    """Arrays of an average, its weights by blocks."""
+    blocks = bsr_array(average.weights, blocksize=(3, 3))
+    return {
+        f"average points {name}": average.points,
+        f"average blocks {name}": blocks.data,
+        f"average columns {name}": blocks.indices,
+        f"average rows {name}": blocks.indptr,
+    }
+
+
+def _kept_average(kept: dict[str, np.ndarray], name: str) -> SurfaceAverage | None:
+    """What `_average_parts` has kept, if anything."""
+    if f"average points {name}" not in kept:
+        return None
+    points, blocks, columns, rows = (
+        kept[f"average {part} {name}"] for part in ("points", "blocks", "columns", "rows")
+    )
+    shape = 3 * (len(rows) - 1), 3 * len(points)
+    weights = bsr_array((blocks, columns, rows), shape=shape)
+    return SurfaceAverage(points, csr_array(weights))
+
+
 def _with_fields(session: Session, kept: dict[str, np.ndarray]) -> Session:
     probings = []
     for probing in session.probings:
@@ -102,6 +134,7 @@ def _with_fields(session: Session, kept: dict[str, np.ndarray]) -> Session:
                 correlation=PointCorrelation(
                     kept[f"pairs {probing.name}"], kept[f"correlation {probing.name}"]
                 ),
+                average=_kept_average(kept, probing.name),
             )
             probing = replace(probing, displacement=field)
         probings.append(probing)

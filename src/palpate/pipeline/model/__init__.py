@@ -3,11 +3,17 @@
 Purpose    : one model for all probings, and what each of them sees of it.
 Takes      : a `Session`.
 Gives      : `ObjectModel`, the rows of a probing, motions of supports, nuisances of the estimation.
-Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
+Depends on : `pipeline.model.contacts`, `lab`, `bem`, `estimation`, `probe`, `records`,
+             `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 
-from palpate.pipeline.model.contact_changes import surface_load as surface_load
+from palpate.pipeline.model.contacts import (
+    has_tools as has_tools,
+    largest_change as largest_change,
+    surface_load as surface_load,
+    touched_session as touched_session,
+)
 from palpate.pipeline.model.finite_strain import (
     make_finite_body as make_finite_body,
     strain_corrections as strain_corrections,
@@ -36,8 +42,8 @@ from palpate.pipeline.model.moving_supports import (
 from palpate.pipeline.model.object_model import (
     ObjectModel as ObjectModel,
     make_object_model as make_object_model,
-    probe_rows as probe_rows,
 )
+from palpate.pipeline.model.probe_rows import probe_rows as probe_rows
 from palpate.pipeline.model.shared_errors import (
     pose_changes as pose_changes,
     shared_errors as shared_errors,
@@ -45,9 +51,4 @@ from palpate.pipeline.model.shared_errors import (
 from palpate.pipeline.model.spring_responses import (
     settlement as settlement,
     spring_responses as spring_responses,
-)
-from palpate.pipeline.model.touched import (
-    has_tools as has_tools,
-    largest_change as largest_change,
-    touched_session as touched_session,
 )

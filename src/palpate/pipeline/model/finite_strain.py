@@ -33,8 +33,8 @@ from palpate.lab import (
     solve_load,
     surface_values,
 )
+from palpate.pipeline.model.contacts import leans_outward, outward_load
 from palpate.pipeline.model.grading import halved_session
-from palpate.pipeline.model.outward import leans_outward, outward_load
 from palpate.progress import Progress, silent
 from palpate.records import FIXED, PRESSURES, SPHERE, Probing, Session
 from palpate.shapes import Points

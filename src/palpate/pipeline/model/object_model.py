@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, hstack, kron
 
 from palpate.bem import (
     BodyForce,
@@ -28,9 +27,7 @@ from palpate.bem import (
     pressure_column,
     support_columns,
 )
-from palpate.estimation import PointRows, ProbeMotions, ProbeRows
-from palpate.geometry import SurfacePoints, interpolation_matrix
-from palpate.pipeline.model.contact_changes import (
+from palpate.pipeline.model.contacts import (
     CHANGE_CELLS,
     ContactChange,
     change_columns,
@@ -38,13 +35,13 @@ from palpate.pipeline.model.contact_changes import (
     dip_changes,
     dip_columns,
     dipped_columns,
+    leans_outward,
+    outward_columns,
     surface_load,
 )
 from palpate.pipeline.model.giving_supports import (
     giving_supports,
     session_springs,
-    springs_at,
-    support_force,
 )
 from palpate.pipeline.model.moving_supports import (
     MovingSupport,
@@ -54,12 +51,11 @@ from palpate.pipeline.model.moving_supports import (
     sliding_motion,
     support_shapes,
 )
-from palpate.pipeline.model.outward import leans_outward, outward_columns
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.progress import Progress, silent
 from palpate.records import GIVEN, RIGID, Contact, Session
 
-_Key = tuple[object, ...]
+ContactKey = tuple[object, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,8 +95,8 @@ class ObjectModel:
 
     session: Session
     system: BoundarySystem
-    patches: dict[_Key, ContactPatch]
-    pressed: dict[_Key, ContactPatch]
+    patches: dict[ContactKey, ContactPatch]
+    pressed: dict[ContactKey, ContactPatch]
     supports: tuple[MovingSupport, ...]
     slides: bool
     shapes: Float[np.ndarray, "v 3 q"]
@@ -242,150 +238,31 @@ def _right_hand(
 
 def _distinct_patches(
     session: Session,
-) -> tuple[dict[_Key, ContactPatch], dict[_Key, ContactPatch]]:
+) -> tuple[dict[ContactKey, ContactPatch], dict[ContactKey, ContactPatch]]:
     """Every contact under a force once, and every one under a pressure."""
-    patches: dict[_Key, ContactPatch] = {}
-    pressed: dict[_Key, ContactPatch] = {}
+    patches: dict[ContactKey, ContactPatch] = {}
+    pressed: dict[ContactKey, ContactPatch] = {}
     for probing in session.probings:
         wanted = [(patches, probing.contact)] if probing.contact.profile != RIGID else []
         wanted += [(patches if x.pressure is None else pressed, x.contact) for x in probing.loads]
         for found, contact in wanted:
-            if _key(contact) not in found:
-                found[_key(contact)] = find_contact_patch(
+            if contact_key(contact) not in found:
+                found[contact_key(contact)] = find_contact_patch(
                     session.mesh, contact, session.held_triangles, name=probing.name
                 )
     return patches, pressed
 
 
-def _patch_numbers(session: Session, patches: dict[_Key, ContactPatch]) -> Int[np.ndarray, " k"]:
+def _patch_numbers(
+    session: Session, patches: dict[ContactKey, ContactPatch]
+) -> Int[np.ndarray, " k"]:
     """Which of the patches each probing has under its tool; -1: it pulls a support."""
     order = list(patches)
-    keys = [_key(probing.contact) for probing in session.probings]
+    keys = [contact_key(probing.contact) for probing in session.probings]
     return np.array([order.index(key) if key in patches else -1 for key in keys])
 
 
-def _key(contact: Contact) -> _Key:
+def contact_key(contact: Contact) -> ContactKey:
+    """What makes two contacts the same patch."""
     triangles = () if contact.triangles is None else tuple(contact.triangles.tolist())
     return (*contact.point.tolist(), contact.radius, contact.profile, triangles)
-
-
-def probe_rows(
-    model: ObjectModel, index: int, place: SurfacePoints, *, nominal: bool = False
-) -> ProbeRows:
-    """Which displacements a probing sees, and which columns move them.
-
-    Parameters
-    ----------
-    model : ObjectModel
-    index : int                       of the probing in its session
-    place : SurfacePoints             of its observed points
-    nominal : bool                    True: without the columns of changed contacts
-
-    Returns
-    -------
-    ProbeRows
-    """
-    changes = _own_changes(model, index)[: 0 if nominal else None]
-    columns, known = _columns(model, index, changes)
-    nodes = model.system.surface.displacement
-    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
-    particular = np.zeros(3 * place.triangle.size)
-    if model.body is not None:
-        particular = (at_points @ _particular(model.system, model.body)).ravel()
-    free = at_points[:, model.system.unknowns.free_vertices]
-    rest = csr_array((particular.size, model.system.size - 3 * free.shape[1]))
-    parts = [kron(free, np.eye(3)), rest]
-    if model.springs is not None:
-        parts.append(kron(at_points, np.eye(3)) @ model.springs.place)
-    surface = csr_array(hstack(parts))
-    tip = None
-    if model.session.probings[index].tip_displacement is not None and model.tips is not None:
-        tip = _tip_rows(model, model.tips, index, columns)
-    motions = None
-    if model.supports:
-        motions = _motions(model, index, at_points, with_tip=tip is not None)
-    return ProbeRows(
-        columns, surface, particular, tip, known, model.body is not None, motions,
-        changes=len(changes),
-    )  # fmt: skip
-
-
-def _own_changes(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
-    """Changes of one probing among those of all."""
-    return np.flatnonzero(np.array([change.probing == index for change in model.changes]))
-
-
-def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v 3"]:
-    """Particular displacement of every vertex; none where the support answers it with its own."""
-    moved, held = body.particular.copy(), system.unknowns.held_vertices
-    moved[held] -= np.einsum("hij,hj->hi", system.unknowns.vertex_directions, moved[held])
-    return moved
-
-
-def _columns(
-    model: ObjectModel, index: int, changes: Int[np.ndarray, " p"]
-) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
-    """Right-hand sides of a probing in the order of `ProbeRows`, and how much of its known loads
-    there is."""
-    probing = model.session.probings[index]
-    patches, pressed = list(model.patches), list(model.pressed)
-    columns, known = [], []
-    if probing.contact.profile != RIGID:
-        columns.append(3 * model.patch_of[index] + np.arange(3))
-    for load in probing.loads:
-        if load.force is None:
-            columns.append(3 * len(patches) + np.array([pressed.index(_key(load.contact))]))
-            known.append(np.array([load.pressure]))
-        else:
-            columns.append(3 * patches.index(_key(load.contact)) + np.arange(3))
-            known.append(load.force)
-    last = 3 * len(patches) + len(pressed)
-    if model.body is not None:
-        columns.append(last + np.arange(2))
-        last += 2
-    columns.append(last + _own_motions(model, index))
-    columns.append(last + model.shapes.shape[2] + changes)
-    return np.concatenate(columns), np.concatenate([np.zeros(0), *known])
-
-
-def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
-    """Motions of a probing among those of all: the rigid ones, and the strain it gives."""
-    rigid = 6 * len(model.supports)
-    return np.append(np.arange(rigid), [rigid + index] * model.gives_motions).astype(np.int64)
-
-
-def _motions(
-    model: ObjectModel, index: int, at_points: csr_array, *, with_tip: bool
-) -> ProbeMotions:
-    shapes = model.shapes[:, :, _own_motions(model, index)]
-    own = (at_points @ shapes.reshape(len(shapes), -1)).reshape(-1, shapes.shape[2])
-    if with_tip:
-        at_tip = np.zeros((3, own.shape[1]))
-        if model.slides:
-            last = len(model.supports)
-            point = model.session.probings[index].contact.point
-            at_tip[:, 6 * last - 6 : 6 * last] = model.supports[-1].modes(point[None])[0]
-        own = np.concatenate([own, at_tip])
-    pulled = model.pulled(index)
-    if pulled is None:
-        return ProbeMotions(own)
-    grip = support_force(model.system, model.supports[pulled].triangles, model.springs)
-    return ProbeMotions(own, grip, model.lifts(index), model.supports[pulled].holding)
-
-
-def _tip_rows(
-    model: ObjectModel, tips: ContactPoints, index: int, columns: Int[np.ndarray, " c"]
-) -> PointRows:
-    patch = int(model.patch_of[index])
-    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
-    particular = np.zeros(3)
-    if model.body is not None:
-        contact = list(model.patches.values())[patch]
-        nodes = model.system.surface.displacement
-        where = np.array([contact.triangle]), contact.barycentric[None]
-        at_tip = interpolation_matrix(nodes, *where)
-        particular = (at_tip @ _particular(model.system, model.body))[0]
-    matrix = tips.equations.matrix[:, patch]
-    if model.springs is not None:
-        matrix = np.concatenate([matrix, springs_at(tips.equations, model.springs, patch)], axis=2)
-    return PointRows(matrix, tips.equations.own[:, patch], np.stack(right), particular)

@@ -113,11 +113,13 @@ def plan_next(
     point, inward = _reachable(session, radius)
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
+    # What is resolved about the given contacts; about every place it would be the whole surface.
+    resolved = resolved_session(replace(session, probings=tuple(given)))
     further = [
-        _like(given[0], session.mesh, place, force * direction, f"further {k}")
+        _like(resolved.probings[0], resolved.mesh, place, force * direction, f"further {k}")
         for k, (place, direction) in enumerate(zip(point, inward, strict=True))
     ]
-    whole = resolved_session(replace(session, probings=(*given, *further)))
+    whole = replace(resolved, probings=(*resolved.probings, *further))
     progress("what every place tells", 0.4)
     observed = session_observations(whole, make_object_model(whole))
     information = fisher_information(

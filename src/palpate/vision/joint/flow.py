@@ -25,8 +25,8 @@ from palpate.vision.joint.acceptance import accepted_flow
 from palpate.vision.joint.match import match_scene
 from palpate.vision.joint.scene import Scene, advanced_scene, make_scene, scene_rows
 from palpate.vision.joint.sharpness import equally_sharp
-from palpate.vision.joint.vertices import vertex_displacement
-from palpate.vision.matching import Scatter, dense_start, local_field
+from palpate.vision.joint.vertices import vertex_displacement, with_average
+from palpate.vision.matching import BASES, Scatter, dense_start, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
 # Median derivative of the motion above which pictures are matched unsmoothed: the low-pass is tied
@@ -175,7 +175,9 @@ class JointFlow:
         VertexDisplacement              NaN where `vertex_displacement` has too little around
         """
         camera = rig.cameras[rig.reference]
-        return vertex_displacement(flow, camera, surface.vertices, surface.triangles)
+        found = vertex_displacement(flow, camera, surface.vertices, surface.triangles)
+        order = BASES[self.shape] // 3
+        return found if order == 0 else with_average(found, flow, rig, surface, order)
 
     def _flow(
         self,

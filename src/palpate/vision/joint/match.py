@@ -22,7 +22,7 @@ _RETRIES = 2
 # A second try starts from a good guess or is hopeless: twice the steps that a usual match takes.
 _RETRY_ITERATIONS = 10
 # Neighbours within this many half windows are asked; their windows overlap but are not the same.
-_NEIGHBOURHOOD = 2.0
+BEND_REACH = 2.0
 # A camera is dropped, then the point, where what is left after the match is more than this many
 # times what it is elsewhere.
 _MAX_EXCESS = 2.0
@@ -265,4 +265,4 @@ def _with_derivatives(scene: Scene, match: Match) -> Float[np.ndarray, "n 6 3"]:
 
 def neighbourhood(scene: Scene) -> float:
     """Radius within which points are compared with each other [m]."""
-    return _NEIGHBOURHOOD * float(np.median(scene.extent)) if len(scene.extent) else 1.0
+    return BEND_REACH * float(np.median(scene.extent)) if len(scene.extent) else 1.0

@@ -1,14 +1,29 @@
 """Displacement of the mesh's vertices from range flow: robust local quadratics on the surface."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
-from palpate.geometry import vertex_normals
-from palpate.records import INDEPENDENT, Camera, PointCorrelation, camera_centre
+from palpate.geometry import TriangleMesh, vertex_normals
+from palpate.records import INDEPENDENT, Camera, PointCorrelation, Rig, camera_centre
 from palpate.shapes import Flags, Triangles, Vertices
 from palpate.vision.cameras import pixel_sizes
-from palpate.vision.matching import LocalField, Scatter, local_field, noise_correlation
-from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
+from palpate.vision.joint.averaging import surface_average
+from palpate.vision.joint.match import BEND_REACH
+from palpate.vision.matching import (
+    LocalField,
+    Scatter,
+    local_field,
+    local_fits,
+    noise_correlation,
+)
+from palpate.vision.range_flow import (
+    RangeFlow,
+    VertexDisplacement,
+    is_valid,
+    measured_vertices,
+)
 
 # Radius of the points that speak for a vertex, in half windows: those whose windows hold it.
 _REACH = 1.2
@@ -61,6 +76,38 @@ def vertex_displacement(
     return VertexDisplacement(displacement, covariance, count, correlation)
 
 
+def with_average(
+    found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh, order: int
+) -> VertexDisplacement:
+    """The same with what each displacement is the average of.
+
+    Parameters
+    ----------
+    found : VertexDisplacement      of v vertices, from that flow
+    flow : RangeFlow
+    rig : Rig
+    surface : TriangleMesh          of v vertices
+    order : 1 or 2                  windows that find an affine or a quadratic motion
+
+    Returns
+    -------
+    VertexDisplacement
+    """
+    valid, rows = is_valid(flow), np.flatnonzero(measured_vertices(found))
+    if len(rows) == 0:
+        return found
+    scatter, camera = _scatter(flow, valid), rig.cameras[rig.reference]
+    half = _half_window(scatter, camera)
+    normal = vertex_normals(surface.vertices, surface.triangles)
+    vertices = local_fits(
+        scatter, surface.vertices[rows], _tangents(normal[rows]), reach=_REACH * half,
+        fewest=_FEWEST,
+    )  # fmt: skip
+    bends = local_fits(scatter, scatter.point, flow.tangent[valid], reach=BEND_REACH * half)
+    average = surface_average(flow.subset, rig, surface, vertices, bends, order)
+    return replace(found, average=average.spread(rows, len(surface.vertices)))
+
+
 def _scatter(flow: RangeFlow, valid: Flags) -> Scatter:
     """The valid points of range flow."""
     return Scatter(
@@ -80,8 +127,13 @@ def _field_at(
     camera: Camera,
 ) -> LocalField:
     """Local field at vertices."""
-    half = (scatter.subset // 2) * float(np.median(pixel_sizes(camera, scatter.point)))
-    return local_field(scatter, place, _tangents(normal), reach=_REACH * half, fewest=_FEWEST)
+    reach = _REACH * _half_window(scatter, camera)
+    return local_field(scatter, place, _tangents(normal), reach=reach, fewest=_FEWEST)
+
+
+def _half_window(scatter: Scatter, camera: Camera) -> float:
+    """Half a window's side on the surface [m]."""
+    return (scatter.subset // 2) * float(np.median(pixel_sizes(camera, scatter.point)))
 
 
 def _facing(camera: Camera, vertices: Vertices, normal: Vertices) -> Flags:

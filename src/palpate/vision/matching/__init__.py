@@ -10,6 +10,12 @@ Read first : `window_sums.py`, then `planar_match.py`, then `dense_flow.py`.
 """
 
 from palpate.vision.matching.dense_flow import dense_start as dense_start
+from palpate.vision.matching.fit_operators import (
+    LocalFits as LocalFits,
+    coefficient_operators as coefficient_operators,
+    local_fits as local_fits,
+    local_terms as local_terms,
+)
 from palpate.vision.matching.local_regression import (
     LocalField as LocalField,
     Scatter as Scatter,

@@ -106,7 +106,7 @@ def local_field(
     -------
     LocalField                      NaN where there are too few displacements around
     """
-    nearest, radius = _neighbours(scatter.point, place, reach, most, fewest)
+    nearest, radius = nearest_within(scatter.point, place, reach, most, fewest)
     noise = scatter.covariance - scatter.bias
     count = len(place)
     value, gradient, curvature, spread = (
@@ -124,10 +124,22 @@ def local_field(
     return LocalField(value, gradient, curvature, spread, found, nearest, share)
 
 
-def _neighbours(
+def nearest_within(
     point: Points, place: Float[np.ndarray, "t 3"], reach: float, most: int, fewest: int | None
 ) -> tuple[Int[np.ndarray, "t most"], Float[np.ndarray, " t"]]:
-    """Nearest points within reach of each place, -1 where there are fewer, and that reach [m]."""
+    """Points around places, as `local_field` takes them.
+
+    Parameters
+    ----------
+    point : (n, 3) float [m]
+    place : (t, 3) float [m]
+    reach, most, fewest             as `local_field`
+
+    Returns
+    -------
+    nearest : (t, most) int         nearest first, -1 where there are fewer
+    reach : (t,) float [m]          within which they lie
+    """
     nearest = np.full((len(place), most), -1)
     radius = np.full(len(place), reach)
     if len(point) > 0:

@@ -8,7 +8,7 @@ from surfaces import box
 
 from palpate.bem import BoundarySystem, assemble_system, make_surface, traction_column
 from palpate.lab import make_solid
-from palpate.pipeline.model.outward import leans_outward, outward_columns, outward_load
+from palpate.pipeline.model.contacts import leans_outward, outward_columns, outward_load
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import CONE, FLAT, SLIDES, SPHERE, STICKS, Contact, Tool
 

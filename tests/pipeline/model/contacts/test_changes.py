@@ -10,7 +10,7 @@ from surfaces import sphere
 from palpate.bem import RightHand, load_shape, shape_columns
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
-from palpate.pipeline.model.contact_changes import DIP_SHARE, dipped_columns, surface_load
+from palpate.pipeline.model.contacts import DIP_SHARE, dipped_columns, surface_load
 from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4

@@ -1,0 +1,148 @@
+"""What each probing sees of the model of its object: displacements of points, of its tip, of
+supports."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array, hstack, kron
+
+from palpate.bem import BodyForce, BoundarySystem
+from palpate.estimation import PointRows, ProbeMotions, ProbeRows
+from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
+from palpate.pipeline.model.giving_supports import springs_at, support_force
+from palpate.pipeline.model.object_model import ContactPoints, ObjectModel, contact_key
+from palpate.records import RIGID, SurfaceAverage
+
+
+def probe_rows(
+    model: ObjectModel,
+    index: int,
+    place: SurfacePoints,
+    *,
+    average: SurfaceAverage | None = None,
+    nominal: bool = False,
+) -> ProbeRows:
+    """Which displacements a probing sees, and which columns move them.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    index : int                       of the probing in its session
+    place : SurfacePoints             of its observed points
+    average : SurfaceAverage or None  what is observed there; None: the displacement of the points
+    nominal : bool                    True: without the columns of changed contacts
+
+    Returns
+    -------
+    ProbeRows
+    """
+    changes = _own_changes(model, index)[: 0 if nominal else None]
+    columns, known = _columns(model, index, changes)
+    seen = _seen(model, place, average)
+    particular = np.zeros(seen.shape[0])
+    if model.body is not None:
+        particular = seen @ _particular(model.system, model.body).ravel()
+    vertices = model.system.unknowns.free_vertices
+    free = seen[:, (3 * vertices[:, None] + np.arange(3)).ravel()]
+    parts = [free, csr_array((particular.size, model.system.size - free.shape[1]))]
+    if model.springs is not None:
+        parts.append(seen @ model.springs.place)
+    surface = csr_array(hstack(parts))
+    tip = None
+    if model.session.probings[index].tip_displacement is not None and model.tips is not None:
+        tip = _tip_rows(model, model.tips, index, columns)
+    motions = None
+    if model.supports:
+        motions = _motions(model, index, seen, with_tip=tip is not None)
+    return ProbeRows(
+        columns, surface, particular, tip, known, model.body is not None, motions,
+        changes=len(changes),
+    )  # fmt: skip
+
+
+def _seen(model: ObjectModel, place: SurfacePoints, average: SurfaceAverage | None) -> csr_array:
+    """Observed displacements from those of the vertices, (3 n, 3 v)."""
+    nodes = model.system.surface.displacement
+    points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    if average is None:
+        return csr_array(kron(points, np.eye(3)))
+    around = closest_points(model.session.mesh, average.points)
+    return average.of(points, interpolation_matrix(nodes, around.triangle, around.barycentric))
+
+
+def _own_changes(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
+    """Changes of one probing among those of all."""
+    return np.flatnonzero(np.array([change.probing == index for change in model.changes]))
+
+
+def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v 3"]:
+    """Particular displacement of every vertex; none where the support answers it with its own."""
+    moved, held = body.particular.copy(), system.unknowns.held_vertices
+    moved[held] -= np.einsum("hij,hj->hi", system.unknowns.vertex_directions, moved[held])
+    return moved
+
+
+def _columns(
+    model: ObjectModel, index: int, changes: Int[np.ndarray, " p"]
+) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
+    """Right-hand sides of a probing in the order of `ProbeRows`, and how much of its known loads
+    there is."""
+    probing = model.session.probings[index]
+    patches, pressed = list(model.patches), list(model.pressed)
+    columns, known = [], []
+    if probing.contact.profile != RIGID:
+        columns.append(3 * model.patch_of[index] + np.arange(3))
+    for load in probing.loads:
+        if load.force is None:
+            columns.append(3 * len(patches) + np.array([pressed.index(contact_key(load.contact))]))
+            known.append(np.array([load.pressure]))
+        else:
+            columns.append(3 * patches.index(contact_key(load.contact)) + np.arange(3))
+            known.append(load.force)
+    last = 3 * len(patches) + len(pressed)
+    if model.body is not None:
+        columns.append(last + np.arange(2))
+        last += 2
+    columns.append(last + _own_motions(model, index))
+    columns.append(last + model.shapes.shape[2] + changes)
+    return np.concatenate(columns), np.concatenate([np.zeros(0), *known])
+
+
+def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
+    """Motions of a probing among those of all: the rigid ones, and the strain it gives."""
+    rigid = 6 * len(model.supports)
+    return np.append(np.arange(rigid), [rigid + index] * model.gives_motions).astype(np.int64)
+
+
+def _motions(model: ObjectModel, index: int, seen: csr_array, *, with_tip: bool) -> ProbeMotions:
+    shapes = model.shapes[:, :, _own_motions(model, index)]
+    own = seen @ shapes.reshape(-1, shapes.shape[2])
+    if with_tip:
+        at_tip = np.zeros((3, own.shape[1]))
+        if model.slides:
+            last = len(model.supports)
+            point = model.session.probings[index].contact.point
+            at_tip[:, 6 * last - 6 : 6 * last] = model.supports[-1].modes(point[None])[0]
+        own = np.concatenate([own, at_tip])
+    pulled = model.pulled(index)
+    if pulled is None:
+        return ProbeMotions(own)
+    grip = support_force(model.system, model.supports[pulled].triangles, model.springs)
+    return ProbeMotions(own, grip, model.lifts(index), model.supports[pulled].holding)
+
+
+def _tip_rows(
+    model: ObjectModel, tips: ContactPoints, index: int, columns: Int[np.ndarray, " c"]
+) -> PointRows:
+    patch = int(model.patch_of[index])
+    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
+    particular = np.zeros(3)
+    if model.body is not None:
+        contact = list(model.patches.values())[patch]
+        nodes = model.system.surface.displacement
+        where = np.array([contact.triangle]), contact.barycentric[None]
+        at_tip = interpolation_matrix(nodes, *where)
+        particular = (at_tip @ _particular(model.system, model.body))[0]
+    matrix = tips.equations.matrix[:, patch]
+    if model.springs is not None:
+        matrix = np.concatenate([matrix, springs_at(tips.equations, model.springs, patch)], axis=2)
+    return PointRows(matrix, tips.equations.own[:, patch], np.stack(right), particular)

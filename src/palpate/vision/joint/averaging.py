@@ -1,0 +1,202 @@
+"""What the method `joint` makes of a motion that bends within its windows: averages of it.
+
+A window that is matched by an affine motion finds the affine fit of the motion over its pixels. The
+last match takes the bend from the points around, which makes good for what these see of it, and a
+vertex is given the local quadratic of the points around it. All three are sums of the surface's
+displacements with known weights, so what a vertex is given is one, too. Who compares it with a
+model takes the same sum of the model's displacements: of the windows' size nothing is left then.
+
+Source: Schreier and Sutton, Systematic errors in digital image correlation due to undermatched
+subset shape functions, Experimental Mechanics 42 (2002).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import bsr_array, csr_array, diags_array, kron
+from scipy.spatial import cKDTree
+
+from palpate.geometry import (
+    TriangleMesh,
+    displacement_nodes,
+    free_nodes,
+    interpolation_matrix,
+    piece_middles,
+    refined_surface,
+    split_sides,
+    triangle_areas,
+)
+from palpate.records import Camera, Rig, SurfaceAverage, camera_centre
+from palpate.shapes import Points, PointScalars
+from palpate.vision.cameras import pixel_sizes, project
+from palpate.vision.matching import LocalFits, coefficient_operators, local_terms
+
+# Pieces of the surface that stand for its pixels have about this side, in sides of a window.
+_PIECE = 0.25
+# Area of an equilateral triangle of side one.
+_EQUILATERAL = 0.433
+# Cosine below which a camera sees the surface too obliquely for its windows to count.
+_FACING = 0.2
+# The pixels of a window lie on one part of the surface: within so many half windows.
+_APART = 4.0
+# Terms of a quadratic that bend: x^2, x y, y^2.
+_BENDS = (3, 4, 5)
+# Of a sum of some hundred weights.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pieces:
+    """Small triangles that stand for the pixels on them.
+
+    Attributes
+    ----------
+    middle : (k, 3) float [m]
+    area : (k, 3) float [m^2]       along the outward normal
+    nodes : (s, 3) float [m]        vertices and midpoints of the quadratic elements
+    from_nodes : (k, s) sparse      a displacement at the middles from that at the nodes
+    """
+
+    middle: Points
+    area: Points
+    nodes: Float[np.ndarray, "s 3"]
+    from_nodes: csr_array
+
+
+def surface_average(
+    subset: int,
+    rig: Rig,
+    surface: TriangleMesh,
+    vertices: LocalFits,
+    bends: LocalFits,
+    order: int,
+) -> SurfaceAverage:
+    """What the displacements that are given to vertices are averages of.
+
+    Parameters
+    ----------
+    subset : int [px]               side of a window
+    rig : Rig
+    surface : TriangleMesh
+    vertices : LocalFits            quadratics about v vertices through the p matched points
+    bends : LocalFits               quadratics through the same points, about each of them: where
+                                    affine windows have their bend from
+    order : 1 or 2                  windows that find an affine or a quadratic motion
+
+    Returns
+    -------
+    SurfaceAverage                  of v points; without weights where windows are not known
+    """
+    extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], bends.place)
+    pieces = _cut(surface, _PIECE * 2.0 * float(np.median(extent)))
+    windows = _windows(subset, rig, pieces, bends, extent)
+    (mean,), _ = coefficient_operators(windows, order, (0,))
+    (weights,), _ = coefficient_operators(vertices, 2, (0,))
+    if order == 1:
+        curvature, _ = coefficient_operators(bends, 2, _BENDS)
+        bend = sum(
+            _moment(windows, mean, term, bends) @ operator
+            for term, operator in zip(_BENDS, curvature, strict=True)
+        )
+        weights = weights - weights @ bend
+    weights = weights @ (mean @ kron(pieces.from_nodes, np.eye(3), format="bsr"))
+    return _used(csr_array(weights), pieces.nodes)
+
+
+def _cut(surface: TriangleMesh, side: float) -> _Pieces:
+    """Cut the surface into small triangles of about one size."""
+    area = triangle_areas(surface)
+    # The triangle in which a point of the surface lies, on average.
+    usual = float((area**2).sum() / area.sum())
+    cuts = max(1, round(np.sqrt(usual / (_EQUILATERAL * side**2))))
+    vertices, triangles = refined_surface(surface, pieces=cuts)
+    corner = vertices[triangles]
+    across = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    count = len(surface.triangles)
+    fitted = displacement_nodes(surface, split_sides(surface, np.zeros(count, dtype=np.int64)))
+    owner = np.repeat(np.arange(count), cuts**2)
+    from_nodes = interpolation_matrix(
+        free_nodes(fitted), owner, np.tile(piece_middles(cuts), (count, 1))
+    )
+    nodes = np.concatenate([surface.vertices, fitted.weights @ surface.vertices])
+    return _Pieces(from_nodes @ nodes, across, nodes, from_nodes)
+
+
+def _windows(
+    subset: int, rig: Rig, pieces: _Pieces, points: LocalFits, extent: PointScalars
+) -> LocalFits:
+    """Pieces of the surface in the windows of each point, weighted by the pixels they cover."""
+    place, tangent = points.place, points.tangent
+    normal = np.cross(tangent[:, 0], tangent[:, 1])
+    weight = csr_array((len(place), len(pieces.middle)))
+    for camera in rig.cameras:
+        seen = np.flatnonzero(_cosine(camera, place, normal) > _FACING)
+        weight += _in_windows(camera, subset, place, seen, pieces)
+    pair = weight.tocoo()
+    first, second = pair.coords
+    apart = np.linalg.norm(pieces.middle[second] - place[first], axis=1)
+    near = np.flatnonzero(apart < _APART * extent[first])
+    near = near[np.lexsort((second[near], first[near]))]
+    return LocalFits(
+        place, tangent, extent, pieces.middle, first[near], second[near], pair.data[near]
+    )
+
+
+def _cosine(camera: Camera, place: Points, normal: Points) -> Float[np.ndarray, " n"]:
+    """Cosine of the angle between the surface's normal and the line to a camera."""
+    toward = camera_centre(camera) - place
+    size = np.linalg.norm(toward, axis=1) * np.linalg.norm(normal, axis=1)
+    return np.einsum("ni,ni->n", toward, normal) / size
+
+
+def _in_windows(
+    camera: Camera, subset: int, place: Points, seen: Int[np.ndarray, " s"], pieces: _Pieces
+) -> csr_array:
+    """Pixels that pieces cover in one camera's windows around those points that it sees."""
+    cosine = _cosine(camera, pieces.middle, pieces.area)
+    shown = np.flatnonzero(cosine > _FACING)
+    middle = pieces.middle[shown]
+    pixel, centre = project(camera, middle), project(camera, place[seen])
+    cover = cosine[shown] * np.linalg.norm(pieces.area[shown], axis=1)
+    cover /= pixel_sizes(camera, middle) ** 2
+    side = np.sqrt(cover)
+    # A piece counts by the part that is inside; with that a window has the spread of its pixels.
+    half = 0.5 * np.sqrt(np.maximum(subset**2 - cover, 0.0))
+    widest = 0.5 * (subset + side.max(initial=0.0))
+    found = cKDTree(pixel).query_ball_point(centre, widest, p=np.inf)
+    first = np.repeat(np.arange(len(seen)), list(map(len, found)))
+    second = np.concatenate([*found, []]).astype(np.int64)
+    apart = np.abs(pixel[second] - centre[first])
+    beyond = (apart - half[second, None]) / side[second, None]
+    share = np.clip(0.5 - beyond, 0.0, 1.0).prod(axis=1)
+    counts = np.flatnonzero(share > 0.0)
+    first, second = first[counts], second[counts]
+    return csr_array(
+        (share[counts] * cover[second], (seen[first], shown[second])),
+        shape=(len(place), len(pieces.middle)),
+    )
+
+
+def _moment(windows: LocalFits, mean: bsr_array, term: int, bends: LocalFits) -> bsr_array:
+    """What each window makes of one quadratic term of the motion about its point."""
+    monomials, _ = local_terms(windows)
+    count = len(windows.place)
+    moment = np.zeros((count, 3, 3))
+    np.add.at(moment, windows.first, monomials[:, term, None, None] * mean.data)
+    moment *= ((windows.reach / bends.reach) ** 2)[:, None, None]
+    return bsr_array((moment, np.arange(count), np.arange(count + 1)))
+
+
+def _used(weights: csr_array, points: Points) -> SurfaceAverage:
+    """The average, without points that do not count and without rows that do not add up to one:
+    around them windows or polynomials are not known."""
+    blocks = (weights @ np.tile(np.eye(3), (len(points), 1))).reshape(-1, 3, 3)
+    whole = np.abs(blocks - np.eye(3)).max(axis=(1, 2)) < _ROUNDING
+    kept = csr_array(diags_array(np.repeat(whole.astype(np.float64), 3)) @ weights)
+    kept.eliminate_zeros()
+    used = np.zeros(3 * len(points), dtype=bool)
+    used[kept.indices] = True
+    counts = used.reshape(-1, 3).any(axis=1)
+    columns = np.flatnonzero(np.repeat(counts, 3))
+    return SurfaceAverage(points[counts], csr_array(kept[:, columns]))

@@ -1,0 +1,154 @@
+"""Local polynomials as operators: how their coefficients follow from the displacements around.
+
+Weighted least squares are linear, so a coefficient is a sum of the displacements with weights that
+the geometry alone gives. The normal turns with the surface, as in `local_field` and in a window
+that is matched: what lies above or below the tangent plane moves along with the slope of the
+normal displacement, which makes every weight a matrix. Rigid motions stay exact.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import bsr_array
+
+from palpate.shapes import Points, PointScalars
+from palpate.vision.matching.local_regression import Scatter, nearest_within
+
+# Of each coefficient at least this share must be its own, or the polynomial is undetermined.
+_LEAST_OWN = 1e-3
+# Far below it: what is undetermined can be inverted and found out.
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalFits:
+    """Weighted polynomials about n places through the displacements of points around each.
+
+    Attributes
+    ----------
+    place : (n, 3) float [m]
+    tangent : (n, 2, 3) float       orthonormal, the coordinates of the polynomials
+    reach : (n,) float [m]          their unit of length
+    around : (k, 3) float [m]       the points
+    first, second : (m,) int        a place, in rising order, and one of the points
+    weight : (m,) float             of that point about that place
+    """
+
+    place: Points
+    tangent: Float[np.ndarray, "n 2 3"]
+    reach: PointScalars
+    around: Float[np.ndarray, "_ 3"]
+    first: Int[np.ndarray, " m"]
+    second: Int[np.ndarray, " m"]
+    weight: Float[np.ndarray, " m"]
+
+
+def local_fits(
+    scatter: Scatter,
+    place: Float[np.ndarray, "n 3"],
+    tangent: Float[np.ndarray, "n 2 3"],
+    *,
+    reach: float,
+    most: int = 48,
+    fewest: int | None = None,
+) -> LocalFits:
+    """The polynomials of `local_field`, as they are without outliers.
+
+    Parameters
+    ----------
+    scatter : Scatter
+    place, tangent, reach, most, fewest     as `local_field`
+
+    Returns
+    -------
+    LocalFits
+    """
+    nearest, radius = nearest_within(scatter.point, place, reach, most, fewest)
+    first, column = np.nonzero(nearest >= 0)
+    second = nearest[first, column]
+    away = np.linalg.norm(scatter.point[second] - place[first], axis=1) / radius[first]
+    trace = np.trace(scatter.covariance - scatter.bias, axis1=1, axis2=2)
+    # Nothing is known of what has no variance; windows of flat grey among others.
+    certainty = np.divide(1.0, trace, out=np.zeros_like(trace), where=trace > 0.0)
+    weight = np.maximum(1.0 - away**2, 0.0) ** 2 * certainty[second]
+    return LocalFits(place, tangent, radius, scatter.point, first, second, weight)
+
+
+def coefficient_operators(
+    fits: LocalFits, order: int, terms: Sequence[int]
+) -> tuple[list[bsr_array], Bool[np.ndarray, " n"]]:
+    """How coefficients of the polynomials follow from the displacements of the points.
+
+    Parameters
+    ----------
+    fits : LocalFits                of n places
+    order : 1 or 2                  degree of the polynomials
+    terms : sequence of int         which of 1, x, y, x^2, x y, y^2, in units of the reach
+
+    Returns
+    -------
+    operators : list of (3 n, 3 k) sparse   one a term; zero where undetermined
+    determined : (n,) bool
+    """
+    monomials, height = local_terms(fits)
+    design = monomials[:, : 3 * order]
+    weighted = fits.weight[:, None] * design
+    normal = _sums(fits, weighted[:, :, None] * design[:, None, :])
+    inverse, determined = _inverse(normal)
+    share = np.einsum("mi,mik->mk", weighted, inverse[fits.first])
+    # Displacement beside the tangent plane: height times slope, along each of the tangents.
+    lever = _sums(fits, share * height[:, None])
+    normals = np.cross(fits.tangent[:, 0], fits.tangent[:, 1])
+    turned = np.einsum("nki,nj->nkij", fits.tangent, normals)
+    operators = []
+    for term in terms:
+        slope = np.einsum("mk,mkij->mij", share[:, 1:3], turned[fits.first])
+        block = share[:, term, None, None] * np.eye(3)
+        block += lever[fits.first, term, None, None] * slope
+        operators.append(_of_blocks(fits, block))
+    return operators, determined
+
+
+def local_terms(fits: LocalFits) -> tuple[Float[np.ndarray, "m 6"], Float[np.ndarray, " m"]]:
+    """Terms 1, x, y, x^2, x y, y^2 of each point about its place, and its height over the tangent
+    plane, in units of the reach.
+
+    Parameters
+    ----------
+    fits : LocalFits
+    """
+    away = (fits.around[fits.second] - fits.place[fits.first]) / fits.reach[fits.first, None]
+    x, y = np.einsum("mki,mi->km", fits.tangent[fits.first], away)
+    normals = np.cross(fits.tangent[:, 0], fits.tangent[:, 1])
+    height = np.einsum("mi,mi->m", normals[fits.first], away)
+    return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]), height
+
+
+def _sums(fits: LocalFits, values: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
+    """Sums over the points about each place."""
+    result = np.zeros((len(fits.place), *values.shape[1:]))
+    starts = np.flatnonzero(np.diff(fits.first, prepend=-1))
+    result[fits.first[starts]] = np.add.reduceat(values, starts)
+    return result
+
+
+def _inverse(
+    normal: Float[np.ndarray, "n k k"],
+) -> tuple[Float[np.ndarray, "n k k"], Bool[np.ndarray, " n"]]:
+    """Inverse of each matrix, zero where a coefficient is not its own; and where it is."""
+    size = np.sqrt(np.einsum("nkk->nk", normal))
+    size[size == 0.0] = 1.0
+    scale = size[:, :, None] * size[:, None, :]
+    inverse = np.linalg.inv(normal / scale + _RIDGE * np.eye(normal.shape[1]))
+    determined = np.einsum("nkk->nk", inverse).max(axis=1) < 1.0 / _LEAST_OWN
+    return np.where(determined[:, None, None], inverse / scale, 0.0), determined
+
+
+def _of_blocks(fits: LocalFits, block: Float[np.ndarray, "m 3 3"]) -> bsr_array:
+    """Sparse matrix of 3 x 3 blocks, one for each place and point."""
+    count = np.bincount(fits.first, minlength=len(fits.place))
+    starts = np.concatenate([[0], np.cumsum(count)])
+    shape = (3 * len(fits.place), 3 * len(fits.around))
+    return bsr_array((block, fits.second, starts), shape=shape)

@@ -1,0 +1,79 @@
+"""What windows make of a motion that bends, against windows that were matched."""
+
+import numpy as np
+import pytest
+from vision.scenes import STILL, bump, example, followed, noisy_views
+
+from palpate.geometry import TriangleMesh
+from palpate.vision import JointFlow
+
+# Windows of 6.3 mm on a bump of this width.
+BUMP = bump((4e-4, -2e-4, -6e-4), 0.007)
+
+
+def _mesh():
+    return TriangleMesh(*example().mesh(2e-3, 0.034))
+
+
+def _measured(motion, seeds, method=JointFlow()):
+    """Vertices' displacements with each of some textures, nearly without noise."""
+    stage = example()
+    before, after = (stage.textured_views(one, *seeds) for one in (STILL, motion))
+    for still, moved in zip(before, after, strict=True):
+        start = method.start(stage.rig, noisy_views(still, 0.5, 3), _mesh())
+        flow = next(followed(start, [noisy_views(moved, 0.5, 7)], method))
+        yield method.vertices(flow, stage.rig, _mesh())
+
+
+def _averaged(found, motion):
+    average = found.average
+    moved = (average.weights @ motion(average.points).ravel()).reshape(-1, 3)
+    moved[~average.given] = np.nan
+    return moved
+
+
+def test_the_average_is_what_windows_find():
+    place = _mesh().vertices
+    measured = list(_measured(BUMP, (1, 2, 3, 4)))
+    # Each texture has errors of its own, 0.005 px; their mean shows what all windows share.
+    error = np.mean([one.displacement for one in measured], axis=0) - BUMP(place)
+    expected = np.mean([_averaged(one, BUMP) for one in measured], axis=0) - BUMP(place)
+    chosen = np.linalg.norm(place[:, :2], axis=1) < 0.016
+    chosen &= np.isfinite(error).all(axis=1) & np.isfinite(expected).all(axis=1)
+    assert chosen.sum() > 150
+    error, expected = error[chosen], expected[chosen]
+    slope = (error * expected).sum(axis=0) / (expected**2).sum(axis=0)
+    # 1.05, 0.80, 1.07; cameras on one side weigh components otherwise than the mean of all.
+    assert np.abs(slope - 1.0).max() < 0.3
+    # 0.52 of the root mean square was left, most of it of the textures; 1 without an average.
+    assert ((error - expected) ** 2).mean() < 0.45 * (error**2).mean()
+
+
+@pytest.mark.parametrize("shape", ["affine", "quadratic"])
+def test_what_windows_follow_is_its_own_average(shape):
+    place = _mesh().vertices
+    (found,) = _measured(STILL, (1,), JointFlow(shape=shape))
+    given = found.average.given
+    assert given[np.isfinite(found.displacement).all(axis=1)].mean() > 0.9
+
+    def turned(points):
+        return [*np.cross([0.01, -0.02, 0.03], points), 0.001, 0.0, -0.001]
+
+    # Points are seen on finer facets, 1e-7 of a window's place apart; times a turn of 0.04.
+    np.testing.assert_allclose(_averaged(found, turned)[given], turned(place)[given], atol=2e-8)
+
+
+def test_quadratic_windows_leave_less_of_a_bend():
+    dent, place = bump((0.0, 0.0, -1e-3), 0.007), _mesh().vertices
+
+    def bias(shape):
+        (found,) = _measured(dent, (1,), JointFlow(shape=shape))
+        away = (_averaged(found, dent) - dent(place))[np.linalg.norm(place[:, :2], axis=1) < 0.016]
+        return np.sqrt(np.nanmean(away[:, 2] ** 2))
+
+    assert bias("quadratic") < 0.5 * bias("affine")
+
+
+def test_shifted_windows_say_nothing_of_their_average():
+    (found,) = _measured(STILL, (1,), JointFlow(shape="shift"))
+    assert found.average is None
