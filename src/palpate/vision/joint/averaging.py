@@ -42,6 +42,9 @@ _FACING = 0.2
 _APART = 4.0
 # Terms of a quadratic that bend: x^2, x y, y^2.
 _BENDS = (3, 4, 5)
+# Sum of the weights' sizes: 1.6 as a rule, up to 3.5 at creases and beside tools. Beyond, points all
+# lie on one side, and which of them the match took its bend from decides.
+_MOST_WEIGHT = 4.0
 # Of a sum of some hundred weights.
 _ROUNDING = 1e-6
 
@@ -189,10 +192,11 @@ def _moment(windows: LocalFits, mean: bsr_array, term: int, bends: LocalFits) ->
 
 
 def _used(weights: csr_array, points: Points) -> SurfaceAverage:
-    """The average, without points that do not count and without rows that do not add up to one:
-    around them windows or polynomials are not known."""
+    """The average, without points that do not count and without rows that are not known: they do
+    not add up to one, or take differences of far more than there is."""
     blocks = (weights @ np.tile(np.eye(3), (len(points), 1))).reshape(-1, 3, 3)
     whole = np.abs(blocks - np.eye(3)).max(axis=(1, 2)) < _ROUNDING
+    whole &= abs(weights).sum(axis=1).reshape(-1, 3).max(axis=1) < _MOST_WEIGHT
     kept = csr_array(diags_array(np.repeat(whole.astype(np.float64), 3)) @ weights)
     kept.eliminate_zeros()
     used = np.zeros(3 * len(points), dtype=bool)
