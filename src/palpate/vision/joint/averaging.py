@@ -42,7 +42,7 @@ _FACING = 0.2
 _APART = 4.0
 # Terms of a quadratic that bend: x^2, x y, y^2.
 _BENDS = (3, 4, 5)
-# Sum of the weights' sizes: 1.6 as a rule, up to 3.5 at creases and beside tools. Beyond, points all
+# Sum of the weights' sizes: 1.6 as a rule, up to 3.5 at creases and beside tools. Beyond, all points
 # lie on one side, and which of them the match took its bend from decides.
 _MOST_WEIGHT = 4.0
 # Of a sum of some hundred weights.
