@@ -74,6 +74,20 @@ def test_no_motion_gives_no_displacement(begun, series):
     assert np.abs(flow.displacement[good]).max() < 3e-3 * PITCH
 
 
+def test_averages_move_with_a_rigid_motion(begun, steps, mesh):
+    method, rig = begun[0], example().rig
+    found = method.vertices(steps[0][1], rig, mesh)
+    same = method.averaged(found, steps[0][1], rig, mesh)
+    np.testing.assert_array_equal(same.displacement, found.displacement)
+    average = same.average
+    if average is not None:
+        moved = (average.weights @ MOTION(average.points).ravel()).reshape(-1, 3)
+        expected = MOTION(mesh.vertices)
+        # At the corners quadratics are extrapolated by some 3 um, which the turn moves by 0.06 um.
+        np.testing.assert_allclose(moved[average.given], expected[average.given], atol=1e-7)
+        assert average.given[measured_vertices(found)].mean() > 0.9
+
+
 def test_a_rigid_motion_is_recovered_as_well_as_claimed(steps):
     for motion, (_, flow) in zip((MOTION, FARTHER), steps, strict=True):
         good = is_valid(flow)

@@ -272,17 +272,25 @@ def _followed(
             yield MeasuredMotion(*head, None, None, str(error)), ()
             continue
         known = begun | {f"picture {c}": grey for c, grey in enumerate(pictures.grey)}
-        follow = partial(_follow, method, state, pictures, rig, session.mesh)
+        estimated = instant.last and probing is not None
+        follow = partial(_follow, method, state, pictures, rig, session.mesh, estimated)
         state, flow, vertices = parts.kept(f"{probing} {instant.name}", follow, known)
         yield MeasuredMotion(*head, flow, vertices, None), pictures.notes
 
 
 def _follow(
-    method: FlowMethod, state: Any, pictures: Pictures, rig: Rig, mesh: TriangleMesh
+    method: FlowMethod,
+    state: Any,
+    pictures: Pictures,
+    rig: Rig,
+    mesh: TriangleMesh,
+    estimated: bool,
 ) -> tuple[Any, RangeFlow, VertexDisplacement]:
-    """One instant: the method's state, the range flow and the vertices' displacement."""
+    """One instant: the method's state, the range flow and the vertices' displacement; with its
+    average where constants are estimated from it."""
     after, flow = method.follow(state, pictures.grey)
-    return after, flow, method.vertices(flow, rig, mesh)
+    found = method.vertices(flow, rig, mesh)
+    return after, flow, method.averaged(found, flow, rig, mesh) if estimated else found
 
 
 def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:

@@ -174,6 +174,24 @@ class FlowMethod(Protocol):
         """
         ...
 
+    def averaged(
+        self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
+    ) -> VertexDisplacement:
+        """The same with what each displacement is the average of, as far as the method knows.
+
+        Parameters
+        ----------
+        found : VertexDisplacement      from `vertices`
+        flow : RangeFlow
+        rig : Rig                       as given to `start`
+        surface : TriangleMesh          as given to `start`
+
+        Returns
+        -------
+        VertexDisplacement
+        """
+        ...
+
 
 def is_valid(flow: RangeFlow) -> Flags:
     """True for the points whose displacement was accepted.

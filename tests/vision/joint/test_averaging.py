@@ -22,7 +22,8 @@ def _measured(motion, seeds, method=JointFlow()):
     for still, moved in zip(before, after, strict=True):
         start = method.start(stage.rig, noisy_views(still, 0.5, 3), _mesh())
         flow = next(followed(start, [noisy_views(moved, 0.5, 7)], method))
-        yield method.vertices(flow, stage.rig, _mesh())
+        found = method.vertices(flow, stage.rig, _mesh())
+        yield method.averaged(found, flow, stage.rig, _mesh())
 
 
 def _averaged(found, motion):
@@ -57,7 +58,7 @@ def test_what_windows_follow_is_its_own_average(shape):
     assert given[np.isfinite(found.displacement).all(axis=1)].mean() > 0.9
 
     def turned(points):
-        return [*np.cross([0.01, -0.02, 0.03], points), 0.001, 0.0, -0.001]
+        return np.cross([0.01, -0.02, 0.03], points) + np.array([1e-3, 0.0, -1e-3])
 
     # Points are seen on finer facets, 1e-7 of a window's place apart; times a turn of 0.04.
     np.testing.assert_allclose(_averaged(found, turned)[given], turned(place)[given], atol=2e-8)

@@ -30,7 +30,7 @@ from palpate.geometry import (
 from palpate.records import Camera, Rig, SurfaceAverage, camera_centre
 from palpate.shapes import Points, PointScalars
 from palpate.vision.cameras import pixel_sizes, project
-from palpate.vision.matching import LocalFits, coefficient_operators, local_terms
+from palpate.vision.matching import LocalFits, coefficient_operators, local_terms, sums_about
 
 # Pieces of the surface that stand for its pixels have about this side, in sides of a window.
 _PIECE = 0.25
@@ -42,8 +42,8 @@ _FACING = 0.2
 _APART = 4.0
 # Terms of a quadratic that bend: x^2, x y, y^2.
 _BENDS = (3, 4, 5)
-# Sum of the weights' sizes: 1.6 as a rule, up to 3.5 at creases and beside tools. Beyond, all points
-# lie on one side, and which of them the match took its bend from decides.
+# Sum of the weights' sizes: 1.6 as a rule, up to 3.5 at creases and beside tools. Beyond, all
+# points lie on one side, and it counts which of them the match took its bend from.
 _MOST_WEIGHT = 4.0
 # Of a sum of some hundred weights.
 _ROUNDING = 1e-6
@@ -98,10 +98,8 @@ def surface_average(
     (weights,), _ = coefficient_operators(vertices, 2, (0,))
     if order == 1:
         curvature, _ = coefficient_operators(bends, 2, _BENDS)
-        bend = sum(
-            _moment(windows, mean, term, bends) @ operator
-            for term, operator in zip(_BENDS, curvature, strict=True)
-        )
+        moments = _moments(windows, mean, bends)
+        bend = sum(moment @ one for moment, one in zip(moments, curvature, strict=True))
         weights = weights - weights @ bend
     weights = weights @ (mean @ kron(pieces.from_nodes, np.eye(3), format="bsr"))
     return _used(csr_array(weights), pieces.nodes)
@@ -181,14 +179,15 @@ def _in_windows(
     )
 
 
-def _moment(windows: LocalFits, mean: bsr_array, term: int, bends: LocalFits) -> bsr_array:
-    """What each window makes of one quadratic term of the motion about its point."""
+def _moments(windows: LocalFits, mean: bsr_array, bends: LocalFits) -> list[bsr_array]:
+    """What each window makes of each term of a motion that bends about its point."""
     monomials, _ = local_terms(windows)
-    count = len(windows.place)
-    moment = np.zeros((count, 3, 3))
-    np.add.at(moment, windows.first, monomials[:, term, None, None] * mean.data)
-    moment *= ((windows.reach / bends.reach) ** 2)[:, None, None]
-    return bsr_array((moment, np.arange(count), np.arange(count + 1)))
+    every = np.arange(len(windows.place) + 1)
+    scale = ((windows.reach / bends.reach) ** 2)[:, None, None]
+    moments = [
+        scale * sums_about(windows, monomials[:, term, None, None] * mean.data) for term in _BENDS
+    ]
+    return [bsr_array((moment, every[:-1], every)) for moment in moments]
 
 
 def _used(weights: csr_array, points: Points) -> SurfaceAverage:

@@ -175,7 +175,24 @@ class JointFlow:
         VertexDisplacement              NaN where `vertex_displacement` has too little around
         """
         camera = rig.cameras[rig.reference]
-        found = vertex_displacement(flow, camera, surface.vertices, surface.triangles)
+        return vertex_displacement(flow, camera, surface.vertices, surface.triangles)
+
+    def averaged(
+        self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
+    ) -> VertexDisplacement:
+        """The same with what each displacement is the average of (`surface_average`).
+
+        Parameters
+        ----------
+        found : VertexDisplacement      from `vertices`
+        flow : RangeFlow
+        rig : Rig
+        surface : TriangleMesh          of v vertices
+
+        Returns
+        -------
+        VertexDisplacement              without average for windows that shift only
+        """
         order = BASES[self.shape] // 3
         return found if order == 0 else with_average(found, flow, rig, surface, order)
 

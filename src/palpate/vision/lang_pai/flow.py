@@ -223,6 +223,24 @@ class LangPaiFlow:
         """
         return lang_pai_vertices(flow, surface.vertices, surface.triangles)
 
+    def averaged(
+        self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
+    ) -> VertexDisplacement:
+        """Displacements as they are: votes say nothing of what they are the average of.
+
+        Parameters
+        ----------
+        found : VertexDisplacement
+        flow : RangeFlow                not needed
+        rig : Rig                       not needed
+        surface : TriangleMesh          not needed
+
+        Returns
+        -------
+        VertexDisplacement              the given one
+        """
+        return found
+
     def _flow(self, state: LangPaiState) -> RangeFlow:
         """Displacement since the first instant."""
         head, track = state.head, state.track

@@ -15,6 +15,7 @@ from palpate.vision.matching.fit_operators import (
     coefficient_operators as coefficient_operators,
     local_fits as local_fits,
     local_terms as local_terms,
+    sums_about as sums_about,
 )
 from palpate.vision.matching.local_regression import (
     LocalField as LocalField,

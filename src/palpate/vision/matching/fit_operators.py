@@ -95,11 +95,11 @@ def coefficient_operators(
     monomials, height = local_terms(fits)
     design = monomials[:, : 3 * order]
     weighted = fits.weight[:, None] * design
-    normal = _sums(fits, weighted[:, :, None] * design[:, None, :])
+    normal = sums_about(fits, weighted[:, :, None] * design[:, None, :])
     inverse, determined = _inverse(normal)
     share = np.einsum("mi,mik->mk", weighted, inverse[fits.first])
     # Displacement beside the tangent plane: height times slope, along each of the tangents.
-    lever = _sums(fits, share * height[:, None])
+    lever = sums_about(fits, share * height[:, None])
     normals = np.cross(fits.tangent[:, 0], fits.tangent[:, 1])
     turned = np.einsum("nki,nj->nkij", fits.tangent, normals)
     operators = []
@@ -126,8 +126,8 @@ def local_terms(fits: LocalFits) -> tuple[Float[np.ndarray, "m 6"], Float[np.nda
     return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]), height
 
 
-def _sums(fits: LocalFits, values: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
-    """Sums over the points about each place."""
+def sums_about(fits: LocalFits, values: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
+    """Sums over the points about each place, one row a place."""
     result = np.zeros((len(fits.place), *values.shape[1:]))
     starts = np.flatnonzero(np.diff(fits.first, prepend=-1))
     result[fits.first[starts]] = np.add.reduceat(values, starts)
