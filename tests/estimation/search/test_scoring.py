@@ -6,10 +6,15 @@ from estimation.fitted import RANGE, minimum_of, misfit_of
 from estimation.half_space import half_space_probes
 from scipy.optimize import minimize
 
-from palpate.estimation.search import nelder_mead as nelder_mead_module
+from palpate.estimation.search import nelder_mead as nelder_mead_module, scoring
 from palpate.estimation.search.misfit import Misfit
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum
-from palpate.estimation.search.scoring import diagonal_root, scored_minimum
+from palpate.estimation.search.scoring import (
+    Minimum,
+    diagonal_root,
+    scored_minimum,
+    taken_share,
+)
 
 
 def _misfit(noise: str = "student-t", **options: object) -> Misfit:
@@ -124,3 +129,35 @@ def test_the_first_simplex_is_inside_the_range(start: float) -> None:
     ratios = np.array(asked)[:, 0]
     assert ratios.min() >= RANGE[0]
     assert ratios.max() <= RANGE[1]
+
+
+@pytest.mark.parametrize("swing", [-0.9, -0.4, 0.0, 0.3])
+def test_changes_that_swing_back_end_in_a_few_steps(
+    monkeypatch: pytest.MonkeyPatch, swing: float
+) -> None:
+    """Each linearisation lands beyond the minimum by a share of where it started."""
+
+    def overshot(
+        misfit: Misfit, rows: list, start: Minimum, shifts: list, poisson_range: tuple
+    ) -> tuple[Minimum, float]:
+        nu = 0.3 + swing * (start.poisson_ratio - 0.3)
+        modulus = 2e4 * (start.shear_modulus / 2e4) ** swing
+        own = [swing * one for one in shifts]
+        probes = misfit.linearised(rows, 0.0, modulus, own, start.errors)
+        return Minimum(nu, modulus, tuple(probes), start.errors, False), 1e-3
+
+    monkeypatch.setattr(scoring, "_linear_minimum", overshot)
+    misfit = _misfit()
+    shifts = [one + 2.0 for one in misfit.no_shifts()]
+    found = scored_minimum(misfit, 0.31, 2.1e4, poisson_range=RANGE, shifts=shifts)
+    assert found.converged
+    # It ends where a change is below a hundred thousandth.
+    assert abs(found.poisson_ratio - 0.3) < 1e-5
+
+
+def test_of_changes_that_swing_the_part_is_taken_that_leads_to_their_end() -> None:
+    change = np.array([1.0, -2.0])
+    assert taken_share(change, np.zeros(0)) == 1.0
+    assert taken_share(change, 0.5 * change) == 1.0
+    assert taken_share(-0.25 * change, change) == pytest.approx(1 / 1.25)
+    assert taken_share(-3.0 * change, change) == 0.5

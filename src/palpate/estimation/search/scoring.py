@@ -73,21 +73,63 @@ def scored_minimum(
     Minimum                         `converged` is false where the steps did not die out
     """
     nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
-    shifts = misfit.no_shifts() if shifts is None else shifts
+    shifts = list(misfit.no_shifts() if shifts is None else shifts)
     errors = np.zeros(len(misfit.shared)) if errors is None else errors
-    found = Minimum(nu, modulus, (), errors, False)
+    start, before = Minimum(nu, modulus, (), errors, False), np.zeros(0)
     for _ in range(_MAX_LINEARISATIONS):
-        reference, scale = found.poisson_ratio, found.shear_modulus
-        rows = misfit.scaled(reference, scale, shifts)
-        found, error = _linear_minimum(misfit, rows, found, shifts, poisson_range)
-        shifts = [probe.shift for probe in found.probes]
+        rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, shifts)
+        found, error = _linear_minimum(misfit, rows, start, shifts, poisson_range)
+        change = _joined(found, [probe.shift for probe in found.probes]) - _joined(start, shifts)
         # Responses and effects are taken linear over a move; what that leaves is of its square.
-        moved = max(
-            abs(found.poisson_ratio - reference), abs(float(np.log(found.shear_modulus / scale)))
-        )
+        moved = float(np.abs(change[:2]).max())
         if moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error:
             return replace(found, converged=True)
+        change, before = taken_share(change, before) * change, change
+        start, shifts = _moved(start, shifts, change)
     return found
+
+
+def taken_share(change: Float[np.ndarray, " n"], before: Float[np.ndarray, " b"]) -> float:
+    """How much of a change leads to where the changes end, if each swings back over the last one.
+
+    Parameters
+    ----------
+    change, before : (n,) float     this change and the whole one before; empty at first
+
+    Returns
+    -------
+    float                           0.5 to 1; 1 where changes do not swing
+
+    Source
+    ------
+    Irons and Tuck, A version of the Aitken accelerator for computer iteration, International
+    Journal for Numerical Methods in Engineering 1 (1969)
+    """
+    if before.shape != change.shape:
+        return 1.0
+    swing = -float(change @ before) / float(before @ before)
+    return 1.0 / (1.0 + float(np.clip(swing, 0.0, 1.0)))
+
+
+def _joined(here: Minimum, shifts: Sequence[np.ndarray]) -> Float[np.ndarray, " n"]:
+    """Everything that is estimated as one vector: nu, log G, shared errors, each probing's own."""
+    return np.concatenate([[here.poisson_ratio, np.log(here.shear_modulus)], here.errors, *shifts])
+
+
+def _moved(
+    start: Minimum, shifts: Sequence[np.ndarray], change: Float[np.ndarray, " n"]
+) -> tuple[Minimum, list[np.ndarray]]:
+    """A start and its shifts, moved on."""
+    ends = np.cumsum([2, len(start.errors), *map(len, shifts)])
+    _, errors, *own, _ = np.split(change, ends)
+    there = Minimum(
+        start.poisson_ratio + change[0],
+        start.shear_modulus * float(np.exp(change[1])),
+        (),
+        start.errors + errors,
+        False,
+    )
+    return there, [shift + move for shift, move in zip(shifts, own, strict=True)]
 
 
 def _linear_minimum(
