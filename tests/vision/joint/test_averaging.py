@@ -6,6 +6,9 @@ from vision.scenes import STILL, bump, example, followed, noisy_views
 
 from palpate.geometry import TriangleMesh
 from palpate.vision import JointFlow
+from palpate.vision.cameras import pixel_sizes
+from palpate.vision.joint import averaging
+from palpate.vision.matching import LocalFits
 
 # Windows of 6.3 mm on a bump of this width.
 BUMP = bump((4e-4, -2e-4, -6e-4), 0.007)
@@ -78,3 +81,19 @@ def test_quadratic_windows_leave_less_of_a_bend():
 def test_shifted_windows_say_nothing_of_their_average():
     (found,) = _measured(STILL, (1,), JointFlow(shape="shift"))
     assert found.average is None
+
+
+def test_windows_hold_the_pixels_of_all_cameras():
+    stage, mesh = example(), _mesh()
+    inside = np.flatnonzero(np.linalg.norm(mesh.vertices[:, :2], axis=1) < 0.012)
+    place = mesh.vertices[inside]
+    tangent = np.tile(np.eye(3)[:2], (len(place), 1, 1))
+    nothing = np.zeros(0, dtype=np.int64)
+    points = LocalFits(place, tangent, np.ones(len(place)), place, nothing, nothing, np.zeros(0))
+    extent = 10.0 * pixel_sizes(stage.rig.cameras[0], place)
+    windows = averaging._windows(21, stage.rig, averaging._cut(mesh, 1.5e-3), points, extent)
+    pixels = np.bincount(windows.first, windows.weight)
+    # Less a piece of some 20 px, by which a window is narrower so that its spread is that of pixels.
+    share = pixels / (len(stage.rig.cameras) * 21**2)
+    assert share.min() > 0.94
+    assert share.max() < 1.0

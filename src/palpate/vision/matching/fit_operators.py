@@ -95,8 +95,7 @@ def coefficient_operators(
     monomials, height = local_terms(fits)
     design = monomials[:, : 3 * order]
     weighted = fits.weight[:, None] * design
-    normal = sums_about(fits, weighted[:, :, None] * design[:, None, :])
-    inverse, determined = _inverse(normal)
+    inverse, determined = _inverse(_normal(fits, design, weighted))
     share = np.einsum("mi,mik->mk", weighted, inverse[fits.first])
     # Displacement beside the tangent plane: height times slope, along each of the tangents.
     lever = sums_about(fits, share * height[:, None])
@@ -132,6 +131,18 @@ def sums_about(fits: LocalFits, values: Float[np.ndarray, "m ..."]) -> Float[np.
     starts = np.flatnonzero(np.diff(fits.first, prepend=-1))
     result[fits.first[starts]] = np.add.reduceat(values, starts)
     return result
+
+
+def _normal(
+    fits: LocalFits, design: Float[np.ndarray, "m k"], weighted: Float[np.ndarray, "m k"]
+) -> Float[np.ndarray, "n k k"]:
+    """Matrix of the normal equations about each place; entry by entry, pairs are millions."""
+    count = design.shape[1]
+    normal = np.empty((len(fits.place), count, count))
+    for i in range(count):
+        for j in range(i + 1):
+            normal[:, i, j] = normal[:, j, i] = sums_about(fits, weighted[:, i] * design[:, j])
+    return normal
 
 
 def _inverse(
