@@ -34,7 +34,8 @@ def lost(cube_session):
         moved = np.where(flags[:, None], np.nan, 1e-4 * np.arange(3 * len(points)).reshape(-1, 3))
         field = replace(
             probing.displacement, points=points, displacement=moved, std=np.full((8, 3), 1e-6),
-            covariance=None, vertex=None, surface=closest_points(session.mesh, points),
+            covariance=None, average=None, vertex=None,
+            surface=closest_points(session.mesh, points),
         )  # fmt: skip
         one = replace(probing, contact=contact, displacement=field)
         return rejections(replace(session, probings=(one,)))

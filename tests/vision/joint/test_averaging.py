@@ -93,7 +93,7 @@ def test_windows_hold_the_pixels_of_all_cameras():
     extent = 10.0 * pixel_sizes(stage.rig.cameras[0], place)
     windows = averaging._windows(21, stage.rig, averaging._cut(mesh, 1.5e-3), points, extent)
     pixels = np.bincount(windows.first, windows.weight)
-    # Less a piece of some 20 px, by which a window is narrower so that its spread is that of pixels.
+    # Less a piece of some 20 px: windows are narrower, so that their spread is that of pixels.
     share = pixels / (len(stage.rig.cameras) * 21**2)
     assert share.min() > 0.94
     assert share.max() < 1.0
