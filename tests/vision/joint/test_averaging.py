@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from surfaces import box
 from vision.scenes import STILL, bump, example, followed, noisy_views
 
 from palpate.geometry import TriangleMesh
@@ -91,9 +92,39 @@ def test_windows_hold_the_pixels_of_all_cameras():
     nothing = np.zeros(0, dtype=np.int64)
     points = LocalFits(place, tangent, np.ones(len(place)), place, nothing, nothing, np.zeros(0))
     extent = 10.0 * pixel_sizes(stage.rig.cameras[0], place)
-    windows = averaging._windows(21, stage.rig, averaging._cut(mesh, 1.5e-3), points, extent)
+    windows = averaging._windows(21, stage.rig, averaging._cut(mesh, 1.5e-3, place), points, extent)
     pixels = np.bincount(windows.first, windows.weight)
     # Less a piece of some 20 px: windows are narrower, so that their spread is that of pixels.
     share = pixels / (len(stage.rig.cameras) * 21**2)
     assert share.min() > 0.94
     assert share.max() < 1.0
+
+
+def test_pieces_have_the_area_of_the_surface_about_the_points():
+    cube = box((0.04, 0.04, 0.04), 6)
+    pieces = averaging._cut(cube, 1.5e-3, cube.vertices)
+    assert np.linalg.norm(pieces.area, axis=1).sum() == pytest.approx(6 * 0.04**2)
+    np.testing.assert_allclose(pieces.from_nodes @ pieces.nodes, pieces.middle, atol=1e-12)
+    # Windows of 4 mm on a body of a metre: no more pieces than fit into memory, about them.
+    large = averaging._cut(box((1.0, 1.0, 0.1), 2), 1e-3, np.array([[0.5, 0.25, 0.1]]))
+    assert len(large.middle) <= 1e6
+    near = box((1.0, 1.0, 0.1), 40)
+    few = averaging._cut(near, 1e-3, np.array([[0.5, 0.25, 0.1]]))
+    assert np.linalg.norm(few.middle - [0.5, 0.25, 0.1], axis=1).max() < 0.1
+
+
+def test_what_a_camera_cannot_picture_is_in_none_of_its_windows():
+    stage, (found,) = example(), _measured(STILL, (1,))
+    # A wall that reaches behind the cameras goes on from the dome.
+    far = np.array([[0.2, 0.0, 1.0], [0.2, 0.1, 1.0], [0.3, 0.0, -1.0]])
+    vertices = np.concatenate([_mesh().vertices, far])
+    count = len(_mesh().vertices)
+    triangles = np.concatenate([_mesh().triangles, [[count, count + 1, count + 2]]])
+    inside = np.flatnonzero(found.average.given)[:20]
+    place = np.concatenate([vertices[inside], far[:1]])
+    tangent = np.tile(np.eye(3)[:2], (len(place), 1, 1))
+    nothing = np.zeros(0, dtype=np.int64)
+    points = LocalFits(place, tangent, np.ones(len(place)), place, nothing, nothing, np.zeros(0))
+    pieces = averaging._cut(TriangleMesh(vertices, triangles), 1.5e-3, place)
+    windows = averaging._windows(21, stage.rig, pieces, points, np.full(len(place), 3e-3))
+    assert set(windows.first.tolist()) == set(range(len(inside)))

@@ -20,10 +20,10 @@ from scipy.spatial import cKDTree
 from palpate.geometry import (
     TriangleMesh,
     displacement_nodes,
+    element_points,
     free_nodes,
     interpolation_matrix,
     piece_middles,
-    refined_surface,
     split_sides,
     triangle_areas,
 )
@@ -34,6 +34,8 @@ from palpate.vision.matching import LocalFits, coefficient_operators, local_term
 
 # Pieces of the surface that stand for its pixels have about this side, in sides of a window.
 _PIECE = 0.25
+# Where windows are far smaller than triangles, pieces are larger: a few hundred bytes each.
+_MOST_PIECES = 1e6
 # Area of an equilateral triangle of side one.
 _EQUILATERAL = 0.433
 # Cosine below which a camera sees the surface too obliquely for its windows to count.
@@ -92,7 +94,7 @@ def surface_average(
     SurfaceAverage                  of v points; without weights where windows are not known
     """
     extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], bends.place)
-    pieces = _cut(surface, _PIECE * 2.0 * float(np.median(extent)))
+    pieces = _cut(surface, _PIECE * 2.0 * float(np.median(extent)), bends.place)
     windows = _windows(subset, rig, pieces, bends, extent)
     (mean,), _ = coefficient_operators(windows, order, (0,))
     (weights,), _ = coefficient_operators(vertices, 2, (0,))
@@ -105,23 +107,26 @@ def surface_average(
     return _used(csr_array(weights), pieces.nodes)
 
 
-def _cut(surface: TriangleMesh, side: float) -> _Pieces:
-    """Cut the surface into small triangles of about one size."""
-    area = triangle_areas(surface)
+def _cut(surface: TriangleMesh, side: float, points: Points) -> _Pieces:
+    """Cut the triangles about some points into small ones of about one size."""
+    corner = surface.vertices[surface.triangles]
+    centre = corner.mean(axis=1)
+    reach = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
+    near = np.flatnonzero(cKDTree(points).query(centre)[0] < reach + side / _PIECE)
     # The triangle in which a point of the surface lies, on average.
+    area = triangle_areas(surface)[near]
     usual = float((area**2).sum() / area.sum())
-    cuts = max(1, round(np.sqrt(usual / (_EQUILATERAL * side**2))))
-    vertices, triangles = refined_surface(surface, pieces=cuts)
-    corner = vertices[triangles]
-    across = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    count = len(surface.triangles)
-    fitted = displacement_nodes(surface, split_sides(surface, np.zeros(count, dtype=np.int64)))
-    owner = np.repeat(np.arange(count), cuts**2)
-    from_nodes = interpolation_matrix(
-        free_nodes(fitted), owner, np.tile(piece_middles(cuts), (count, 1))
-    )
+    cuts = round(np.sqrt(usual / (_EQUILATERAL * side**2)))
+    cuts = int(np.clip(cuts, 1, np.sqrt(_MOST_PIECES / len(near))))
+    whole = np.zeros(len(surface.triangles), dtype=np.int64)
+    fitted = displacement_nodes(surface, split_sides(surface, whole))
     nodes = np.concatenate([surface.vertices, fitted.weights @ surface.vertices])
-    return _Pieces(from_nodes @ nodes, across, nodes, from_nodes)
+    middles = piece_middles(cuts)
+    found = element_points(nodes[fitted.element[near]], middles).reshape(-1, 6)
+    owner, place = np.repeat(near, cuts**2), np.tile(middles, (len(near), 1))
+    from_nodes = interpolation_matrix(free_nodes(fitted), owner, place)
+    # Normals are those of a parallelogram, two pieces and more.
+    return _Pieces(found[:, :3], 0.5 * found[:, 3:] / cuts**2, nodes, from_nodes)
 
 
 def _windows(
@@ -132,7 +137,8 @@ def _windows(
     normal = np.cross(tangent[:, 0], tangent[:, 1])
     weight = csr_array((len(place), len(pieces.middle)))
     for camera in rig.cameras:
-        seen = np.flatnonzero(_cosine(camera, place, normal) > _FACING)
+        faces = _cosine(camera, place, normal) > _FACING
+        seen = np.flatnonzero(faces & np.isfinite(project(camera, place)).all(axis=1))
         weight += _in_windows(camera, subset, place, seen, pieces)
     pair = weight.tocoo()
     first, second = pair.coords
@@ -156,9 +162,10 @@ def _in_windows(
 ) -> csr_array:
     """Pixels that pieces cover in one camera's windows around those points that it sees."""
     cosine = _cosine(camera, pieces.middle, pieces.area)
-    shown = np.flatnonzero(cosine > _FACING)
-    middle = pieces.middle[shown]
-    pixel, centre = project(camera, middle), project(camera, place[seen])
+    every = project(camera, pieces.middle)
+    # No number beside the camera, and beyond the fold of its lens.
+    shown = np.flatnonzero((cosine > _FACING) & np.isfinite(every).all(axis=1))
+    middle, pixel, centre = pieces.middle[shown], every[shown], project(camera, place[seen])
     cover = cosine[shown] * np.linalg.norm(pieces.area[shown], axis=1)
     cover /= pixel_sizes(camera, middle) ** 2
     side = np.sqrt(cover)
