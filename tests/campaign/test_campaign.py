@@ -5,6 +5,7 @@ import errno
 import shutil
 from dataclasses import replace
 
+import dask
 import distributed
 import numpy as np
 import pytest
@@ -141,8 +142,10 @@ def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, m
 
 
 def test_a_body_beyond_a_thread_s_share_of_memory_is_a_row(cube, tmp_path):
-    # The program itself counts 0.4 GB: a worker of 0.8 GiB has that, its two threads have not.
-    with distributed.LocalCluster(
+    # The program itself counts 0.4 GB: a worker of 0.8 GiB has that, its two threads have not. It
+    # lives in this process, whose memory after some thousand tests would make it pause.
+    pauses = {f"distributed.worker.memory.{k}": False for k in ("target", "spill", "pause")}
+    with dask.config.set(pauses), distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, processes=False, protocol="tcp",
         dashboard_address=":0", memory_limit="0.8GiB",
     ) as cluster:  # fmt: skip
