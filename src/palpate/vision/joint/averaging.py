@@ -13,7 +13,7 @@ subset shape functions, Experimental Mechanics 42 (2002).
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.sparse import bsr_array, csr_array, diags_array, kron
 from scipy.spatial import cKDTree
 
@@ -137,9 +137,7 @@ def _windows(
     normal = np.cross(tangent[:, 0], tangent[:, 1])
     weight = csr_array((len(place), len(pieces.middle)))
     for camera in rig.cameras:
-        faces = _cosine(camera, place, normal) > _FACING
-        seen = np.flatnonzero(faces & np.isfinite(project(camera, place)).all(axis=1))
-        weight += _in_windows(camera, subset, place, seen, pieces)
+        weight += _in_windows(camera, subset, place, normal, pieces)
     pair = weight.tocoo()
     first, second = pair.coords
     apart = np.linalg.norm(pieces.middle[second] - place[first], axis=1)
@@ -158,14 +156,16 @@ def _cosine(camera: Camera, place: Points, normal: Points) -> Float[np.ndarray, 
 
 
 def _in_windows(
-    camera: Camera, subset: int, place: Points, seen: Int[np.ndarray, " s"], pieces: _Pieces
+    camera: Camera, subset: int, place: Points, normal: Points, pieces: _Pieces
 ) -> csr_array:
     """Pixels that pieces cover in one camera's windows around those points that it sees."""
     cosine = _cosine(camera, pieces.middle, pieces.area)
-    every = project(camera, pieces.middle)
+    pixel, centre = project(camera, pieces.middle), project(camera, place)
     # No number beside the camera, and beyond the fold of its lens.
-    shown = np.flatnonzero((cosine > _FACING) & np.isfinite(every).all(axis=1))
-    middle, pixel, centre = pieces.middle[shown], every[shown], project(camera, place[seen])
+    shown = np.flatnonzero((cosine > _FACING) & np.isfinite(pixel).all(axis=1))
+    faces = _cosine(camera, place, normal) > _FACING
+    seen = np.flatnonzero(faces & np.isfinite(centre).all(axis=1))
+    middle, pixel, centre = pieces.middle[shown], pixel[shown], centre[seen]
     cover = cosine[shown] * np.linalg.norm(pieces.area[shown], axis=1)
     cover /= pixel_sizes(camera, middle) ** 2
     side = np.sqrt(cover)

@@ -101,9 +101,9 @@ def coefficient_operators(
     lever = sums_about(fits, share * height[:, None])
     normals = np.cross(fits.tangent[:, 0], fits.tangent[:, 1])
     turned = np.einsum("nki,nj->nkij", fits.tangent, normals)
+    slope = np.einsum("mk,mkij->mij", share[:, 1:3], turned[fits.first])
     operators = []
     for term in terms:
-        slope = np.einsum("mk,mkij->mij", share[:, 1:3], turned[fits.first])
         block = share[:, term, None, None] * np.eye(3)
         block += lever[fits.first, term, None, None] * slope
         operators.append(_of_blocks(fits, block))
