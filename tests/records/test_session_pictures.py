@@ -132,7 +132,7 @@ def test_images_stand_in_for_displacements_where_the_cameras_are_known(edited):
             r"images loaded: is \[\]; must be a list of file",
         ),
         ('"b_{camera}.png"', "3", r"images loaded: is \['a_{camera}.png', 3\]; must be a list"),
-        ('"b_{camera}.png"', '" "', "images loaded: is ' '; must be a text in quotes"),
+        ('"b_{camera}.png"', '" "', "images loaded: is ' '; must not be empty"),
         ("b_{camera}", "b", r"images loaded: 'b\.png' has no {camera}"),
         ("r_{camera}", "r", r"images rest: 'r\.png' has no {camera}"),
         ("b_{camera}", "r_{camera}", r"images loaded: 'r_{camera}\.png' is named before; the same"),

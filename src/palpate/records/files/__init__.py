@@ -3,7 +3,7 @@
 Purpose    : each format in one file, read with messages that name file, table and key.
 Takes      : paths, and records to write.
 Gives      : records in SI units; files and folders that appear whole or not at all.
-Depends on : `records.text`, `records.programs`, `geometry`, `shapes`, `errors`.
+Depends on : `records.checks`, `records.text`, `records.programs`, `geometry`, `shapes`, `errors`.
 Read first : `session.py`, then `results.py`.
 """
 

@@ -8,7 +8,7 @@ import numpy as np
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points
 from palpate.records.measured_points import surface_limit
-from palpate.records.probing import DisplacementField
+from palpate.records.probing import DisplacementField, measured_rows
 from palpate.records.text import TextTable, nearest_word, read_text_table, write_text
 
 _PLACE = ("x", "y", "z")
@@ -16,6 +16,9 @@ _MOVE = ("ux", "uy", "uz")
 _STD = ("sx", "sy", "sz")
 _COLUMNS = (*_PLACE, *_MOVE, *_STD, "sigma", "vertex")
 _HEADER = ",".join(_PLACE + _MOVE)
+_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+# Over the size of the body: no instrument resolves less, and what errs by more says nothing.
+_FINEST, _COARSEST = 1e-12, 1.0
 
 
 def read_displacement(
@@ -55,6 +58,9 @@ def read_displacement(
             " only displacements may be NaN (not measured)"
         )
     moved = metres_per_unit * np.stack([column[name] for name in _MOVE], axis=1)
+    std = _std(column, metres_per_unit)
+    if std is not None:
+        _check_std(table, std, moved, mesh)
     if np.isinf(moved).any():
         row, k = map(int, np.argwhere(np.isinf(moved))[0])
         raise RecordError(
@@ -72,11 +78,13 @@ def read_displacement(
         field = DisplacementField(
             points=points,
             displacement=moved,
-            std=_std(column, metres_per_unit),
+            std=std,
             vertex=_vertex(table, column, mesh, points),
             surface=surface,
             source=str(path),
         )
+    except RecordError:
+        raise
     except InputError as error:
         raise RecordError(f"{path}: {error}") from error
     return field, notes
@@ -132,7 +140,8 @@ def _check_header(table: TextTable) -> tuple[str, ...]:
     path, header = table.path, [column.heading.lower() for column in table.columns]
     if table.delimiter != ",":
         raise RecordError(
-            f"{path}: its columns are separated by {table.delimiter!r}; separate them by ','"
+            f"{path}: its columns are separated by {_SEPARATORS.get(table.delimiter, 'blanks')};"
+            f" separate them by commas, with points in the numbers, under the line {_HEADER}"
         )
     missing = [name for name in (*_PLACE, *_MOVE) if name not in header]
     if missing:
@@ -144,7 +153,9 @@ def _check_header(table: TextTable) -> tuple[str, ...]:
         raise RecordError(f"{path}: the column '{twins[0]}' is there twice; remove one")
     given = [name for name in _STD if name in header]
     if given and len(given) < 3:
-        raise RecordError(f"{path}: has {given} only; give sx, sy and sz, or sigma for all three")
+        raise RecordError(
+            f"{path}: has {', '.join(given)} only; give sx, sy and sz, or sigma for all three"
+        )
     if given and "sigma" in header:
         raise RecordError(f"{path}: has both sx,sy,sz and sigma; give one of the two")
     unknown = [name for name in header if name not in _COLUMNS]
@@ -187,6 +198,22 @@ def _std(column: dict[str, np.ndarray], metres_per_unit: float) -> np.ndarray | 
     if "sx" in column:
         return metres_per_unit * np.stack([column[name] for name in _STD], axis=1)
     return None
+
+
+def _check_std(table: TextTable, std: np.ndarray, moved: np.ndarray, mesh: TriangleMesh) -> None:
+    """Refuse standard deviations of measured points that no measurement has."""
+    size = bounding_diagonal(mesh)
+    bad = ~((std >= _FINEST * size) & (std <= _COARSEST * size)).all(axis=1)
+    bad &= measured_rows(moved)
+    if bad.any():
+        row = int(np.flatnonzero(bad)[0])
+        raise RecordError(
+            f"{table.path}: line {table.numbers[row]}: the standard deviation is"
+            f" {', '.join(f'{x:.3g}' for x in np.unique(std[row]))} m, of {int(bad.sum())} measured"
+            f" points like this; must be from {_FINEST * size:.1g} to {_COARSEST * size:.2g} m, the"
+            " size of the body: give one standard deviation of each point, in the unit of the"
+            " displacements, or leave the column out"
+        )
 
 
 def _vertex(

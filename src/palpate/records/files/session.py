@@ -11,6 +11,14 @@ from palpate.disk import settle
 from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
+from palpate.records.checks import (
+    check_contact,
+    check_copies,
+    check_error_lengths,
+    check_load,
+    check_observed_points,
+    plausibility_notes,
+)
 from palpate.records.contact import Support
 from palpate.records.error_priors import read_error_priors
 from palpate.records.files.displacement import read_displacement
@@ -26,13 +34,6 @@ from palpate.records.files.support import read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS, LENGTH_UNITS
 from palpate.records.session import Session, Step
-from palpate.records.session_checks import (
-    check_contact,
-    check_copies,
-    check_load,
-    check_observed_points,
-    plausibility_notes,
-)
 from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
 from palpate.shapes import Vector3
 
@@ -108,7 +109,7 @@ def read_session(
     with root.blamed():
         check_copies(tuple(probings))
         session = Session(
-            name=root.optional("name", root.text) or root.file.parent.name,
+            name=root.optional("name", root.label) or root.file.parent.name,
             path=root.file,
             mesh=mesh,
             held_triangles=held_triangles(supports),
@@ -124,6 +125,7 @@ def read_session(
                 root, metres_per_unit=metres, calibrated=bool(cameras and covariance_file(cameras))
             ),
         )
+        check_error_lengths(session)
     return replace(session, notes=notes + plausibility_notes(session))
 
 
@@ -205,7 +207,7 @@ def _named_tables(root: TomlTable, key: str, allowed: Sequence[str]) -> list[Tom
     tables = []
     for table in root.optional(key, root.tables) or ():
         table.check_keys(allowed)
-        tables.append(replace(table, name=f"[[{key}]] '{table.text('name')}'"))
+        tables.append(replace(table, name=f"[[{key}]] '{table.label('name')}'"))
     return tables
 
 
@@ -276,6 +278,11 @@ def _tip(table: TomlTable, metres: float) -> tuple[Vector3 | None, Vector3 | Non
     tip = table.optional("tip_displacement", table.vector)
     std = table.optional("tip_displacement_std", table.number_or_vector)
     if "tip_displacement_offset_std" in table.values:
+        if tip is None:
+            table.fail(
+                "tip_displacement_offset_std",
+                "is given without tip_displacement; give both or none",
+            )
         offset = table.quantity("tip_displacement_offset_std", LENGTH_UNITS, metres)
         if not offset > 0.0:
             table.fail(

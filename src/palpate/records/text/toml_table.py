@@ -127,8 +127,26 @@ class TomlTable:
         RecordError                     missing, no text, or blank
         """
         value = self.get(key)
-        if not isinstance(value, str) or not value.strip():
+        if not isinstance(value, str):
             self.fail(key, f"is {quoted(value)}; must be a text in quotes")
+        if not value.strip():
+            self.fail(key, f"is {quoted(value)}; must not be empty")
+        return value
+
+    def label(self, key: str) -> str:
+        """A text that can stand in a table, a picture and the name of a file.
+
+        Parameters
+        ----------
+        key : str
+
+        Raises
+        ------
+        RecordError                     as `text`; a line break or what else cannot be printed
+        """
+        value = self.text(key)
+        if not value.isprintable():
+            self.fail(key, f"is {quoted(value)}; must have no line break or control character")
         return value
 
     def choice(self, key: str, allowed: Sequence[str]) -> str:

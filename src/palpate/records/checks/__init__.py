@@ -1,0 +1,18 @@
+"""What a session must satisfy beyond its syntax, and what looks implausible about it.
+
+Purpose    : refuse what no experiment gives, and say what is more likely a mistake.
+Takes      : the records of a session.
+Gives      : nothing, an `InputError`, or sentences.
+Depends on : `geometry`, `shapes`, `errors`.
+Read first : `plausibility.py`.
+"""
+
+from palpate.records.checks.displacements import (
+    check_copies as check_copies,
+    check_observed_points as check_observed_points,
+)
+from palpate.records.checks.loads import check_contact as check_contact, check_load as check_load
+from palpate.records.checks.plausibility import (
+    check_error_lengths as check_error_lengths,
+    plausibility_notes as plausibility_notes,
+)

@@ -1,0 +1,105 @@
+"""What measured displacements cannot be: no motion, places, a copy of others."""
+
+import numpy as np
+
+from palpate.errors import InputError, quoted
+from palpate.geometry import TriangleMesh, bounding_diagonal
+from palpate.records.probing import DisplacementField, Probing, observed_rows
+from palpate.shapes import Flags, Indices
+
+# Displacements that differ from the places by less than this share, and are not small against the
+# body, are the places under load. Of fewer points chance may do it.
+_SAME, _FAR, _FEW = 0.3, 0.1, 3
+
+
+def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
+    """Refuse a field that shows no motion: none at all, or only of a support that does not move.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    held : (k,) int                 triangles that do not move
+    field : DisplacementField       on that mesh
+
+    Raises
+    ------
+    InputError
+    """
+    measured = observed_rows(field)
+    if not field.displacement[measured].any():
+        raise InputError(
+            f"the displacement of all {int(measured.sum())} measured points of {field.source} is"
+            " exactly zero: nothing moved, which says nothing about stiffness; were the pictures at"
+            " rest compared with themselves?"
+        )
+    _check_no_places(mesh, field)
+    fixed = held_points(mesh, held, field)[measured]
+    if fixed.all():
+        raise InputError(
+            f"all {len(fixed)} measured points of {field.source} are on the support, which does"
+            " not move: they say nothing; check the support and length_unit (the mesh is"
+            f" {bounding_diagonal(mesh):.3g} m across)"
+        )
+
+
+def held_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> Flags:
+    """True for the points of a field that lie on held triangles, (n,) bool.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    held : (k,) int                 triangles
+    field : DisplacementField       on that mesh
+    """
+    corners = mesh.triangles[field.surface.triangle]
+    is_held = np.zeros(len(mesh.vertices), dtype=bool)
+    is_held[mesh.triangles[held]] = True
+    # A point counts as held where every vertex that carries weight is.
+    return (is_held[corners] | (field.surface.barycentric < 1e-6)).all(axis=1)
+
+
+def _check_no_places(mesh: TriangleMesh, field: DisplacementField) -> None:
+    """Refuse places under load where displacements belong."""
+    seen = observed_rows(field)
+    moved, rest = field.displacement[seen], field.points[seen]
+    length = float(np.sqrt((moved**2).sum(axis=1).mean()))
+    left = float(np.sqrt(((moved - rest) ** 2).sum(axis=1).mean()))
+    if seen.sum() >= _FEW and length > _FAR * bounding_diagonal(mesh) and left < _SAME * length:
+        raise InputError(
+            f"ux,uy,uz of {field.source} are nearly its x,y,z: they differ by {left:.3g} m, of"
+            f" {length:.3g} m: are they places under load? Take x,y,z off them"
+        )
+
+
+def check_copies(probings: tuple[Probing, ...]) -> None:
+    """Refuse one measurement that stands for two probings: counted twice, it would look surer.
+
+    Parameters
+    ----------
+    probings : tuple of Probing
+
+    Raises
+    ------
+    InputError                      two share half of their rows or more; the text names both
+    """
+    earlier: list[tuple[Probing, set[bytes]]] = []
+    for probing in probings:
+        if probing.displacement is None:
+            continue
+        rows = _moved_rows(probing.displacement)
+        for twin, others in earlier:
+            shared = len(rows & others)
+            if 2 * shared >= min(len(rows), len(others)):
+                raise InputError(
+                    f"{shared} of {len(rows)} points of probing {quoted(probing.name)} have the"
+                    f" same displacement, digit by digit, as in probing {quoted(twin.name)};"
+                    " noise makes any two measurements differ: name the file that belongs to each,"
+                    " or leave one out"
+                )
+        earlier.append((probing, rows))
+
+
+def _moved_rows(field: DisplacementField) -> set[bytes]:
+    """Place and displacement of the points that were seen to move, one entry each."""
+    rows = np.hstack([field.points, field.displacement])[observed_rows(field)]
+    return {row.tobytes() for row in rows[rows[:, 3:].any(axis=1)]}

@@ -1,0 +1,180 @@
+"""What the contact and the force of a probing cannot be."""
+
+import numpy as np
+
+from palpate.errors import InputError
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    enclosed_volume,
+    mesh_quality,
+    triangle_areas,
+    triangle_distances,
+    unit_normals,
+)
+from palpate.records.contact import RIGID, Contact
+from palpate.records.probing import Probing, observed_rows
+from palpate.records.quantities import modulus_unit
+from palpate.shapes import Indices
+
+UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
+# Young's moduli: of diamond; and of a body of 1 kg/m^3, the lightest solid, that is as high as its
+# own weight lets it be. No gel is softer than a pascal.
+_STIFFEST, _SOFTEST, _SOFTEST_PER_METRE = 1.2e12, 1.0, 9.81
+# The strongest steels yield here [Pa].
+_STRONGEST = 3e9
+
+
+def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
+    """Refuse a contact patch that misses the surface, is wider than it, or reaches the support.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    held : (k,) int                 triangles of the support
+    contact : Contact
+
+    Raises
+    ------
+    InputError                      the text gives the distances
+    """
+    if contact.triangles is not None:
+        shared = np.intersect1d(contact.triangles, held).size
+        if shared and contact.profile != RIGID:
+            raise InputError(
+                f"{shared} of the {contact.triangles.size} loaded triangles belong to the support;"
+                " a load there moves nothing: leave them out, or load the support as a whole with"
+                " contact = { support = 1 }"
+            )
+        return
+    distance = triangle_distances(mesh, contact.point)
+    gap = float(distance.min())
+    radius = contact.radius
+    size = bounding_diagonal(mesh)
+    if radius is not None and 2.0 * radius > size:
+        raise InputError(
+            f"the contact is wider than the body: its radius is {radius:.3g} m, the mesh is"
+            f" {size:.3g} m across; check the radius and length_unit"
+        )
+    reach = 3.0 * mesh_quality(mesh).edge_mean if radius is None else radius
+    if gap >= reach:
+        what = "three mean edge lengths" if radius is None else "its radius"
+        raise InputError(
+            f"the contact misses the surface: its point is {gap:.4g} m away from it, {what} is"
+            f" {reach:.3g} m (the mesh is {size:.3g} m across);"
+            " check the point and length_unit"
+        )
+    if radius is None:
+        vertex = int(np.linalg.norm(mesh.vertices - contact.point, axis=1).argmin())
+        if vertex in mesh.triangles[held]:
+            raise InputError(
+                f"the contact is partly on the support: the nearest vertex ({vertex}) belongs to a"
+                " held triangle; probe farther from the support, or refine the mesh there"
+            )
+        return
+    # Triangles that face the other way are the far side of a thin object, out of the tool's reach.
+    normals = unit_normals(mesh)
+    facing = normals[held] @ normals[int(distance.argmin())] > -0.5
+    clear = float(distance[held][facing].min(initial=np.inf))
+    if clear < radius:
+        raise InputError(
+            f"the contact is partly on the support: its point is {clear:.4g} m from the support,"
+            f" nearer than its radius of {radius:.4g} m; probe farther from the support, or check"
+            " the radius"
+        )
+
+
+def check_load(mesh: TriangleMesh, probing: Probing) -> None:
+    """Refuse a force that no material answers with the displacement that was measured.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    probing : Probing
+
+    Raises
+    ------
+    InputError                      the text tells the modulus, pressure or motion that it means
+    """
+    size, force = bounding_diagonal(mesh), float(np.linalg.norm(probing.force))
+    if probing.tip_displacement is not None and not probing.tip_displacement.any():
+        raise InputError(
+            f"tip_displacement is exactly zero under {force:.3g} N, as of a body that nothing"
+            " moves; leave it out where it was not measured"
+        )
+    moved, radius = largest_displacement(probing), probing.contact.radius
+    if moved > size:
+        raise InputError(
+            f"the largest displacement is {moved:.3g} m, more than the body of {size:.3g} m across:"
+            f" a held body does not move so far; {UNIT_HINT}, and the unit of the displacements"
+        )
+    low, high = modulus_range(mesh, force, moved)
+    pressure = 0.0 if radius is None else force / (np.pi * radius**2)
+    if low > _STIFFEST:
+        what = f"a Young's modulus of {pascals(low)} or more, stiffer than diamond"
+    elif high < max(_SOFTEST, _SOFTEST_PER_METRE * size):
+        what = f"a Young's modulus of {pascals(high)} or less, of a body too soft for its weight"
+    elif pressure > _STRONGEST:
+        what = f"a pressure of {pascals(pressure)} at the contact, more than any steel bears"
+        if moved:
+            what += f", and a Young's modulus of about {pascals(float(np.sqrt(low * high)))}"
+    else:
+        return
+    raise InputError(
+        f"a force of {force:.3g} N, with a displacement of {moved:.3g} m at most of a body of"
+        f" {size:.3g} m, means {what}; is the force in N? Check length_unit and the contact radius"
+    )
+
+
+def pascals(value: float) -> str:
+    """A modulus or pressure [Pa] with the unit that suits it, to two digits.
+
+    Parameters
+    ----------
+    value : float [Pa]
+    """
+    factor, unit = modulus_unit(value)
+    return f"{float(f'{value / factor:.2g}'):g} {unit}"
+
+
+def modulus_range(mesh: TriangleMesh, force: float, moved: float) -> tuple[float, float]:
+    """Between which Young's moduli a body lies that a force moves so far, to an order of magnitude.
+
+    A body of thickness t and length L is loaded the stiff way through its thickness, F t / (L^2 u),
+    and the soft way by bending, F L^3 / (t^4 u).
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    force : float [N]
+    moved : float [m]               largest displacement; 0: none was measured
+
+    Returns
+    -------
+    (float, float) [Pa]             (0, infinity) where nothing moved
+    """
+    if moved == 0.0:
+        return 0.0, np.inf
+    length = bounding_diagonal(mesh)
+    # Exact for a square rod, two thirds of a cube's side, twice a plate's thickness.
+    thickness = 4.0 * enclosed_volume(mesh) / float(triangle_areas(mesh).sum())
+    return (
+        force * thickness / (length**2 * moved),
+        force * length**3 / (thickness**4 * moved),
+    )
+
+
+def largest_displacement(probing: Probing) -> float:
+    """Length of the longest measured displacement vector, tip included [m].
+
+    Parameters
+    ----------
+    probing : Probing
+    """
+    lengths = [0.0]
+    if probing.displacement is not None:
+        moved = probing.displacement.displacement[observed_rows(probing.displacement)]
+        lengths += [float(np.linalg.norm(moved, axis=1).max(initial=0.0))]
+    if probing.tip_displacement is not None:
+        lengths.append(float(np.linalg.norm(probing.tip_displacement)))
+    return max(lengths)

@@ -1,0 +1,181 @@
+"""What looks implausible about a session, and errors that exceed it."""
+
+import numpy as np
+
+from palpate.errors import InputError, quoted
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    triangle_areas,
+    wall_thickness,
+)
+from palpate.records.checks.displacements import held_points
+from palpate.records.checks.loads import UNIT_HINT, largest_displacement
+from palpate.records.checks.probings import probing_notes
+from palpate.records.contact import FIXED
+from palpate.records.error_priors import ErrorPriors
+from palpate.records.session import Session
+
+# Edge over thickness from which a wall bends too little: by at most 3 % at 1.7, by 20 % at 2.8.
+_COARSE_EDGE = 1.7
+# Of the surface; smaller thin parts do not decide how a body bends.
+_THIN_SHARE = 0.02
+# Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
+_SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
+_EARTH = 9.81
+# Foams have 10 to 100 kg/m^3.
+_LIGHTEST = 5.0
+# Over the largest measured displacement: an object that sinks farther was to be seen to sink.
+_SINKS = 2.0
+# Of the surface: a smaller support is more likely one that was missed.
+_SMALLEST_SUPPORT = 2e-3
+# Of the surface; more is held where an object is cast in, and by a tolerance that is too large.
+_MOST_HELD = 0.6
+# Over the median of all displacements, of so many points at least: a support that slipped.
+_SLIPS, _FEW_HELD = 0.5, 4
+
+
+def check_error_lengths(session: Session) -> None:
+    """Refuse standard deviations of lengths that exceed the body: they are in another unit.
+
+    Parameters
+    ----------
+    session : Session
+
+    Raises
+    ------
+    InputError                      the text names the error
+    """
+    size, usual = bounding_diagonal(session.mesh), ErrorPriors()
+    given = {
+        f"point_std of {quoted(name)}": value
+        for name, value in session.errors.contact_points.items()
+    }
+    for one in session.probings:
+        if one.tip_displacement_std is not None:
+            given[f"tip_displacement_std of {quoted(one.name)}"] = float(
+                one.tip_displacement_std.max()
+            )
+    for key in ("contact_point", "pose_translation"):
+        value = getattr(session.errors, key)
+        if value != getattr(usual, key):
+            given[f"{key.replace('_', ' ')} of [errors]"] = value
+    for name, value in given.items():
+        if value > size:
+            raise InputError(
+                f"{name} is {value:.3g} m, one standard deviation, more than the body of"
+                f" {size:.3g} m across; {UNIT_HINT}, or give the error with its unit"
+            )
+
+
+def plausibility_notes(session: Session) -> tuple[str, ...]:
+    """Sentences about sizes and signs that are possible but more likely a mistake.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    tuple of str                    full sentences
+    """
+    mesh = session.mesh
+    size = bounding_diagonal(mesh)
+    notes = []
+    notes += _thin_notes(mesh)
+    if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
+        notes.append(f"The object is {size:.3g} m across, an implausible size: {UNIT_HINT}.")
+    if session.probings:
+        area = triangle_areas(mesh)
+        share = float(area[session.held_triangles].sum() / area.sum())
+        if share < _SMALLEST_SUPPORT:
+            notes.append(
+                f"The support is {100.0 * share:.2g} % of the surface"
+                f" ({len(session.held_triangles)} triangles): is it all that is held? Check the"
+                " selectors in [support]."
+            )
+    if session.gravity is not None and abs(np.linalg.norm(session.gravity) / _EARTH - 1.0) > 0.01:
+        notes.append(
+            f"Gravity is {np.linalg.norm(session.gravity):.3g} m/s^2; the earth's is {_EARTH}."
+        )
+    if session.density is not None and session.density < _LIGHTEST:
+        notes.append(
+            f"The density is {session.density:.3g} kg/m^3, lighter than foam: is it in g/cm^3?"
+        )
+    areas = triangle_areas(mesh)
+    share = float(areas[session.held_triangles].sum() / areas.sum())
+    if share > _MOST_HELD:
+        notes.append(
+            f"The support is {100.0 * share:.0f} % of the surface: if the object stands on one side"
+            " only, check the tolerance of the plane."
+        )
+    notes += _slip_notes(session)
+    notes += _settlement_notes(session)
+    for probing in session.probings:
+        notes += [f"Probing {probing.name}: {text}" for text in probing_notes(mesh, probing, size)]
+    return tuple(notes)
+
+
+def _thin_notes(mesh: TriangleMesh) -> list[str]:
+    """Whether walls are thinner than their triangles can follow, and what mesh would do."""
+    corner = mesh.vertices[mesh.triangles]
+    edge = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean(axis=1)
+    thickness, area = wall_thickness(mesh), triangle_areas(mesh)
+    thin = edge > _COARSE_EDGE * thickness
+    if area[thin].sum() < _THIN_SHARE * area.sum():
+        return []
+    k = int(np.where(thin, thickness, np.inf).argmin())
+    share = edge[thin] / (_COARSE_EDGE * thickness[thin])
+    wanted = len(mesh.vertices) + 0.5 * float((share**2 - 1.0).sum())
+    place = ", ".join(f"{1e3 * x:.0f}" for x in corner[k].mean(axis=0))
+    text = (
+        f"The object is {1e3 * thickness[k]:.3g} mm thin at ({place}) mm, where the edges of its"
+        f" triangles are {1e3 * edge[k]:.3g} mm long: stretching in its plane is modelled, bending"
+        f" out of it comes out too stiff. If it bends, use about {wanted:.2g} vertices (palpate"
+        " mesh)."
+    )
+    return [text]
+
+
+def _slip_notes(session: Session) -> list[str]:
+    """Points on a support that is said to be fixed and moved with the rest."""
+    still = [
+        one.triangles
+        for one in session.supports
+        if one.motion == FIXED and one.stiffness is None and one.directions is None
+    ]
+    held = np.concatenate([np.zeros(0, dtype=np.int64), *still])
+    notes = []
+    for probing in session.probings:
+        if probing.displacement is None:
+            continue
+        moved = np.linalg.norm(probing.displacement.displacement, axis=1)
+        motion = float(np.nanmedian(moved))
+        slips = moved[held_points(session.mesh, held, probing.displacement)]
+        slips = slips[~np.isnan(slips)]
+        if len(slips) >= _FEW_HELD and np.median(slips) > _SLIPS * motion:
+            notes.append(
+                f"Probing {probing.name}: {len(slips)} points on the support moved by"
+                f" {np.median(slips):.3g} m (median), the others by {motion:.3g} m: it slipped, or"
+                ' the points are in another frame; see motion = "given" or "free" of [support].'
+            )
+    return notes
+
+
+def _settlement_notes(session: Session) -> list[str]:
+    """Supports into whose springs the object would sink farther than anything moved."""
+    notes = []
+    areas = triangle_areas(session.mesh)
+    for number, support in enumerate(session.supports, start=1):
+        for probing in session.probings:
+            force = float(np.linalg.norm(probing.force))
+            sunk = force * support.compliance / float(areas[support.triangles].sum())
+            largest = largest_displacement(probing)
+            if len(session.supports) == 1 and sunk > _SINKS * largest > 0.0:
+                notes.append(
+                    f"Probing {probing.name}: under its {force:.3g} N the object would sink"
+                    f" {sunk:.3g} m into support {number}, whose stiffness is"
+                    f" {support.stiffness:.3g} N/m^3; nothing moved farther than {largest:.3g} m:"
+                    " is it in N/m^3?"
+                )
+    return notes
