@@ -1,5 +1,7 @@
 """Error classes of Palpate. Bad input raises; a numerical outcome is data (`Status`)."""
 
+from datetime import date, time
+
 # A value is quoted up to here, and a whole message is no longer than a terminal shows.
 _MOST_QUOTED, _MOST_SAID = 80, 1200
 
@@ -12,6 +14,8 @@ def quoted(value: object) -> str:
     value : anything                that a user wrote
     """
     try:
+        if isinstance(value, date | time):
+            return value.isoformat()
         return _cut(repr(value), _MOST_QUOTED)
     except (ValueError, RecursionError):
         return "a number of too many digits, or lists in lists without end"

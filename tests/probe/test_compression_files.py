@@ -119,7 +119,7 @@ def test_lengths_carry_their_unit(text, metres):
         ("50", "did you mean 50mm"),
         ("wide", "write a number with its unit"),
         ("5 ells", "write a number with its unit"),
-        ("-5mm", "a specimen has 0.1 mm to 2 m"),
+        ("-5mm", "must be from 0.1 mm to 2 m"),
     ],
 )
 def test_lengths_that_no_specimen_has(text, message):

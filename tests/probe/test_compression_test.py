@@ -159,7 +159,7 @@ def test_bad_records_are_refused():
         compression_test(shortening, force[1:], **SIZES)
     with pytest.raises(InputError, match="first is number 3"):
         compression_test(shortening, np.where(np.arange(120) == 3, np.nan, force), **SIZES)
-    with pytest.raises(InputError, match="force falls"):
+    with pytest.raises(InputError, match="force does not rise"):
         compression_test(shortening, -force, **SIZES)
     with pytest.raises(InputError, match="displacement is negative"):
         compression_test(shortening - 0.0005, force, **SIZES)

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -59,9 +60,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         if isinstance(error, BrokenPipeError):
             return _BROKEN_PIPE
+        if not _is_there(Path()):
+            _say("the current folder is there no more; change to another one")
+            return BAD_INPUT
         # As messages of our own: no longer than a terminal shows.
         _say(str(PalpateError(f"{error.filename or 'output'}: {error.strerror or error}")))
         return BAD_INPUT
+
+
+def _is_there(folder: Path) -> bool:
+    """Whether a folder can be asked where it is."""
+    try:
+        return folder.absolute().is_dir()
+    except OSError:
+        return False
 
 
 def _say(text: str) -> None:

@@ -8,7 +8,11 @@ Read first : `campaign.py`, then `work.py`, then `engine.py`.
 """
 
 from palpate.campaign.campaign import run_campaign as run_campaign
-from palpate.campaign.engine import Engine as Engine, started_engine as started_engine
+from palpate.campaign.engine import (
+    Engine as Engine,
+    cores as cores,
+    started_engine as started_engine,
+)
 from palpate.campaign.figure import campaign_figure as campaign_figure
 from palpate.campaign.items import CampaignItem as CampaignItem, read_items as read_items
 from palpate.campaign.package import pack_session as pack_session

@@ -18,7 +18,7 @@ from palpate.bem import (
     make_surface,
 )
 from palpate.errors import InputError
-from palpate.geometry import interpolation_matrix
+from palpate.geometry import bounding_diagonal, interpolation_matrix
 from palpate.pipeline.model import (
     check_balance,
     compliances,
@@ -183,7 +183,12 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
                                         have none; a bad one
     """
     require_probings(session)
-    first = session.probings[0].contact
+    first, size = session.probings[0].contact, bounding_diagonal(session.mesh)
+    if radius is not None and 2.0 * radius > size:
+        raise InputError(
+            f"the contact is wider than the body: its radius is {radius:.3g} m, the mesh is"
+            f" {size:.3g} m across; give the radius of the patch in metres, or with its unit"
+        )
     if first.radius is not None:
         return replace(first, point=point, radius=first.radius if radius is None else radius)
     if radius is None:

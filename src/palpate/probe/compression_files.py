@@ -66,7 +66,7 @@ def metres_from_text(text: str, *, name: str = "length") -> float:
     metres = float(match[1]) * METRES[match[2] or "m"]
     if not 1e-4 <= metres <= 2.0:
         hint = f"did you mean {match[1]}mm?" if not match[2] else "check the unit"
-        raise InputError(f'{name} is "{text}", that is {metres:g} m; a specimen has 0.1 mm to 2 m: '
+        raise InputError(f'{name} is "{text}", that is {metres:g} m; must be from 0.1 mm to 2 m: '
                          f"{hint}")  # fmt: skip
     return metres
 
@@ -213,9 +213,11 @@ def _unit(
     notes: list[str],
 ) -> float:
     """Factor to SI: as asked, else as the column's name says in brackets, else the usual unit."""
-    if wanted is not None:
-        return known[wanted]
     found = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", column.heading)
+    if wanted is not None:
+        if found and found[1] != wanted:
+            notes.append(f"The file says {found[1]} for the {what}; {wanted} is taken, as asked.")
+        return known[wanted]
     if found and found[1] in known:
         return known[found[1]]
     if found:

@@ -18,6 +18,8 @@ SLOW_POLYNOMIALS = 3  # departures from the line that set the interval: second t
 MAX_FALL = 0.01  # of the used range: noise of a gauge is smaller, an unloading goes back
 MAX_TOE_SLOPE = 0.75  # first fifth of the range softer than this share of the whole: a toe
 MIN_READINGS = 5
+MAX_OFF_LINE = 0.2  # of the stress: no soft cylinder bends so far within ten percent
+_STRONGEST = 3e9  # the strongest steels yield here [Pa]
 
 Kept = Float[np.ndarray, " kept"]
 
@@ -116,11 +118,12 @@ def compression_test(
     if preload is not None:
         displacement, force = _from_contact(displacement, force, preload, where)
     strain, stress = displacement / height, force / (np.pi * diameter**2 / 4)
+    _refuse_impossible(strain, stress, height, where)
     strain, stress = _inside(strain, stress, strain_range, height, where)
     slope, intercept = _line(strain, stress)
     if not slope > 0:
         raise InputError(
-            f"{where}the force falls while the cylinder is pressed (slope {slope:.4g} Pa); "
+            f"{where}the force does not rise while the cylinder is pressed (slope {slope:.4g} Pa); "
             "compression and its force must both be positive: check the signs of the columns"
         )
     deviation, freedom = slope_deviation(strain, stress)
@@ -321,6 +324,23 @@ def _inside(
     return strain[kept], stress[kept]
 
 
+def _refuse_impossible(
+    strain: PointScalars, stress: PointScalars, height: float, where: str
+) -> None:
+    """Refuse a cylinder pressed by more than its height, or harder than any steel bears."""
+    if strain.max(initial=0.0) >= 1.0:
+        raise InputError(
+            f"{where}the displacement reaches {strain.max() * height:.4g} m, the cylinder is"
+            f" {height:.4g} m high; check the height, the unit of the displacement, and that the"
+            " columns are not exchanged"
+        )
+    if stress.max(initial=0.0) > _STRONGEST:
+        raise InputError(
+            f"{where}the force reaches a pressure of {stress.max() / 1e9:.3g} GPa, more than any"
+            f" steel bears ({_STRONGEST / 1e9:g} GPa); check the unit of the force and the diameter"
+        )
+
+
 def _refuse_return(strain: PointScalars, high: float, height: float, where: str) -> None:
     """Refuse displacement that starts far from zero, or goes back by more than noise."""
     if strain.min() < -MAX_FALL * high:
@@ -351,6 +371,13 @@ def _notes(
                 f"softer than the whole (ends not yet in full contact?); start the range at "
                 f"{strain[early][-1]:.2g} or above, or use a preload."
             )
+    residual = stress - stress.mean() - slope * (strain - strain.mean())
+    off = float(np.abs(residual).max() / np.ptp(stress))
+    if off > MAX_OFF_LINE:
+        notes.append(
+            f"The readings lie up to {100 * off:.0f} % of the stress off a straight line: look at"
+            " the record (jumps, changes of sign), or choose a range in which it is straight."
+        )
     factor = gent_lindley_factor(diameter, height)
     if factor > 1.02:
         notes.append(

@@ -1,6 +1,7 @@
 """Calibrated cameras around the object, and what other programs matched in their pictures."""
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,8 @@ from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6
+# Over the distance of the farthest camera: rounding, and no baseline.
+_SAME_PLACE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,6 +173,29 @@ def camera_centre(camera: Camera) -> Vector3:
     """
     pose = camera.T_camera_object
     return -pose[:3, :3].T @ pose[:3, 3]
+
+
+def check_baselines(rig: Rig) -> None:
+    """Refuse two cameras at one place: together they see no depth, whatever the others see.
+
+    Parameters
+    ----------
+    rig : Rig
+
+    Raises
+    ------
+    CalibrationError                the text names both cameras
+    """
+    centre = np.array([camera_centre(camera) for camera in rig.cameras])
+    near = _SAME_PLACE * np.linalg.norm(centre, axis=1).max()
+    for (i, first), (k, second) in combinations(enumerate(rig.cameras), 2):
+        if np.linalg.norm(centre[i] - centre[k]) <= near:
+            place = ", ".join(f"{x:.4g}" for x in centre[i])
+            raise CalibrationError(
+                f"{rig.source}: cameras '{first.name}' and '{second.name}' stand at the same place,"
+                f" ({place}) m: together they show no depth; correct R and t, or leave one of them"
+                " out"
+            )
 
 
 def picture_size(camera: Camera) -> tuple[int, int]:

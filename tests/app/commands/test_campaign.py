@@ -109,4 +109,4 @@ def test_workers_of_ones_own(palpate, tmp_path, words):
     (tmp_path / "list.txt").write_text("nowhere\n")
     code, _, err = palpate("campaign", "list.txt", *words)
     assert code == 2
-    assert "must be 1 or more, and is for the cluster that the command starts itself" in err
+    assert "and is for the cluster that the command starts itself" in err

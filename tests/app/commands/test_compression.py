@@ -86,6 +86,9 @@ def test_output_that_cannot_be_written_leaves_nothing(palpate, record, tmp_path)
 
 
 def test_units_are_passed_on(palpate, record):
+    # No cylinder is pressed by more than its height.
+    rows = np.loadtxt(record, delimiter=",")
+    np.savetxt(record, rows[rows[:, 0] < 2.0], delimiter=",")
     options = ("--displacement-unit", "cm", "--force-unit", "kN", "--strain", "0..50%")
     code, out, _ = palpate("compression", record, *SIZES, *options)
     # Ten times the shortening and a thousand times the force: 100 times the modulus, 10 MPa.

@@ -191,7 +191,7 @@ def test_vtp_of_another_kind_is_refused(tmp_path):
     with pytest.raises(MeshError, match="it holds no PolyData"):
         read_mesh(path)
     path.write_text("not xml")
-    with pytest.raises(MeshError, match="cannot be read as a VTP surface"):
+    with pytest.raises(MeshError, match="cannot be read as a surface in the format VTP"):
         read_mesh(path)
     path.write_text("<VTKFile><PolyData><Piece/></PolyData></VTKFile>")
     with pytest.raises(MeshError, match="an array of points or polygons is missing"):

@@ -23,6 +23,8 @@ distortions = {LENS}
 rotation = {TURN.tolist()}
 translation = {SHIFT.tolist()}
 """
+BESIDE_SHIFT = np.add(SHIFT, [0.1, 0.0, 0.0])
+BESIDE = CAMERA.replace(str(SHIFT.tolist()), str(BESIDE_SHIFT.tolist()))
 CALISCOPE = f"""
 [cameras.1]
 port = 1
@@ -34,7 +36,7 @@ grid_count = 20
 [cameras.10]
 port = 10
 ignore = false
-{CAMERA}
+{BESIDE}
 [cameras.2]
 port = 2
 ignore = true
@@ -49,17 +51,17 @@ name = "left"
 [cam_1]
 name = "right"
 fisheye = false
-{CAMERA}
+{BESIDE}
 [metadata]
 adjusted = false
 error = 0.0
 """
 
 
-def _check(camera):
+def _check(camera, shift=SHIFT):
     points = np.random.default_rng(5).uniform(-0.1, 0.1, (20, 3))
     turn = Rotation.from_rotvec(TURN).as_matrix()
-    wanted = cv_pixels(points @ turn.T + SHIFT, INNER, LENS)
+    wanted = cv_pixels(points @ turn.T + shift, INNER, LENS)
     np.testing.assert_allclose(project(camera, points), wanted, atol=1e-9)
     assert camera.size == (1920, 1080)
 
@@ -69,13 +71,13 @@ def test_caliscope(tmp_path):
     path.write_text(CALISCOPE)
     rig = read_rig(path)
     assert [camera.name for camera in rig.cameras] == ["1", "10"]
-    for camera in rig.cameras:
-        _check(camera)
+    for camera, shift in zip(rig.cameras, (SHIFT, BESIDE_SHIFT), strict=True):
+        _check(camera, shift)
     # Older versions: tables side by side, numbers as text, lens terms in brackets of their own.
     text = CALISCOPE.replace("[cameras.", "[cam_").replace(str(LENS), f"[{list(map(str, LENS))}]")
     path.write_text(text)
     assert [camera.name for camera in read_rig(path).cameras] == ["cam_1", "cam_10"]
-    _check(read_rig(path).cameras[1])
+    _check(read_rig(path).cameras[1], BESIDE_SHIFT)
 
 
 def test_anipose(tmp_path):
@@ -88,7 +90,7 @@ def test_anipose(tmp_path):
     _check(rig.cameras[0])
     path.write_text('length_unit = "mm"\n' + ANIPOSE.replace(str(TURN.tolist()), _matrix()))
     pose = read_rig(path).cameras[1].T_camera_object
-    np.testing.assert_allclose(pose[:3, 3], 1e-3 * SHIFT, rtol=1e-12)
+    np.testing.assert_allclose(pose[:3, 3], 1e-3 * BESIDE_SHIFT, rtol=1e-12)
     np.testing.assert_allclose(pose[:3, :3], Rotation.from_rotvec(TURN).as_matrix(), atol=1e-12)
 
 

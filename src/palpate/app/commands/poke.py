@@ -22,6 +22,8 @@ from palpate.shapes import Points
 _Triple = tuple[float, float, float]
 # Newtons that no tool has; and of the object's size, what is no small deformation.
 _STRONGEST, _SMALL = 1e9, 0.1
+# Of the softest gel and of diamond [Pa].
+_MODULI = (1.0, 1.2e12)
 # Rows and columns of the stress that are shown, by their names.
 _COMPONENTS = {
     "sxx": (0, 0), "syy": (1, 1), "szz": (2, 2), "sxy": (0, 1), "syz": (1, 2), "szx": (2, 0),
@@ -126,9 +128,12 @@ def _material(
             "give the material in one way: --result FOLDER of `palpate fit`, or --poisson-ratio"
             " with either --young-modulus or --shear-modulus"
         )
-    if not moduli[0] > 0.0:
+    if not _MODULI[0] <= moduli[0] <= _MODULI[1]:
         option = "--young-modulus" if shear is None else "--shear-modulus"
-        raise InputError(f"{option} is {moduli[0]:g}; must be positive, in Pa")
+        raise InputError(
+            f"{option} is {moduli[0]:g}; must be {_MODULI[0]:g} to {_MODULI[1]:g} Pa, from the"
+            " softest gel to diamond"
+        )
     if not -1.0 < ratio <= 0.5:
         raise InputError(f"--poisson-ratio is {ratio:g}; must be above -1, and 0.5 at most")
     return (shear, ratio) if shear is not None else (moduli[0] / (2.0 * (1.0 + ratio)), ratio)

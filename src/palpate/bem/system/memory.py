@@ -30,6 +30,8 @@ LARGEST_DENSE = 5000
 _BYTES_A_VERTEX = 170e3
 _VECTORS_BESIDE = 110
 _USABLE_SHARE = 0.9
+# Fewer are no object any more.
+_LEAST_VERTICES = 100
 # Where Linux says how much a container may have.
 _CONTAINER_LIMITS = (
     Path("/sys/fs/cgroup/memory.max"),
@@ -68,11 +70,16 @@ def check_memory(
         if rollers or dense:
             model = "dense matrices (as supports that roll or give take them) need"
         most = _most_vertices(n_probings, rollers, dense, usable)
+        cure = (
+            f"simplify the surface to at most {most} vertices in a mesh program (decimate, remesh;"
+            " 1000 to 3000 serve most objects)"
+        )
+        if most < _LEAST_VERTICES:
+            fewer = "choose fewer probings (--probe), or " if n_probings > 1 else ""
+            cure = f"{fewer}decimate the surface, or use a machine with more memory"
         raise InputError(
             f"the mesh has {n_vertices} vertices, whose {model} {needed / 1e9:.1f} GB of"
-            f" memory {_for(n_probings)}; {usable / 1e9:.1f} GB can be used here: simplify"
-            f" the surface to at most {most} vertices in a"
-            " mesh program (decimate, remesh; 1000 to 3000 serve most objects)"
+            f" memory {_for(n_probings)}; {usable / 1e9:.1f} GB can be used here: {cure}"
         )
 
 

@@ -51,6 +51,8 @@ _CELLS = {
 _CELL_STARTS = {".obj": b"\nf ", ".stl": b"endfacet"}
 # A binary STL: 80 bytes of anything, the number of triangles, 50 bytes for each.
 _STL_HEAD, _STL_TRIANGLE = 84, 50
+# A text STL has a facet within so many bytes; a binary one may begin with the same word.
+_STL_TEXT = 2000
 # Sizes of objects [m]: from the largest cell to a mountain. Beyond, a unit is wrong, and squares
 # and cubes of lengths would leave the range of numbers.
 _SPAN = (1e-6, 1e4)
@@ -96,10 +98,15 @@ def read_mesh(
     with damage(
         path,
         "open it in a mesh program and save it again",
-        what=f"cannot be read as a {suffix[1:].upper()} surface",
+        what=f"cannot be read as a surface in the format {suffix[1:].upper()}",
         kind=MeshError,
     ):
+        _check_whole(content, suffix)
         vertices, triangles = _raw_surface(path, content)
+        if triangles.max(initial=-1) >= len(vertices):
+            raise ValueError(
+                f"a face names vertex {triangles.max()}, counted from 0, of {len(vertices)}"
+            )
         used = vertices[np.unique(triangles)]
     if len(triangles) == 0:
         raise MeshError(f"{path}: holds no triangles; give a closed triangle surface")
@@ -179,6 +186,28 @@ def _claimed(content: bytes, suffix: str) -> int:
         if content[_STL_HEAD - 4 : _STL_HEAD] == count.to_bytes(4, "little"):
             return count
     return content.count(_CELL_STARTS[suffix]) if suffix in _CELL_STARTS else 0
+
+
+def _check_whole(content: bytes, suffix: str) -> None:
+    """Refuse a file that holds less, or more, than it says: it was cut off, or edited by hand."""
+    if suffix == ".ply":
+        head, _, rows = content.partition(b"end_header")
+        counts = re.findall(rb"element\s+\w+\s+(\d+)", head)
+        if b"format ascii" in head and counts:
+            _check_said(
+                sum(map(int, counts)), float(sum(map(bool, map(bytes.strip, rows.splitlines()))))
+            )
+    elif suffix == ".stl" and content.startswith(b"solid") and b"facet" in content[:_STL_TEXT]:
+        if b"endsolid" not in content:
+            raise ValueError("its last line, endsolid, is missing: it was cut off")
+    elif suffix == ".stl" and len(content) >= _STL_HEAD:
+        said = int.from_bytes(content[_STL_HEAD - 4 : _STL_HEAD], "little")
+        _check_said(said, (len(content) - _STL_HEAD) / _STL_TRIANGLE, "triangles")
+
+
+def _check_said(said: int, found: float, what: str = "rows") -> None:
+    if said != found:
+        raise ValueError(f"it says that it has {said} {what}, and holds {found:g}")
 
 
 def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> None:

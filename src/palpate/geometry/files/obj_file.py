@@ -1,10 +1,18 @@
-"""Surfaces in Wavefront's OBJ format: vertices and faces, all else left aside."""
+"""Surfaces in Wavefront's OBJ format: vertices and faces, all else of it left aside."""
 
 from itertools import pairwise
 
 import numpy as np
 
 from palpate.shapes import Triangles, Vertices
+
+# Statements of the format, and of programs that added colours, that a surface does not need.
+_OTHERS = frozenset({
+    "vt", "vn", "vp", "p", "l", "o", "g", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "lod",
+    "bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step",
+    "curv", "curv2", "surf", "parm", "trim", "hole", "scrv", "sp", "end", "con", "ctech", "stech",
+    "call", "csh",
+})  # fmt: skip
 
 
 def parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
@@ -26,21 +34,31 @@ def parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
     """
     vertices: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
+    latest, goes_on = (0, 0), False
     for number, line in enumerate(content.decode("utf-8", errors="replace").splitlines(), start=1):
         kind, *words = line.partition("#")[0].split() or [""]
-        if kind not in ("v", "f"):
+        continued, goes_on = goes_on, line.endswith("\\")
+        if not kind or continued or kind in _OTHERS:
             continue
         try:
+            if kind not in ("v", "f"):
+                raise ValueError
             if "_" in line:  # Python's own, "1_000", in no file of numbers
                 raise ValueError
             if kind == "v":
                 x, y, z = map(float, words[:3])
                 vertices.append([x, y, z])
             else:
-                first, *others = (_index(word, len(vertices)) for word in words)
+                first, second, third, *more = (_index(word, len(vertices)) for word in words)
+                others = (second, third, *more)
                 triangles += [(first, a, b) for a, b in pairwise(others)]
+                latest = max(latest, (max(first, *others), number))
         except ValueError as error:
             raise ValueError(f"line {number}: '{line[:40]}' is no vertex or face of it") from error
+    if latest[0] >= len(vertices):
+        raise ValueError(
+            f"line {latest[1]}: the face names vertex {latest[0] + 1}, of {len(vertices)} vertices"
+        )
     return (
         np.array(vertices, dtype=np.float64).reshape(-1, 3),
         np.array(triangles, dtype=np.int64).reshape(-1, 3),

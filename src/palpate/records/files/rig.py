@@ -12,7 +12,7 @@ from palpate.files import is_file
 from palpate.records.program import CalibrationFile, make_pose
 from palpate.records.programs import holds_camera_tables, read_calibration
 from palpate.records.quantities import FILE_LENGTH_UNITS
-from palpate.records.rig import Camera, Rig
+from palpate.records.rig import Camera, Rig, check_baselines
 from palpate.records.text import TomlTable, nearest_file, read_toml, write_text
 
 _FILE = "rig.toml"
@@ -50,8 +50,11 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
         raise RecordError(f"{path}: no such file{nearest_file(path)}")
     root = read_toml(path) if path.suffix.lower() == ".toml" else None
     if root is None or holds_camera_tables(root.values):
-        return read_calibration(path, length_unit=length_unit)
-    return _read_toml_rig(root, length_unit)
+        rig = read_calibration(path, length_unit=length_unit)
+    else:
+        rig = _read_toml_rig(root, length_unit)
+    check_baselines(rig)
+    return rig
 
 
 def write_rig(path: Path | str, rig: Rig) -> None:

@@ -39,6 +39,8 @@ from palpate.shapes import Vector3
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
+# A file of another suffix is something else: a mesh, a table, a result.
+_SESSION_SUFFIXES = (".toml", ".txt", "")
 # What a folder of films and a force log has in place of a session.
 _RECORDING_FILE = "recording.toml"
 _ROOT_KEYS = (
@@ -160,6 +162,11 @@ def session_file(path: Path) -> Path:
         raise RecordError(
             f"{path}: no such file or folder{nearest_file(path)};"
             " give a session's folder or its session.toml"
+        )
+    if path.suffix.lower() not in _SESSION_SUFFIXES:
+        raise RecordError(
+            f"{path}: is no session file; give a session's folder or its session.toml"
+            " (`palpate init FOLDER` begins one)"
         )
     return path
 

@@ -87,6 +87,9 @@ def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: flo
         support.fail("", f"is empty; give at least one of {', '.join(_SELECTORS)}")
     held = np.zeros(len(mesh.triangles), dtype=bool)
     nearest = ""
+    for key in ("plane", "box"):
+        if support.values.get(key) == []:
+            support.fail(key, "is an empty list; give a table, or leave the key out")
     if "plane" in support.values:
         for plane in support.tables("plane", f"{support.name} plane"):
             off_plane, tolerance = _plane_distance(plane, mesh, metres_per_unit)

@@ -25,19 +25,20 @@ def nearest_word(word: str, allowed: Sequence[str]) -> str:
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
-def nearest_file(path: Path) -> str:
+def nearest_file(path: Path, *, but: str = "") -> str:
     """Sentence part that offers the file of the nearest name in the same folder, or nothing.
 
     Parameters
     ----------
     path : Path                     that is not there
+    but : str                       name of the file that asks, which it cannot mean
 
     Returns
     -------
     str                             as `nearest_word`; empty too where there is no such folder
     """
     try:
-        beside = [name for name in os.listdir(path.parent) if name != path.name]
+        beside = [name for name in os.listdir(path.parent) if name not in (path.name, but)]
         return nearest_word(path.name, sorted(beside)[:_MOST_NAMES])
     except (OSError, ValueError):
         return ""

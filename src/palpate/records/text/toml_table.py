@@ -144,8 +144,7 @@ class TomlTable:
         ------
         RecordError                     as `text`; a line break or what else cannot be printed
         """
-        value = self.text(key)
-        if not value.isprintable():
+        if not (value := self.text(key)).isprintable():
             self.fail(key, f"is {quoted(value)}; must have no line break or control character")
         return value
 
@@ -369,7 +368,8 @@ class TomlTable:
         path = self.file.parent / self.text(key)
         if not is_file(path):
             what = "is a folder, not a file" if os.path.isdir(path) else "no such file"
-            self.fail(key, f"{what}: {quoted(str(path))[1:-1]}{nearest_file(path)}")
+            near = nearest_file(path, but=self.file.name)
+            self.fail(key, f"{what}: {quoted(str(path))[1:-1]}{near}")
         return path
 
 

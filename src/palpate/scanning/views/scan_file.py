@@ -92,6 +92,8 @@ def read_scan(path: Path, *, progress: Progress = silent) -> Scan:
     for k, one in enumerate(tables):
         progress(f"view {k + 1} of {len(tables)}", k / len(tables))
         view, own = _view(one, k, setup)
+        if "file" in one.values and own[-1] in files:
+            one.fail("file", f"{own[-1].name} is another view already; name each once")
         views.append(view)
         files += own
     posed = [view.T_object_view is not None for view in views]

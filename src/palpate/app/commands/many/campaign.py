@@ -23,6 +23,7 @@ from palpate.campaign import (
     Row,
     Store,
     campaign_figure,
+    cores,
     groups_of,
     outliers,
     read_items,
@@ -38,6 +39,8 @@ from palpate.records import check_free, disk_errors, modulus_unit
 _Campaign = Annotated[Path, Parameter(help="Folder of the campaign.")]
 _Force = Annotated[bool, Parameter(negative="", help="Replace a file of that name.")]
 _NOT_OK = 3
+# Workers wait for pictures, not for each other; more of them only share the memory.
+_MOST_PER_CORE = 16
 _WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
 # A message in a table is for knowing what it is about; the files have all of it.
 _MOST_LETTERS = 160
@@ -85,10 +88,11 @@ def run(
     int
         0, or 3 where a session has no result.
     """
-    if workers is not None and (scheduler is not None or workers < 1):
+    most = _MOST_PER_CORE * cores()
+    if workers is not None and (scheduler is not None or not 1 <= workers <= most):
         raise InputError(
-            f"--workers is {workers}; must be 1 or more, and is for the cluster that the command"
-            " starts itself, not for one with --scheduler"
+            f"--workers is {workers}; must be 1 to {most}, {_MOST_PER_CORE} for every core, and is"
+            " for the cluster that the command starts itself, not for one with --scheduler"
         )
     items = read_items(sessions)
     folder = out or Path(f"{sessions.resolve().stem}-campaign")
