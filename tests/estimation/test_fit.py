@@ -221,6 +221,22 @@ def test_noise_that_is_not_claimed_is_estimated() -> None:
     assert any("estimated from the residuals" in note for note in found.notes)
 
 
+def test_a_component_that_runs_the_other_way_is_told() -> None:
+    """Of so few points the order of the residuals tells nothing."""
+    probe = _probes(count=1, noise=1e-6)[0]
+    nearest = np.argsort(-np.linalg.norm(probe.displacement, axis=1))[:24]
+    field = np.full_like(probe.displacement, np.nan)
+    field[nearest] = probe.displacement[nearest]
+    right = replace(probe, std=None, displacement=field)
+    wrong = replace(right, displacement=field * [-1.0, 1.0, 1.0])
+    assert fit([right]).estimate.status == Status.OK
+    estimate = fit([wrong]).estimate
+    assert estimate.status == Status.MODEL_CONTRADICTED
+    notes = [note for note in estimate.notes if "exceed what moved" in note]
+    assert len(notes) == 1
+    assert notes[0].startswith("Along x the residuals")
+
+
 def test_too_small_claims_widen_and_too_large_ones_shrink_as_far_as_probings_agree() -> None:
     probes = _probes(count=6, noise=3e-5)
     right = fit(probes).estimate

@@ -27,7 +27,7 @@ from palpate.estimation.intervals import (
     with_prior_ranges,
 )
 from palpate.estimation.noise import NOISE_MODELS, noise_levels
-from palpate.estimation.notes import fit_notes
+from palpate.estimation.notes import fit_notes, opposed_notes
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.responses import ResponseTable, response_table
@@ -119,7 +119,8 @@ def fit(
     errors = error_estimates(misfit.shared, minimum.errors, std)
     every = [*errors, *(error for one in fits for error in one.errors)]
     status = Status.from_identifiable(identifiable)
-    if contradictions or any(error.is_impossible for error in every):
+    opposed = opposed_notes(misfit, joint)
+    if contradictions or opposed or any(error.is_impossible for error in every):
         status = Status.MODEL_CONTRADICTED
     if not minimum.converged:
         status = Status.NOT_CONVERGED

@@ -31,6 +31,8 @@ _WORDS = {
 _MENTIONED_FACTOR = 2.0
 # Fewer points leave the noise level and the errors that they share undetermined.
 _FEW_POINTS = 4
+# Residuals over the motion of a component and of all; chance may do it with fewer rows.
+_OPPOSED, _TOLD, _FEW_ROWS = 1.3, 0.1, 8
 # A force of smaller robust weight is mentioned.
 _MIN_FORCE_WEIGHT = 0.5
 
@@ -58,6 +60,7 @@ def fit_notes(
     tuple of str                    empty where there is nothing to say
     """
     notes = [*_count_notes(misfit), *_noise_notes(misfit), *_interval_notes(uncertainty)]
+    notes += opposed_notes(misfit, uncertainty)
     for probe in uncertainty.minimum.probes:
         if probe.force_weight < _MIN_FORCE_WEIGHT:
             off = float(np.linalg.norm(probe.shift[:3]))
@@ -110,6 +113,41 @@ def _noise_notes(misfit: Misfit) -> list[str]:
             "Residuals exceed the given standard deviations, which were multiplied by"
             f" {', '.join(parts)}."
         )
+    return notes
+
+
+def opposed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
+    """Sentences about components whose residuals exceed all that moved: the model has them the
+    other way round.
+
+    Noise is part of what was measured, so that it cannot exceed it where the model is right. This
+    needs few points, and no claim of what their noise is.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    uncertainty : Uncertainty       of all probings
+
+    Returns
+    -------
+    list of str                     empty where the model contradicts none
+    """
+    probes = uncertainty.minimum.probes
+    group = np.concatenate([probe.rows.group for probe in probes]) % (GROUP_COUNT // 2)
+    moved = np.concatenate([probe.rows.measured for probe in probes])
+    left = np.concatenate([one.residual * one.rows.sigma(misfit.level) for one in probes])
+    notes = []
+    for g in np.unique(group):
+        seen = group == g
+        residual, motion = (float(np.sqrt((x[seen] ** 2).mean())) for x in (left, moved))
+        of_all = residual > _TOLD * float(np.sqrt((moved**2).mean()))
+        if of_all and seen.sum() >= _FEW_ROWS and residual > _OPPOSED * motion:
+            notes.append(
+                f"Along {_GROUP_NAMES[g]} the residuals, {_length_text(residual)}, exceed what"
+                f" moved there, {_length_text(motion)}: the model contradicts it. Check the"
+                " signs and the order of the components of force and displacement, the rows of the"
+                " file, and whether the object moved with its support."
+            )
     return notes
 
 

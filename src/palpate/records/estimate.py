@@ -45,7 +45,13 @@ _FINDINGS = {
         "only Poisson's ratio is determined by the data",
         f"for the moduli check the force, then {_SCALE_CURE}",
     ),
-    "nothing_identifiable": ("no constant is determined by the data", _SCALE_CURE),
+    "nothing_identifiable": (
+        "no constant is determined by the data",
+        (
+            "check that force, contact point and displacements belong together, with their signs"
+            f" and the order of their components; then {_SCALE_CURE}"
+        ),
+    ),
     "model_contradicted": (
         (
             "the model does not explain what was measured, so the constants may be far off and"
