@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from benchmarks.bodies import BODIES, Shape
+from benchmarks.bodies import Shape
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.lab.bodies.finite_elements import (
     Body,
@@ -130,19 +130,18 @@ class Truth:
 
 
 def make_truth(
-    name: str, *, edge: float, rim: float, support_stiffness: float | None = None
+    shape: Shape, *, edge: float, rim: float, support_stiffness: float | None = None
 ) -> Truth:
-    """A body of `BODIES`, filled from a surface much finer than the one that estimates.
+    """A body, filled from a surface much finer than the one that estimates.
 
     Parameters
     ----------
-    name : str
+    shape : Shape
     edge : float [m]            of the tetrahedra, away from the tools
     rim : float [m]             of those where the support ends and in hollow corners, where
                                 stresses have no bound
     support_stiffness : float [N/m^3]    of springs under the support; None: rigid
     """
-    shape = BODIES[name]
     places = contacts(shape.make(shape.edge), shape)
     surface = shape.make(_SURFACE * shape.edge)
     lines = _lines(surface, _held_triangles(surface, shape))

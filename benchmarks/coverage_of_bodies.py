@@ -6,7 +6,8 @@ radii, pose, scale of displacements, noise. Run it with
 
     python -m benchmarks.coverage_of_bodies FOLDER [SESSIONS [BODY ...]]
 
-FOLDER keeps the true displacements, which take minutes a body. With clean, exact data it prints the
+for the twelve of `bodies.py`, or by their names for any of these and of `drawn_bodies.py`. FOLDER
+keeps the true displacements, which take minutes a body. With clean, exact data it prints the
 error of the model; then how often intervals hold.
 """
 
@@ -21,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import BODIES, Shape
 from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, contacts, make_truth
+from benchmarks.drawn_bodies import DRAWN_BODIES
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session
 from palpate.records import (
@@ -34,6 +36,7 @@ from palpate.records import (
 )
 
 NOISE = 0.01
+EVERY = BODIES | DRAWN_BODIES
 # The farthest that anything moves [m]: small against every body.
 FARTHEST = 1e-3
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
@@ -78,7 +81,7 @@ class Measured:
 
 def measured_body(name: str, folder: Path, stiffness: float | None = None) -> Measured:
     """Truth of a body on a rigid support, or on springs [N/m^3]; computed once."""
-    shape = BODIES[name]
+    shape = EVERY[name]
     mesh = shape.make(shape.edge)
     coarse, fine = (_solved(name, mesh, folder, *sizes, stiffness) for sizes in MESHES)
     step, left = fine - coarse, USUAL
@@ -100,9 +103,9 @@ def _solved(
     on_springs = "" if stiffness is None else f"_{stiffness:g}"
     file = folder / f"{name}_{edge}_{rim}{on_springs}.npy"
     if not file.exists():
-        shape = BODIES[name]
+        shape = EVERY[name]
         truth = make_truth(
-            name, edge=edge * shape.edge, rim=rim * shape.edge, support_stiffness=stiffness
+            shape, edge=edge * shape.edge, rim=rim * shape.edge, support_stiffness=stiffness
         )
         moved = [
             truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
@@ -116,7 +119,7 @@ def _solved(
 def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Session:
     """What a laboratory tells, wrong by draws from its priors."""
     # Other draws on every body.
-    rng, mesh = np.random.default_rng([seed, list(BODIES).index(body.name)]), body.mesh
+    rng, mesh = np.random.default_rng([seed, list(EVERY).index(body.name)]), body.mesh
     held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < body.shape.held).all(axis=1))
     seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
     gain = 1.0 + errors.force_gain * rng.normal()
