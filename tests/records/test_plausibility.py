@@ -78,7 +78,7 @@ def test_a_support_that_slips_is_noted(tmp_path: Path) -> None:
 
 def test_a_support_that_is_most_of_the_surface_is_noted(tmp_path: Path) -> None:
     said = "box = { min = [-1, -1, -1], max = [1, 1, 0.035] }\n"
-    assert "The support is 72 % of the surface" in _cube_notes(tmp_path, plane=said)
+    assert "The support is 72.2 % of the surface" in _cube_notes(tmp_path, plane=said)
 
 
 def test_a_contact_point_off_the_surface_is_noted(tmp_path: Path) -> None:

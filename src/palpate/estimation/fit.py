@@ -134,7 +134,7 @@ def fit(
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
         settings=asdict(settings),
-        notes=fit_notes(misfit, joint, identifiable, contradictions, every),
+        notes=(*fit_notes(misfit, joint, identifiable, contradictions, every), *opposed),
         errors=errors,
     )
     model = fitted_model(tuple(probes), misfit, minimum)

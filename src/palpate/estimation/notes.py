@@ -60,7 +60,6 @@ def fit_notes(
     tuple of str                    empty where there is nothing to say
     """
     notes = [*_count_notes(misfit), *_noise_notes(misfit), *_interval_notes(uncertainty)]
-    notes += opposed_notes(misfit, uncertainty)
     for probe in uncertainty.minimum.probes:
         if probe.force_weight < _MIN_FORCE_WEIGHT:
             off = float(np.linalg.norm(probe.shift[:3]))

@@ -81,19 +81,10 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     """
     mesh = session.mesh
     size = bounding_diagonal(mesh)
-    notes = []
-    notes += _thin_notes(mesh)
+    notes = _thin_notes(mesh)
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {UNIT_HINT}.")
-    if session.probings:
-        area = triangle_areas(mesh)
-        share = float(area[session.held_triangles].sum() / area.sum())
-        if share < _SMALLEST_SUPPORT:
-            notes.append(
-                f"The support is {100.0 * share:.2g} % of the surface"
-                f" ({len(session.held_triangles)} triangles): is it all that is held? Check the"
-                " selectors in [support]."
-            )
+    notes += _support_notes(session)
     if session.gravity is not None and abs(np.linalg.norm(session.gravity) / _EARTH - 1.0) > 0.01:
         notes.append(
             f"Gravity is {np.linalg.norm(session.gravity):.3g} m/s^2; the earth's is {_EARTH}."
@@ -101,13 +92,6 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     if session.density is not None and session.density < _LIGHTEST:
         notes.append(
             f"The density is {session.density:.3g} kg/m^3, lighter than foam: is it in g/cm^3?"
-        )
-    areas = triangle_areas(mesh)
-    share = float(areas[session.held_triangles].sum() / areas.sum())
-    if share > _MOST_HELD:
-        notes.append(
-            f"The support is {100.0 * share:.0f} % of the surface: if the object stands on one side"
-            " only, check the tolerance of the plane."
         )
     notes += _slip_notes(session)
     notes += _settlement_notes(session)
@@ -135,6 +119,22 @@ def _thin_notes(mesh: TriangleMesh) -> list[str]:
         " mesh)."
     )
     return [text]
+
+
+def _support_notes(session: Session) -> list[str]:
+    """Whether a selector took much less or much more of the surface than stands on something."""
+    area, held = triangle_areas(session.mesh), session.held_triangles
+    share = float(area[held].sum() / area.sum())
+    text = f"The support is {100.0 * share:.3g} % of the surface"
+    if session.probings and share < _SMALLEST_SUPPORT:
+        text += (
+            f" ({len(held)} triangles): is it all that is held? Check the selectors in [support]."
+        )
+        return [text]
+    if share > _MOST_HELD:
+        text += ": if the object stands on one side only, check the tolerance of the plane."
+        return [text]
+    return []
 
 
 def _slip_notes(session: Session) -> list[str]:
