@@ -76,6 +76,7 @@ READS = {
     "table": "table",
     "tables": "tables",
     "text": "text",
+    "label": "text of one line",
     "texts": "list of texts",
     "vector": "three numbers",
 }
