@@ -39,8 +39,8 @@ from palpate.shapes import Vector3
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
-# A file of another suffix is something else: a mesh, a table, a result. ".partial" is a session that
-# is read before it is put in its place.
+# A file of another suffix is something else: a mesh, a table, a result. What ends in ".partial" is
+# read before it is put in its place.
 _SESSION_SUFFIXES = (".toml", ".txt", "", ".partial")
 # What a folder of films and a force log has in place of a session.
 _RECORDING_FILE = "recording.toml"
