@@ -10,7 +10,6 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -60,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         if isinstance(error, BrokenPipeError):
             return _BROKEN_PIPE
-        if not _is_there(Path()):
+        if _folder_is_gone():
             _say("the current folder is there no more; change to another one")
             return BAD_INPUT
         # As messages of our own: no longer than a terminal shows.
@@ -68,12 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BAD_INPUT
 
 
-def _is_there(folder: Path) -> bool:
-    """Whether a folder can be asked where it is."""
+def _folder_is_gone() -> bool:
+    """Whether the folder that the command was called in was removed since."""
     try:
-        return folder.absolute().is_dir()
+        os.getcwd()
     except OSError:
-        return False
+        return True
+    return False
 
 
 def _say(text: str) -> None:

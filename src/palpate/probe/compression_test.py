@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
 from palpate.errors import InputError
+from palpate.records import HIGHEST_PRESSURE
 from palpate.shapes import PointScalars
 
 SLOW_POLYNOMIALS = 3  # departures from the line that set the interval: second to fourth degree
@@ -19,7 +20,6 @@ MAX_FALL = 0.01  # of the used range: noise of a gauge is smaller, an unloading 
 MAX_TOE_SLOPE = 0.75  # first fifth of the range softer than this share of the whole: a toe
 MIN_READINGS = 5
 MAX_OFF_LINE = 0.2  # of the stress: no soft cylinder bends so far within ten percent
-_STRONGEST = 3e9  # the strongest steels yield here [Pa]
 
 Kept = Float[np.ndarray, " kept"]
 
@@ -334,10 +334,11 @@ def _refuse_impossible(
             f" {height:.4g} m high; check the height, the unit of the displacement, and that the"
             " columns are not exchanged"
         )
-    if stress.max(initial=0.0) > _STRONGEST:
+    if stress.max(initial=0.0) > HIGHEST_PRESSURE:
         raise InputError(
             f"{where}the force reaches a pressure of {stress.max() / 1e9:.3g} GPa, more than any"
-            f" steel bears ({_STRONGEST / 1e9:g} GPa); check the unit of the force and the diameter"
+            f" steel bears ({HIGHEST_PRESSURE / 1e9:g} GPa); check the unit of the force and the"
+            " diameter"
         )
 
 

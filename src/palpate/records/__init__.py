@@ -104,7 +104,9 @@ from palpate.records.programs import (
 )
 from palpate.records.quantities import (
     FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
+    HIGHEST_PRESSURE as HIGHEST_PRESSURE,
     LENGTH_UNITS as LENGTH_UNITS,
+    MODULUS_RANGE as MODULUS_RANGE,
     NOT_DETERMINED as NOT_DETERMINED,
     STIFFNESS_UNITS as STIFFNESS_UNITS,
     SYMBOLS as SYMBOLS,

@@ -19,6 +19,10 @@ _ERROR_UNITS = {
     "rad": (180.0 / math.pi, "degrees"),
     "m/Pa": (1e9, "mm/MPa"),
 }
+# No modulus is lower than the softest gel's, or higher than diamond's [Pa].
+MODULUS_RANGE = (1.0, 1.2e12)
+# The strongest steels yield here [Pa].
+HIGHEST_PRESSURE = 3e9
 # What stands in place of a value that the data do not determine.
 NOT_DETERMINED = "not determined"
 # Constants in the order in which they are told, with their symbols.

@@ -16,14 +16,12 @@ from palpate.bem import InteriorState, SurfaceSettings, check_memory
 from palpate.errors import InputError
 from palpate.geometry import bounding_diagonal
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
-from palpate.records import Status, modulus_unit, read_estimate, read_session
+from palpate.records import MODULUS_RANGE, Status, modulus_unit, read_estimate, read_session
 from palpate.shapes import Points
 
 _Triple = tuple[float, float, float]
 # Newtons that no tool has; and of the object's size, what is no small deformation.
 _STRONGEST, _SMALL = 1e9, 0.1
-# Of the softest gel and of diamond [Pa].
-_MODULI = (1.0, 1.2e12)
 # Rows and columns of the stress that are shown, by their names.
 _COMPONENTS = {
     "sxx": (0, 0), "syy": (1, 1), "szz": (2, 2), "sxy": (0, 1), "syz": (1, 2), "szx": (2, 0),
@@ -128,10 +126,11 @@ def _material(
             "give the material in one way: --result FOLDER of `palpate fit`, or --poisson-ratio"
             " with either --young-modulus or --shear-modulus"
         )
-    if not _MODULI[0] <= moduli[0] <= _MODULI[1]:
+    softest, stiffest = MODULUS_RANGE
+    if not softest <= moduli[0] <= stiffest:
         option = "--young-modulus" if shear is None else "--shear-modulus"
         raise InputError(
-            f"{option} is {moduli[0]:g}; must be {_MODULI[0]:g} to {_MODULI[1]:g} Pa, from the"
+            f"{option} is {moduli[0]:g}; must be {softest:g} to {stiffest:g} Pa, from the"
             " softest gel to diamond"
         )
     if not -1.0 < ratio <= 0.5:

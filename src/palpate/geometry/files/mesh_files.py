@@ -194,9 +194,7 @@ def _check_whole(content: bytes, suffix: str) -> None:
         head, _, rows = content.partition(b"end_header")
         counts = re.findall(rb"element\s+\w+\s+(\d+)", head)
         if b"format ascii" in head and counts:
-            _check_said(
-                sum(map(int, counts)), float(sum(map(bool, map(bytes.strip, rows.splitlines()))))
-            )
+            _check_said(sum(map(int, counts)), sum(bool(row.strip()) for row in rows.splitlines()))
     elif suffix == ".stl" and content.startswith(b"solid") and b"facet" in content[:_STL_TEXT]:
         if b"endsolid" not in content:
             raise ValueError("its last line, endsolid, is missing: it was cut off")

@@ -32,7 +32,7 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
             " exactly zero: nothing moved, which says nothing about stiffness; were the pictures at"
             " rest compared with themselves?"
         )
-    _check_no_places(mesh, field)
+    _check_no_places(mesh, field, measured)
     fixed = held_points(mesh, held, field)[measured]
     if fixed.all():
         raise InputError(
@@ -58,9 +58,8 @@ def held_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> 
     return (is_held[corners] | (field.surface.barycentric < 1e-6)).all(axis=1)
 
 
-def _check_no_places(mesh: TriangleMesh, field: DisplacementField) -> None:
+def _check_no_places(mesh: TriangleMesh, field: DisplacementField, seen: Flags) -> None:
     """Refuse places under load where displacements belong."""
-    seen = observed_rows(field)
     moved, rest = field.displacement[seen], field.points[seen]
     length = float(np.sqrt((moved**2).sum(axis=1).mean()))
     left = float(np.sqrt(((moved - rest) ** 2).sum(axis=1).mean()))

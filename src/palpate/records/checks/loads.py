@@ -14,15 +14,13 @@ from palpate.geometry import (
 )
 from palpate.records.contact import RIGID, Contact
 from palpate.records.probing import Probing, observed_rows
-from palpate.records.quantities import modulus_unit
+from palpate.records.quantities import HIGHEST_PRESSURE, MODULUS_RANGE, modulus_unit
 from palpate.shapes import Indices
 
 UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
-# Young's moduli: of diamond; and of a body of 1 kg/m^3, the lightest solid, that is as high as its
-# own weight lets it be. No gel is softer than a pascal.
-_STIFFEST, _SOFTEST, _SOFTEST_PER_METRE = 1.2e12, 1.0, 9.81
-# The strongest steels yield here [Pa].
-_STRONGEST = 3e9
+# Young's modulus of a body of 1 kg/m^3, the lightest solid, that is as high as its own weight lets
+# it be, over its height [Pa/m].
+_SOFTEST_PER_METRE = 9.81
 
 
 def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
@@ -110,11 +108,12 @@ def check_load(mesh: TriangleMesh, probing: Probing) -> None:
         )
     low, high = modulus_range(mesh, force, moved)
     pressure = 0.0 if radius is None else force / (np.pi * radius**2)
-    if low > _STIFFEST:
+    softest, stiffest = MODULUS_RANGE
+    if low > stiffest:
         what = f"a Young's modulus of {pascals(low)} or more, stiffer than diamond"
-    elif high < max(_SOFTEST, _SOFTEST_PER_METRE * size):
+    elif high < max(softest, _SOFTEST_PER_METRE * size):
         what = f"a Young's modulus of {pascals(high)} or less, of a body too soft for its weight"
-    elif pressure > _STRONGEST:
+    elif pressure > HIGHEST_PRESSURE:
         what = f"a pressure of {pascals(pressure)} at the contact, more than any steel bears"
         if moved:
             what += f", and a Young's modulus of about {pascals(float(np.sqrt(low * high)))}"

@@ -156,7 +156,7 @@ def _slip_notes(session: Session) -> list[str]:
         if len(slips) >= _FEW_HELD and np.median(slips) > _SLIPS * motion:
             notes.append(
                 f"Probing {probing.name}: {len(slips)} points on the support moved by"
-                f" {np.median(slips):.3g} m (median), the others by {motion:.3g} m: it slipped, or"
+                f" {np.median(slips):.3g} m (median), all points by {motion:.3g} m: it slipped, or"
                 ' the points are in another frame; see motion = "given" or "free" of [support].'
             )
     return notes

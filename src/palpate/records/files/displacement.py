@@ -74,17 +74,16 @@ def read_displacement(
         )
     surface = closest_points(mesh, points)
     notes += _check_distance(table, mesh, surface.distance)
+    vertex = _vertex(table, column, mesh, points)
     try:
         field = DisplacementField(
             points=points,
             displacement=moved,
             std=std,
-            vertex=_vertex(table, column, mesh, points),
+            vertex=vertex,
             surface=surface,
             source=str(path),
         )
-    except RecordError:
-        raise
     except InputError as error:
         raise RecordError(f"{path}: {error}") from error
     return field, notes
