@@ -1,5 +1,6 @@
 """Workers that are not there, not the same, or die."""
 
+import gc
 import os
 import re
 import sys
@@ -20,6 +21,8 @@ def test_no_scheduler_at_that_address(address, monkeypatch):
     expected = f"no scheduler answers at {re.escape(address)} .*start one with `dask scheduler`"
     with pytest.raises(InputError, match=expected), started_engine(address, None):
         pass
+    clients = [x for x in gc.get_objects() if isinstance(x, distributed.Client)]
+    assert all(client.status == "closed" for client in clients)
 
 
 def test_a_scheduler_without_workers(monkeypatch):

@@ -226,6 +226,9 @@ def _local(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
 def _connected(library: ModuleType, address: str) -> Iterator[Any]:
     """A client of a scheduler that runs somewhere."""
     try:
+        # First, for a client refuses what is no address when it is half made. It would end in
+        # whichever thread collects garbage, and wait there for a lock that all clients share.
+        library.comm.get_address_host_port(address)
         client = library.Client(address, timeout=_ANSWER, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         why = " ".join(str(error).split())[:200]
