@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from surfaces import box, sphere
 
-from palpate.geometry import split_sides
+from palpate.geometry import cut_distance, split_sides
 
 CELLS = 3
 
@@ -66,3 +66,15 @@ def test_edges_and_twins_belong_together():
     assert np.array_equal(tail[twin], head)
     assert np.array_equal(head[twin], tail)
     assert np.array_equal(sides.vertex[sides.corner], mesh.triangles)
+
+
+def test_the_distance_of_an_edge_is_that_of_its_nearest_point():
+    mesh = box((1.0, 2.0, 3.0), cells=CELLS)
+    sides = split_sides(mesh, no_region(mesh))
+    every = np.arange(len(mesh.triangles))
+    # On the face z = 3: beside an edge, not its line; beyond a corner, that corner.
+    assert cut_distance(mesh, sides, every, np.array([0.5, 1.9, 3.0])) == pytest.approx(0.1)
+    beyond = cut_distance(mesh, sides, every, np.array([-3.0, -4.0, 0.0]))
+    assert beyond == pytest.approx(5.0)
+    inner = np.flatnonzero(~sides.cut[sides.edge].any(axis=1))
+    assert cut_distance(mesh, sides, inner, np.zeros(3)) == np.inf

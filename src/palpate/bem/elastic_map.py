@@ -19,6 +19,7 @@ from palpate.bem.integrals import BoundarySurface, check_material, integral_weig
 from palpate.bem.loads import (
     ContactShape,
     LoadCells,
+    PressureDisc,
     RightHand,
     SurfaceLoad,
     contact_shape,
@@ -39,7 +40,7 @@ from palpate.bem.system import (
     solve,
 )
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, closest_points, element_points
+from palpate.geometry import TriangleMesh, closest_points, cut_distance, element_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +234,7 @@ def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | No
                                       and where the patch is not smooth ground: on flat facets, or
                                       across an edge of the object
     """
-    if load.disc is None or not surface.follows_dips or _crosses_edge(surface, load):
+    if load.disc is None or not surface.follows_dips or _crosses_edge(surface, load, load.disc):
         return None
     return contact_shape(surface, load.disc, _normal_at(surface, load.triangles, load.disc.centre))
 
@@ -250,9 +251,10 @@ def _normal_at(
     return np.asarray(normal / np.linalg.norm(normal))
 
 
-def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad) -> bool:
+def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad, disc: PressureDisc) -> bool:
     """Whether an edge of the object or the rim of its support runs through a load."""
-    return bool(surface.sides.cut[surface.sides.edge[loaded_triangles(surface, load)]].any())
+    loaded = loaded_triangles(surface, load)
+    return cut_distance(surface.mesh, surface.sides, loaded, disc.centre) < disc.radius
 
 
 def sorted_state(

@@ -57,6 +57,7 @@ from palpate.geometry.self_intersection import intersecting_pairs as intersectin
 from palpate.geometry.sides import (
     CREASE_ANGLE as CREASE_ANGLE,
     Sides as Sides,
+    cut_distance as cut_distance,
     split_sides as split_sides,
 )
 from palpate.geometry.thickness import wall_thickness as wall_thickness

@@ -12,6 +12,7 @@ from palpate.geometry.triangle_mesh import (
     half_edges,
     unit_normals,
 )
+from palpate.shapes import Vector3
 
 CREASE_ANGLE = np.radians(40.0)
 
@@ -75,3 +76,27 @@ def split_sides(
     vertex = np.empty(count, dtype=np.int64)
     vertex[label] = halves.tail
     return Sides(label.reshape(-1, 3), vertex, edge.reshape(-1, 3), twin.reshape(-1, 3), cut)
+
+
+def cut_distance(
+    mesh: TriangleMesh, sides: Sides, triangles: Int[np.ndarray, " k"], point: Vector3
+) -> float:
+    """Distance of a point from the nearest cut edge of some triangles.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    sides : Sides                     of that mesh
+    triangles : (k,) int
+    point : (3,) float [m]
+
+    Returns
+    -------
+    float [m]                         infinite where no edge of theirs is cut
+    """
+    cut = sides.cut[sides.edge[triangles]]
+    corner = mesh.vertices[mesh.triangles[triangles]]
+    start, along = corner[cut], (np.roll(corner, -1, axis=1) - corner)[cut]
+    share = np.einsum("ei,ei->e", point - start, along) / np.einsum("ei,ei->e", along, along)
+    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    return float(np.linalg.norm(nearest - point, axis=1).min(initial=np.inf))

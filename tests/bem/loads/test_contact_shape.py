@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from elastic_bodies import held_part
-from surfaces import sphere
+from surfaces import box, sphere
 
 from palpate.bem import PressureDisc, SurfaceLoad, factorise, load_right_hand, load_shape, solve
 from palpate.bem.elastic_map import sorted_state
@@ -13,6 +13,8 @@ from palpate.bem.system.system import system_matrix
 TOP = np.array([0.0, 0.0, 1.0])
 RADIUS = 0.25
 NU = 0.3
+# A quarter from the edge x = 1 of a unit cube.
+BESIDE_EDGE = np.array([0.75, 0.5, 1.0])
 
 
 def smooth(s):
@@ -79,6 +81,40 @@ def test_across_the_rim_of_the_support_nothing_is_added(coarse):
     cut = surface.sides.cut[surface.sides.edge].any(axis=1) & ~surface.held
     corner = mesh.triangles[np.flatnonzero(cut)[0]]
     assert load_shape(surface, top_load(mesh, mesh.vertices[corner].mean(axis=0))) is None
+
+
+def pressed_cube(cells, *, shaped):
+    """Corner displacement of a cube that a patch presses beside its edge."""
+    mesh = box(cells=cells)
+    system = held_part(mesh, np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    load = top_load(mesh, BESIDE_EDGE, 0.22)
+    shape = load_shape(system.surface, load) if shaped else None
+    right = load_right_hand(system, [load], [shape])
+    x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.0, 0.0, -1.0])
+    return mesh.vertices, sorted_state(system, x, 1.0).displacement
+
+
+def test_the_dip_is_followed_up_to_an_edge_of_the_object():
+    vertices, exact = pressed_cube(12, shaped=True)
+    own, with_dip = pressed_cube(4, shaped=True)
+    same = np.linalg.norm(own[:, None] - vertices[None], axis=2).argmin(axis=1)
+    _, without = pressed_cube(4, shaped=False)
+    errors = [
+        np.linalg.norm(found - exact[same]) / np.linalg.norm(exact[same])
+        for found in (with_dip, without)
+    ]
+    # A half space knows nothing of the edge: what that changes stays, a little more than half.
+    assert errors[0] < 0.75 * errors[1]
+
+
+@pytest.mark.parametrize(("radius", "crosses"), [(0.24, False), (0.26, True)])
+def test_a_patch_crosses_an_edge_that_is_nearer_than_its_radius(radius, crosses):
+    mesh = box(cells=4)
+    surface = held_part(
+        mesh, np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1)
+    ).surface
+    shape = load_shape(surface, top_load(mesh, BESIDE_EDGE, radius))
+    assert (shape is None) == crosses
 
 
 def test_only_midpoints_around_the_patch_are_touched(coarse):
