@@ -21,7 +21,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import BODIES, Shape
-from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, contacts, make_truth
+from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, contacts, element_size, make_truth
 from benchmarks.drawn_bodies import DRAWN_BODIES
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session
@@ -40,8 +40,9 @@ EVERY = BODIES | DRAWN_BODIES
 # The farthest that anything moves [m]: small against every body.
 FARTHEST = 1e-3
 NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
-# Edges of the tetrahedra over those of the surface's triangles, in the body and where stresses have
-# no bound (`make_truth`), of two solutions, and of a third where the two differ much.
+# Edges of the tetrahedra over `element_size` in the body, and over those of the surface's triangles
+# where stresses have no bound (`make_truth`), of two solutions, and of a third where the two differ
+# much.
 MESHES, FINEST = ((1.4, 0.3), (1.0, 0.15)), (0.7, 0.1)
 # What a step leaves of the one before: second order of convergence; between first and fourth.
 USUAL, LEFT = 1 / 3, (0.7**4, 0.7)
@@ -105,7 +106,10 @@ def _solved(
     if not file.exists():
         shape = EVERY[name]
         truth = make_truth(
-            shape, edge=edge * shape.edge, rim=rim * shape.edge, support_stiffness=stiffness
+            shape,
+            edge=edge * element_size(mesh, shape),
+            rim=rim * shape.edge,
+            support_stiffness=stiffness,
         )
         moved = [
             truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
