@@ -182,12 +182,13 @@ def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
         name: abs(found.young_modulus.value / 5.2e4 - 1)
         for name, found in (("wrong", wrong), ("right", right))
     }
-    assert error["right"] < 0.1 * error["wrong"]
+    # Four standard deviations away: terms of third order are left.
+    assert error["right"] < 0.2 * error["wrong"]
     assert error["right"] < 0.003
     for one in right.probes:
         along = one.errors[0]
         assert along.name == f"contact point of {one.name} toward +x"
-        # Four standard deviations away: terms of third order are left, and the prior pulls.
+        # The same, and the prior pulls.
         assert along.value == pytest.approx(-1.8e-3, rel=0.2)
     assert any("Likely fault: the contact point of n01 toward +x" in n for n in right.notes)
 

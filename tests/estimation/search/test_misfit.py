@@ -1,6 +1,6 @@
 """The misfit against the density of the data, and its slopes against differences."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,8 @@ from scipy.stats import multivariate_t
 
 from palpate.errors import NotConvergedError
 from palpate.estimation import ProbeObservations
-from palpate.estimation.search import misfit as misfit_module
+from palpate.estimation.nuisance import LengthScale, NuisanceParameter
+from palpate.estimation.search import LocalProbe, misfit as misfit_module
 
 NU, SHEAR = 0.27, 2.2e4
 
@@ -83,6 +84,41 @@ def test_slopes_of_the_prediction_are_derivatives() -> None:
         # Central differences: rounding 1e-16 over the step.
         scale = np.abs(slope).max()
         np.testing.assert_allclose(here.design[:, column], slope, atol=1e-7 * scale)
+
+
+@dataclass(frozen=True)
+class _Bent:
+    """An error of one probing that adds a share of what is seen, and its own square."""
+
+    parameters = (NuisanceParameter("bend of one probing", 1.0),)
+    share, square = 0.3, 0.2
+
+    def columns(self, rows, response, load, poisson_ratio):
+        return (self.share * poisson_ratio * (response @ load))[:, None]
+
+    def curvature(self, rows, load, poisson_ratio):
+        return np.full((len(rows), 1, 1), self.square * load[2] * poisson_ratio**2)
+
+
+def test_errors_that_are_off_take_part_in_the_slopes() -> None:
+    """What an error explains changes with nu and force: so do the slopes where it is not zero."""
+    probes = _probes(count=2, force_noise=0.05)
+    probes = [replace(probes[0], nuisances=(LengthScale(0.1), _Bent())), replace(
+        probes[1], nuisances=(LengthScale(0.1),)
+    )]  # fmt: skip
+    misfit = misfit_of(probes)
+    shift, errors, step = np.array([0.5, -1.0, 2.0, 1.4]), np.array([0.8, -0.3, 1.1]), 1e-6
+
+    def at(change: np.ndarray) -> LocalProbe:
+        shifts = [shift + np.append(change[1:], 0.0), np.zeros(3)]
+        rows = misfit.scaled(NU + change[0], SHEAR, shifts, errors)
+        return misfit.linearised(rows, 0.0, SHEAR, shifts, errors)[0]
+
+    found = at(np.zeros(4)).design[:, [0, 5, 6, 7]]
+    for column, turn in zip(found.T, np.eye(4), strict=True):
+        slope = -(at(step * turn).residual - at(-step * turn).residual) / (2 * step)
+        # The derivative in nu is a difference over 1e-3; what bends is a tenth of all.
+        np.testing.assert_allclose(column, slope, atol=1e-3 * np.abs(slope).max())
 
 
 def test_an_offset_is_another_poisson_ratio() -> None:

@@ -131,18 +131,18 @@ def test_the_first_simplex_is_inside_the_range(start: float) -> None:
     assert ratios.max() <= RANGE[1]
 
 
-@pytest.mark.parametrize("swing", [-0.9, -0.4, 0.0, 0.3])
+@pytest.mark.parametrize("swing", [-3.0, -0.9, -0.4, 0.0, 0.3])
 def test_changes_that_swing_back_end_in_a_few_steps(
     monkeypatch: pytest.MonkeyPatch, swing: float
 ) -> None:
     """Each linearisation lands beyond the minimum by a share of where it started."""
 
     def overshot(
-        misfit: Misfit, rows: list, start: Minimum, shifts: list, poisson_range: tuple
+        misfit: Misfit, rows: list, start: Minimum, poisson_range: tuple
     ) -> tuple[Minimum, float]:
         nu = 0.3 + swing * (start.poisson_ratio - 0.3)
         modulus = 2e4 * (start.shear_modulus / 2e4) ** swing
-        own = [swing * one for one in shifts]
+        own = [swing * one.shift for one in start.probes]
         probes = misfit.linearised(rows, 0.0, modulus, own, start.errors)
         return Minimum(nu, modulus, tuple(probes), start.errors, False), 1e-3
 
@@ -157,7 +157,10 @@ def test_changes_that_swing_back_end_in_a_few_steps(
 
 def test_of_changes_that_swing_the_part_is_taken_that_leads_to_their_end() -> None:
     change = np.array([1.0, -2.0])
-    assert taken_share(change, np.zeros(0)) == 1.0
-    assert taken_share(change, 0.5 * change) == 1.0
-    assert taken_share(-0.25 * change, change) == pytest.approx(1 / 1.25)
-    assert taken_share(-3.0 * change, change) == 0.5
+    assert taken_share(change, np.zeros(0), 1.0) == 1.0
+    assert taken_share(change, 0.5 * change, 1.0) == 1.0
+    # A map whose distance from its end turns by -0.25, and by -3, each time.
+    assert taken_share(-0.25 * change, change, 1.0) == pytest.approx(1 / 1.25)
+    assert taken_share(-3.0 * change, change, 1.0) == pytest.approx(1 / 4)
+    # With that share it is at its end; with half of it, half of the change is left.
+    assert taken_share(0.5 * change, change, 0.125) == pytest.approx(1 / 4)

@@ -21,6 +21,8 @@ from palpate.estimation.search.local_probe import LocalProbe, ScaledRows, linear
 
 _MAX_FORCE_STEPS = 200
 _FORCE_TOLERANCE = 1e-12
+# Of Poisson's ratio, for a derivative of small terms; toward the middle of its range.
+_RATIO_STEP, _MIDDLE = 1e-3, 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +119,7 @@ class Misfit:
         poisson_ratio: float,
         shear_modulus: float,
         shifts: Sequence[Float[np.ndarray, " _"]],
+        errors: Float[np.ndarray, " m"] | None = None,
         *,
         with_slope: bool = True,
     ) -> list[ScaledRows]:
@@ -127,13 +130,14 @@ class Misfit:
         poisson_ratio : float [-]
         shear_modulus : float [Pa]                  > 0
         shifts : one (n,) float for each probing    see `LocalProbe.shift`
-        with_slope : bool                           False: the derivative is left at zero
+        errors : (m,) float or None                 that probings share, in sigmas; None: none yet
+        with_slope : bool                           False: derivatives are left at zero
 
         Returns
         -------
         list of ScaledRows              one for each probing
         """
-        names = [one.name for one in self.shared]
+        errors = np.zeros(len(self.shared)) if errors is None else errors
         scaled = []
         for probe, shift in zip(self.probes, shifts, strict=True):
             sigma = probe.sigma(self.level)[:, None]
@@ -143,44 +147,93 @@ class Misfit:
                 share = 1.0 - probe.settlement.shear_modulus / shear_modulus
                 response = response + share * settling
                 settling = settling / sigma
-            slope = np.zeros_like(response)
-            if with_slope:
-                slope = probe.slope(poisson_ratio) / sigma
             load = probe.load(shear_modulus, shift)
-            found = probe.nuisance_columns(response, load, poisson_ratio) / sigma
-            effects = np.zeros((len(sigma), len(names) + len(self.own(probe))))
-            free = len(names)
-            for column, one in zip(found.T, probe.parameters, strict=True):
-                place = names.index(one.name) if one.name in names else free
-                free += place == free
-                effects[:, place] = column
-            measured = probe.measured / sigma[:, 0]
-            curvature = self._curvature(probe, load, poisson_ratio, sigma)
+            slope, drift = np.zeros_like(response), np.zeros((len(sigma), 4))
+            if with_slope:
+                slope = probe.slope(poisson_ratio)
+                known = np.append(errors, shift[3 + len(probe.motion) :])
+                drift = self._drift(probe, response, slope, load, poisson_ratio, known)
+            effects = self._effects(probe, response, load, poisson_ratio)
+            curvature = self._curvature(probe, load, poisson_ratio)
             scaled.append(
                 ScaledRows(
-                    probe, measured, response / sigma, slope, effects, curvature, shear_modulus,
-                    settling,
+                    probe=probe,
+                    measured=probe.measured / sigma[:, 0],
+                    base=response / sigma,
+                    slope=slope / sigma,
+                    effects=effects / sigma,
+                    curvature=None if curvature is None else curvature / sigma[:, :, None],
+                    drift=drift / sigma,
+                    force=np.array(shift[:3]),
+                    shear_modulus=shear_modulus,
+                    settling=settling,
                 )
-            )  # fmt: skip
+            )
         return scaled
 
-    def _curvature(
+    def _effects(
         self,
         probe: ObservedRows,
+        response: Float[np.ndarray, "r c"],
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
-        sigma: Float[np.ndarray, "r 1"],
+    ) -> Float[np.ndarray, "r e"]:
+        """Change for one prior standard deviation of each error [m]: of those that probings share,
+        then of the probing's own."""
+        names = [one.name for one in self.shared]
+        found = probe.nuisance_columns(response, load, poisson_ratio)
+        effects = np.zeros((len(found), len(names) + len(self.own(probe))))
+        free = len(names)
+        for column, one in zip(found.T, probe.parameters, strict=True):
+            place = names.index(one.name) if one.name in names else free
+            free += place == free
+            effects[:, place] = column
+        return effects
+
+    def _curvature(
+        self, probe: ObservedRows, load: Float[np.ndarray, " c"], poisson_ratio: float
     ) -> Float[np.ndarray, "r o o"] | None:
-        """Second derivative in the errors of one probing alone, over the noise."""
+        """Second derivative in the errors of one probing alone [m]."""
         curved = probe.nuisance_curvature(load, poisson_ratio)
         if not curved:
             return None
         names = [one.name for one in self.own(probe)]
-        found = np.zeros((len(sigma), len(names), len(names)))
+        found = np.zeros((len(curved[0][1]), len(names), len(names)))
         for parameters, curvature in curved:
             own = [names.index(one.name) for one in parameters]
-            found[:, np.array(own)[:, None], own] = curvature / sigma[:, :, None]
+            found[:, np.array(own)[:, None], own] = curvature
         return found
+
+    def _drift(
+        self,
+        probe: ObservedRows,
+        response: Float[np.ndarray, "r c"],
+        slope: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+        errors: Float[np.ndarray, " e"],
+    ) -> Float[np.ndarray, "r 4"]:
+        """Derivative of what errors explain, by Poisson's ratio and by a sigma of each component of
+        the force [m]. A tool that pressed elsewhere dips the surface there as nu and force say."""
+        if not errors.any():
+            return np.zeros((len(response), 4))
+
+        def explained(here: np.ndarray, pushed: np.ndarray, nu: float) -> np.ndarray:
+            found = self._effects(probe, here, pushed, nu) @ errors
+            curvature = self._curvature(probe, pushed, nu)
+            own = errors[len(self.shared) :]
+            return found if curvature is None else found + 0.5 * (curvature @ own) @ own
+
+        start = explained(response, load, poisson_ratio)
+        step = _RATIO_STEP if poisson_ratio < _MIDDLE else -_RATIO_STEP
+        there = explained(response + step * slope, load, poisson_ratio + step)
+        columns = [(there - start) / step]
+        for i, std in enumerate(probe.force_std):
+            pushed = load.copy()
+            # Load 3 is one over the modulus.
+            pushed[i] += std * load[3]
+            columns.append(explained(response, pushed, poisson_ratio) - start)
+        return np.stack(columns, axis=1)
 
     def linearised(
         self,

@@ -14,7 +14,11 @@ from palpate.estimation.noise import NoiseModel, score_moments
 from palpate.estimation.search.local_probe import LocalProbe, ScaledRows
 from palpate.estimation.search.misfit import Misfit, common_equations, total_loss
 
-_MAX_LINEARISATIONS = 8
+_MAX_LINEARISATIONS = 20
+# Of the misfit, which is minus twice a logarithm of a likelihood: less is no sign of a wrong way.
+_LARGE_RISE = 1.0
+# Of a change, where changes swing about their end by up to twenty times the distance to it.
+_SMALLEST_SHARE = 0.05
 _MAX_STEPS = 12
 _MAX_HALVINGS = 12
 _LONGEST_STEP = 2.0
@@ -75,30 +79,43 @@ def scored_minimum(
     nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
     shifts = list(misfit.no_shifts() if shifts is None else shifts)
     errors = np.zeros(len(misfit.shared)) if errors is None else errors
-    start, before = Minimum(nu, modulus, (), errors, False), np.zeros(0)
+    here, change, share, lowest = Minimum(nu, modulus, (), errors, False), np.zeros(0), 1.0, np.inf
+    start, own = here, shifts
     for _ in range(_MAX_LINEARISATIONS):
-        rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, shifts)
-        found, error = _linear_minimum(misfit, rows, start, shifts, poisson_range)
-        change = _joined(found, [probe.shift for probe in found.probes]) - _joined(start, shifts)
+        rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, own, start.errors)
+        local = misfit.linearised(rows, 0.0, start.shear_modulus, own, start.errors)
+        loss = total_loss(local, start.errors)
+        if loss > lowest + _LARGE_RISE:
+            # What is linear here is not so far away.
+            share *= 0.5
+            start, own = _moved(here, shifts, share * change)
+            continue
+        here, shifts, lowest = start, own, loss
+        found, error = _linear_minimum(misfit, rows, replace(start, probes=local), poisson_range)
+        before = change
+        change = _joined(found, [probe.shift for probe in found.probes]) - _joined(here, shifts)
         # Responses and effects are taken linear over a move; what that leaves is of its square.
         moved = float(np.abs(change[:2]).max())
         if moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error:
             return replace(found, converged=True)
-        change, before = taken_share(change, before) * change, change
-        start, shifts = _moved(start, shifts, change)
+        share = taken_share(change, before, share)
+        start, own = _moved(here, shifts, share * change)
     return found
 
 
-def taken_share(change: Float[np.ndarray, " n"], before: Float[np.ndarray, " b"]) -> float:
-    """How much of a change leads to where the changes end, if each swings back over the last one.
+def taken_share(
+    change: Float[np.ndarray, " n"], before: Float[np.ndarray, " b"], share: float
+) -> float:
+    """How much of a change leads to where the changes end, if they go on as since the last one.
 
     Parameters
     ----------
     change, before : (n,) float     this change and the whole one before; empty at first
+    share : float                   how much was taken of the one before
 
     Returns
     -------
-    float                           0.5 to 1; 1 where changes do not swing
+    float                           0.05 to 1; 1 where changes do not swing
 
     Source
     ------
@@ -107,8 +124,8 @@ def taken_share(change: Float[np.ndarray, " n"], before: Float[np.ndarray, " b"]
     """
     if before.shape != change.shape:
         return 1.0
-    swing = -float(change @ before) / float(before @ before)
-    return 1.0 / (1.0 + float(np.clip(swing, 0.0, 1.0)))
+    left = float(change @ before) / float(before @ before)
+    return float(np.clip(share / max(1.0 - left, share), _SMALLEST_SHARE, 1.0))
 
 
 def _joined(here: Minimum, shifts: Sequence[np.ndarray]) -> Float[np.ndarray, " n"]:
@@ -136,14 +153,11 @@ def _linear_minimum(
     misfit: Misfit,
     rows: Sequence[ScaledRows],
     start: Minimum,
-    shifts: Sequence[np.ndarray],
     poisson_range: tuple[float, float],
 ) -> tuple[Minimum, float]:
     """Minimum and a standard error after scoring steps with the response linear in Poisson's ratio
     about the start."""
-    reference, best = start.poisson_ratio, start
-    local = misfit.linearised(rows, 0.0, start.shear_modulus, shifts, start.errors)
-    best, loss = replace(start, probes=local), total_loss(local, start.errors)
+    reference, best, loss = start.poisson_ratio, start, total_loss(start.probes, start.errors)
     for _ in range(_MAX_STEPS):
         step, moves, error = _step(misfit.noise, best, poisson_range)
         for factor in 0.5 ** np.arange(_MAX_HALVINGS):
