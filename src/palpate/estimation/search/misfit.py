@@ -107,6 +107,10 @@ class Misfit:
             local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
             largest = np.abs(np.concatenate([step, *moves])).max()
             if largest < _FORCE_TOLERANCE * (1 + np.abs(np.concatenate([errors, *shifts])).max()):
+                if with_slope:
+                    # What errors explain has slopes of its own where they are not zero.
+                    rows = self.scaled(poisson_ratio, shear_modulus, shifts, errors)
+                    local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
                 return errors, local
         worst = max(local, key=lambda one: float(np.abs(one.shift).max()))
         raise NotConvergedError(

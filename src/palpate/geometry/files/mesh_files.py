@@ -203,7 +203,7 @@ def _check_whole(content: bytes, suffix: str) -> None:
         _check_said(said, (len(content) - _STL_HEAD) / _STL_TRIANGLE, "triangles")
 
 
-def _check_said(said: int, found: float, what: str = "rows") -> None:
+def _check_said(said: int, found: int | float, what: str = "rows") -> None:
     if said != found:
         raise ValueError(f"it says that it has {said} {what}, and holds {found:g}")
 
