@@ -152,13 +152,15 @@ class Misfit:
                 response = response + share * settling
                 settling = settling / sigma
             load = probe.load(shear_modulus, shift)
-            slope, drift = np.zeros_like(response), np.zeros((len(sigma), 4))
-            if with_slope:
-                slope = probe.slope(poisson_ratio)
-                known = np.append(errors, shift[3 + len(probe.motion) :])
-                drift = self._drift(probe, response, slope, load, poisson_ratio, known)
             effects = self._effects(probe, response, load, poisson_ratio)
             curvature = self._curvature(probe, load, poisson_ratio)
+            slope, drift = np.zeros_like(response), np.zeros((len(sigma), 4))
+            known = np.append(errors, shift[3 + len(probe.motion) :])
+            if with_slope:
+                slope = probe.slope(poisson_ratio)
+            if with_slope and known.any():
+                start = _explained(effects, curvature, known)
+                drift = self._drift(probe, response, slope, load, poisson_ratio, known, start)
             scaled.append(
                 ScaledRows(
                     probe=probe,
@@ -216,19 +218,16 @@ class Misfit:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
         errors: Float[np.ndarray, " e"],
+        start: Float[np.ndarray, " r"],
     ) -> Float[np.ndarray, "r 4"]:
-        """Derivative of what errors explain, by Poisson's ratio and by a sigma of each component of
-        the force [m]. A tool that pressed elsewhere dips the surface there as nu and force say."""
-        if not errors.any():
-            return np.zeros((len(response), 4))
+        """Derivative of what errors explain, `start`, by Poisson's ratio and by a sigma of each
+        component of the force [m]. A tool that pressed elsewhere dips the surface there as nu and
+        force say."""
 
         def explained(here: np.ndarray, pushed: np.ndarray, nu: float) -> np.ndarray:
-            found = self._effects(probe, here, pushed, nu) @ errors
-            curvature = self._curvature(probe, pushed, nu)
-            own = errors[len(self.shared) :]
-            return found if curvature is None else found + 0.5 * (curvature @ own) @ own
+            effects = self._effects(probe, here, pushed, nu)
+            return _explained(effects, self._curvature(probe, pushed, nu), errors)
 
-        start = explained(response, load, poisson_ratio)
         step = _RATIO_STEP if poisson_ratio < _MIDDLE else -_RATIO_STEP
         there = explained(response + step * slope, load, poisson_ratio + step)
         columns = [(there - start) / step]
@@ -236,7 +235,8 @@ class Misfit:
             pushed = load.copy()
             # Load 3 is one over the modulus.
             pushed[i] += std * load[3]
-            columns.append(explained(response, pushed, poisson_ratio) - start)
+            changed = explained(response, pushed, poisson_ratio) if std > 0.0 else start
+            columns.append(changed - start)
         return np.stack(columns, axis=1)
 
     def linearised(
@@ -261,6 +261,19 @@ class Misfit:
             linearised_probe(self.noise, row, offset, shear_modulus, shift, errors)
             for row, shift in zip(rows, shifts, strict=True)
         )
+
+
+def _explained(
+    effects: Float[np.ndarray, "r e"],
+    curvature: Float[np.ndarray, "r o o"] | None,
+    errors: Float[np.ndarray, " e"],
+) -> Float[np.ndarray, " r"]:
+    """What errors change; the last o of them with their squares."""
+    found = effects @ errors
+    if curvature is None:
+        return found
+    own = errors[len(errors) - curvature.shape[1] :]
+    return np.asarray(found + 0.5 * (curvature @ own) @ own)
 
 
 def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParameter, ...]:
