@@ -138,11 +138,11 @@ def test_changes_that_swing_back_end_in_a_few_steps(
     """Each linearisation lands beyond the minimum by a share of where it started."""
 
     def overshot(
-        misfit: Misfit, rows: list, start: Minimum, poisson_range: tuple
+        misfit: Misfit, rows: list, start: Minimum, shifts: list, poisson_range: tuple
     ) -> tuple[Minimum, float]:
         nu = 0.3 + swing * (start.poisson_ratio - 0.3)
         modulus = 2e4 * (start.shear_modulus / 2e4) ** swing
-        own = [swing * one.shift for one in start.probes]
+        own = [swing * one for one in shifts]
         probes = misfit.linearised(rows, 0.0, modulus, own, start.errors)
         return Minimum(nu, modulus, tuple(probes), start.errors, False), 1e-3
 

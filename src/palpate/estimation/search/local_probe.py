@@ -24,8 +24,8 @@ class ScaledRows:
                                     reference: of the m that probings share, then of its own
     curvature : (r, o, o) float or None     second derivative in the o errors of its own; None: the
                                     effects are linear
-    drift : (r, 4) float            derivative of what the errors at the reference explain, by
-                                    Poisson's ratio and by a sigma of each component of the force
+    drift : (r, 3) float            derivative of what the errors at the reference explain, by a
+                                    sigma of each component of the force
     force : (3,) float              shift of the force at the reference, in sigmas
     shear_modulus : float [Pa]      at which effects were taken; they are inverse to it
     settling : (r, c) float or None derivative of the response with respect to log G there, over the
@@ -38,7 +38,7 @@ class ScaledRows:
     slope: Float[np.ndarray, "r c"]
     effects: Float[np.ndarray, "r e"]
     curvature: Float[np.ndarray, "r o o"] | None
-    drift: Float[np.ndarray, "r 4"]
+    drift: Float[np.ndarray, "r 3"]
     force: Float[np.ndarray, "3"]
     shear_modulus: float
     settling: Float[np.ndarray, "r c"] | None = None
@@ -139,16 +139,16 @@ def linearised_probe(
         bend = scale * (rows.curvature @ shift[motions:])
         explained += 0.5 * bend @ shift[motions:]
         effects[:, shared:] += bend
-    explained += drift @ np.append(offset, shift[:3] - rows.force)
+    explained += drift @ (shift[:3] - rows.force)
     pushed += explained
     table = np.empty((len(pushed), first + len(shift) + 1))
-    table[:, 0] = rows.slope @ load + drift[:, 0]
+    table[:, 0] = rows.slope @ load
     np.negative(pushed, out=table[:, 1])
     if rows.settling is not None:
         table[:, 1] += (shear_modulus / rows.shear_modulus) * (rows.settling @ load)
     table[:, 2:first] = effects[:, :shared]
     table[:, first : first + motions] = probe.per_shift(response, shear_modulus)
-    table[:, first : first + 3] += drift[:, 1:]
+    table[:, first : first + 3] += drift
     table[:, first + motions : -1] = effects[:, shared:]
     np.subtract(rows.measured, pushed + response[:, 4:] @ load[4:], out=table[:, -1])
     squared = probe.squared_length(table[:, -1])

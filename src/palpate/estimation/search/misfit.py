@@ -21,8 +21,6 @@ from palpate.estimation.search.local_probe import LocalProbe, ScaledRows, linear
 
 _MAX_FORCE_STEPS = 200
 _FORCE_TOLERANCE = 1e-12
-# Of Poisson's ratio, for a derivative of small terms; toward the middle of its range.
-_RATIO_STEP, _MIDDLE = 1e-3, 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,13 +152,13 @@ class Misfit:
             load = probe.load(shear_modulus, shift)
             effects = self._effects(probe, response, load, poisson_ratio)
             curvature = self._curvature(probe, load, poisson_ratio)
-            slope, drift = np.zeros_like(response), np.zeros((len(sigma), 4))
+            slope, drift = np.zeros_like(response), np.zeros((len(sigma), 3))
             known = np.append(errors, shift[3 + len(probe.motion) :])
             if with_slope:
                 slope = probe.slope(poisson_ratio)
             if with_slope and known.any():
                 start = _explained(effects, curvature, known)
-                drift = self._drift(probe, response, slope, load, poisson_ratio, known, start)
+                drift = self._drift(probe, response, load, poisson_ratio, known, start)
             scaled.append(
                 ScaledRows(
                     probe=probe,
@@ -214,28 +212,23 @@ class Misfit:
         self,
         probe: ObservedRows,
         response: Float[np.ndarray, "r c"],
-        slope: Float[np.ndarray, "r c"],
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
         errors: Float[np.ndarray, " e"],
         start: Float[np.ndarray, " r"],
-    ) -> Float[np.ndarray, "r 4"]:
-        """Derivative of what errors explain, `start`, by Poisson's ratio and by a sigma of each
-        component of the force [m]. A tool that pressed elsewhere dips the surface there as nu and
-        force say."""
-
-        def explained(here: np.ndarray, pushed: np.ndarray, nu: float) -> np.ndarray:
-            effects = self._effects(probe, here, pushed, nu)
-            return _explained(effects, self._curvature(probe, pushed, nu), errors)
-
-        step = _RATIO_STEP if poisson_ratio < _MIDDLE else -_RATIO_STEP
-        there = explained(response + step * slope, load, poisson_ratio + step)
-        columns = [(there - start) / step]
+    ) -> Float[np.ndarray, "r 3"]:
+        """Derivative of what errors explain, `start`, by a sigma of each component of the force
+        [m]."""
+        columns = []
         for i, std in enumerate(probe.force_std):
             pushed = load.copy()
             # Load 3 is one over the modulus.
             pushed[i] += std * load[3]
-            changed = explained(response, pushed, poisson_ratio) if std > 0.0 else start
+            changed = start
+            if std > 0.0:
+                effects = self._effects(probe, response, pushed, poisson_ratio)
+                curvature = self._curvature(probe, pushed, poisson_ratio)
+                changed = _explained(effects, curvature, errors)
             columns.append(changed - start)
         return np.stack(columns, axis=1)
 

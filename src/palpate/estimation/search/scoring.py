@@ -15,8 +15,6 @@ from palpate.estimation.search.local_probe import LocalProbe, ScaledRows
 from palpate.estimation.search.misfit import Misfit, common_equations, total_loss
 
 _MAX_LINEARISATIONS = 20
-# Of the misfit, which is minus twice a logarithm of a likelihood: less is no sign of a wrong way.
-_LARGE_RISE = 1.0
 # Of a change, where changes swing about their end by up to twenty times the distance to it.
 _SMALLEST_SHARE = 0.05
 _MAX_STEPS = 12
@@ -79,27 +77,17 @@ def scored_minimum(
     nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
     shifts = list(misfit.no_shifts() if shifts is None else shifts)
     errors = np.zeros(len(misfit.shared)) if errors is None else errors
-    here, change, share, lowest = Minimum(nu, modulus, (), errors, False), np.zeros(0), 1.0, np.inf
-    start, own = here, shifts
+    start, before, share = Minimum(nu, modulus, (), errors, False), np.zeros(0), 1.0
     for _ in range(_MAX_LINEARISATIONS):
-        rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, own, start.errors)
-        local = misfit.linearised(rows, 0.0, start.shear_modulus, own, start.errors)
-        loss = total_loss(local, start.errors)
-        if loss > lowest + _LARGE_RISE:
-            # What is linear here is not so far away.
-            share *= 0.5
-            start, own = _moved(here, shifts, share * change)
-            continue
-        here, shifts, lowest = start, own, loss
-        found, error = _linear_minimum(misfit, rows, replace(start, probes=local), poisson_range)
-        before = change
-        change = _joined(found, [probe.shift for probe in found.probes]) - _joined(here, shifts)
+        rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, shifts, start.errors)
+        found, error = _linear_minimum(misfit, rows, start, shifts, poisson_range)
+        change = _joined(found, [probe.shift for probe in found.probes]) - _joined(start, shifts)
         # Responses and effects are taken linear over a move; what that leaves is of its square.
         moved = float(np.abs(change[:2]).max())
         if moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error:
             return replace(found, converged=True)
-        share = taken_share(change, before, share)
-        start, own = _moved(here, shifts, share * change)
+        share, before = taken_share(change, before, share), change
+        start, shifts = _moved(start, shifts, share * change)
     return found
 
 
@@ -153,11 +141,14 @@ def _linear_minimum(
     misfit: Misfit,
     rows: Sequence[ScaledRows],
     start: Minimum,
+    shifts: Sequence[np.ndarray],
     poisson_range: tuple[float, float],
 ) -> tuple[Minimum, float]:
     """Minimum and a standard error after scoring steps with the response linear in Poisson's ratio
     about the start."""
-    reference, best, loss = start.poisson_ratio, start, total_loss(start.probes, start.errors)
+    reference = start.poisson_ratio
+    local = misfit.linearised(rows, 0.0, start.shear_modulus, shifts, start.errors)
+    best, loss = replace(start, probes=local), total_loss(local, start.errors)
     for _ in range(_MAX_STEPS):
         step, moves, error = _step(misfit.noise, best, poisson_range)
         for factor in 0.5 ** np.arange(_MAX_HALVINGS):
