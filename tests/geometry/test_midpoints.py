@@ -44,11 +44,13 @@ def quadratic(x):
 QUADRATIC = np.array([[0.5, 0.1, -0.3], [0.0, -0.4, 0.2], [0.6, 0.0, 0.9]])
 
 
+@pytest.mark.parametrize("rings", [1, 2])
 @pytest.mark.parametrize("continuous", [True, False])
-def test_quadratics_are_exact_on_every_flat_face(continuous):
+def test_quadratics_are_exact_on_every_flat_face(continuous, rings):
     mesh = uneven_box()
     sides = split_sides(mesh, no_region(mesh))
-    nodes = displacement_nodes(mesh, sides) if continuous else side_nodes(mesh, sides)
+    make = displacement_nodes if continuous else side_nodes
+    nodes = make(mesh, sides, rings=rings)
     value = quadratic(mesh.vertices)
     if not continuous:
         value = value[sides.vertex]
@@ -57,6 +59,20 @@ def test_quadratics_are_exact_on_every_flat_face(continuous):
     place = middles(mesh, nodes)
     used = np.isfinite(place[:, 0])
     np.testing.assert_allclose((nodes.weights @ value)[used], quadratic(place[used]), atol=1e-11)
+
+
+@pytest.mark.parametrize("level", [2, 3, 4])
+def test_the_step_to_two_rings_is_as_large_as_the_error_of_one(level):
+    """Edges of half the length at each level, from two of them a radian on."""
+    mesh = sphere(level)
+    sides = split_sides(mesh, no_region(mesh))
+    near, wide = (displacement_nodes(mesh, sides, rings=rings) for rings in (1, 2))
+    place = middles(mesh, near)
+    place /= np.linalg.norm(place, axis=1)[:, None]
+    first, second = (nodes.weights @ np.sin(2 * mesh.vertices[:, 0]) for nodes in (near, wide))
+    error = np.linalg.norm(first - np.sin(2 * place[:, 0]))
+    # 0.97, 1.37 and 1.21.
+    assert 0.5 < error / np.linalg.norm(second - first) < 2.0
 
 
 def test_weights_sum_to_one():

@@ -49,6 +49,7 @@ from palpate.bem.loads import (
     traction_column as traction_column,
 )
 from palpate.bem.system import (
+    LARGEST_DENSE as LARGEST_DENSE,
     BoundarySystem as BoundarySystem,
     FactorisedSystem as FactorisedSystem,
     PointEquations as PointEquations,

@@ -29,6 +29,7 @@ from palpate.estimation.nuisance import (
     Discretisation as Discretisation,
     ForceDirection as ForceDirection,
     ForceGain as ForceGain,
+    Interpolation as Interpolation,
     LengthScale as LengthScale,
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,

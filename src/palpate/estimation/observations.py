@@ -84,6 +84,8 @@ class ProbeObservations:
     reference : str or None                 pictures at rest that the displacements were measured
                                             from; points of probings with the same ones share their
                                             noise
+    considered : tuple of Nuisance          errors of the model that data are not asked about: their
+                                            priors enter the intervals whole
 
     Raises
     ------
@@ -108,6 +110,7 @@ class ProbeObservations:
     covariance: Float[np.ndarray, "n 3 3"] | None = None
     correlation: PointCorrelation = INDEPENDENT
     reference: str | None = None
+    considered: tuple[Nuisance, ...] = ()
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "

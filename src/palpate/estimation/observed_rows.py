@@ -48,6 +48,7 @@ class ObservedRows:
     neighbours : (r, r) sparse or None      correlation of the rows of neighbouring points, zero on
                                             the diagonal; None: errors are independent
     reference : str or None                 pictures at rest that it was measured from
+    considered : tuple of Nuisance          errors that are not fitted along
     """
 
     name: str
@@ -69,6 +70,7 @@ class ObservedRows:
     mixing: Float[np.ndarray, "k 3 3"] | None = None
     neighbours: csr_array | None = None
     reference: str | None = None
+    considered: tuple[Nuisance, ...] = ()
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -82,12 +84,30 @@ class ObservedRows:
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
         """Change of the displacements for one prior standard deviation of each parameter [m]."""
-        if not self.nuisances:
+        return self._columns(self.nuisances, response, load, poisson_ratio)
+
+    def considered_columns(
+        self,
+        response: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r q"]:
+        """The same of the errors that are not fitted along."""
+        return self._columns(self.considered, response, load, poisson_ratio)
+
+    def _columns(
+        self,
+        nuisances: tuple[Nuisance, ...],
+        response: Float[np.ndarray, "r c"],
+        load: Float[np.ndarray, " c"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "r p"]:
+        if not nuisances:
             return np.zeros((len(self.measured), 0))
         plain = response
         if self.mixing is not None:
             plain = _mixed(np.linalg.inv(self.mixing), response)
-        found = [n.columns(self.rows, plain, load, poisson_ratio) for n in self.nuisances]
+        found = [n.columns(self.rows, plain, load, poisson_ratio) for n in nuisances]
         return _mixed(self.mixing, np.concatenate(found, axis=1))
 
     def nuisance_curvature(
@@ -267,6 +287,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         mixing=mixing,
         neighbours=_neighbours(probe, point, start, count),
         reference=probe.reference,
+        considered=probe.considered,
     )
 
 

@@ -41,20 +41,21 @@ class QuadraticNodes:
     weights: csr_array
 
 
-def displacement_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
+def displacement_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> QuadraticNodes:
     """Nodes of a continuous field: one value at a vertex, one midpoint at an edge.
 
     Parameters
     ----------
     mesh : TriangleMesh
     sides : Sides             of that mesh
+    rings : int               rings of neighbours of an edge's ends that fix its midpoint: 1 or 2
 
     Returns
     -------
     QuadraticNodes            n_nodes = number of vertices; the midpoint of a cut edge is the mean
                               of what its two sides say, so that the field stays continuous
     """
-    rows = _half_edge_weights(mesh, sides)
+    rows = _half_edge_weights(mesh, sides, rings)
     edge = sides.edge.ravel()
     n_edges = sides.cut.size
     mean = csr_array(
@@ -68,7 +69,7 @@ def displacement_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
     return QuadraticNodes(element, mesh.vertices.shape[0], csr_array(mean @ rows @ to_vertex))
 
 
-def side_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
+def side_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> QuadraticNodes:
     """Nodes of a field that may jump at cut edges, as tractions do: one value at each side of a
     vertex.
 
@@ -76,12 +77,13 @@ def side_nodes(mesh: TriangleMesh, sides: Sides) -> QuadraticNodes:
     ----------
     mesh : TriangleMesh
     sides : Sides             of that mesh
+    rings : int               as `displacement_nodes`
 
     Returns
     -------
     QuadraticNodes            n_nodes = number of sides; a cut edge has two midpoints, any other one
     """
-    rows = _half_edge_weights(mesh, sides)
+    rows = _half_edge_weights(mesh, sides, rings)
     n_sides = sides.vertex.size
     half = np.arange(sides.edge.size).reshape(-1, 3)
     midpoint = n_sides + np.where(sides.cut[sides.edge], half, np.minimum(half, sides.twin))
@@ -147,12 +149,15 @@ def interpolation_matrix(
     return csr_array(at_nodes @ vstack([own, nodes.weights], format="csr"))
 
 
-def _half_edge_weights(mesh: TriangleMesh, sides: Sides) -> csr_array:
+def _half_edge_weights(mesh: TriangleMesh, sides: Sides, rings: int) -> csr_array:
     """Weights over the sides for the midpoint of every half-edge, (3 m, n_sides)."""
     half = np.arange(sides.edge.size)
     is_cut = sides.cut[sides.edge.ravel()]
     inner = half[~is_cut & (half < sides.twin.ravel())]
-    blocks = [_surface_stencils(mesh, sides, inner), _curve_stencils(mesh, sides, half[is_cut])]
+    blocks = [
+        _surface_stencils(mesh, sides, inner, rings),
+        _curve_stencils(mesh, sides, half[is_cut]),
+    ]
     row, column, weight = (np.concatenate(part) for part in zip(*blocks, strict=True))
     partner = sides.twin.ravel()[row]
     mirrored = ~is_cut[row]
@@ -163,7 +168,7 @@ def _half_edge_weights(mesh: TriangleMesh, sides: Sides) -> csr_array:
 
 
 def _surface_stencils(
-    mesh: TriangleMesh, sides: Sides, half: Int[np.ndarray, " h"]
+    mesh: TriangleMesh, sides: Sides, half: Int[np.ndarray, " h"], rings: int
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Least-squares quadratics over the neighbours of both ends of each inner edge."""
     corner = sides.corner.ravel()
@@ -173,7 +178,11 @@ def _surface_stencils(
     plane = normal[half // 3] + normal[sides.twin.ravel()[half] // 3]
     position = mesh.vertices[sides.vertex]
     parts, left = [], np.arange(half.size)
-    for reach in (near, csr_array(near @ near)):
+    nearest = near
+    for _ in range(rings - 1):
+        nearest = csr_array(nearest @ near)
+    # One ring more where these do not fix a quadratic.
+    for reach in (nearest, csr_array(nearest @ near)):
         weight, column = _quadratic_weights(position, a[left], b[left], plane[left], reach)
         good = np.abs(weight).sum(axis=1) < _MAX_WEIGHT_SUM
         row = np.broadcast_to(half[left][:, None], weight.shape)

@@ -29,7 +29,11 @@ from palpate.pipeline.model import (
     resolved_session,
     touched_session,
 )
-from palpate.pipeline.observations import coarser_observations, settled_observations
+from palpate.pipeline.observations import (
+    coarser_observations,
+    settled_observations,
+    with_interpolation_errors,
+)
 from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -85,10 +89,7 @@ def fit_session(
     progress("the given mesh", 0.0)
     resolved = resolved_session(session, surface=surface)
     # First, and gone before the graded one takes its memory.
-    if has_tools(resolved):
-        resolved, coarser = _with_touched_circles(resolved, settings, surface, cache)
-    else:
-        _, coarser = coarser_observations(resolved, settings=settings, surface=surface, cache=cache)
+    resolved, coarser = _beside_given_mesh(resolved, settings, surface, cache)
     compared = time.perf_counter()
     progress("integrals over the surface", 0.25)
     graded = graded_session(resolved, surface=surface)
@@ -149,6 +150,20 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
     count = len(session.mesh.vertices)
     return tuple(
         one if one.surface is None else replace(one, surface=one.surface[:count]) for one in probes
+    )
+
+
+def _beside_given_mesh(
+    session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
+) -> tuple[Session, list[ProbeObservations]]:
+    """A session with contacts as wide as its tools touch, and what was seen beside the model of its
+    mesh as it is."""
+    if has_tools(session):
+        session, seen = _with_touched_circles(session, settings, surface, cache)
+    else:
+        _, seen = coarser_observations(session, settings=settings, surface=surface, cache=cache)
+    return session, with_interpolation_errors(
+        session, seen, settings=settings, surface=surface, cache=cache
     )
 
 

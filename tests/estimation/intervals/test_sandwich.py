@@ -1,6 +1,6 @@
 """Information, scores and their noise against dense linear algebra and the law of large numbers."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter, Variance
 from palpate.estimation.intervals.score_noise import ScoreNoise
 from palpate.estimation.noise.noise_model import gaussian_moments
 from palpate.estimation.noise.student_t import StudentT
+from palpate.estimation.nuisance import NuisanceParameter
 from palpate.records import PointCorrelation
 
 CLAIMED = ScoreNoise(1.0, 1.0, np.inf, 0.0, NO_SCATTER)
@@ -246,6 +247,57 @@ def test_neighbours_that_err_together_widen_what_they_say() -> None:
     assert np.sqrt(np.mean(claims)) / np.std(drawn) == pytest.approx(1.0, abs=0.2)
     # The fit takes two of some 30 parts of the noise that are independent.
     assert np.mean(sharings) == pytest.approx(1.0, abs=0.15)
+
+
+@dataclass(frozen=True)
+class _Unknown:
+    """A displacement of the model that nobody fits."""
+
+    step: np.ndarray
+    name: str = "something"
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        return (NuisanceParameter(self.name, 1.0),)
+
+    def columns(
+        self, rows: np.ndarray, response: np.ndarray, load: np.ndarray, poisson_ratio: float
+    ) -> np.ndarray:
+        return self.step[rows, None]
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_what_is_considered_moves_the_estimate_by_its_prior(shared: bool) -> None:
+    """Data of no noise, off by one standard deviation of an error that is not fitted: so far the
+    estimate moves."""
+    clean = [
+        replace(probe, std=np.full_like(probe.displacement, NOISE)) for probe in _probes(noise=0.0)
+    ]
+    rng = np.random.default_rng(2)
+    steps = [1e-7 * rng.normal(size=3 * len(probe.position)) for probe in clean]
+    names = ["something"] * 3 if shared else ["a", "b", "c"]
+    signs = [np.ones(3)] if shared else list(np.eye(3))
+    considered = [
+        replace(probe, considered=(_Unknown(step, name),))
+        for probe, step, name in zip(clean, steps, names, strict=True)
+    ]
+    best = minimum_of(misfit_of(clean))
+    found, _ = scores_of(
+        misfit_of(considered), minimum_of(misfit_of(considered)).probes, noise=CLAIMED
+    )
+    alone = replace(found, noise=np.zeros_like(found.noise)).covariance()
+    expected = np.zeros((2, 2))
+    for sign in signs:
+        moved = [
+            replace(probe, displacement=probe.displacement + factor * step.reshape(-1, 3))
+            for probe, step, factor in zip(clean, steps, sign, strict=True)
+        ]
+        there = minimum_of(misfit_of(moved))
+        shear = np.log(there.shear_modulus / best.shear_modulus)
+        off = np.array([there.poisson_ratio - best.poisson_ratio, shear])
+        expected += np.outer(off, off)
+    # A thousandth of the noise; the search ends within 1e-4 of such a step.
+    np.testing.assert_allclose(alone, expected, rtol=1e-3)
 
 
 def test_other_references_are_independent() -> None:

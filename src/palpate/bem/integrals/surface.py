@@ -35,12 +35,15 @@ class SurfaceSettings:
     quadratic : bool          True: fields are quadratic on each triangle, fitted from the vertices
                               around; False: linear elements, as in the paper
     crease_angle : float [rad] angle between neighbouring triangles from which their edge is a real
-    edge of the object
+                              edge of the object
+    rings : int               rings of neighbours of an edge that the quadratics are fitted to, 1 or
+                              2: the step from one to the other shows what lies between the vertices
     """
 
     smooth: bool = True
     quadratic: bool = True
     crease_angle: float = CREASE_ANGLE
+    rings: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +114,8 @@ def make_surface(
     # Where a roller meets another support or the free surface, its traction ends.
     _, region = np.unique(held_directions.reshape(-1, 9), axis=0, return_inverse=True)
     sides = split_sides(mesh, region.ravel(), crease_angle=settings.crease_angle)
-    displacement, traction = displacement_nodes(mesh, sides), side_nodes(mesh, sides)
+    displacement = displacement_nodes(mesh, sides, rings=settings.rings)
+    traction = side_nodes(mesh, sides, rings=settings.rings)
     geometry = displacement if settings.smooth else linear_nodes(displacement)
     if not settings.quadratic:
         displacement, traction = linear_nodes(displacement), linear_nodes(traction)

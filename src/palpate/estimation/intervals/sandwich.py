@@ -14,7 +14,12 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation.intervals.scatter import Scatter, Variance
-from palpate.estimation.intervals.score_noise import ScoreNoise, common_noise, noise_of
+from palpate.estimation.intervals.score_noise import (
+    ScoreNoise,
+    common_noise,
+    considered_errors,
+    noise_of,
+)
 from palpate.estimation.intervals.spatial_correlation import block_scatter
 from palpate.estimation.noise import gaussian_moments
 from palpate.estimation.search import LocalProbe, Misfit, diagonal_root
@@ -36,7 +41,8 @@ class Scores:
                                 probing
     curvature : (k, 2, 2)       second derivative of half the misfit at fixed weights and errors
     common : (k, k, d, d) or None    covariance of each score with each from the noise that probings
-                                share; None: they share none
+                                share, and from errors that are not fitted along; None: there is
+                                none
     """
 
     score: Float[np.ndarray, "k d"]
@@ -208,7 +214,7 @@ def scores_of(
     scores = Scores(*(np.stack(column) for column in zip(*parts, strict=True)))
     common = common_noise(local, turns, noise)
     own = scores.noise - np.einsum("kkij->kij", common)
-    return replace(scores, noise=own, common=common), noise
+    return replace(scores, noise=own, common=common + considered_errors(local, turns, noise)), noise
 
 
 def _scores(

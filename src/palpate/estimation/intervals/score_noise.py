@@ -1,4 +1,4 @@
-"""Noise of the robust scores: its size, and what points and probings share of it."""
+"""Noise of the robust scores: its size, and what points and probings share of it and beside it."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -121,6 +121,36 @@ def common_noise(
         for m in range(count):
             found[k, m] = 0.5 * (mixed[k].T @ plain[m] + plain[k].T @ mixed[m])
     return _REFERENCE_SHARE * noise.power * noise.excess * found
+
+
+def considered_errors(
+    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
+) -> Float[np.ndarray, "k k d d"]:
+    """Covariance of the scores of probings, each with each, from errors that are not fitted along:
+    the model is not told by the data how large they are, so they move the estimate by their priors.
+
+    Parameters
+    ----------
+    local : sequence of k LocalProbe    at a minimum
+    turns : (d + n, d) for each         takes the shifts out of its design
+    noise : ScoreNoise
+
+    Returns
+    -------
+    (k, k, d, d) float                  zero without such errors
+
+    Source
+    ------
+    Schmidt, Application of state-space methods to navigation problems, Advances in Control Systems
+    3 (1966): parameters that are considered
+    """
+    names = [[one.name for n in probe.rows.considered for one in n.parameters] for probe in local]
+    every = list(dict.fromkeys(name for own in names for name in own))
+    moved = np.zeros((len(local), local[0].common, len(every)))
+    for k, (probe, turn) in enumerate(zip(local, turns, strict=True)):
+        pull = noise.slope * (probe.design @ turn).T @ probe.considered
+        moved[k][:, [every.index(name) for name in names[k]]] = pull
+    return np.einsum("kiq,mjq->kmij", moved, moved)
 
 
 def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:

@@ -28,6 +28,8 @@ class ScaledRows:
                                     sigma of each component of the force
     force : (3,) float              shift of the force at the reference, in sigmas
     shear_modulus : float [Pa]      at which effects were taken; they are inverse to it
+    considered : (r, q) float       change for one prior standard deviation of each error that is
+                                    not fitted along; without columns where not asked for
     settling : (r, c) float or None derivative of the response with respect to log G there, over the
                                     noise; None: there is none
     """
@@ -41,6 +43,7 @@ class ScaledRows:
     drift: Float[np.ndarray, "r 3"]
     force: Float[np.ndarray, "3"]
     shear_modulus: float
+    considered: Float[np.ndarray, "r q"]
     settling: Float[np.ndarray, "r c"] | None = None
 
     def response(self, offset: float, shear_modulus: float) -> Float[np.ndarray, "r c"]:
@@ -69,6 +72,8 @@ class LocalProbe:
                                     supports, then errors of this probing alone, in sigmas
     force_weight : float            robust weight of the measured force
     loss : float                    contribution to the misfit
+    considered : (r, q) float       change for one prior standard deviation of each error that is
+                                    not fitted along
     """
 
     rows: ObservedRows
@@ -79,6 +84,7 @@ class LocalProbe:
     shift: Float[np.ndarray, " n"]
     force_weight: float
     loss: float
+    considered: Float[np.ndarray, "r q"]
 
     @property
     def common(self) -> int:
@@ -165,4 +171,5 @@ def linearised_probe(
         shift=shift,
         force_weight=float(noise.weight(length, count)[0]),
         loss=float(loss),
+        considered=scale * rows.considered,
     )

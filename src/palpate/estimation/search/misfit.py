@@ -153,9 +153,11 @@ class Misfit:
             effects = self._effects(probe, response, load, poisson_ratio)
             curvature = self._curvature(probe, load, poisson_ratio)
             slope, drift = np.zeros_like(response), np.zeros((len(sigma), 3))
+            considered = np.zeros((len(sigma), 0))
             known = np.append(errors, shift[3 + len(probe.motion) :])
             if with_slope:
                 slope = probe.slope(poisson_ratio)
+                considered = probe.considered_columns(response, load, poisson_ratio)
             if with_slope and known.any():
                 start = _explained(effects, curvature, known)
                 drift = self._drift(probe, response, load, poisson_ratio, known, start)
@@ -170,6 +172,7 @@ class Misfit:
                     drift=drift / sigma,
                     force=np.array(shift[:3]),
                     shear_modulus=shear_modulus,
+                    considered=considered / sigma,
                     settling=settling,
                 )
             )

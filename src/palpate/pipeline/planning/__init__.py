@@ -3,7 +3,8 @@
 Purpose    : the precision of probings that are still to be made, and where the next ones tell most.
 Takes      : a `Session`, with a guess of its constants or with measurements.
 Gives      : `MeasurementPlan`, `NextProbings`.
-Depends on : `pipeline.model`, `lab`, `estimation`, `vision`, `records`, `geometry`.
+Depends on : `pipeline.model`, `pipeline.observations`, `lab`, `estimation`, `vision`, `records`,
+             `geometry`.
 Read first : `measurement_plan.py`, then `next_probings.py`.
 """
 

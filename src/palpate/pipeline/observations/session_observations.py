@@ -2,178 +2,40 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
-from palpate.bem import SurfaceSettings
-from palpate.errors import InputError, NotConvergedError
+from palpate.errors import InputError
 from palpate.estimation import (
     SNAPSHOT_RESIDUAL,
-    Discretisation,
     FitMethod,
     FitSettings,
     Nuisance,
     ProbeObservations,
     ProbeResponse,
     SpringResponse,
-    best_constants_of,
     full_responses,
     make_reduced_model,
     reduced_response,
 )
-from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal, distinct_points
+from palpate.geometry import SurfacePoints, TriangleMesh, distinct_points
 from palpate.pipeline.model import (
-    LEFT_OF_STEP,
     ObjectModel,
     free_std,
     given_motion,
-    graded_session,
-    make_object_model,
     pose_changes,
     probe_rows,
     settlement,
     shared_errors,
     spring_responses,
 )
-from palpate.records import EXACT, GIVEN, DisplacementField, Probing, Session
+from palpate.records import GIVEN, DisplacementField, Probing, Session
 from palpate.shapes import Vertices
 
 # Poisson's ratio at which the size of small terms is taken.
 _MIDDLE = 0.3
-# Relative residual of a compressed model that shows the step to a finer mesh only: a thousandth of
-# the displacement or more, so that the step is known to a hundredth.
-_COARSER_RESIDUAL = 1e-5
-# Where supports give: how often the modulus about which the model is taken is found anew, the
-# change of its logarithm that ends this (what it leaves is of its square), and the longest step.
-_SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
-
-
-def coarser_observations(
-    session: Session,
-    *,
-    settings: FitSettings = FitSettings(),
-    surface: SurfaceSettings = SurfaceSettings(),
-    cache: Path | None = None,
-    like: ObjectModel | None = None,
-) -> tuple[ObjectModel, list[ProbeObservations]]:
-    """The model of the mesh as it is, nothing else being wrong, and what was seen beside it.
-
-    Beside the same on the graded mesh it shows how much the mesh is off.
-
-    Parameters
-    ----------
-    session : Session                     k probings, each with displacements
-    settings : FitSettings
-    surface : SurfaceSettings
-    cache : Path or None                  folder that keeps the integrals
-    like : ObjectModel or None            as `make_object_model`
-
-    Returns
-    -------
-    ObjectModel
-    list of k ProbeObservations
-
-    Raises
-    ------
-    InputError, SingularSystemError, NotConvergedError    as `settled_observations`
-    """
-    plain = replace(session, errors=EXACT)
-    model = make_object_model(plain, surface=surface, cache=cache, nominal=True, like=like)
-    return model, settled_observations(
-        plain, model, settings=settings, snapshot_residual=_COARSER_RESIDUAL
-    )
-
-
-def graded_observations(session: Session) -> list[ProbeObservations]:
-    """What a fit would see: beside the graded mesh's model, with the error that its mesh has.
-
-    Parameters
-    ----------
-    session : Session                     k probings, each with displacements
-
-    Returns
-    -------
-    list of k ProbeObservations
-
-    Raises
-    ------
-    InputError, SingularSystemError, NotConvergedError    as `settled_observations`
-    """
-    _, coarser = coarser_observations(session)
-    graded = graded_session(session)
-    return settled_observations(graded, make_object_model(graded), coarser=coarser)
-
-
-def settled_observations(
-    session: Session,
-    model: ObjectModel,
-    *,
-    settings: FitSettings = FitSettings(),
-    coarser: Sequence[ProbeObservations] = (),
-    with_surface: bool = False,
-    snapshot_residual: float = SNAPSHOT_RESIDUAL,
-) -> list[ProbeObservations]:
-    """What each probing saw, with what the model says at the modulus that fits it best, where
-    supports give and the model depends on it.
-
-    Parameters
-    ----------
-    session : Session                     k probings, each with displacements
-    model : ObjectModel                   of this session
-    settings : FitSettings
-    coarser : sequence of k ProbeObservations, or none    the same on a coarser mesh: the error of
-                                          the mesh is added
-    with_surface : bool                   have the displacement of all vertices told along with the
-                                          estimate
-    snapshot_residual : float             as `make_reduced_model`
-
-    Returns
-    -------
-    list of k ProbeObservations
-
-    Raises
-    ------
-    InputError, SingularSystemError, NotConvergedError    as `session_observations`; the springs
-                                          explain the motion alone, so no modulus fits best
-    """
-    make = session_observations_at(
-        session, model, settings=settings, with_surface=with_surface,
-        snapshot_residual=snapshot_residual,
-    )  # fmt: skip
-    stiffnesses = [one.stiffness for one in session.supports if one.stiffness is not None]
-    if not stiffnesses:
-        return _with_mesh_errors(make(1.0), coarser)
-    length = bounding_diagonal(session.mesh)
-    modulus = min(stiffnesses) * length
-    if coarser and coarser[0].settlement is not None:
-        modulus = coarser[0].settlement.shear_modulus
-    for _ in range(_SETTLING_ROUNDS):
-        observations = _with_mesh_errors(make(modulus), coarser)
-        _, found = best_constants_of(observations, settings=settings)
-        step = float(np.log(found / modulus))
-        if abs(step) < _SETTLED:
-            return observations
-        modulus *= float(np.exp(np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)))
-    raise NotConvergedError(
-        f"the shear modulus did not settle (last {found:.3g} Pa): under supports of stiffness"
-        f" {min(stiffnesses):.3g} N/m^3 the object would hardly deform, or not at all; check the"
-        " stiffness and the forces, and measure points that move against each other"
-    )
-
-
-def _with_mesh_errors(
-    observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
-) -> list[ProbeObservations]:
-    """What was seen, with the error of the mesh that a coarser one shows, if there is one."""
-    if not coarser:
-        return list(observations)
-    return [
-        replace(one, nuisances=(*one.nuisances, Discretisation(LEFT_OF_STEP, other.response_at)))
-        for one, other in zip(observations, coarser, strict=True)
-    ]
 
 
 def session_observations(
