@@ -13,6 +13,7 @@ from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
 from palpate.figures import (
+    budget_figure,
     displacement_figure,
     errors_figure,
     likelihood_figure,
@@ -51,7 +52,7 @@ _LABELS = {
     "shear_modulus": "shear modulus",
     "poisson_ratio": "Poisson's ratio",
 }
-_PICTURES = ("likelihood", "probings", "predictions", "errors")
+_PICTURES = ("likelihood", "probings", "predictions", "errors", "budget")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +95,8 @@ class Result:
 
         Parameters
         ----------
-        what : str                  "likelihood", "probings", "predictions", "errors", or the name
-                                    of a probing: measured against predicted on its surface
+        what : str                  "likelihood", "probings", "predictions", "errors", "budget", or
+                                    the name of a probing: measured against predicted on its surface
 
         Returns
         -------
@@ -114,6 +115,8 @@ class Result:
             drawn = predictions_figure(self.session, self.fitted)
         elif what == "errors":
             drawn = errors_figure(self.estimate)
+        elif what == "budget":
+            drawn = budget_figure(self.estimate)
         else:
             drawn = self._probing(what)
         if drawn is None:

@@ -9,6 +9,7 @@ from estimate_samples import constants, sample_result
 
 from palpate.estimation import LikelihoodMap
 from palpate.figures import (
+    budget_figure,
     displacement_figure,
     errors_figure,
     likelihood_figure,
@@ -17,7 +18,7 @@ from palpate.figures import (
 from palpate.figures.displacement import best_direction, make_view, projected
 from palpate.figures.estimate import _panel_limits as panel_limits, _refined as refined, write_plots
 from palpate.geometry import TriangleMesh
-from palpate.records import Constant, ErrorEstimate, Status, read_session
+from palpate.records import BudgetEntry, Constant, ErrorEstimate, Status, read_session
 
 
 @pytest.fixture
@@ -208,6 +209,32 @@ def test_errors_are_drawn_in_their_own_sigmas(result):
     np.testing.assert_allclose(dots.get_xdata(), [-5.5, 0.4], rtol=1e-12)
     assert axes.get_yticklabels()[0].get_text() == errors[1].name
     assert errors_figure(result.estimate) is None
+
+
+def test_a_budget_shows_each_source_and_the_whole(result):
+    budget = (
+        BudgetEntry("gain of the force sensor", 0.03, 0.0, 0.03),
+        BudgetEntry("noise of the points", 0.01, 3e-3, 0.04),
+        BudgetEntry("pose of the object", 1e-4, 4e-3, 1e-4),
+        BudgetEntry("contact radii", 1e-5, 1e-5, 1e-5),
+    )
+    figure = budget_figure(replace(result.estimate, budget=budget))
+    young, ratio = figure.axes
+    # Of a hundredth of the largest nothing would be seen.
+    names = [one.source for one in budget[:3]]
+    assert [tick.get_text() for tick in young.get_yticklabels()] == names
+    assert [bar.get_width() for bar in young.patches] == pytest.approx([3.0, 4.0, 0.01])
+    assert [bar.get_width() for bar in ratio.patches] == pytest.approx([0.0, 3e-3, 4e-3])
+    wholes = [axes.lines[0].get_xdata()[0] for axes in (young, ratio)]
+    # 3-4-5, and what is too small to be seen.
+    assert wholes == pytest.approx([5.0, 5e-3], rel=1e-4)
+    open_ratio = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
+    one = replace(
+        result.estimate, budget=budget, identifiable=open_ratio,
+        status=Status.from_identifiable(open_ratio),
+    )  # fmt: skip
+    assert len(budget_figure(one).axes) == 1
+    assert budget_figure(result.estimate) is None
 
 
 def test_predictions_are_drawn_along_their_direction(session, result):

@@ -80,6 +80,19 @@ def test_the_verdict_comes_first_and_all_parts_are_there(saved):
     assert "1 (5 %)" in page.text
 
 
+def test_the_budget_is_there_where_it_is_known(saved, tmp_path):
+    title = "Where the uncertainty comes from"
+    assert title not in page_of(saved).text
+    entry = {"source": "<gain>", "shear_modulus": 0.0123, "poisson_ratio": None}
+    root = json.loads((saved / "estimate.json").read_text(encoding="utf-8"))
+    root["budget"] = [entry | {"young_modulus": 0.0456}]
+    (saved / "estimate.json").write_text(json.dumps(root), encoding="utf-8")
+    write_report(saved, tmp_path / "again.html")
+    text = Page(tmp_path / "again.html").text
+    assert f"{title} The squares" in text
+    assert "<gain> 4.6 1.2 \N{EN DASH}" in text
+
+
 def test_what_repeats_it_is_there(saved):
     text = page_of(saved).text
     for line in (saved / "inputs.txt").read_text(encoding="utf-8").splitlines():

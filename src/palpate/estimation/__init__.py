@@ -12,13 +12,15 @@ from palpate.estimation.fit import (
     best_constants_of as best_constants_of,
     fit as fit,
 )
-from palpate.estimation.intervals import (
+from palpate.estimation.fitted_model import (
     FittedModel as FittedModel,
+    ModelState as ModelState,
+    PredictedProbing as PredictedProbing,
+)
+from palpate.estimation.intervals import (
     Information as Information,
     IntervalSet as IntervalSet,
     LikelihoodMap as LikelihoodMap,
-    ModelState as ModelState,
-    PredictedProbing as PredictedProbing,
     ProbeFit as ProbeFit,
     cramer_rao_bound as cramer_rao_bound,
     fisher_information as fisher_information,

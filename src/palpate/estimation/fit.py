@@ -7,21 +7,21 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from palpate.errors import InputError
+from palpate.estimation.fitted_model import FittedModel, fitted_model
 from palpate.estimation.intervals import (
-    FittedModel,
     IntervalSet,
     LikelihoodMap,
     ProbeFit,
     Uncertainty,
     contradiction,
     error_estimates,
-    fitted_model,
     identifiable_constants,
     interval_set,
     likelihood_map,
     probe_estimate,
     probe_fits,
     scores_of,
+    uncertainty_budget,
     uncertainty_of,
     with_open_ratio,
     with_prior_ranges,
@@ -136,6 +136,7 @@ def fit(
         settings=asdict(settings),
         notes=(*fit_notes(misfit, joint, identifiable, contradictions, every), *opposed),
         errors=errors,
+        budget=uncertainty_budget(misfit, joint, identifiable),
     )
     model = fitted_model(tuple(probes), misfit, minimum)
     return FitResult(estimate, likelihood_map(joint, reported), fits, intervals, model)

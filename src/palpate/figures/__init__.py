@@ -16,6 +16,7 @@ from palpate.figures.calibration import (
     save_page as save_page,
 )
 from palpate.figures.checks import (
+    budget_figure as budget_figure,
     errors_figure as errors_figure,
     predictions_figure as predictions_figure,
 )

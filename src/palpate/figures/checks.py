@@ -1,7 +1,10 @@
-"""Pictures that check an estimate: what the other probings foretell, what the errors came to."""
+"""Pictures that check an estimate: what the other probings foretell, what the errors came to, what
+the uncertainty comes from."""
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from palpate.estimation import FitResult, ProbeFit
 from palpate.figures.displacement import OUTLIER_WEIGHT
@@ -12,6 +15,13 @@ from palpate.records import IMPOSSIBLE, SURPRISING, Estimate, Probing, Session
 _MOST_DOTS = 4000
 # More errors than these, and only those are named that lie farthest off.
 _MOST_ERRORS = 16
+# Constant, axis label, factor of its standard deviations.
+_BUDGETS = (
+    ("young_modulus", "standard deviation of $E$ (%)", 100.0),
+    ("poisson_ratio", r"standard deviation of $\nu$", 1.0),
+)
+# Of the largest part.
+_SMALLEST_PART = 0.02
 
 
 @styled
@@ -107,6 +117,49 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     axes.tick_params(axis="y", length=0)
     axes.spines[["top", "right", "left"]].set_visible(False)
     figure.legend(loc="upper center", ncols=2)
+    return figure
+
+
+@styled
+def budget_figure(estimate: Estimate) -> Figure | None:
+    """Standard deviations of E and nu, source by source.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    Figure, or None where neither is determined, or nothing is known of the sources
+    """
+    panels = [
+        (name, label, factor)
+        for name, label, factor in _BUDGETS
+        if estimate.budget and estimate.identifiable[name]
+    ]
+    if not panels:
+        return None
+    parts = np.array([[f * getattr(one, name) for name, _, f in panels] for one in estimate.budget])
+    # Of the smallest nothing would be seen.
+    shown = np.flatnonzero((parts > _SMALLEST_PART * parts.max(axis=0)).any(axis=1))
+    sources = [estimate.budget[k].source for k in shown]
+    height = 1.05 + 0.22 * len(shown)
+    figure = Figure(figsize=(7.0, height))
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    figure.subplots_adjust(
+        left=0.27, right=0.95, wspace=0.12, bottom=0.5 / height, top=1 - 0.35 / height
+    )
+    for panel, (_, label, _), values in zip(axes, panels, parts.T, strict=True):
+        whole = float(np.sqrt((values**2).sum()))
+        panel.barh(np.arange(len(shown)), values[shown], height=0.62, color=BLUE)
+        panel.axvline(whole, color=ORANGE, linewidth=1.2)
+        panel.set(xlabel=label, xlim=(0.0, 1.08 * whole), ylim=(len(shown) - 0.4, -0.6))
+        panel.tick_params(axis="y", length=0)
+        panel.spines[["top", "right"]].set_visible(False)
+    axes[0].set_yticks(np.arange(len(shown)), sources, parse_math=False)
+    handles = {"from one source, 1 sigma": Patch(color=BLUE, linewidth=0),
+               "all together": Line2D([], [], color=ORANGE, linewidth=1.2)}  # fmt: skip
+    figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=2)
     return figure
 
 

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap
-from palpate.figures.checks import errors_figure, predictions_figure
+from palpate.figures.checks import budget_figure, errors_figure, predictions_figure
 from palpate.figures.displacement import displacement_figure
 from palpate.figures.style import (
     BLUE,
@@ -46,8 +46,9 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
 
     `likelihood.png` shows which pairs of Poisson's ratio and shear modulus the data allow,
     `probings.png` what each probing alone says, `predictions.png` how well the others foretell it,
-    `errors.png` what was found of the errors that points share, `displacement/NAME.png` measured
-    against predicted displacement of each probing on the object's surface.
+    `errors.png` what was found of the errors that points share, `budget.png` what the uncertainty
+    comes from, `displacement/NAME.png` measured against predicted displacement of each probing on
+    the object's surface.
 
     Parameters
     ----------
@@ -69,6 +70,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     for name, drawn in (
         ("predictions", predictions_figure(session, result)),
         ("errors", errors_figure(result.estimate)),
+        ("budget", budget_figure(result.estimate)),
     ):
         if drawn is not None:
             written += save_drawing(drawn, folder / f"{name}.png")

@@ -227,6 +227,33 @@ class ErrorEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class BudgetEntry:
+    """What one source adds to the uncertainty of the constants; NaN for those that the data do not
+    determine.
+
+    Parameters
+    ----------
+    source : str                    "gain of the force sensor"
+    shear_modulus, young_modulus : float [-]    standard deviation, relative
+    poisson_ratio : float [-]       standard deviation
+
+    Raises
+    ------
+    InputError                      a negative standard deviation
+    """
+
+    source: str
+    shear_modulus: float
+    poisson_ratio: float
+    young_modulus: float
+
+    def __post_init__(self) -> None:
+        for name in CONSTANT_NAMES:
+            if getattr(self, name) < 0.0:
+                raise InputError(f"std of {name} is {getattr(self, name):g}; must not be negative")
+
+
+@dataclass(frozen=True, slots=True)
 class ProbeEstimate:
     """The constants as one probing alone determines them, and how well it was explained.
 
@@ -274,6 +301,8 @@ class Estimate:
     settings : mapping              everything chosen, for repeating the run
     notes : tuple of str            full sentences for the reader of the result
     errors : tuple of ErrorEstimate     of the measurement, which all probings share
+    budget : tuple of BudgetEntry   what the standard deviations come from, as the root of a sum of
+                                    squares; the largest part of Young's modulus's first
 
     Raises
     ------
@@ -292,6 +321,7 @@ class Estimate:
     settings: dict[str, Any]
     notes: tuple[str, ...]
     errors: tuple[ErrorEstimate, ...] = ()
+    budget: tuple[BudgetEntry, ...] = ()
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

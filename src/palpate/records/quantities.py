@@ -200,6 +200,30 @@ def _places(std: float, value: float) -> int:
     return min(max(1 - math.floor(math.log10(shown)), 0), 12)
 
 
+def budget_text(estimate: Estimate, name: str) -> str:
+    """What most of a constant's standard deviation comes from, as a person says it.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    name : str                      of the constant
+
+    Returns
+    -------
+    str                             up to three sources, each a third of the largest at least:
+                                    "gain of the force sensor 1 %, measured forces 0.59 %"; empty
+                                    where nothing is known
+    """
+    parts = sorted(((getattr(one, name), one.source) for one in estimate.budget), reverse=True)
+    told = [(std, source) for std, source in parts[:3] if std > parts[0][0] / 3.0]
+    ratio = name == "poisson_ratio"
+    return ", ".join(f"{source} {_deviation(std, ratio=ratio)}" for std, source in told)
+
+
+def _deviation(std: float, *, ratio: bool) -> str:
+    return f"{std:.2g}" if ratio else f"{100.0 * std:.2g} %"
+
+
 def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
     """Value, standard deviation and that of the prior as a person writes them, with the unit.
 

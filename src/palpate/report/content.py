@@ -165,6 +165,26 @@ def error_rows(estimate: Estimate) -> list[list[str]]:
     return [_error_row(one) for one in every_error(estimate)]
 
 
+def budget_rows(estimate: Estimate) -> list[list[str]]:
+    """What each source adds to the standard deviations: of E and G in per cent, of nu.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    return [
+        [
+            one.source, _part(100.0 * one.young_modulus), _part(100.0 * one.shear_modulus),
+            _part(one.poisson_ratio),
+        ]
+        for one in estimate.budget
+    ]  # fmt: skip
+
+
+def _part(std: float) -> str:
+    return "\N{EN DASH}" if math.isnan(std) else f"{std:.2g}"
+
+
 def every_error(estimate: Estimate) -> list[ErrorEstimate]:
     """Errors of the session, then those of its probings.
 

@@ -30,6 +30,7 @@ from palpate.records import (
     write_estimate,
 )
 from palpate.report.content import (
+    budget_rows,
     constant_rows,
     error_rows,
     input_rows,
@@ -51,6 +52,7 @@ _DRAWINGS = {
     "probings": "The constants as each probing alone gives them",
     "predictions": "Displacements predicted by the other probings against measured ones",
     "errors": "What the data say about the errors that were taken for possible",
+    "budget": "What each source adds to the standard deviations of the constants",
 }
 # What pictures of the probings may take [bytes of base64]; at first in good quality.
 _MOST_BYTES, _QUALITY = 1_800_000, 82
@@ -90,6 +92,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "probings": probing_rows(estimate),
         "predictions": prediction_rows(estimate, surface),
         "errors": error_rows(estimate),
+        "budget": budget_rows(estimate),
         "rejected": rejection_rows(estimate),
         "notes": estimate.notes,
         "seconds": second_rows(estimate),

@@ -9,6 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from palpate.errors import RecordError
 from palpate.records import (
+    BudgetEntry,
     Constant,
     Estimate,
     ProbeEstimate,
@@ -39,6 +40,7 @@ def _estimate(**changes):
         "method": "reduced",
         "settings": {"poisson_range": [0.0, 0.4999], "seed": 1},
         "notes": ("A sentence.",),
+        "budget": (BudgetEntry("gain of the force sensor", 0.01, 2e-5, 0.01),),
     }
     return Estimate(**(values | changes))
 
@@ -47,6 +49,23 @@ def test_round_trip_is_exact(tmp_path):
     estimate = _estimate()
     write_estimate(tmp_path / "estimate.json", estimate)
     assert read_estimate(tmp_path / "estimate.json") == estimate
+
+
+def test_a_budget_knows_what_is_not_determined(tmp_path):
+    file = tmp_path / "estimate.json"
+    write_estimate(file, _estimate(budget=(BudgetEntry("mesh", 0.002, NAN, 0.003),)))
+    (entry,) = read_estimate(file).budget
+    assert (entry.source, entry.shear_modulus, entry.young_modulus) == ("mesh", 0.002, 0.003)
+    assert math.isnan(entry.poisson_ratio)
+    root = json.loads(file.read_text())
+    root["budget"][0]["young_modulus"] = -1.0
+    file.write_text(json.dumps(root))
+    with pytest.raises(RecordError, match="std of young_modulus is -1; must not be negative"):
+        read_estimate(file)
+    # Results of earlier versions have none.
+    del root["budget"]
+    file.write_text(json.dumps(root))
+    assert read_estimate(file).budget == ()
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

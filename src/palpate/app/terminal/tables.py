@@ -12,6 +12,7 @@ from palpate.records import (
     Estimate,
     ProbeEstimate,
     Rig,
+    budget_text,
     constant_row,
     constant_text,
     error_texts,
@@ -104,13 +105,16 @@ def _captions(estimate: Estimate) -> list[str]:
     if "rig_covariance" in lengths.get("source", ""):
         along = ", ".join(f"{100 * std:.2g} %" for std in lengths["std"])
         found.append(f"Lengths are known by the cameras' calibration to {along} along x, y, z.")
+    for name, symbol in (("young_modulus", "E"), ("poisson_ratio", "nu")):
+        if estimate.identifiable[name] and (parts := budget_text(estimate, name)):
+            found.append(f"Sigma of {symbol} comes from: {parts}.")
     every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
     if every:
         worst = max(every, key=lambda one: abs(one.value) / one.prior_std)
         value, std, prior = error_texts(worst)
         found.append(
-            "Errors of force, contact, pose and scale are in the intervals; farthest off is the"
-            f" {worst.name}, by {value} ± {std} (taken for possible: {prior})."
+            f"Of the errors that were taken for possible the {worst.name} is farthest off, by"
+            f" {value} ± {std} (taken for possible: {prior})."
         )
     return found
 

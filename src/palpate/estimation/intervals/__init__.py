@@ -2,22 +2,17 @@
 
 Purpose    : intervals, what is identifiable, the likelihood's map, how probings are predicted.
 Takes      : a `Misfit` and its `Minimum`.
-Gives      : `IntervalSet`, `LikelihoodMap`, `ProbeFit`, `FittedModel`, `Information`, the
+Gives      : `IntervalSet`, the uncertainty budget, `LikelihoodMap`, `ProbeFit`, `Information`, the
              Cramer-Rao bound.
 Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.search`, `records`, `geometry`;
              files of its room.
 Read first : `sandwich.py`, then `uncertainty.py`.
 """
 
+from palpate.estimation.intervals.budget import uncertainty_budget as uncertainty_budget
 from palpate.estimation.intervals.contradiction import (
     Contradiction as Contradiction,
     contradiction as contradiction,
-)
-from palpate.estimation.intervals.fitted_model import (
-    FittedModel as FittedModel,
-    ModelState as ModelState,
-    PredictedProbing as PredictedProbing,
-    fitted_model as fitted_model,
 )
 from palpate.estimation.intervals.identifiability import (
     identifiable_combination as identifiable_combination,
@@ -44,6 +39,9 @@ from palpate.estimation.intervals.uncertainty import (
 from palpate.estimation.intervals.validation import (
     ProbeFit as ProbeFit,
     error_estimates as error_estimates,
+    found_errors as found_errors,
+    predicted_points as predicted_points,
+    predicted_surface as predicted_surface,
     probe_estimate as probe_estimate,
     probe_fits as probe_fits,
 )

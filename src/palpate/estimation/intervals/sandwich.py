@@ -102,6 +102,19 @@ class Scores:
         """
         return float(direction @ _inverse(self.curvature.sum(0))[0] @ direction)
 
+    def influence(self, direction: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " d"]:
+        """What a unit of each score, or of a shared error, does to a combination of the constants.
+
+        Parameters
+        ----------
+        direction : (2,) float      see `directions`
+
+        Returns
+        -------
+        (d,) float
+        """
+        return np.asarray(self._inverse()[0][:, :2] @ direction)
+
     def step(self) -> Float[np.ndarray, " d"]:
         """Where the misfit's unbounded minimum lies, from the present one."""
         # At a minimum all but the score of a Poisson's ratio at the end of its range vanish.
@@ -122,8 +135,8 @@ class Scores:
         -------
         Variance
         """
-        inverse, ridge = self._inverse()
-        influence = inverse[:, :2] @ direction
+        _, ridge = self._inverse()
+        influence = self.influence(direction)
         claimed = float(influence @ (self.noise.sum(0) + ridge) @ influence)
         shared = float(influence @ self._shared @ influence)
         return Variance(scatter.factor * claimed, shared, scatter.total_degrees)
@@ -143,7 +156,7 @@ class Scores:
         Scatter                     of ratio 1 without degrees of freedom for a single probing
         """
         inverse, _ = self._inverse()
-        influence = inverse[:, :2] @ direction
+        influence = self.influence(direction)
         share = np.einsum("i,kij,jl->kl", influence, self.information, inverse)
         together = self._common @ influence
         crossed = np.einsum("ki,lij,j->kl", share, self.noise, influence)
@@ -193,16 +206,11 @@ def scores_of(
     -------
     (Scores, ScoreNoise)
     """
-    # Moments of a force's score by its uncertain components, for forces as uncertain as claimed.
-    moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
-    forces = [moments[probe.rows.force_components] for probe in local]
+    forces = force_moments(misfit, local)
     to_be_measured = noise is None
     if noise is None:
         noise = noise_of(misfit, local)
-    turns = [
-        _projection(probe, noise.slope, slope)
-        for probe, (_, slope) in zip(local, forces, strict=True)
-    ]
+    turns = shift_projections(misfit, local, noise)
     if to_be_measured:
         constants = [turn[:, :2] for turn in turns]
         blocks = block_scatter(local, constants, score_variance=noise.power, sharing=noise.sharing)
@@ -238,6 +246,46 @@ def _scores(
     inner = weighted[own, own] + np.diag(probe.prior()[: own.stop - d])
     curvature = weighted[:2, :2] - weighted[:2, own] @ np.linalg.solve(inner, weighted[own, :2])
     return weighted[:d, -1], information, spread, curvature
+
+
+def force_moments(misfit: Misfit, local: Sequence[LocalProbe]) -> list[tuple[float, float]]:
+    """Mean square and mean slope of the score of each probing's force, by its uncertain components,
+    for forces as uncertain as claimed.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    local : sequence of LocalProbe
+
+    Returns
+    -------
+    list of (float, float)
+    """
+    moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
+    return [moments[probe.rows.force_components] for probe in local]
+
+
+def shift_projections(
+    misfit: Misfit, local: Sequence[LocalProbe], noise: ScoreNoise
+) -> list[Float[np.ndarray, "_ d"]]:
+    """What takes the shifts of each probing out of its design.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    local : sequence of LocalProbe      at a minimum
+    noise : ScoreNoise
+
+    Returns
+    -------
+    list of (d + n, d) float            a row each of the d parameters of all probings, which stay,
+                                        and of the n shifts
+    """
+    forces = force_moments(misfit, local)
+    return [
+        _projection(probe, noise.slope, slope)
+        for probe, (_, slope) in zip(local, forces, strict=True)
+    ]
 
 
 def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:

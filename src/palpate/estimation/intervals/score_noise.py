@@ -10,6 +10,7 @@ from jaxtyping import Float
 from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter
 from palpate.estimation.intervals.spatial_correlation import neighbours_sharing
 from palpate.estimation.noise import gaussian_moments, score_moments
+from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.search import LocalProbe, Misfit
 
 # Share of the variance of a match that is the first picture's noise, the same for every later one.
@@ -144,13 +145,34 @@ def considered_errors(
     Schmidt, Application of state-space methods to navigation problems, Advances in Control Systems
     3 (1966): parameters that are considered
     """
-    names = [[one.name for n in probe.rows.considered for one in n.parameters] for probe in local]
-    every = list(dict.fromkeys(name for own in names for name in own))
-    moved = np.zeros((len(local), local[0].common, len(every)))
+    count, d = len(local), local[0].common
+    found = np.zeros((count, count, d, d))
+    for pulls in considered_pulls(local, turns, noise).values():
+        found += np.einsum("ki,mj->kmij", pulls, pulls)
+    return found
+
+
+def considered_pulls(
+    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
+) -> dict[NuisanceParameter, Float[np.ndarray, "k d"]]:
+    """What one prior standard deviation of each error that is not fitted along adds to the score of
+    each probing.
+
+    Parameters
+    ----------
+    local, turns, noise                 as `considered_errors`
+
+    Returns
+    -------
+    parameter -> (k, d) float           zero for probings that do not have it
+    """
+    found: dict[NuisanceParameter, np.ndarray] = {}
     for k, (probe, turn) in enumerate(zip(local, turns, strict=True)):
-        pull = noise.slope * (probe.design @ turn).T @ probe.considered
-        moved[k][:, [every.index(name) for name in names[k]]] = pull
-    return np.einsum("kiq,mjq->kmij", moved, moved)
+        pulls = noise.slope * (probe.considered.T @ probe.design @ turn)
+        own = (one for nuisance in probe.rows.considered for one in nuisance.parameters)
+        for parameter, pull in zip(own, pulls, strict=True):
+            found.setdefault(parameter, np.zeros((len(local), probe.common)))[k] = pull
+    return found
 
 
 def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:

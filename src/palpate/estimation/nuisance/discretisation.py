@@ -28,7 +28,8 @@ class Discretisation:
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """One for all probings."""
-        return (NuisanceParameter("mesh (in steps from the given to the graded one)", self.std),)
+        name = "mesh (in steps from the given to the graded one)"
+        return (NuisanceParameter(name, self.std, of="mesh"),)
 
     def columns(
         self,

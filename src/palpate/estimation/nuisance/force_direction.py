@@ -25,8 +25,9 @@ class ForceDirection:
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """Three for all probings."""
-        names = (f"turn of the force sensor about {axis}" for axis in "xyz")
-        return tuple(NuisanceParameter(name, self.std, "rad") for name in names)
+        turn = "turn of the force sensor"
+        names = (f"{turn} about {axis}" for axis in "xyz")
+        return tuple(NuisanceParameter(name, self.std, "rad", turn) for name in names)
 
     def columns(
         self,

@@ -26,7 +26,8 @@ class Interpolation:
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """One for all probings."""
-        return (NuisanceParameter("fields between the vertices (in steps to wider fits)", 1.0),)
+        name = "fields between the vertices (in steps to wider fits)"
+        return (NuisanceParameter(name, 1.0, of="mesh"),)
 
     def columns(
         self,

@@ -23,7 +23,7 @@ class LengthScale:
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """Three for all probings."""
         names = (f"scale of measured displacements along {axis}" for axis in "xyz")
-        return tuple(NuisanceParameter(name, self.std) for name in names)
+        return tuple(NuisanceParameter(name, self.std, of="scale of lengths") for name in names)
 
     def columns(
         self,

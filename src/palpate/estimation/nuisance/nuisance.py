@@ -23,11 +23,19 @@ class NuisanceParameter:
     name : str                      in words that end a sentence: "force gain of the sensor"
     std : float                     of the prior, > 0
     unit : str                      of `std`: "m", "rad", or empty for a share
+    of : str                        what the uncertainty budget counts it to, such as "pose of the
+                                    object"; empty: it is a source of its own
     """
 
     name: str
     std: float
     unit: str = ""
+    of: str = ""
+
+    @property
+    def source(self) -> str:
+        """What the uncertainty budget counts it to."""
+        return self.of or self.name
 
 
 @runtime_checkable

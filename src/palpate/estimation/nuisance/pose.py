@@ -9,6 +9,8 @@ from scipy.sparse import csr_array
 
 from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
+_POSE = "pose of the object"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
@@ -34,11 +36,11 @@ class Pose:
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """Six for all probings, fewer where one of the standard deviations is zero."""
         shifts = (
-            NuisanceParameter(f"shift of the object along {axis}", self.translation, "m")
+            NuisanceParameter(f"shift of the object along {axis}", self.translation, "m", _POSE)
             for axis in "xyz"
         )
         turns = (
-            NuisanceParameter(f"turn of the object about {axis}", self.rotation, "rad")
+            NuisanceParameter(f"turn of the object about {axis}", self.rotation, "rad", _POSE)
             for axis in "xyz"
         )
         return tuple(parameter for parameter in (*shifts, *turns) if parameter.std > 0.0)

@@ -27,7 +27,9 @@ class SpaceStretch:
         """One for each error, for all probings; its size is that of its strain."""
         sizes = np.linalg.norm(self.strains, axis=(1, 2)).tolist()
         return tuple(
-            NuisanceParameter(f"stretch {k} of space by the cameras' calibration", size)
+            NuisanceParameter(
+                f"stretch {k} of space by the cameras' calibration", size, of="camera calibration"
+            )
             for k, size in enumerate(sizes, start=1)
         )
 

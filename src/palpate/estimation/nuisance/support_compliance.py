@@ -33,7 +33,9 @@ class SupportCompliance:
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """One for each support."""
         return tuple(
-            NuisanceParameter(f"compliance of support {number}", self.std, "m/Pa")
+            NuisanceParameter(
+                f"compliance of support {number}", self.std, "m/Pa", "compliance of supports"
+            )
             for number in self.supports
         )
 

@@ -169,7 +169,10 @@ def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionE
             ("finite strain", "from one neo-Hookean law to another", 1.0, rough.law),
             (f"finite strain of {name}", "from coarser to finer elements", 1.0, mesh_step),
         ]
-    parameters = (NuisanceParameter(f"{of}, in steps {step},", std) for of, step, std, _ in errors)
+    parameters = (
+        NuisanceParameter(f"{of}, in steps {step},", std, of="finite strain")
+        for of, step, std, _ in errors
+    )
     steps = [std * moved.ravel() for *_, std, moved in errors]
     return CorrectionError(tuple(parameters), np.stack(steps, axis=1))
 

@@ -9,6 +9,7 @@ from typing import Any
 from palpate.errors import quoted
 from palpate.records.estimate import (
     CONSTANT_NAMES,
+    BudgetEntry,
     Constant,
     ErrorEstimate,
     Estimate,
@@ -66,6 +67,7 @@ def read_estimate(path: Path | str) -> Estimate:
             settings=_values(root.optional("settings", root.table)),
             notes=tuple(root.optional("notes", root.texts) or ()),
             errors=_read_errors(root),
+            budget=_read_budget(root),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
 
@@ -124,6 +126,13 @@ def _read_errors(table: TomlTable) -> tuple[ErrorEstimate, ...]:
             **{key: _number(one, key) for key in ("value", "std", "prior_std")},
         )
         for one in table.optional("errors", table.tables) or ()
+    )
+
+
+def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:
+    return tuple(
+        BudgetEntry(one.text("source"), *(_known(one, name) for name in CONSTANT_NAMES))
+        for one in table.optional("budget", table.tables) or ()
     )
 
 

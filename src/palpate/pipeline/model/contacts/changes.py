@@ -108,7 +108,7 @@ def dip_changes(
 
 def _dip_parameter(name: str) -> NuisanceParameter:
     return NuisanceParameter(
-        f"mesh about the contact of {name} (in dips of a half space)", DIP_SHARE
+        f"mesh about the contact of {name} (in dips of a half space)", DIP_SHARE, of="mesh"
     )
 
 
@@ -223,7 +223,9 @@ def _changed(
         # Along the surface, as far from it as the stated point is.
         places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
         toward = [
-            NuisanceParameter(f"contact point of {probing.name} toward {name}", point_std, "m")
+            NuisanceParameter(
+                f"contact point of {probing.name} toward {name}", point_std, "m", "contact points"
+            )
             for name in names
         ]
         for steps, place in zip(_PLACES.tolist(), places[1:], strict=True):
@@ -231,7 +233,9 @@ def _changed(
             yield dict(zip(toward, steps, strict=True)), there
     radius_std = _radius_std(session, contact)
     if radius_std > 0.0 and contact.radius is not None:
-        parameter = NuisanceParameter(f"contact radius of {probing.name}", radius_std)
+        parameter = NuisanceParameter(
+            f"contact radius of {probing.name}", radius_std, of="contact radii"
+        )
         wider = contact.radius * (1.0 + radius_std)
         yield {parameter: 1.0}, replace(contact, radius=wider)
 

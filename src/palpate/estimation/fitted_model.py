@@ -2,11 +2,7 @@
 
 from dataclasses import dataclass
 
-from palpate.estimation.intervals.validation import (
-    found_errors,
-    predicted_points,
-    predicted_surface,
-)
+from palpate.estimation.intervals import found_errors, predicted_points, predicted_surface
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import Minimum, Misfit, total_loss
 from palpate.shapes import Points, Vertices

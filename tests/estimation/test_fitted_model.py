@@ -8,7 +8,7 @@ from estimation.fitted import minimum_of, misfit_of, uncertainty_at
 from estimation.half_space import half_space_probes
 
 from palpate.estimation import ForceGain
-from palpate.estimation.intervals.fitted_model import fitted_model
+from palpate.estimation.fitted_model import fitted_model
 from palpate.estimation.intervals.validation import probe_fits
 
 
