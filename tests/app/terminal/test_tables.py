@@ -14,7 +14,7 @@ from palpate.app.terminal.tables import (
     probes_table,
     terminal_table,
 )
-from palpate.records import ErrorEstimate, Status, read_session
+from palpate.records import BudgetEntry, ErrorEstimate, Status, read_session
 
 
 def printed(table, width):
@@ -75,6 +75,13 @@ def test_what_the_intervals_hold_is_said_below_the_constants(cube_session):
     assumed = replace(known, settings=settings, errors=errors)
     text = " ".join(printed(constants_table(assumed), 120).split())
     assert "The force of 1 of 1 probings is taken as known to 1 % of its length" in text
+    assert "Sigma of" not in text
+    budget = (BudgetEntry("mesh", 0.01, 2e-3, 0.012), BudgetEntry("pose", 0.005, 1e-4, 0.006))
+    text = " ".join(printed(constants_table(replace(known, budget=budget)), 120).split())
+    assert (
+        "Sigma of E comes from: mesh 1.2 %, pose 0.6 %. Sigma of nu comes from: mesh 0.002." in text
+    )
+    text = " ".join(printed(constants_table(assumed), 120).split())
     # The one that is farthest off by its own prior.
     assert "shift of the object along x, by -0.3 mm ± 0.05 mm (taken for possible: 0.2 mm)" in text
 

@@ -113,8 +113,8 @@ def _captions(estimate: Estimate) -> list[str]:
         worst = max(every, key=lambda one: abs(one.value) / one.prior_std)
         value, std, prior = error_texts(worst)
         found.append(
-            f"Of the errors that were taken for possible the {worst.name} is farthest off, by"
-            f" {value} ± {std} (taken for possible: {prior})."
+            f"Of the errors that points share, farthest off is the {worst.name}, by {value} ± {std}"
+            f" (taken for possible: {prior})."
         )
     return found
 
