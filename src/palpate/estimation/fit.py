@@ -21,7 +21,6 @@ from palpate.estimation.intervals import (
     probe_estimate,
     probe_fits,
     scores_of,
-    uncertainty_budget,
     uncertainty_of,
     with_open_ratio,
     with_prior_ranges,
@@ -136,7 +135,7 @@ def fit(
         settings=asdict(settings),
         notes=(*fit_notes(misfit, joint, identifiable, contradictions, every), *opposed),
         errors=errors,
-        budget=uncertainty_budget(misfit, joint, identifiable),
+        budget=joint.budget(misfit, identifiable),
     )
     model = fitted_model(tuple(probes), misfit, minimum)
     return FitResult(estimate, likelihood_map(joint, reported), fits, intervals, model)

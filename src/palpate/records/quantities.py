@@ -1,8 +1,9 @@
 """Units of length, and numbers as a person reads them: no more digits than are known."""
 
 import math
+from collections.abc import Sequence
 
-from palpate.records.estimate import Constant, ErrorEstimate, Estimate
+from palpate.records.estimate import BudgetEntry, Constant, ErrorEstimate, Estimate
 
 # Metres in each unit that a file or a command may name.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
@@ -200,12 +201,12 @@ def _places(std: float, value: float) -> int:
     return min(max(1 - math.floor(math.log10(shown)), 0), 12)
 
 
-def budget_text(estimate: Estimate, name: str) -> str:
+def budget_text(budget: Sequence[BudgetEntry], name: str) -> str:
     """What most of a constant's standard deviation comes from, as a person says it.
 
     Parameters
     ----------
-    estimate : Estimate
+    budget : sequence of BudgetEntry
     name : str                      of the constant
 
     Returns
@@ -214,7 +215,8 @@ def budget_text(estimate: Estimate, name: str) -> str:
                                     "gain of the force sensor 1 %, measured forces 0.59 %"; empty
                                     where nothing is known
     """
-    parts = sorted(((getattr(one, name), one.source) for one in estimate.budget), reverse=True)
+    parts = [(getattr(one, name), one.source) for one in budget]
+    parts = sorted((part for part in parts if not math.isnan(part[0])), reverse=True)
     told = [(std, source) for std, source in parts[:3] if std > parts[0][0] / 3.0]
     ratio = name == "poisson_ratio"
     return ", ".join(f"{source} {_deviation(std, ratio=ratio)}" for std, source in told)

@@ -14,9 +14,10 @@ from palpate.estimation import (
     Nuisance,
     NuisanceParameter,
     ProbeObservations,
+    fisher_information,
     fit,
 )
-from palpate.estimation.intervals.budget import FORCES, POINTS, SCATTER, uncertainty_budget
+from palpate.estimation.intervals.budget import FORCES, POINTS, SCATTER
 from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 # A hundredth of the noise: what is not linear is a thousandth of that.
@@ -61,7 +62,7 @@ def _probes(
 
 
 def _budget(probes: list[ProbeObservations]) -> dict[str, BudgetEntry]:
-    found = uncertainty_budget(misfit_of(probes), uncertainty_at(probes), ALL)
+    found = uncertainty_at(probes).budget(misfit_of(probes), ALL)
     return {one.source: one for one in found}
 
 
@@ -92,7 +93,7 @@ def test_the_squares_add_up_to_the_variance() -> None:
     for name in CONSTANT_NAMES:
         squares = sum(getattr(one, name) ** 2 for one in found.values())
         assert np.sqrt(squares) == pytest.approx(joint.error(name), rel=1e-9)
-    whole = [one.young_modulus for one in uncertainty_budget(misfit_of(probes), joint, ALL)]
+    whole = [one.young_modulus for one in joint.budget(misfit_of(probes), ALL)]
     assert whole == sorted(whole, reverse=True)
 
 
@@ -146,13 +147,23 @@ def test_probings_that_disagree_are_a_source() -> None:
 def test_what_is_not_determined_has_no_budget() -> None:
     probes = _probes()
     misfit, joint = misfit_of(probes), uncertainty_at(probes)
-    (first, *_) = uncertainty_budget(misfit, joint, NONE | {"shear_modulus": True})
+    (first, *_) = joint.budget(misfit, NONE | {"shear_modulus": True})
     assert first.shear_modulus > 0.0
     assert np.isnan([first.poisson_ratio, first.young_modulus]).all()
-    assert uncertainty_budget(misfit, joint, NONE) == ()
+    assert joint.budget(misfit, NONE) == ()
     beam = replace(probes[0], response=Cantilever(np.abs(probes[0].position)), nuisances=())
     moved = beam.response.value(0.3) @ np.append(beam.force, 1.0) / 2e4
     estimate = fit([replace(beam, displacement=moved.reshape(-1, 3))]).estimate
     assert not estimate.identifiable["poisson_ratio"]
     assert estimate.budget
     assert all(np.isnan(one.poisson_ratio) for one in estimate.budget)
+
+
+def test_what_is_planned_has_the_same_parts() -> None:
+    probes = _probes(ForceGain(0.01), considered=(_Offset("lift"),), force_noise=0.02)
+    found = fisher_information(probes, poisson_ratio=0.3, shear_modulus=2e4)
+    bound = found.bound(range(3))
+    for name, size in (("young_modulus", 5.2e4), ("poisson_ratio", 1.0)):
+        squares = sum(getattr(one, name) ** 2 for one in found.budget)
+        assert size * np.sqrt(squares) == pytest.approx(bound[name], rel=1e-9)
+    assert {one.source for one in found.budget} == {GAIN, "offsets", "lift", POINTS, FORCES}

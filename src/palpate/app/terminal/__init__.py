@@ -17,6 +17,7 @@ from palpate.app.terminal.output import (
 )
 from palpate.app.terminal.progress import StageLog as StageLog, progress_bar as progress_bar
 from palpate.app.terminal.tables import (
+    budget_sentences as budget_sentences,
     constants_table as constants_table,
     flow_table as flow_table,
     number_text as number_text,

@@ -9,6 +9,7 @@ from rich.table import Table
 from palpate.app.terminal.shown_table import ShownTable
 from palpate.pipeline import MotionFigures
 from palpate.records import (
+    BudgetEntry,
     Estimate,
     ProbeEstimate,
     Rig,
@@ -105,9 +106,7 @@ def _captions(estimate: Estimate) -> list[str]:
     if "rig_covariance" in lengths.get("source", ""):
         along = ", ".join(f"{100 * std:.2g} %" for std in lengths["std"])
         found.append(f"Lengths are known by the cameras' calibration to {along} along x, y, z.")
-    for name, symbol in (("young_modulus", "E"), ("poisson_ratio", "nu")):
-        if estimate.identifiable[name] and (parts := budget_text(estimate, name)):
-            found.append(f"Sigma of {symbol} comes from: {parts}.")
+    found += budget_sentences(estimate.budget)
     every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
     if every:
         worst = max(every, key=lambda one: abs(one.value) / one.prior_std)
@@ -117,6 +116,25 @@ def _captions(estimate: Estimate) -> list[str]:
             f" (taken for possible: {prior})."
         )
     return found
+
+
+def budget_sentences(budget: Sequence[BudgetEntry]) -> list[str]:
+    """What the standard deviations of E and nu come from, a sentence each.
+
+    Parameters
+    ----------
+    budget : sequence of BudgetEntry
+
+    Returns
+    -------
+    list of str                     none of constants that are not determined
+    """
+    parts = {name: budget_text(budget, name) for name in ("young_modulus", "poisson_ratio")}
+    return [
+        f"Sigma of {symbol} comes from: {part}."
+        for symbol, part in zip(("E", "nu"), parts.values(), strict=True)
+        if part
+    ]
 
 
 def probes_table(estimate: Estimate) -> Table:

@@ -9,7 +9,6 @@ Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.search`, `re
 Read first : `sandwich.py`, then `uncertainty.py`.
 """
 
-from palpate.estimation.intervals.budget import uncertainty_budget as uncertainty_budget
 from palpate.estimation.intervals.contradiction import (
     Contradiction as Contradiction,
     contradiction as contradiction,

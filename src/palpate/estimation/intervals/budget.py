@@ -7,14 +7,18 @@ what each of them adds.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.intervals.sandwich import directions, force_moments, shift_projections
-from palpate.estimation.intervals.score_noise import considered_pulls
-from palpate.estimation.intervals.uncertainty import Uncertainty
+from palpate.estimation.intervals.sandwich import (
+    Scores,
+    directions,
+    force_moments,
+    shift_projections,
+)
+from palpate.estimation.intervals.score_noise import ScoreNoise, considered_pulls
 from palpate.estimation.search import LocalProbe, Misfit
 from palpate.records import CONSTANT_NAMES, BudgetEntry
 
@@ -23,27 +27,42 @@ SCATTER = "disagreement of the probings"
 
 
 def uncertainty_budget(
-    misfit: Misfit, joint: Uncertainty, identifiable: Mapping[str, bool]
+    misfit: Misfit,
+    local: Sequence[LocalProbe],
+    scores: Scores,
+    noise: ScoreNoise,
+    *,
+    poisson_ratio: float,
+    factors: Mapping[str, float],
 ) -> tuple[BudgetEntry, ...]:
     """What each source adds to the standard deviations of the constants.
 
     Parameters
     ----------
     misfit : Misfit
-    joint : Uncertainty             of all its probings
-    identifiable : mapping          constant's name -> whether the data determine it
+    local : sequence of LocalProbe      of its probings, at a minimum
+    scores : Scores                     of these, with their noise
+    noise : ScoreNoise
+    poisson_ratio : float [-]           there
+    factors : mapping                   constant's name -> by how much probings scatter over what is
+                                        claimed of them (`Scatter.factor`); only constants that are
+                                        determined
 
     Returns
     -------
     tuple of BudgetEntry            the largest part of Young's modulus's first; the root of the sum
                                     of their squares is the standard deviation of each constant
-                                    (`Uncertainty.error`); empty where nothing is determined
+                                    (`Scores.variance`); empty where nothing is determined
 
     Source
     ------
     JCGM 100, Guide to the expression of uncertainty in measurement (2008), 5.1
     """
-    parts = {name: _variances(misfit, joint, name) for name in CONSTANT_NAMES if identifiable[name]}
+    turns = directions(poisson_ratio)
+    parts = {
+        name: _variances(misfit, local, scores, noise, turns[name], factor)
+        for name, factor in factors.items()
+    }
     sources = dict.fromkeys(source for part in parts.values() for source in part)
     entries = [
         BudgetEntry(
@@ -64,18 +83,25 @@ def _size(entry: BudgetEntry) -> float:
     return next(value for value in values if not np.isnan(value))
 
 
-def _variances(misfit: Misfit, joint: Uncertainty, name: str) -> dict[str, float]:
+def _variances(
+    misfit: Misfit,
+    local: Sequence[LocalProbe],
+    scores: Scores,
+    noise: ScoreNoise,
+    direction: Float[np.ndarray, " 2"],
+    factor: float,
+) -> dict[str, float]:
     """Variance of nu, log G or log E that each source adds."""
-    scores, factor = joint.scores, joint.scatters[name].factor
-    influence = scores.influence(directions(joint.minimum.poisson_ratio)[name])
-    own, considered = _of_probings(misfit, joint, influence)
+    influence = scores.influence(direction)
+    own, considered = _of_probings(misfit, local, noise, influence)
     # What is left of what is common to probings is the noise of their pictures at rest.
     common = 0.0 if scores.common is None else influence @ scores.common.sum((0, 1)) @ influence
     at_rest = float(common) - sum(considered.values())
     known = defaultdict(float, considered)
     for parameter, moved in zip(misfit.shared, influence[2:], strict=True):
         known[parameter.source] += float(moved**2)
-    claimed = (joint.variance(name).total - at_rest - sum(known.values())) / factor
+    claimed = float(direction @ scores.covariance()[:2, :2] @ direction)
+    claimed -= at_rest + sum(known.values())
     own[POINTS] += claimed - sum(own.values())
     # Probings that agree better than claimed make all of it smaller.
     for source, value in own.items():
@@ -87,17 +113,19 @@ def _variances(misfit: Misfit, joint: Uncertainty, name: str) -> dict[str, float
 
 
 def _of_probings(
-    misfit: Misfit, joint: Uncertainty, influence: Float[np.ndarray, " d"]
+    misfit: Misfit,
+    local: Sequence[LocalProbe],
+    noise: ScoreNoise,
+    influence: Float[np.ndarray, " d"],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Variance that the shifts of single probings add, and errors that are considered only."""
-    local = joint.minimum.probes
-    turns = shift_projections(misfit, local, joint.noise)
+    turns = shift_projections(misfit, local, noise)
     own, considered = defaultdict[str, float](float), defaultdict[str, float](float)
     for probe, turn, (power, _) in zip(local, turns, force_moments(misfit, local), strict=True):
         added = probe.prior(power) * (turn[probe.common :] @ influence) ** 2
         for source, value in zip(_sources(misfit, probe), added.tolist(), strict=True):
             own[source] += value
-    for parameter, pull in considered_pulls(local, turns, joint.noise).items():
+    for parameter, pull in considered_pulls(local, turns, noise).items():
         considered[parameter.source] += float((pull @ influence).sum() ** 2)
     return own, considered
 

@@ -1,12 +1,13 @@
 """What probings tell before they are made: Fisher's information, and the bound that it sets."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
+from palpate.estimation.intervals.budget import uncertainty_budget
 from palpate.estimation.intervals.sandwich import Scores, directions, scores_of
 from palpate.estimation.intervals.scatter import NO_SCATTER
 from palpate.estimation.intervals.score_noise import ScoreNoise
@@ -15,6 +16,7 @@ from palpate.estimation.noise import Gaussian
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import GROUP_COUNT, observed_rows_of
 from palpate.estimation.search import Misfit
+from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,11 +30,13 @@ class Information:
     ----------
     scores : Scores                 of nu, log G and the d - 2 errors that probings share, these in
                                     prior standard deviations
+    budget : tuple of BudgetEntry   what each source adds to the bound of all of them together
     poisson_ratio : float [-]       at which it is taken
     shear_modulus : float [Pa]
     """
 
     scores: Scores
+    budget: tuple[BudgetEntry, ...]
     poisson_ratio: float
     shear_modulus: float
 
@@ -100,7 +104,14 @@ def fisher_information(
     scaled = misfit.scaled(poisson_ratio, shear_modulus, shifts)
     local = misfit.linearised(scaled, 0.0, shear_modulus, shifts, errors)
     claimed = ScoreNoise(1.0, 1.0, np.inf, neighbours_sharing(local, 1.0), NO_SCATTER)
-    return Information(scores_of(misfit, local, noise=claimed)[0], poisson_ratio, shear_modulus)
+    scores, _ = scores_of(misfit, local, noise=claimed)
+    found = Information(scores, (), poisson_ratio, shear_modulus)
+    bound = found.bound(range(len(probes)))
+    factors = {name: 1.0 for name in CONSTANT_NAMES if np.isfinite(bound[name])}
+    budget = uncertainty_budget(
+        misfit, local, scores, claimed, poisson_ratio=poisson_ratio, factors=factors
+    )
+    return replace(found, budget=budget)
 
 
 def cramer_rao_bound(

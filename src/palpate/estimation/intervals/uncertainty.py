@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from palpate.estimation.intervals.budget import uncertainty_budget
 from palpate.estimation.intervals.profile_likelihood import profile_curve, profile_intervals
 from palpate.estimation.intervals.sandwich import (
     DIRECTIONS,
@@ -20,7 +21,7 @@ from palpate.estimation.intervals.sandwich import (
 from palpate.estimation.intervals.scatter import Scatter, Variance
 from palpate.estimation.intervals.score_noise import ScoreNoise
 from palpate.estimation.search import FixedWeights, Minimum, Misfit
-from palpate.records import Constant
+from palpate.records import BudgetEntry, Constant
 
 # Below this standard error of nu, and this far from the bounds, the profile is a parabola.
 _SMALL_ERROR = 1e-3
@@ -76,6 +77,15 @@ class Uncertainty:
     def error(self, name: str) -> float:
         """Standard error of nu, log G or log E."""
         return float(np.sqrt(self.variance(name).total))
+
+    def budget(self, misfit: Misfit, identifiable: Mapping[str, bool]) -> tuple[BudgetEntry, ...]:
+        """What each source adds to the standard errors of the constants that are identifiable
+        (`uncertainty_budget`)."""
+        factors = {name: s.factor for name, s in self.scatters.items() if identifiable[name]}
+        return uncertainty_budget(
+            misfit, self.minimum.probes, self.scores, self.noise,
+            poisson_ratio=self.minimum.poisson_ratio, factors=factors,
+        )  # fmt: skip
 
     def is_beyond_range(self) -> bool:
         """Whether the misfit's unbounded minimum lies clearly beyond the range of nu."""

@@ -26,6 +26,7 @@ from palpate.pipeline.model import (
 from palpate.pipeline.observations import graded_observations, session_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
+    BudgetEntry,
     DisplacementField,
     Probing,
     Rig,
@@ -77,11 +78,13 @@ class MeasurementPlan:
     probings : tuple of PlannedProbing
     precision : name -> float       of all probings together
     visible : name -> float         share of the free vertices that each camera sees
+    budget : tuple of BudgetEntry   what the standard deviations of all together come from
     """
 
     probings: tuple[PlannedProbing, ...]
     precision: dict[str, float]
     visible: dict[str, float]
+    budget: tuple[BudgetEntry, ...]
 
 
 def plan_measurement(
@@ -149,6 +152,7 @@ def plan_measurement(
         ),
         information.bound(range(len(measured.probings))),
         {camera.name: float(seen[c, free].mean()) for c, camera in enumerate(rig.cameras)},
+        information.budget,
     )
 
 

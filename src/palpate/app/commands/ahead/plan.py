@@ -8,7 +8,14 @@ import numpy as np
 from cyclopts import Parameter
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.terminal import (
+    budget_sentences,
+    print_notes,
+    print_tables,
+    print_text,
+    progress_bar,
+    terminal_table,
+)
 from palpate.app.units import Modulus
 from palpate.bem import check_memory
 from palpate.errors import InputError
@@ -21,6 +28,12 @@ from palpate.records import (
     record_inputs,
     result_folder,
     session_files,
+)
+
+_CAPTION = (
+    "seen: vertices that the pictures tell the motion of; |u|, sigma: median displacement there,"
+    " and of its standard deviation; a dash: not determined; for a good speckle, a true rig and a"
+    " material as the model takes it."
 )
 
 
@@ -110,9 +123,7 @@ def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
         f"Standard deviations to expect, at E = {young / factor:.4g} {unit}, nu = {poisson:g}",
         ("probing", "seen", "|u| mm", "sigma mm", "nu", f"G {unit}", f"E {unit}"),
         rows,
-        caption="seen: vertices that the pictures tell the motion of; |u|, sigma: median"
-        " displacement there, and of its standard deviation; a dash: not determined; for a good"
-        " speckle, a true rig and a material as the model takes it",
+        caption=" ".join([_CAPTION, *budget_sentences(found.budget)]),
         total=True,
     )
 
