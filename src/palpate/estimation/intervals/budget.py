@@ -52,12 +52,15 @@ def uncertainty_budget(
     -------
     tuple of BudgetEntry            the largest part of Young's modulus's first; the root of the sum
                                     of their squares is the standard deviation of each constant
-                                    (`Scores.variance`); empty where nothing is determined
+                                    (`Scores.variance`); empty where Poisson's ratio is not
+                                    determined: moduli are then given for all of its range
 
     Source
     ------
     JCGM 100, Guide to the expression of uncertainty in measurement (2008), 5.1
     """
+    if "poisson_ratio" not in factors:
+        return ()
     turns = directions(poisson_ratio)
     parts = {
         name: _variances(misfit, local, scores, noise, turns[name], factor)
