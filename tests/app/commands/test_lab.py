@@ -1,7 +1,10 @@
 """`palpate lab`: lists, sessions, and one message for what is wrong."""
 
+from pathlib import Path
+
 from lab.lab_configs import STAGE
 
+from palpate.app.commands.lab import _file
 from palpate.lab.config_files import built_in
 from palpate.records import read_session
 
@@ -44,6 +47,14 @@ def test_unknown_names_and_missing_folders_get_one_message(palpate, tmp_path):
     code, _, err = palpate("lab", "make")
     assert code == 2
     assert "give a configuration and a folder" in err
+
+
+def test_a_folder_hides_no_built_in_configuration(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("demo", "mine"):
+        (tmp_path / name).mkdir()
+    assert _file("demo") == built_in()["demo"]
+    assert _file("mine") == Path("mine")
 
 
 def test_nothing_is_left_where_a_probe_misses(palpate, tmp_path):

@@ -80,7 +80,8 @@ def lab(
 def _file(config: str) -> Path:
     """The file that a name means."""
     path, known = Path(config), built_in()
-    if path.exists():
+    # A folder that happens to have the name of a built-in one is not meant.
+    if path.exists() and not (path.is_dir() and config in known):
         return path
     if config in known:
         return known[config]
