@@ -83,10 +83,12 @@ def _values(entry: BudgetEntry) -> np.ndarray:
     return np.array([getattr(entry, name) for name in CONSTANT_NAMES])
 
 
-def test_the_squares_add_up_to_the_variance() -> None:
-    probes = _probes(
+@pytest.mark.parametrize("reference", [None, "rest"])
+def test_the_squares_add_up_to_the_variance(reference: str | None) -> None:
+    made = _probes(
         ForceGain(0.01), LengthScale(0.004), considered=(_Offset("lift"),), force_noise=0.02
     )
+    probes = [replace(one, reference=reference) for one in made]
     joint, found = uncertainty_at(probes), _budget(probes)
     assert set(found) == {GAIN, SCALE, "offsets", "lift", POINTS, FORCES}
     for name in CONSTANT_NAMES:
@@ -131,6 +133,22 @@ def test_errors_of_single_probings_add_square_to_square(considered: bool) -> Non
     np.testing.assert_allclose(found, expected * factor, rtol=5e-3)
 
 
+def test_forces_count_as_their_robust_scores_do() -> None:
+    """With points of no noise and forces of 2 % nothing is left for the points."""
+    probes = [
+        replace(one, std=np.full_like(one.displacement, 1e-9), nuisances=())
+        for one in _probes(force_noise=0.02)
+    ]
+    found = {
+        one.source: one
+        for one in uncertainty_at(probes, "student-t").budget(misfit_of(probes, "student-t"), ALL)
+    }
+    joint = uncertainty_at(probes, "student-t")
+    squares = sum(one.young_modulus**2 for one in found.values())
+    assert np.sqrt(squares) == pytest.approx(joint.error("young_modulus"), rel=1e-6)
+    assert found[POINTS].young_modulus < 1e-3 * found[FORCES].young_modulus
+
+
 def test_probings_that_disagree_are_a_source() -> None:
     probes = _probes()
     assert SCATTER not in _budget(probes)
@@ -138,7 +156,9 @@ def test_probings_that_disagree_are_a_source() -> None:
         replace(one, displacement=factor * one.displacement)
         for one, factor in zip(probes, (0.8, 1.0, 1.2), strict=True)
     ]
-    found = _budget(moved)
+    found, joint = _budget(moved), uncertainty_at(moved)
+    squares = sum(one.young_modulus**2 for one in found.values())
+    assert np.sqrt(squares) == pytest.approx(joint.error("young_modulus"), rel=1e-9)
     assert found[SCATTER].young_modulus > 0.05
     assert found[SCATTER].young_modulus > 3 * found[POINTS].young_modulus
 
