@@ -8,9 +8,10 @@ import pytest
 from surfaces import sphere
 
 from palpate.bem import RightHand, load_shape, shape_columns
+from palpate.estimation import ContactError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
-from palpate.pipeline.model.contacts import DIP_SHARE, dipped_columns, surface_load
+from palpate.pipeline.model.contacts import DIP_SHARE, changes, dipped_columns, surface_load
 from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4
@@ -97,3 +98,36 @@ def test_the_mesh_is_not_exact_where_the_laboratory_is() -> None:
     """What a session says of its sensors says nothing about triangles."""
     (error,) = _seen(_session(2, EXACT)).nuisances
     assert [one.name for one in error.parameters] == [NAME]
+
+
+def _left(deviations: float) -> float:
+    """What first and second derivatives leave of a contact that lies beside its place, over the
+    largest displacement."""
+    std = 5e-4
+    told = _session(3, replace(EXACT, contact_point=std))
+    (probing,) = told.probings
+    seen = _seen(told)
+    error = next(one for one in seen.nuisances if isinstance(one, ContactError))
+    rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / MODULUS
+    nominal = seen.response.value(NU)[rows]
+    (slope, *_) = error.columns(rows, nominal, load, NU).T
+    curvature = error.curvature(rows, load, NU)[:, 0, 0]
+    # The first tangent of a contact on top is x.
+    there = closest_points(
+        told.mesh, probing.contact.point + np.array([[0.0, 0.0, 0.0], [deviations * std, 0.0, 0.0]])
+    ).position
+    contact = replace(probing.contact, point=probing.contact.point + there[1] - there[0])
+    other = _seen(replace(told, probings=(replace(probing, contact=contact),), errors=EXACT))
+    moved = (other.response.value(NU)[rows] - nominal)[:, :3] @ seen.force / MODULUS
+    rest = moved - deviations * slope - 0.5 * deviations**2 * curvature
+    return float(np.abs(rest).max() / np.abs(nominal[:, :3] @ seen.force / MODULUS).max())
+
+
+def test_contacts_far_beside_their_place_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    far = [_left(deviations) for deviations in (2.0, 3.0)]
+    # A tenth of the contact's radius is one deviation.
+    assert far[0] < 1e-3
+    monkeypatch.setattr(changes, "_PLACES", changes._PLACES / np.sqrt(3.0))
+    near = [_left(deviations) for deviations in (2.0, 3.0)]
+    # Of a cubic (8 - 6) / (8 - 2) and (27 - 9) / (27 - 3); a little is of the fourth order.
+    np.testing.assert_allclose(np.divide(far, near), [1 / 3, 3 / 4], atol=0.16)
