@@ -70,25 +70,40 @@ def _apart(
     touch: float,
 ) -> Bool[np.ndarray, " p"]:
     """True where two triangles share nothing but the vertices they have in common."""
-    a, b = corner[pairs[:, 0]], corner[pairs[:, 1]]
+    a, b = sides = corner[pairs[:, 0]], corner[pairs[:, 1]]
     ids_a, ids_b = mesh.triangles[pairs[:, 0]], mesh.triangles[pairs[:, 1]]
     neighbours = (ids_a[:, :, None] == ids_b[:, None, :]).any(axis=(1, 2))
     # An overlap below this counts as apart: neighbours may touch, strangers must keep clear.
-    allowed = np.where(neighbours, touch, -touch)
-    edge_a, edge_b = _unit(np.roll(a, -1, axis=1) - a), _unit(np.roll(b, -1, axis=1) - b)
-    normal_a = _unit(np.cross(edge_a[:, 0], edge_a[:, 1]))
-    normal_b = _unit(np.cross(edge_b[:, 0], edge_b[:, 1]))
+    limit = np.where(neighbours, touch, -touch)
+    edge_a, edge_b = _edges(a), _edges(b)
+    normal_a, normal_b = _normal(edge_a), _normal(edge_b)
     span_a = _overlap(a, b, normal_a)
     span_b = _overlap(a, b, normal_b)
     flat = (_thickness(b, normal_a) <= touch) & (_thickness(a, normal_b) <= touch)
     # In one plane the normals show two points, one on the other, which says nothing.
-    apart = np.where(flat, span_a < -touch, (span_a <= allowed) | (span_b <= allowed))
+    apart = np.where(flat, span_a < -touch, (span_a <= limit) | (span_b <= limit))
+    # Most are by now: only the others are seen along the axes in their planes and across both.
     for i in range(3):
-        apart |= _overlap(a, b, np.cross(normal_a, edge_a[:, i])) <= allowed
-        apart |= _overlap(a, b, np.cross(normal_b, edge_b[:, i])) <= allowed
+        left = np.flatnonzero(~apart)
+        a, b, allowed = sides[0][left], sides[1][left], limit[left]
+        along_a, along_b = edge_a[left, i], edge_b[left]
+        found = _overlap(a, b, np.cross(normal_a[left], along_a)) <= allowed
+        found |= _overlap(a, b, np.cross(normal_b[left], along_b[:, i])) <= allowed
         for j in range(3):
-            apart |= ~flat & (_overlap(a, b, np.cross(edge_a[:, i], edge_b[:, j])) <= allowed)
+            across = _overlap(a, b, np.cross(along_a, along_b[:, j])) <= allowed
+            found |= ~flat[left] & across
+        apart[left] = found
     return apart
+
+
+def _edges(corner: Float[np.ndarray, "p 3 3"]) -> Float[np.ndarray, "p 3 3"]:
+    """Directions of the edges from each corner to the next."""
+    return _unit(np.roll(corner, -1, axis=1) - corner)
+
+
+def _normal(edge: Float[np.ndarray, "p 3 3"]) -> Float[np.ndarray, "p 3"]:
+    """Normals of triangles with edges of these directions."""
+    return _unit(np.cross(edge[:, 0], edge[:, 1]))
 
 
 def _unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
@@ -103,7 +118,16 @@ def _overlap(
     """How far two triangles' shadows on an axis would have to move to part; NaN: no direction."""
     unit = _unit(axis)
     on_a, on_b = np.einsum("pva,pa->pv", a, unit), np.einsum("pva,pa->pv", b, unit)
-    return np.minimum(on_a.max(axis=1) - on_b.min(axis=1), on_b.max(axis=1) - on_a.min(axis=1))
+    (low_a, high_a), (low_b, high_b) = _ends(on_a), _ends(on_b)
+    return np.minimum(high_a - low_b, high_b - low_a)
+
+
+def _ends(
+    shadow: Float[np.ndarray, "p 3"],
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    """Least and greatest of three numbers: over so short an axis `min` takes ten times as long."""
+    x, y, z = shadow.T
+    return np.minimum(np.minimum(x, y), z), np.maximum(np.maximum(x, y), z)
 
 
 def _thickness(
