@@ -1,6 +1,7 @@
 """The dense start on analytic and rendered pictures: truth, what must not be trusted, laws."""
 
 import tomllib
+from functools import cache
 
 import cv2
 import numpy as np
@@ -38,6 +39,12 @@ def _pair(warp, *, shape=SHAPE, sigma=1.7, noise=1.5, gain=1.0, offset=0.0):
     return noisy(texture.image(), noise, 1), noisy(moved, noise, 2)
 
 
+@cache
+def _case(name):
+    """Pictures of one of `CASES`."""
+    return _pair(**CASES[name])
+
+
 def _error(start, truth):
     return np.hypot(*np.moveaxis(start.flow - truth, -1, 0))
 
@@ -55,7 +62,7 @@ def test_affine_and_bent_motions_are_found(name):
     Halving the pictures for wide texture makes the start twice as coarse.
     """
     case = CASES[name]
-    start = dense_start(*_pair(**case))
+    start = dense_start(*_case(name))
     truth = case["warp"].flow(SHAPE)
     inside = _in_picture(truth)
     wrong = _error(start, truth)[start.trusted]
@@ -71,7 +78,7 @@ def test_affine_and_bent_motions_are_found(name):
 
 def test_small_motions_are_not_hurt_by_the_search_for_large_ones():
     warp = CASES["little"]["warp"]
-    wrong = _error(dense_start(*_pair(warp)), warp.flow(SHAPE))
+    wrong = _error(dense_start(*_case("little")), warp.flow(SHAPE))
     # A tenth of a pixel is what OpenCV's search alone leaves of half a pixel.
     assert np.percentile(wrong, 99) < 0.1
 
@@ -100,7 +107,7 @@ def test_features_are_only_needed_where_a_search_explains_next_to_nothing(name, 
 
     monkeypatch.setattr("palpate.vision.matching.dense_flow.feature_matches", count)
     swung = {"warp": affine(turned(5.0, 0.05), (25.0, 0.0), (240.0, 200.0)), "shape": (400, 480)}
-    start = dense_start(*_pair(**CASES.get(name, swung)))
+    start = dense_start(*(_case(name) if name in CASES else _pair(**swung)))
     assert bool(looked_for) == (name in ("far", "all"))
     if not looked_for:
         assert start.trusted.mean() > 0.8
