@@ -25,7 +25,7 @@ from palpate.campaign.store import Store
 from palpate.geometry import TriangleMesh, register
 from palpate.records import Rig
 
-# What is run in a folder that has all that it needs.
+# What is run in a folder that has all that it needs, and what it reads there.
 _COMMANDS = {
     "fit": ("fit", "cube", "--out", "made"),
     "init": ("init", "new", "--mesh", "mesh.ply"),
@@ -51,6 +51,25 @@ _COMMANDS = {
         "compression", "record.csv", "--diameter", "50mm", "--height", "30mm", "--out", "made.json",
     ),
 }  # fmt: skip
+# Every state is copied and read: nothing lies beside what a command is about, but where all that is
+# there must stay as it was.
+_READS = {
+    "fit": ("cube",),
+    "init": ("mesh.ply", "new"),
+    "mesh": ("mesh.ply",),
+    "scan": ("ball",),
+    "a board": ("mesh.ply",),
+    "calibrate": ("shots",),
+    "an object before a rig": ("rest_c0.png", "rest_c1.png", "mesh.ply", "rig.toml"),
+    "a plan": ("cube",),
+    "a recording": ("recorded",),
+    "a screenshot": ("result", "cube"),
+    "export": ("result", "cube"),
+    "report": ("result", "cube"),
+    "a campaign's table": ("many", "list.txt", "cube"),
+    "a campaign's picture": ("many", "list.txt", "cube"),
+    "a compression": ("record.csv",),
+}
 # They leave result folders as `fit` does: full disks and signals are tried with that one.
 _LIKE_FIT = (
     "mesh", "scan", "calibrate", "export", "an object before a rig", "a plan", "a recording"
@@ -97,25 +116,34 @@ def place(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     ends = {f"{name}_{end}": value for name, value in constants.items() for end in ("low", "high")}
     Store(folder / "many").set_row(Row("cube", "", "done", "ok", **constants, **ends))
     write_shots(folder / "shots")
-    write_scan(folder / "ball")
     return folder
+
+
+def _copied(name: str, request: pytest.FixtureRequest, work: Path) -> None:
+    """A folder with what a command reads; what few commands need is made for them alone."""
+    work.mkdir()
+    place: Path = request.getfixturevalue("place")
+    for read in _READS[name]:
+        if read == "recorded":
+            shutil.copytree(request.getfixturevalue("recorded"), work / read)
+        elif read == "ball":
+            write_scan(work / read)
+        elif (place / read).is_dir():
+            shutil.copytree(place / read, work / read)
+        else:
+            shutil.copy2(place / read, work / read)
 
 
 @pytest.mark.parametrize("name", [name for name in _COMMANDS if _MANY or name not in _SLOW])
 def test_old_or_new_wherever_it_is_killed(
     name: str,
-    place: Path,
-    recorded: Path,
+    request: pytest.FixtureRequest,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     words = list(_COMMANDS[name])
     work, copies = tmp_path / "work", tmp_path / "copies"
-    if name == "a recording":
-        # Its videos are large, and every state is copied: nothing beside them.
-        shutil.copytree(recorded, work / "recorded")
-    else:
-        shutil.copytree(place, work)
+    _copied(name, request, work)
     if name == "an object before a rig":
         monkeypatch.setattr(object_view, "view_object", _viewed)
     monkeypatch.chdir(work)
@@ -138,7 +166,7 @@ def test_old_or_new_wherever_it_is_killed(
     for step in range(1, len(states), 7) if _MANY else [middle]:
         for fault in ("disk is full", "SIGTERM"):
             folder = tmp_path / f"{step} {fault}"
-            shutil.copytree(place, folder)
+            _copied(name, request, folder)
             monkeypatch.chdir(folder)
             outcome = in_child(
                 lambda: main(words) not in (0, 3), folder, step=step, dies=False, fault=fault
