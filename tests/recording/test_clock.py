@@ -66,12 +66,13 @@ def test_the_claimed_sigma_is_what_the_offset_scatters() -> None:
     force, touches = _force()
     clocks = [
         fine_clock((_OFFSET, 0.9, None), force, touches, _ramps(touches, noise=0.03, seed=s), "c0")
-        for s in range(24)
+        for s in range(12)
     ]
     error = np.array([clock.offset - _OFFSET for clock in clocks])
     claim = np.sqrt(np.mean([clock.std**2 for clock in clocks]))
-    # The rms of 24 errors is known to 15 %, a sigma from ten presses to 24 %, their mean to 5 %.
-    assert 0.5 < np.sqrt(np.mean(error**2)) / claim < 1.6
+    # The rms of 12 errors is known to 20 %, a sigma from ten presses to 24 %, their mean to 7 %:
+    # 21 % together, three of which are granted.
+    assert 0.5 < np.sqrt(np.mean(error**2)) / claim < 1.65
 
 
 def test_a_lag_between_force_and_motion_is_an_offset() -> None:
