@@ -25,6 +25,8 @@ from palpate.records import DisplacementField, Session, read_rig, read_session
 from palpate.vision import JointFlow, Outcome
 
 GIVEN = {"method": JointFlow(step=8), "pose": "given"}
+# Less than half the points, where no vertex of a fine mesh needs many about it.
+COARSE = GIVEN | {"method": JointFlow(step=12)}
 
 
 def _part(source: Path, target: Path, steps: int) -> Path:
@@ -145,7 +147,7 @@ def test_pictures_without_texture_say_where_and_how_much_is_needed(
         grey[160:, :] = np.where(grey[160:] > 20.0, 100.0, grey[160:])
         grey[160:] += rng.normal(0.0, 1.5, grey[160:].shape)
         cv2.imwrite(str(path), np.clip(np.round(grey), 0, 255).astype(np.uint8))
-    found = measure_motion(read_session(folder), **GIVEN)
+    found = measure_motion(read_session(folder), **COARSE)
     flow = found.motions[0].flow
     assert flow is not None
     assert (flow.outcome == Outcome.TEXTURE).mean() > 0.1
@@ -179,13 +181,13 @@ def test_load_steps_in_the_wrong_order_are_remarked(shared_data: Path) -> None:
     assert probing.images is not None
     wrong = (probing.images.loaded[4], probing.images.loaded[1])
     turned = replace(probing, images=replace(probing.images, loaded=wrong))
-    found = measure_motion(replace(session, probings=(turned,)), **GIVEN)
+    found = measure_motion(replace(session, probings=(turned,)), **COARSE)
     assert any("is their order right" in note for note in found.notes)
 
 
 def test_images_alone_give_the_constants(half_ball: Session) -> None:
     """One probing, force known to 1 %: nu within 0.03 of 0.21, E within 5 % of 52 kPa."""
-    found = measure_motion(half_ball, **GIVEN)
+    found = measure_motion(half_ball, **COARSE)
     session = with_measured_displacement(half_ball, found)
     estimate = fit_session(session).estimate
     assert estimate.poisson_ratio.value == pytest.approx(0.21, abs=0.03)
