@@ -1,5 +1,7 @@
 """What a range camera that goes around an object sees: exact points and their noise."""
 
+from functools import cache
+
 import numpy as np
 
 from palpate.geometry import TriangleMesh
@@ -12,6 +14,7 @@ NOISE = 5e-5
 SIZE = (160, 120)
 
 
+@cache
 def toy(edge=2.5e-3):
     return SHAPES["toy"].make(radius=0.035, edge=edge)
 
@@ -39,11 +42,17 @@ def seen_points(mesh: TriangleMesh, camera: Camera, rng, *, noise=NOISE):
     return points * (1.0 + rng.normal(0.0, noise, len(points)) / points[:, 2])[:, None]
 
 
-def views_around(mesh: TriangleMesh, count=8, *, known=True, noise=NOISE, first=0) -> list[View]:
-    """Views from all around; their poses given or not."""
+def views_around(mesh: TriangleMesh, count=8, *, known=True, noise=NOISE, seen=None) -> list[View]:
+    """Views from all around, or the first `seen` of them; their poses given or not."""
+    return list(_views(mesh, count, known, noise, count if seen is None else seen))
+
+
+@cache
+def _views(mesh, count, known, noise, seen):
+    """A view takes a third of a second: those of one mesh are made once a run."""
     rng = np.random.default_rng(7)
     views = []
-    for k in range(first, count):
+    for k in range(seen):
         camera = camera_at(2.0 * np.pi * k / count)
         points = seen_points(mesh, camera, rng, noise=noise)
         pose = np.linalg.inv(camera.T_camera_object) if known else None

@@ -47,7 +47,7 @@ def test_errors_of_a_chain_are_taken_back_by_the_loop():
 
 def test_a_ball_does_not_tell_how_it_was_turned():
     with pytest.raises(InputError, match="the shape does not fix how view 'v01' lies"):
-        posed(views_around(made(ball(0.04, (0.0, 0.0, 0.03), fine=4)), 9, known=False)[:3])
+        posed(views_around(made(ball(0.04, (0.0, 0.0, 0.03), fine=4)), 9, known=False, seen=3))
 
 
 def test_views_from_opposite_sides_do_not_overlap():

@@ -1,6 +1,7 @@
 """`palpate mesh` and `palpate scan`: broken files and views become a mesh for a session."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -80,21 +81,28 @@ VIEWS = 8
 
 
 @pytest.fixture
-def depth_maps(tmp_path):
+def depth_maps(tmp_path, kept_maps):
+    """The folder of a test with depth maps, and the table that names them."""
+    return shutil.copytree(kept_maps, tmp_path, dirs_exist_ok=True)
+
+
+@pytest.fixture(scope="module")
+def kept_maps(tmp_path_factory):
     """Eight depth maps of a toy in tenths of a millimetre, and the table that names them."""
+    folder = tmp_path_factory.mktemp("maps")
     mesh, text = toy(), ""
     for k in range(VIEWS):
         camera = camera_at(2.0 * np.pi * k / VIEWS)
         found = surface_map(camera, SIZE[::-1], mesh.vertices, mesh.triangles)
         z = found.point @ camera.T_camera_object[2, :3] + camera.T_camera_object[2, 3]
         levels = np.where(found.triangle >= 0, np.rint(1e4 * z), 0).astype(np.uint16)
-        cv2.imwrite(str(tmp_path / f"d{k}.png"), levels)
+        cv2.imwrite(str(folder / f"d{k}.png"), levels)
         pose = np.linalg.inv(camera.T_camera_object).tolist()
-        (tmp_path / f"p{k}.toml").write_text(f'length_unit = "m"\nT = {pose}\n')
+        (folder / f"p{k}.toml").write_text(f'length_unit = "m"\nT = {pose}\n')
         text += f'[[view]]\nfile = "d{k}.png"\npose = "p{k}.toml"\n'
     head = 'format = "palpate-scan/1"\nlength_unit = "mm"\nsupport = "z=0"\n'
-    (tmp_path / "scan.toml").write_text(f"{head}[depth]\nscale = 0.1\n{CAMERA}{text}")
-    return tmp_path
+    (folder / "scan.toml").write_text(f"{head}[depth]\nscale = 0.1\n{CAMERA}{text}")
+    return folder
 
 
 def test_depth_maps_become_a_mesh(palpate, depth_maps):
