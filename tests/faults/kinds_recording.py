@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from faults.kind import Kind, replaced, written
+from recording.bench_footage import RATE
 from recording.bench_signals import HOLD, RAMP, begins
 
 _FILE = "recording.toml"
@@ -47,9 +48,9 @@ def _clipped(rows: np.ndarray) -> np.ndarray:
 def _shortened(folder: Path) -> None:
     """Damage: a video ends after two seconds, before the first press rests."""
     capture = cv2.VideoCapture(str(folder / "c1.avi"))
-    pictures = [capture.read()[1] for _ in range(60)]
+    pictures = [capture.read()[1] for _ in range(int(2.0 * RATE))]
     code = cv2.VideoWriter_fourcc(*"FFV1")
-    writer = cv2.VideoWriter(str(folder / "c1.avi"), code, 30.0, pictures[0].shape[1::-1])
+    writer = cv2.VideoWriter(str(folder / "c1.avi"), code, RATE, pictures[0].shape[1::-1])
     for picture in pictures:
         writer.write(picture)
     writer.release()

@@ -16,7 +16,7 @@ from palpate.geometry import write_mesh
 from palpate.records import Camera, Rig, write_rig
 
 SIZE = (160, 120)
-RATE = 30.0
+RATE = 20.0
 HEIGHT, EDGE, FOCAL = 0.4, 0.06, 700.0
 PEAKS = np.array([0.8, 1.2, 0.6])
 # Where the gauge's clock is when the camera's is at nought [s].

@@ -35,7 +35,7 @@ def test_presses_clocks_and_forces(recording: Path) -> None:
     found = find_presses(read_recording(recording))
     assert [press.name for press in found.presses] == ["n01", "n02", "n03"]
     for clock, offset in zip(found.clocks, OFFSETS, strict=True):
-        # Asked for are 5 ms of frames that are 33 ms apart; the presses' scatter says 0.2 ms.
+        # Asked for are 5 ms of frames that are 50 ms apart; the presses' scatter says 0.2 ms.
         assert abs(clock.offset - offset) < 1e-3
     for press, peak, begin in zip(found.presses, PEAKS, begins(3), strict=True):
         assert np.linalg.norm(press.reading.force - peak * DIRECTION) < 0.005 * peak
@@ -88,7 +88,7 @@ def test_frames_that_were_dropped_are_counted_and_bridged(recording: Path, tmp_p
     (folder / "c0").mkdir()
     times, k = [], 0
     while (read := capture.read())[0]:
-        if k not in (100, 101, 102, 250, 300, 301, 400):
+        if k not in (67, 68, 69, 167, 200, 201, 267):
             cv2.imwrite(str(folder / "c0" / f"{k:05d}.png"), read[1])
             times.append(k / RATE)
         k += 1
@@ -135,7 +135,7 @@ def test_memory_does_not_grow_with_the_video(recording: Path, tmp_path: Path) ->
     capture = cv2.VideoCapture(str(whole.video))
     short = tmp_path / "short.avi"
     writer = cv2.VideoWriter(str(short), cv2.VideoWriter_fourcc(*"FFV1"), RATE, SIZE)
-    for _ in range(60):
+    for _ in range(40):
         writer.write(capture.read()[1])
     writer.release()
     peaks = []
@@ -144,6 +144,6 @@ def test_memory_does_not_grow_with_the_video(recording: Path, tmp_path: Path) ->
         motion = camera_motion(footage)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert len(motion.time) > 8 * 60
+    assert len(motion.time) > 8 * 40
     # A frame is 58 kB of colours; what is kept of one are three numbers, 100 bytes as a list.
     assert peaks[1] - peaks[0] < 3 * 100 * len(motion.time)
