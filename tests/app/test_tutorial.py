@@ -1,7 +1,7 @@
 """From nothing to constants: what `palpate lab tutorial` records, through six commands.
 
 Made small to take half a minute: pictures of 200 x 160, six boards, three views, one press that is
-solved at two depths with coarse elements, films of ten frames a second, a mesh of 250 vertices.
+solved at two depths with coarse elements, films of eight frames a second, a mesh of 250 vertices.
 """
 
 import json
@@ -16,7 +16,7 @@ from palpate.lab import TutorialSize, choose_variant, make_tutorial
 from palpate.records import read_rig, read_session
 
 SMALL = TutorialSize(
-    columns=200, rows=160, boards=6, views=3, presses=1, frame_rate=10.0, hold=1.0, element=0.016,
+    columns=200, rows=160, boards=6, views=3, presses=1, frame_rate=8.0, hold=1.0, element=0.016,
     depths=2,
 )  # fmt: skip
 COMMANDS = (
