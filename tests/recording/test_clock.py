@@ -53,6 +53,19 @@ def _ramps(
     return found
 
 
+def _thinned(ramps: list[Ramp], step: int) -> list[Ramp]:
+    return [Ramp(one.time[::step], one.share[::step]) for one in ramps]
+
+
+def test_pictures_that_are_far_apart_are_told_from_those_that_are_too_far() -> None:
+    force, touches = _force()
+    # At some offsets no press has enough of them left: nothing is known there, and nothing warned.
+    clock = fine_clock((_OFFSET, 0.9, None), force, touches, _thinned(_ramps(touches), 8), "c0")
+    assert clock.offset == pytest.approx(_OFFSET, abs=0.01)
+    with pytest.raises(RecordError, match="'c0': its pictures lie too far apart"):
+        fine_clock((_OFFSET, 0.9, None), force, touches, _thinned(_ramps(touches), 40), "c0")
+
+
 @pytest.mark.parametrize("start", [-0.5, 0.0, 0.6])
 def test_the_offset_is_found_from_any_start(start: float) -> None:
     force, touches = _force()

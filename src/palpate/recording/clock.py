@@ -31,6 +31,8 @@ _CONTACT = 0.15
 _KNOWN_CONTACT = 0.02
 # The law from motion to force: a polynomial of this order, without a say for the offset.
 _ORDER = 3
+# Pictures of a press that tell more than such a law takes.
+_FEWEST = 2 * (_ORDER + 1)
 # Steps of the second search [s], and half its width in the last round.
 _FINE, _LAST = 0.01, 0.002
 # Shares of the way at which loading and unloading are compared.
@@ -162,7 +164,7 @@ def fine_clock(
 
     Raises
     ------
-    RecordError                     the camera saw none of the presses
+    RecordError                     the camera saw none of the presses, or too few pictures of each
     """
     seen = [(t, r) for t, r in zip(touches, ramps, strict=True) if r is not None]
     if not seen:
@@ -178,7 +180,16 @@ def fine_clock(
     for _ in range(2):
         trial = offset + np.arange(-width, width + step / 2, step)
         cost = np.stack([unexplained(value) for value in trial])
-        offset = _lowest(trial, np.nanmean(cost, axis=1))
+        known = np.isfinite(cost)
+        if not known.any():
+            raise RecordError(
+                f"camera '{camera}': its pictures lie too far apart to tell its clock, fewer than"
+                f" {_FEWEST} of each press; is the frame rate right?"
+            )
+        # Where no press is seen at some offset, nothing is known of it.
+        seldom = np.where(known.any(axis=1), 1.0, np.nan)
+        mean = np.where(known, cost, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+        offset = _lowest(trial, seldom * mean)
         width, step = 4.0 * _FINE, _LAST
     single = np.array([_lowest(trial, one) for one in cost.T if np.isfinite(one).all()])
     scatter = float(single.std(ddof=1)) if len(single) > 1 else np.nan
@@ -224,7 +235,7 @@ def _in_contact(
 def _unexplained(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -> float:
     """Share of the force's variance that the picture does not tell; NaN: too little is seen."""
     _, share, size = _in_contact(force, touch, ramp, offset)
-    if len(share) < 2 * (_ORDER + 1):
+    if len(share) < _FEWEST:
         return np.nan
     law = np.vander(share, _ORDER + 1)
     rest = size - law @ np.linalg.lstsq(law, size, rcond=None)[0]
