@@ -169,6 +169,13 @@ def test_gravity_needs_a_density(edited):
         read_session(edited("density = 1000.0", ""))
 
 
+def test_a_radius_may_have_a_unit(edited):
+    session = read_session(edited("radius = 0.006", 'radius = "6 mm"'))
+    assert session.probings[0].contact.radius == pytest.approx(0.006, rel=1e-12)
+    with pytest.raises(RecordError, match="contact radius: is '6 feet'; must be a number with its"):
+        read_session(edited("radius = 0.006", 'radius = "6 feet"'))
+
+
 def test_a_session_of_nothing_is_refused(session_folder):
     file = session_folder / "session.toml"
     file.write_text(file.read_text().partition("[[probe]]")[0])

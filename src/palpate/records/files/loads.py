@@ -185,10 +185,9 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
         point = metres * contact.vector("point")
         return _tool(contact, metres).contact(point, bounding_diagonal(mesh))
     contact.check_keys(("point", "point_std", "radius", "profile"))
-    radius = contact.optional("radius", contact.number)
     return Contact(
         point=metres * contact.vector("point"),
-        radius=None if radius is None else metres * radius,
+        radius=contact.optional("radius", lambda key: contact.quantity(key, LENGTH_UNITS, metres)),
         profile=contact.choice("profile", contact_profiles()),
     )
 
