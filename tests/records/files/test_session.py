@@ -173,7 +173,7 @@ def test_a_radius_may_have_a_unit(edited):
     session = read_session(edited("radius = 0.006", 'radius = "6 mm"'))
     assert session.probings[0].contact.radius == pytest.approx(0.006, rel=1e-12)
     with pytest.raises(RecordError, match="contact radius: is '6 feet'; must be a number with its"):
-        read_session(edited("radius = 0.006", 'radius = "6 feet"'))
+        read_session(edited('radius = "6 mm"', 'radius = "6 feet"'))
 
 
 def test_a_session_of_nothing_is_refused(session_folder):
