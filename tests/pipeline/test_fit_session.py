@@ -284,13 +284,15 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     assert all("toward +" in one.name for one in seen.nuisances[-1].parameters[:2])
     axes = ["xyz".index(one.name[-1]) for one in seen.nuisances[-1].parameters[:2]]
     for k, axis in enumerate(axes):
-        shift = 4e-4 * np.eye(3)[axis]
+        # The root of three deviations to either side.
+        step = np.sqrt(3.0)
+        shift = step * 4e-4 * np.eye(3)[axis]
         ends = closest_points(first.mesh, contact.point + np.stack([shift, -shift])).position
         on, back = (moved(replace(contact, point=end)) for end in ends)
-        expected = 0.5 * (on - back)
+        expected = 0.5 * (on - back) / step
         # Coarser cells, and a tangent that is not quite the axis.
         np.testing.assert_allclose(found[:, k], expected, atol=0.06 * np.abs(expected).max())
-        expected = on + back - 2.0 * (response @ load)
+        expected = (on + back - 2.0 * (response @ load)) / step**2
         np.testing.assert_allclose(curvature[:, k, k], expected, atol=0.06 * np.abs(expected).max())
     expected = moved(replace(contact, radius=1.05 * contact.radius)) - response @ load
     np.testing.assert_allclose(found[:, 2], expected, atol=0.02 * np.abs(expected).max())
