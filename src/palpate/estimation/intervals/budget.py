@@ -24,6 +24,8 @@ from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 POINTS, FORCES, MOTIONS = "noise of the points", "measured forces", "motions of supports"
 SCATTER = "disagreement of the probings"
+# What one standard deviation of something adds to the scores, (d,), beside what that belongs to.
+_Pulls = list[tuple[str, np.ndarray]]
 
 
 def uncertainty_budget(
@@ -62,8 +64,9 @@ def uncertainty_budget(
     if "poisson_ratio" not in factors:
         return ()
     turns = directions(poisson_ratio)
+    own, considered = _of_probings(misfit, local, noise)
     parts = {
-        name: _variances(misfit, local, scores, noise, turns[name], factor)
+        name: _variances(misfit, scores, own, considered, turns[name], factor)
         for name, factor in factors.items()
     }
     sources = dict.fromkeys(source for part in parts.values() for source in part)
@@ -87,27 +90,21 @@ def _size(entry: BudgetEntry) -> float:
 
 
 def _variances(
-    misfit: Misfit,
-    local: Sequence[LocalProbe],
-    scores: Scores,
-    noise: ScoreNoise,
-    direction: Float[np.ndarray, " 2"],
-    factor: float,
+    misfit: Misfit, scores: Scores, own: _Pulls, considered: _Pulls, turn: np.ndarray, factor: float
 ) -> dict[str, float]:
     """Variance of nu, log G or log E that each source adds."""
-    influence = scores.influence(direction)
-    own, considered = _of_probings(misfit, local, noise, influence)
+    influence = scores.influence(turn)
+    alone, known = _added(own, influence), _added(considered, influence)
     # What is left of what is common to probings is the noise of their pictures at rest.
     common = 0.0 if scores.common is None else influence @ scores.common.sum((0, 1)) @ influence
-    at_rest = float(common) - sum(considered.values())
-    known = defaultdict(float, considered)
+    at_rest = float(common) - sum(known.values())
     for parameter, moved in zip(misfit.shared, influence[2:], strict=True):
         known[parameter.source] += float(moved**2)
-    claimed = float(direction @ scores.covariance()[:2, :2] @ direction)
+    claimed = float(turn @ scores.covariance()[:2, :2] @ turn)
     claimed -= at_rest + sum(known.values())
-    own[POINTS] += claimed - sum(own.values())
+    alone[POINTS] += claimed - sum(alone.values())
     # Probings that agree better than claimed make all of it smaller.
-    for source, value in own.items():
+    for source, value in alone.items():
         known[source] += min(factor, 1.0) * value
     known[POINTS] += at_rest
     if factor > 1.0:
@@ -115,22 +112,27 @@ def _variances(
     return {source: max(value, 0.0) for source, value in known.items()}
 
 
+def _added(pulls: _Pulls, influence: Float[np.ndarray, " d"]) -> defaultdict[str, float]:
+    """Variance that some pulls add, source by source."""
+    found = defaultdict[str, float](float)
+    for source, pull in pulls:
+        found[source] += float(pull @ influence) ** 2
+    return found
+
+
 def _of_probings(
-    misfit: Misfit,
-    local: Sequence[LocalProbe],
-    noise: ScoreNoise,
-    influence: Float[np.ndarray, " d"],
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Variance that the shifts of single probings add, and errors that are considered only."""
-    turns = shift_projections(misfit, local, noise)
-    own, considered = defaultdict[str, float](float), defaultdict[str, float](float)
-    for probe, turn, (power, _) in zip(local, turns, force_moments(misfit, local), strict=True):
-        added = probe.prior(power) * (turn[probe.common :] @ influence) ** 2
-        for source, value in zip(_sources(misfit, probe), added.tolist(), strict=True):
-            own[source] += value
-    for parameter, pull in considered_pulls(local, turns, noise).items():
-        considered[parameter.source] += float((pull @ influence).sum() ** 2)
-    return own, considered
+    misfit: Misfit, local: Sequence[LocalProbe], noise: ScoreNoise
+) -> tuple[_Pulls, _Pulls]:
+    """What one standard deviation of each shift of a single probing adds to the scores, and of each
+    error that is considered only."""
+    forces = force_moments(misfit, local)
+    turns = shift_projections(local, noise, forces)
+    own: _Pulls = []
+    for probe, turn, (power, _) in zip(local, turns, forces, strict=True):
+        pulls = np.sqrt(probe.prior(power))[:, None] * turn[probe.common :]
+        own += zip(_sources(misfit, probe), pulls, strict=True)
+    considered = considered_pulls(local, turns, noise)
+    return own, [(one.source, pulls.sum(axis=0)) for one, pulls in considered.items()]
 
 
 def _sources(misfit: Misfit, probe: LocalProbe) -> list[str]:

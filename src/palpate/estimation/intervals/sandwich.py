@@ -210,7 +210,7 @@ def scores_of(
     to_be_measured = noise is None
     if noise is None:
         noise = noise_of(misfit, local)
-    turns = shift_projections(misfit, local, noise)
+    turns = shift_projections(local, noise, forces)
     if to_be_measured:
         constants = [turn[:, :2] for turn in turns]
         blocks = block_scatter(local, constants, score_variance=noise.power, sharing=noise.sharing)
@@ -266,22 +266,21 @@ def force_moments(misfit: Misfit, local: Sequence[LocalProbe]) -> list[tuple[flo
 
 
 def shift_projections(
-    misfit: Misfit, local: Sequence[LocalProbe], noise: ScoreNoise
+    local: Sequence[LocalProbe], noise: ScoreNoise, forces: Sequence[tuple[float, float]]
 ) -> list[Float[np.ndarray, "_ d"]]:
     """What takes the shifts of each probing out of its design.
 
     Parameters
     ----------
-    misfit : Misfit
     local : sequence of LocalProbe      at a minimum
     noise : ScoreNoise
+    forces : one (float, float) for each    `force_moments`
 
     Returns
     -------
     list of (d + n, d) float            a row each of the d parameters of all probings, which stay,
                                         and of the n shifts
     """
-    forces = force_moments(misfit, local)
     return [
         _projection(probe, noise.slope, slope)
         for probe, (_, slope) in zip(local, forces, strict=True)

@@ -132,9 +132,7 @@ def considered_errors(
 
     Parameters
     ----------
-    local : sequence of k LocalProbe    at a minimum
-    turns : (d + n, d) for each         takes the shifts out of its design
-    noise : ScoreNoise
+    local, turns, noise                 as `common_noise`
 
     Returns
     -------
