@@ -180,16 +180,16 @@ def fine_clock(
     for _ in range(2):
         trial = offset + np.arange(-width, width + step / 2, step)
         cost = np.stack([unexplained(value) for value in trial])
-        known = np.isfinite(cost)
+        # Where no press is seen at some offset, nothing is known of it.
+        known = np.isfinite(cost).any(axis=1)
         if not known.any():
             raise RecordError(
                 f"camera '{camera}': its pictures lie too far apart to tell its clock, fewer than"
                 f" {_FEWEST} of each press; is the frame rate right?"
             )
-        # Where no press is seen at some offset, nothing is known of it.
-        seldom = np.where(known.any(axis=1), 1.0, np.nan)
-        mean = np.where(known, cost, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-        offset = _lowest(trial, seldom * mean)
+        mean = np.full(len(trial), np.nan)
+        mean[known] = np.nanmean(cost[known], axis=1)
+        offset = _lowest(trial, mean)
         width, step = 4.0 * _FINE, _LAST
     single = np.array([_lowest(trial, one) for one in cost.T if np.isfinite(one).all()])
     scatter = float(single.std(ddof=1)) if len(single) > 1 else np.nan

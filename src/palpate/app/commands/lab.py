@@ -81,10 +81,10 @@ def _file(config: str) -> Path:
     """The file that a name means."""
     path, known = Path(config), built_in()
     # A folder that happens to have the name of a built-in one is not meant.
-    if path.exists() and not (path.is_dir() and config in known):
-        return path
-    if config in known:
+    if config in known and not path.is_file():
         return known[config]
+    if path.exists():
+        return path
     raise InputError(
         f"{config}: no such file, and no built-in configuration; there are: {', '.join(known)}"
     )

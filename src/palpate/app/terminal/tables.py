@@ -129,11 +129,10 @@ def budget_sentences(budget: Sequence[BudgetEntry]) -> list[str]:
     -------
     list of str                     none of constants that are not determined
     """
-    parts = {name: budget_text(budget, name) for name in ("young_modulus", "poisson_ratio")}
     return [
         f"Sigma of {symbol} comes from: {part}."
-        for symbol, part in zip(("E", "nu"), parts.values(), strict=True)
-        if part
+        for name, symbol in (("young_modulus", "E"), ("poisson_ratio", "nu"))
+        if (part := budget_text(budget, name))
     ]
 
 
