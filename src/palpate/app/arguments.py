@@ -10,11 +10,11 @@ from typing import Any, Literal, Union, get_args, get_origin
 from cyclopts import App, CycloptsError, CycloptsPanel, Parameter, Token, convert
 from rich.console import Console
 
+from palpate.app.exit_codes import BAD_INPUT
 from palpate.app.output import Output, output_as
 from palpate.errors import InputError
 from palpate.versions import versions
 
-_BAD_INPUT = 2
 # Numbers as options take them.
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _WHOLE = re.compile(r"[-+]?[0-9]+")
@@ -268,7 +268,7 @@ def _called(words: list[str]) -> int:
         if isinstance(error.__cause__, InputError):
             raise error.__cause__ from None
         Console(stderr=True).print(CycloptsPanel(error))
-        return _BAD_INPUT
+        return BAD_INPUT
     except SystemExit as error:
         # How rich ends where nobody reads what it prints.
         if isinstance(error.__context__, BrokenPipeError):

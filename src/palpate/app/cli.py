@@ -13,14 +13,11 @@ from importlib import import_module
 from types import FrameType
 from typing import NoReturn
 
+from palpate.app.exit_codes import BAD_INPUT, BY_SIGNAL, NOT_OK
 from palpate.app.guard import guarded
 from palpate.errors import NotConvergedError, PalpateError
 
-BAD_INPUT = 2
-NOT_OK = 3
-# What a shell makes of signals: 128 and their number.
-_BY_SIGNAL = 128
-_BROKEN_PIPE = _BY_SIGNAL + 13
+_BROKEN_PIPE = BY_SIGNAL + 13
 _STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
@@ -53,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
         _say(f"stopped by {number.name}; nothing half done is left")
-        return _BY_SIGNAL + number
+        return BY_SIGNAL + number
     except OSError as error:
         # What could not be printed must not come up again at the end of the process.
         _discard_output()

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from palpate import __version__
 from palpate.app.environment import kernel_cache, seen_columns
+from palpate.app.exit_codes import BAD_INPUT, PROGRAM_ERROR
 from palpate.errors import InputError
 
 try:
@@ -24,8 +25,6 @@ try:
 except ModuleNotFoundError:  # Windows has no such limits
     resource = None  # type: ignore[assignment]
 
-_BAD_INPUT = 2
-_UNEXPECTED = 70
 # Address space that the libraries and a small model need [bytes]; with less they end the process.
 _LEAST_MEMORY = 1.5 * 2**30
 # Libraries that take orders from the environment, and how the names of these begin.
@@ -49,14 +48,14 @@ def guarded(main: Main) -> Main:
     @wraps(main)
     def safe(arguments: Sequence[str] | None = None) -> int:
         if _too_little_memory():
-            return _UNEXPECTED
+            return PROGRAM_ERROR
         with _plain_output(), seen_columns(), _quiet_libraries() as said:
             try:
                 with kernel_cache():
                     return main(arguments)
             except InputError as error:
                 print(f"palpate: {error}", file=sys.stderr)
-                return _BAD_INPUT
+                return BAD_INPUT
             except Exception as error:  # noqa: BLE001 - the last guard is for all of them
                 words = sys.argv[1:] if arguments is None else arguments
                 text, code = _outcome(error, words, said.getvalue())
@@ -74,20 +73,20 @@ def _outcome(error: Exception, words: Sequence[str], said: str) -> tuple[str, in
     if any(isinstance(cause, MemoryError) for cause in causes):
         why = " ".join(str(causes[-1]).split())
         what = "memory ran out" + (f" ({why})" if why else "")
-        return f"{what}; use a coarser mesh or fewer points, or close other programs", _UNEXPECTED
+        return f"{what}; use a coarser mesh or fewer points, or close other programs", PROGRAM_ERROR
     place = traceback.extract_tb(causes[-1].__traceback__)[-1].filename
     for library, prefix in _VARIABLES.items():
         names = [key for key in os.environ if key.startswith(prefix)]
         if names and f"{os.sep}{library}{os.sep}" in place:
             found = ", ".join(f"{key}={os.environ[key]}" for key in names)
             text = " ".join(str(causes[-1]).split())[:200]
-            return f"{text} ({library}); correct or unset {found}", _BAD_INPUT
+            return f"{text} ({library}); correct or unset {found}", BAD_INPUT
     what = "lists in lists without end" if isinstance(error, RecursionError) else _first_line(error)
     report = _written_report(error, words, said)
     return (
         f"an error of the program, not of yours ({what}); {report or 'no report could be written'}"
         + (" says where: please send it to the developers" if report else ""),
-        _UNEXPECTED,
+        PROGRAM_ERROR,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from palpate.app.exit_codes import NOT_OK
 from palpate.app.terminal import (
     StageLog,
     constants_table,
@@ -42,7 +43,6 @@ from palpate.records import (
 from palpate.report import REPORT_FILE, write_report, write_result_files
 from palpate.versions import versions
 
-_NOT_OK = 3
 # Fractions of the work that are done when the fit and when the drawing begin.
 _PICTURES, _DRAWN = 0.5, 0.9
 _REUSED = "the motion in the pictures is the one that {} holds: nothing has changed since"
@@ -130,7 +130,7 @@ def fit(
     print_text(f"Result in {target}, report in {target / REPORT_FILE} ({log.seconds:.1f} s)")
     if result.estimate.status is not Status.OK:
         print(f"palpate: {result.estimate.status.advice}", file=sys.stderr)
-        return _NOT_OK
+        return NOT_OK
     return 0
 
 

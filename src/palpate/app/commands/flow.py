@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 from rich.markup import escape
 
+from palpate.app.exit_codes import NOT_OK
 from palpate.app.terminal import flow_table, print_notes, print_tables, print_text, progress_bar
 from palpate.errors import InputError
 from palpate.figures import make_flow_view, write_flow_pictures
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 else:
     # The names that are registered; a type checker cannot read them.
     MethodName = Literal[tuple(FLOW_METHODS)]
-_NOT_OK = 3
 # Before this a rate says more about the start than about the work [s].
 _RATE_STARTS = 1.0
 
@@ -123,7 +123,7 @@ def flow(
     print_tables(flow_table(figures, found.rig))
     _print_rejections(given, found)
     print_text(f"{_closing(figures, seconds)}\nResult in {target}")
-    return _NOT_OK if _complaints(figures) else 0
+    return NOT_OK if _complaints(figures) else 0
 
 
 def _write(

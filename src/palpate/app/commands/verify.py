@@ -3,10 +3,9 @@
 import sys
 from pathlib import Path
 
+from palpate.app.exit_codes import NOT_OK
 from palpate.app.terminal import print_tables, print_text, terminal_table
 from palpate.records import verify_result
-
-_NOT_OK = 3
 
 
 def verify(result: Path, /) -> int:
@@ -30,7 +29,7 @@ def verify(result: Path, /) -> int:
         shown = ", ".join(f"{finding.file} ({finding.state})" for finding in wrong[:3])
         more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         print(f"palpate: {result}: not as it was: {shown}{more}", file=sys.stderr)
-        return _NOT_OK
+        return NOT_OK
     own = sum(finding.role == "result" for finding in found)
     inputs = f"the {len(found) - own} files that it was made from"
     print_text(f"{result}: its {own} files are as they were written, {inputs} as they were read")

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from palpate.app.exit_codes import NOT_OK
 from palpate.app.terminal import (
     number_text,
     print_notes,
@@ -38,7 +39,6 @@ from palpate.records import check_free, disk_errors, modulus_unit
 # What several commands say of an argument that they share.
 _Campaign = Annotated[Path, Parameter(help="Folder of the campaign.")]
 _Force = Annotated[bool, Parameter(negative="", help="Replace a file of that name.")]
-_NOT_OK = 3
 # Workers wait for pictures, not for each other; more of them only share the memory.
 _MOST_PER_CORE = 16
 _WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
@@ -107,7 +107,7 @@ def run(
         f" palpate campaign plot {folder}",
         wrapped=False,
     )
-    return _NOT_OK if any(row.state == FAILED for row in rows) else 0
+    return NOT_OK if any(row.state == FAILED for row in rows) else 0
 
 
 def status(folder: _Campaign, /) -> int:
