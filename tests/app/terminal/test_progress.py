@@ -1,5 +1,8 @@
 """The progress bar: silent where nobody watches, gone when it is done."""
 
+import numba
+
+from palpate.app.output import Output, output_as
 from palpate.app.terminal.progress import progress_bar
 
 
@@ -19,3 +22,25 @@ def test_stages_are_shown_on_a_terminal(capsys, monkeypatch):
     shown = capsys.readouterr().err
     assert "factorisation" in shown
     assert "50%" in shown
+
+
+def test_a_stage_that_waits_for_the_compiler_says_so(capsys):
+    @numba.njit
+    def inner(x):
+        return x + 1
+
+    @numba.njit
+    def outer(x):
+        return inner(x) * 2
+
+    with output_as(Output(verbose=True), ["fit"]), progress_bar() as report:
+        report("matching", 0.25)
+        assert outer(3) == 8
+        assert outer(4) == 10
+        report("fit", 0.5)
+    stages = [line.split("%")[1].strip() for line in capsys.readouterr().err.splitlines()]
+    assert stages == ["matching", "matching (compiling, once)", "matching", "fit"]
+    fresh = numba.njit(outer.py_func)
+    assert fresh(3) == 8
+    # Nobody listens any longer.
+    assert capsys.readouterr().err == ""

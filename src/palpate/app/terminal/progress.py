@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from numba.core import event
 from rich import progress as rich_progress
 from rich.console import Console
 
@@ -21,7 +22,8 @@ def progress_bar() -> Iterator[Progress]:
     line with the seconds so far, on a terminal or not.
     """
     if wanted_output().verbose:
-        yield _told_lines()
+        with _told_compilation(_told_lines()) as report:
+            yield report
         return
     console = Console(file=sys.stderr)
     bar = rich_progress.Progress(
@@ -37,10 +39,38 @@ def progress_bar() -> Iterator[Progress]:
     )
     task = bar.add_task("", total=1.0)
 
-    def report(stage: str, fraction: float) -> None:
+    def show(stage: str, fraction: float) -> None:
         bar.update(task, description=stage, completed=fraction)
 
-    with bar:
+    with bar, _told_compilation(show) as report:
+        yield report
+
+
+@contextmanager
+def _told_compilation(show: Progress) -> Iterator[Progress]:
+    """Progress that says so where its stage waits for kernels: after installing they are compiled,
+    which takes up to a minute in which nothing else moves."""
+    last, depth = ("", 0.0), 0
+
+    class Compilation(event.Listener):
+        def on_start(self, event: event.Event) -> None:
+            nonlocal depth
+            depth += 1
+            if depth == 1 and last[0]:
+                show(f"{last[0]} (compiling, once)", last[1])
+
+        def on_end(self, event: event.Event) -> None:
+            nonlocal depth
+            depth -= 1
+            if depth == 0 and last[0]:
+                show(*last)
+
+    def report(stage: str, fraction: float) -> None:
+        nonlocal last
+        last = stage, fraction
+        show(stage, fraction)
+
+    with event.install_listener("numba:compile", Compilation()):
         yield report
 
 
