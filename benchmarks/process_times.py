@@ -30,8 +30,8 @@ def measure(options: Options) -> list[Figure]:
             "`palpate fit` of the shipped beam, first process, compilation included",
             first,
             "s",
-            must=40.0,
-            reach=15.0,
+            must=8.0,
+            reach=2.0,
             note="empty numba cache and empty matplotlib cache, plots written; files of the"
             " packages are warm in memory",
         ),
@@ -40,8 +40,8 @@ def measure(options: Options) -> list[Figure]:
             "`palpate fit` of the shipped beam, later processes",
             min(later),
             "s",
-            must=5.0,
-            reach=2.0,
+            must=2.0,
+            reach=1.0,
             note=f"shortest of {len(later)}, plots written",
         ),
         Figure(
