@@ -5,15 +5,17 @@ Purpose    : measurement and model of every probing as one object that the estim
 Takes      : a `Session`, its `ObjectModel`.
 Gives      : `ProbeObservations` of the estimation, one a probing.
 Depends on : `pipeline.model`, `estimation`, `records`, `bem`, `geometry`; errors, shapes.
-Read first : `session_observations.py`, then `mesh_errors.py`.
+Read first : `session_observations.py`, `settled_observations.py`, then `mesh_errors.py`.
 """
 
 from palpate.pipeline.observations.mesh_errors import (
     coarser_observations as coarser_observations,
     graded_observations as graded_observations,
-    settled_observations as settled_observations,
     with_interpolation_errors as with_interpolation_errors,
 )
 from palpate.pipeline.observations.session_observations import (
     session_observations as session_observations,
+)
+from palpate.pipeline.observations.settled_observations import (
+    settled_observations as settled_observations,
 )
