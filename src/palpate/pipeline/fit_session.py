@@ -161,7 +161,8 @@ def _beside_given_mesh(
     if has_tools(session):
         session, seen = _with_touched_circles(session, settings, surface, cache)
     else:
-        _, seen = coarser_observations(session, settings=settings, surface=surface, cache=cache)
+        # The model's integrals are gone before the next model takes its memory.
+        seen = coarser_observations(session, settings=settings, surface=surface, cache=cache)[1]
     return session, with_interpolation_errors(
         session, seen, settings=settings, surface=surface, cache=cache
     )
