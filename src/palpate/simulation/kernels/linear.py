@@ -54,19 +54,20 @@ def invert(matrix, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def displace(compliance, nodes, force, rows, out):
-    """Displacement of some rows of nodes under the forces on others; out is (n, 3)."""
-    for i in rows:
-        for a in range(3):
-            out[i, a] = 0.0
-    for j in nodes:
+def displace(block, nodes, force, near, out):
+    """Displacement of the near nodes under the forces on others; out is (n, 3).
+
+    block is what `gather` makes of both.
+    """
+    total = np.zeros(3 * near.size)
+    for j in range(nodes.size):
         for b in range(3):
-            f = force[j, b]
-            if f != 0.0:
-                row = compliance[3 * j + b]
-                for i in rows:
-                    for a in range(3):
-                        out[i, a] += f * row[3 * i + a]
+            f, row = force[nodes[j], b], block[3 * j + b]
+            for i in range(total.size):
+                total[i] += f * row[i]
+    for j in range(near.size):
+        for a in range(3):
+            out[near[j], a] = total[3 * j + a]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -91,15 +92,15 @@ def add_columns(block, i, force, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def gather(compliance, nodes):
-    """Rows and columns of some nodes."""
-    k = nodes.size
-    block = np.empty((3 * k, 3 * k))
-    for i in range(k):
-        for j in range(k):
-            for a in range(3):
+def gather(compliance, rows, columns):
+    """What forces on some nodes, by rows, do to others."""
+    block = np.empty((3 * rows.size, 3 * columns.size))
+    for i in range(rows.size):
+        for a in range(3):
+            source, target = compliance[3 * rows[i] + a], block[3 * i + a]
+            for j in range(columns.size):
                 for b in range(3):
-                    block[3 * i + a, 3 * j + b] = compliance[3 * nodes[i] + a, 3 * nodes[j] + b]
+                    target[3 * j + b] = source[3 * columns[j] + b]
     return block
 
 

@@ -93,15 +93,15 @@ def settle(tools, rest, compliance, nodal, tolerance, most):
     begin_tick(tools, rest, nodal)
     near = near_nodes(tools, rest, nodal)
     nodes = touching(near, nodal.tool_of)
-    block = gather(compliance, nodes)
+    block, field = gather(compliance, nodes, nodes), gather(compliance, nodes, near)
     # As long as no node changes its state, the equations of the tick before do.
     settled, fresh = True, False
     rounding = smallest_force(tools, compliance)
     for count in range(1, most + 1):
-        displace(compliance, nodes, nodal.force, near, nodal.moved)
+        displace(field, nodes, nodal.force, near, nodal.moved)
         if find_contacts(tools, rest, before, near, nodal) > 0:
-            nodes = touching(near, nodal.tool_of)
-            block, fresh = gather(compliance, nodes), True
+            nodes, fresh = touching(near, nodal.tool_of), True
+            block, field = gather(compliance, nodes, nodes), gather(compliance, nodes, near)
         swept = 0 if settled and not fresh else _SWEEPS
         settled, change, strength = solve_round(tools, rest, nodes, block, nodal, swept)
         still = change <= max(tolerance * strength, rounding)
@@ -112,8 +112,8 @@ def settle(tools, rest, compliance, nodal, tolerance, most):
             if find_contacts(tools, rest, before, every, nodal) == 0:
                 leave(tools, rest, nodes, nodal)
                 return count
-            near, nodes = every, touching(every, nodal.tool_of)
-            block, fresh = gather(compliance, nodes), True
+            near, nodes, fresh = every, touching(every, nodal.tool_of), True
+            block, field = gather(compliance, nodes, nodes), gather(compliance, nodes, near)
         else:
             fresh = False
     return 0
