@@ -9,7 +9,6 @@ from palpate.geometry import (
     quadratic_shapes,
     quartered,
 )
-from palpate.geometry.quadratic_triangle import quadratic_slopes
 
 
 def some_places(count=6):
@@ -22,14 +21,20 @@ def test_shapes_are_one_at_their_own_node_only():
     np.testing.assert_allclose(quadratic_shapes(some_places()).sum(axis=0), 1, rtol=1e-14)
 
 
-def test_slopes_are_the_derivatives_of_the_shapes():
-    places = some_places()
-    along_b, along_c = quadratic_slopes(places)
+def test_positions_and_normals_are_those_of_the_shapes():
+    places, nodes = some_places(), np.random.default_rng(3).normal(size=(1, 6, 3))
+
+    def position(there):
+        return quadratic_shapes(there).T @ nodes[0]
+
+    found = element_points(nodes, places)[0]
+    np.testing.assert_allclose(found[:, :3], position(places), atol=1e-14)
     # A central difference of a quadratic has no error but round-off, 1e-16 / step.
-    for slope, step in ((along_b, [-1, 1, 0]), (along_c, [-1, 0, 1])):
+    along = []
+    for step in ([-1, 1, 0], [-1, 0, 1]):
         move = 1e-3 * np.array(step)
-        difference = quadratic_shapes(places + move) - quadratic_shapes(places - move)
-        np.testing.assert_allclose(slope, difference / 2e-3, atol=1e-12)
+        along.append((position(places + move) - position(places - move)) / 2e-3)
+    np.testing.assert_allclose(found[:, 3:], np.cross(*along), atol=1e-11)
 
 
 def test_element_points_follow_a_parabolic_cap():

@@ -21,7 +21,6 @@ from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
     ElasticState as ElasticState,
     load_right_hand as load_right_hand,
-    load_shape as load_shape,
     make_elastic_map as make_elastic_map,
 )
 from palpate.bem.integrals import (
@@ -43,6 +42,7 @@ from palpate.bem.loads import (
     dilation_factor as dilation_factor,
     face_columns as face_columns,
     joined as joined,
+    load_shapes as load_shapes,
     pressure_column as pressure_column,
     shape_columns as shape_columns,
     support_columns as support_columns,

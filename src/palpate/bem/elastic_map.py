@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from palpate.bem.compressed import (
     ClusterInverse,
@@ -15,18 +15,16 @@ from palpate.bem.compressed import (
     cluster_inverse,
     solve_compressed,
 )
-from palpate.bem.integrals import BoundarySurface, check_material, integral_weights
+from palpate.bem.integrals import check_material, integral_weights
 from palpate.bem.loads import (
     ContactShape,
     LoadCells,
-    PressureDisc,
     RightHand,
     SurfaceLoad,
-    contact_shape,
     integrate_load,
     joined,
     load_columns,
-    loaded_triangles,
+    load_shapes,
     shape_columns,
 )
 from palpate.bem.system import (
@@ -40,7 +38,6 @@ from palpate.bem.system import (
     solve,
 )
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, closest_points, cut_distance, element_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +91,7 @@ class ElasticMap:
         list of k ElasticState
         """
         surface = self.system.surface
-        shapes = [load_shape(surface, load) for load in loads]
+        shapes = load_shapes(surface, loads)
         right = load_right_hand(self.system, loads, shapes)
         if self.springs is None:
             unit = _solved(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
@@ -193,7 +190,7 @@ def load_right_hand(
     ----------
     system : BoundarySystem
     loads : sequence of k SurfaceLoad
-    shapes : sequence of k ContactShape or None   how the elements around each dip (`load_shape`)
+    shapes : sequence of k ContactShape or None   how the elements around each dip (`load_shapes`)
     forces : (k, 3) float [N] or None             None: one newton along each axis
     cells : LoadCells or None                     how finely loads are divided, see `load_points`
 
@@ -218,43 +215,6 @@ def load_right_hand(
         columns_of = (each * np.array(numbers)[:, None] + np.arange(each)).ravel()
         right = right.plus(shape_columns(system, dips), columns_of)
     return right
-
-
-def load_shape(surface: BoundarySurface, load: SurfaceLoad) -> ContactShape | None:
-    """How the elements around a load dip, where that is known.
-
-    Parameters
-    ----------
-    surface : BoundarySurface
-    load : SurfaceLoad
-
-    Returns
-    -------
-    ContactShape or None              None for a load that is no round patch, for linear elements,
-                                      and where the patch is not smooth ground: on flat facets, or
-                                      across an edge of the object
-    """
-    if load.disc is None or not surface.follows_dips or _crosses_edge(surface, load, load.disc):
-        return None
-    return contact_shape(surface, load.disc, _normal_at(surface, load.triangles, load.disc.centre))
-
-
-def _normal_at(
-    surface: BoundarySurface, triangles: Int[np.ndarray, " k"], point: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    """Outward unit normal of the curved elements at the place nearest to a point: it turns as the
-    point moves on, where those of flat triangles jump."""
-    near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
-    place = closest_points(near, point[None])
-    element = surface.element_nodes[triangles[place.triangle]]
-    normal = element_points(element, place.barycentric)[0, 0, 3:]
-    return np.asarray(normal / np.linalg.norm(normal))
-
-
-def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad, disc: PressureDisc) -> bool:
-    """Whether an edge of the object or the rim of its support runs through a load."""
-    loaded = loaded_triangles(surface, load)
-    return cut_distance(surface.mesh, surface.sides, loaded, disc.centre) < disc.radius
 
 
 def sorted_state(

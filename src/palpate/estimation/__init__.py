@@ -38,6 +38,7 @@ from palpate.estimation.nuisance import (
     Pose as Pose,
     SpaceStretch as SpaceStretch,
     SupportCompliance as SupportCompliance,
+    contact_error as contact_error,
 )
 from palpate.estimation.observations import (
     ProbeObservations as ProbeObservations,
@@ -46,6 +47,7 @@ from palpate.estimation.observations import (
 )
 from palpate.estimation.responses import (
     CENTRE as CENTRE,
+    DENSE_RESIDUAL as DENSE_RESIDUAL,
     SNAPSHOT_RESIDUAL as SNAPSHOT_RESIDUAL,
     PointRows as PointRows,
     ProbeMotions as ProbeMotions,

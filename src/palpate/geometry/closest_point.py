@@ -13,6 +13,8 @@ from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
 
 _POINTS_A_BLOCK = 4096
+# So many points are found one by one sooner than a search for many is made ready.
+_FEW_POINTS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +60,15 @@ class SurfaceSearch:
         for begin in range(0, len(points), _POINTS_A_BLOCK):
             block = slice(begin, begin + _POINTS_A_BLOCK)
             triangle[block], barycentric[block] = _closest_in_block(self, points[block])
-        corner = self.mesh.vertices[self.mesh.triangles[triangle]]
-        position = np.einsum("nv,nva->na", barycentric, corner)
-        distance = np.linalg.norm(points - position, axis=1)
-        return SurfacePoints(triangle, barycentric, position, distance)
+        return _surface_points(self.mesh, triangle, barycentric, points)
+
+
+def _surface_points(
+    mesh: TriangleMesh, triangle: PointIndices, barycentric: Points, points: Points
+) -> SurfacePoints:
+    """Points of the surface, each nearest to one that was asked for."""
+    position = np.einsum("nv,nva->na", barycentric, mesh.vertices[mesh.triangles[triangle]])
+    return SurfacePoints(triangle, barycentric, position, lengths(points - position))
 
 
 def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
@@ -87,7 +94,10 @@ def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
     Ericson, Real-Time Collision Detection (2005), section 5.1.5, written over masks. Candidates
     come from spheres that cover the triangles, so the result is exact, not approximate.
     """
-    return surface_search(mesh).closest(fixed_array(points, name="points", shape=(None, 3)))
+    points = fixed_array(points, name="points", shape=(None, 3))
+    if len(points) > _FEW_POINTS:
+        return surface_search(mesh).closest(points)
+    return _surface_points(mesh, *_closest_of_few(mesh, points), points)
 
 
 def distinct_points(
@@ -184,8 +194,7 @@ def triangle_distances(mesh: TriangleMesh, point: Vector3) -> TriangleScalars:
 
 def _sphere_radius(corner: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, " s"]:
     """Largest distance of a corner from the centroid [m]."""
-    offset = corner - corner.mean(axis=1, keepdims=True)
-    return np.linalg.norm(offset, axis=2).max(axis=1)
+    return lengths(corner - corner.mean(axis=1, keepdims=True)).max(axis=1)
 
 
 def _halved(corner: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "t 3 3"]:
@@ -222,6 +231,20 @@ def _closest_in_block(search: SurfaceSearch, points: Points) -> tuple[PointIndic
     nearest = np.flatnonzero(distance == np.minimum.reduceat(distance, begin)[row])
     best = nearest[np.searchsorted(nearest, begin)]
     return triangle[best], barycentric[best]
+
+
+def _closest_of_few(mesh: TriangleMesh, points: Points) -> tuple[PointIndices, Points]:
+    """The same for a few points, looked at one by one."""
+    corner = mesh.vertices[mesh.triangles]
+    centre, radius = corner.mean(axis=1), _sphere_radius(corner)
+    triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
+    for k, point in enumerate(points):
+        gap = lengths(centre - point)
+        near = np.flatnonzero(gap - radius <= gap.min() * (1.0 + 1e-12))
+        inside = _closest_in_triangle(corner[near], np.broadcast_to(point, (len(near), 3)))
+        best = int(lengths(np.einsum("ev,eva->ea", inside, corner[near]) - point).argmin())
+        triangle[k], barycentric[k] = near[best], inside[best]
+    return triangle, barycentric
 
 
 def _closest_in_triangle(

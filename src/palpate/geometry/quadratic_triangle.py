@@ -1,8 +1,9 @@
-"""The six-node triangle: shape functions, their derivatives, points and cells of it.
+"""The six-node triangle: shape functions, points and cells of it.
 
 Nodes are the corners 0, 1, 2, then the midpoints of edges 01, 12, 20.
 """
 
+import numba
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -28,25 +29,6 @@ def quadratic_shapes(barycentric: Float[np.ndarray, "... 3"]) -> Float[np.ndarra
     )
 
 
-def quadratic_slopes(barycentric: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "2 6 ..."]:
-    """Derivatives of the six shape functions along edges 01 and 02.
-
-    Parameters
-    ----------
-    barycentric : (..., 3) float [-]
-
-    Returns
-    -------
-    (2, 6, ...) float [-]     with respect to the second and to the third barycentric coordinate,
-                              the first following
-    """
-    a, b, c = np.moveaxis(barycentric, -1, 0)
-    zero = np.zeros_like(a)
-    along_b = np.stack([1 - 4 * a, 4 * b - 1, zero, 4 * (a - b), 4 * c, -4 * c])
-    along_c = np.stack([1 - 4 * a, zero, 4 * c - 1, -4 * b, 4 * b, 4 * (a - c)])
-    return np.stack([along_b, along_c])
-
-
 def element_points(
     nodes: Float[np.ndarray, "m 6 3"], barycentric: Float[np.ndarray, "... q 3"]
 ) -> Float[np.ndarray, "m q 6"]:
@@ -61,13 +43,32 @@ def element_points(
     -------
     (m, q, 6) float           position [m], then outward normal times area per reference area [m^2]
     """
-    shapes = np.concatenate([quadratic_shapes(barycentric)[None], quadratic_slopes(barycentric)])
-    weights = np.moveaxis(shapes, 1, -1)
-    if barycentric.ndim == 2:
-        position, along_b, along_c = np.einsum("dqa,mai->dmqi", weights, nodes)
-    else:
-        position, along_b, along_c = weights @ nodes
-    return np.concatenate([position, np.cross(along_b, along_c)], axis=2)
+    own = np.broadcast_to(barycentric, (len(nodes), *barycentric.shape[-2:]))
+    points = np.empty((*own.shape[:2], 6))
+    _fill_points(np.ascontiguousarray(nodes), np.ascontiguousarray(own), points)
+    return points
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_points(nodes, barycentric, out):
+    """Positions and area normals at points of their own in each element."""
+    shape, along = np.empty(6), np.empty((2, 3))
+    for e in range(nodes.shape[0]):
+        for q in range(barycentric.shape[1]):
+            a, b, c = barycentric[e, q]
+            shape[0], shape[1], shape[2] = a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1)
+            shape[3], shape[4], shape[5] = 4 * a * b, 4 * b * c, 4 * c * a
+            for i in range(3):
+                corner, other, last = nodes[e, 0, i], nodes[e, 1, i], nodes[e, 2, i]
+                ab, bc, ca = nodes[e, 3, i], nodes[e, 4, i], nodes[e, 5, i]
+                position = shape[0] * corner + shape[1] * other + shape[2] * last
+                out[e, q, i] = position + shape[3] * ab + shape[4] * bc + shape[5] * ca
+                start = (1 - 4 * a) * corner
+                along[0, i] = start + (4 * b - 1) * other + 4 * ((a - b) * ab + c * (bc - ca))
+                along[1, i] = start + (4 * c - 1) * last + 4 * (b * (bc - ab) + (a - c) * ca)
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                out[e, q, 3 + i] = along[0, j] * along[1, k] - along[0, k] * along[1, j]
 
 
 def element_spheres(

@@ -19,7 +19,7 @@ from palpate.bem import (
     check_memory,
     factorise,
     load_right_hand,
-    load_shape,
+    load_shapes,
     make_surface,
     solve,
 )
@@ -203,7 +203,7 @@ def _unexplained(model: ContactModel, seen: _Seen, places: Points) -> Float[np.n
     The points that count are the same for all places.
     """
     loads = [_load(model, seen, place) for place in places]
-    shapes = [load_shape(model.system.surface, load) for load in loads]
+    shapes = load_shapes(model.system.surface, loads)
     right = load_right_hand(model.system, loads, shapes)
     away = np.linalg.norm(seen.point - places[0], axis=1) > _NEAREST * seen.radius
     measured = seen.displacement[away].ravel()

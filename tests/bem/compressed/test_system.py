@@ -81,7 +81,7 @@ def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
     for nu in (0.1, 0.23, 0.45):
         weights, residual = model.coefficients(nu)
         assert residual <= 1e-6
-        found = np.einsum("jkc,jc->kc", model.directions, weights)
+        found = np.einsum("jkc,jc->kc", np.stack(model.directions), weights)
         wanted = solve(factorise(dense, nu), right.at(nu))
         free = slice(0, 3 * compressed.unknowns.free_vertices.size)
         error = np.abs(found - wanted)[free].max(axis=0)

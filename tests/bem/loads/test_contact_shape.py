@@ -5,7 +5,7 @@ import pytest
 from elastic_bodies import held_part
 from surfaces import box, sphere
 
-from palpate.bem import PressureDisc, SurfaceLoad, factorise, load_right_hand, load_shape, solve
+from palpate.bem import PressureDisc, SurfaceLoad, factorise, load_right_hand, load_shapes, solve
 from palpate.bem.elastic_map import sorted_state
 from palpate.bem.loads.contact_shape import ContactShape, shape_columns
 from palpate.bem.system.system import system_matrix
@@ -38,7 +38,7 @@ def ball(subdivisions, **options):
 
 def pressed(system, *, shaped):
     load = top_load(system.surface.mesh)
-    shape = load_shape(system.surface, load) if shaped else None
+    (shape,) = load_shapes(system.surface, [load]) if shaped else [None]
     right = load_right_hand(system, [load], [shape])
     x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.3, 0.0, -1.0])
     return sorted_state(system, x, 1.0).displacement
@@ -71,16 +71,17 @@ def test_the_dip_brings_a_coarse_mesh_closer_to_a_fine_one(fine, coarse):
 
 def test_without_a_disc_or_on_facets_nothing_is_added(coarse):
     load = top_load(coarse.surface.mesh)
-    assert load_shape(coarse.surface, SurfaceLoad(load.triangles, load.density)) is None
+    assert load_shapes(coarse.surface, [SurfaceLoad(load.triangles, load.density)]) == [None]
     facets = ball(2, smooth=False).surface
-    assert load_shape(facets, load) is None
+    assert load_shapes(facets, [load]) == [None]
 
 
 def test_across_the_rim_of_the_support_nothing_is_added(coarse):
     mesh, surface = coarse.surface.mesh, coarse.surface
     cut = surface.sides.cut[surface.sides.edge].any(axis=1) & ~surface.held
     corner = mesh.triangles[np.flatnonzero(cut)[0]]
-    assert load_shape(surface, top_load(mesh, mesh.vertices[corner].mean(axis=0))) is None
+    load = top_load(mesh, mesh.vertices[corner].mean(axis=0))
+    assert load_shapes(surface, [load]) == [None]
 
 
 def pressed_cube(cells, *, shaped):
@@ -88,7 +89,7 @@ def pressed_cube(cells, *, shaped):
     mesh = box(cells=cells)
     system = held_part(mesh, np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
     load = top_load(mesh, BESIDE_EDGE, 0.22)
-    shape = load_shape(system.surface, load) if shaped else None
+    (shape,) = load_shapes(system.surface, [load]) if shaped else [None]
     right = load_right_hand(system, [load], [shape])
     x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.0, 0.0, -1.0])
     return mesh.vertices, sorted_state(system, x, 1.0).displacement
@@ -113,13 +114,13 @@ def test_a_patch_crosses_an_edge_that_is_nearer_than_its_radius(radius, crosses)
     surface = held_part(
         mesh, np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1)
     ).surface
-    shape = load_shape(surface, top_load(mesh, BESIDE_EDGE, radius))
+    (shape,) = load_shapes(surface, [top_load(mesh, BESIDE_EDGE, radius)])
     assert (shape is None) == crosses
 
 
 def test_only_midpoints_around_the_patch_are_touched(coarse):
     surface = coarse.surface
-    shape = load_shape(surface, top_load(surface.mesh))
+    (shape,) = load_shapes(surface, [top_load(surface.mesh)])
     row = surface.displacement.element[:, 3:] - surface.displacement.n_nodes
     place = np.empty((surface.displacement.weights.shape[0], 3))
     place[row.ravel()] = surface.element_nodes[:, 3:].reshape(-1, 3)

@@ -19,6 +19,7 @@ from palpate.estimation import (
     NuisanceParameter,
     Pose,
     ProbeObservations,
+    contact_error,
     cramer_rao_bound,
     fit,
 )
@@ -68,7 +69,7 @@ class _MovedContact:
 def _contact_error(probe: ProbeObservations, std: float = 5e-4) -> ContactError:
     names = (f"contact point of {probe.name} toward +{axis}" for axis in "xy")
     parameters = tuple(NuisanceParameter(name, std, "m") for name in names)
-    return ContactError(parameters, STEPS, _MovedContact(probe, std), len(probe.position))
+    return contact_error(parameters, STEPS, _MovedContact(probe, std), len(probe.position))
 
 
 def test_a_gain_is_a_force_that_is_larger() -> None:

@@ -15,7 +15,7 @@ from palpate.bem import (
     support_columns,
 )
 from palpate.errors import NotConvergedError, SingularSystemError
-from palpate.estimation.responses.reduced_model import make_reduced_model
+from palpate.estimation.responses.reduced_model import DENSE_RESIDUAL, make_reduced_model
 from palpate.geometry import TriangleMesh
 
 RATIOS = (-0.2, 0.0, 0.15, 0.3, 0.45, 0.4999)
@@ -39,7 +39,7 @@ def model(problem):
 
 def solution(model, nu, columns=slice(None)):
     weights, residual = model.coefficients(nu, columns)
-    return np.einsum("jc,jkc->kc", weights, model.directions[:, :, columns]), residual
+    return np.einsum("jc,jkc->kc", weights, np.stack(model.directions)[:, :, columns]), residual
 
 
 def true_solution(problem, nu):
@@ -79,6 +79,25 @@ def test_directions_are_added_until_the_whole_range_is_served(problem, model):
         exact = true_solution(problem, nu)
         assert residual <= 1e-8
         assert np.abs(found - exact).max() < 5e-7 * np.abs(exact).max()
+
+
+def test_each_column_has_the_directions_that_it_needs(problem, model):
+    """Every other column is wanted to 1e-3 only: it ends sooner, the rest is as it was."""
+    system, right = problem
+    tolerance = np.full(right.terms.shape[2], DENSE_RESIDUAL)
+    tolerance[::2] = 1e-3
+    mixed = make_reduced_model(system, right, tolerance=tolerance)
+    used = np.array([np.any(one != 0.0, axis=0) for one in mixed.directions]).sum(axis=0)
+    assert used[::2].max() < used[1::2].min()
+    for nu in (0.0, 0.2, 0.4999):
+        found, _ = solution(mixed, nu)
+        exact = true_solution(problem, nu)
+        error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
+        residual = mixed.weights(nu)[1]
+        # As above: residual and error differ by the condition between two neighbouring matrices.
+        assert (residual <= tolerance).all() and (error < 100.0 * tolerance).all()
+        np.testing.assert_allclose(found[:, 1::2], solution(model, nu)[0][:, 1::2], atol=1e-7)
+    assert error[::2].max() > 1e-6
 
 
 def test_thin_sheets_are_served_too():

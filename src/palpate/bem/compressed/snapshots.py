@@ -40,14 +40,14 @@ class SnapshotModel:
 
     Attributes
     ----------
-    directions : (j, k, c) float      orthonormal for each of c right-hand sides
+    directions : tuple of j (k, c) float    orthonormal for each of c right-hand sides
     constant, slope : (c, m, j) float the matrix times these, in the basis of the residuals
     right : (3, c, m) float           right-hand sides in that basis: constant, slope, curvature
     ratios : (j,) float               Poisson's ratios of the solutions
     iterations : (j,) int             products with the matrix that each took
     """
 
-    directions: Float[np.ndarray, "j k c"]
+    directions: tuple[Float[np.ndarray, "k c"], ...]
     constant: Float[np.ndarray, "c m j"]
     slope: Float[np.ndarray, "c m j"]
     right: Float[np.ndarray, "3 c m"]
@@ -178,7 +178,7 @@ class _Gathered:
             ]
         )
         return SnapshotModel(
-            np.stack(self.directions),
+            tuple(self.directions),
             upper[:, :, 3::2],
             upper[:, :, 4::2],
             upper[:, :, :3].transpose(2, 0, 1),

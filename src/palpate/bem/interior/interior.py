@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 
-from palpate.bem.elastic_map import ElasticMap, ElasticState, load_shape
+from palpate.bem.elastic_map import ElasticMap, ElasticState
 from palpate.bem.integrals import Quadrature, all_rules
 from palpate.bem.interior.somigliana import VALUES, sum_forces, sum_surface
-from palpate.bem.loads import LoadCells, SurfaceLoad, load_points
+from palpate.bem.loads import LoadCells, SurfaceLoad, load_points, load_shapes
 from palpate.errors import InputError
 from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads
@@ -169,7 +169,7 @@ def _solved_fields(
     system, nu = elastic_map.system, elastic_map.poisson_ratio
     surface = system.surface
     displacement = _with_midpoints(surface.displacement, state.displacement)
-    shape = load_shape(surface, load)
+    (shape,) = load_shapes(surface, [load])
     if shape is not None:
         missing = (shape.missing[0] + nu * shape.missing[1]) @ force / elastic_map.shear_modulus
         displacement[surface.displacement.n_nodes + shape.midpoints] += missing

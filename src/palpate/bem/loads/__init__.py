@@ -14,7 +14,7 @@ from palpate.bem.loads.body_force import (
 )
 from palpate.bem.loads.contact_shape import (
     ContactShape as ContactShape,
-    contact_shape as contact_shape,
+    load_shapes as load_shapes,
     shape_columns as shape_columns,
 )
 from palpate.bem.loads.half_space import PressureDisc as PressureDisc

@@ -13,11 +13,19 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
+from palpate.arrays import lengths
 from palpate.bem.integrals import TRACTION, BoundarySurface, Quadrature, assemble, traction_parts
 from palpate.bem.loads.half_space import PressureDisc, disc_displacement
 from palpate.bem.loads.right_hand import RightHand
+from palpate.bem.loads.surface_load import SurfaceLoad, loaded_triangles
 from palpate.bem.system import BoundarySystem
-from palpate.geometry import QuadraticNodes, unit_normals
+from palpate.geometry import (
+    QuadraticNodes,
+    TriangleMesh,
+    closest_points,
+    cut_distance,
+    element_points,
+)
 
 # A midpoint may differ from its fit within this many edges of the patch.
 _REACH_EDGES = 2.5
@@ -49,34 +57,80 @@ class ContactShape:
         return ContactShape(self.midpoints, (self.missing @ force)[..., None])
 
 
-def contact_shape(
-    surface: BoundarySurface, disc: PressureDisc, normal: Float[np.ndarray, "3"]
-) -> ContactShape:
-    """Compare the dip under a load with its own fit, at the midpoints around the load.
+def load_shapes(
+    surface: BoundarySurface, loads: Sequence[SurfaceLoad]
+) -> list[ContactShape | None]:
+    """How the elements around some loads dip, where that is known.
 
     Parameters
     ----------
     surface : BoundarySurface
-    disc : PressureDisc
-    normal : (3,) float [-]           outward unit normal of the half space that dips
+    loads : sequence of k SurfaceLoad
 
     Returns
     -------
-    ContactShape
+    list of k ContactShape or None    None for a load that is no round patch, for linear elements,
+                                      and where the patch is not smooth ground: on flat facets, or
+                                      across an edge of the object
     """
+    edge, found = _edge_lengths(surface.mesh), list[ContactShape | None]()
+    for load in loads:
+        disc = load.disc if surface.follows_dips else None
+        if disc is None or _crosses_edge(surface, load, disc):
+            found.append(None)
+        else:
+            normal = _normal_at(surface, load.triangles, disc.centre)
+            found.append(_contact_shape(surface, edge, disc, normal))
+    return found
+
+
+def _normal_at(
+    surface: BoundarySurface, triangles: Int[np.ndarray, " k"], point: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Outward unit normal of the curved elements at the place nearest to a point: it turns as the
+    point moves on, where those of flat triangles jump."""
+    near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
+    place = closest_points(near, point[None])
+    element = surface.element_nodes[triangles[place.triangle]]
+    normal = element_points(element, place.barycentric)[0, 0, 3:]
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad, disc: PressureDisc) -> bool:
+    """Whether an edge of the object or the rim of its support runs through a load."""
+    loaded = loaded_triangles(surface, load)
+    return cut_distance(surface.mesh, surface.sides, loaded, disc.centre) < disc.radius
+
+
+def _edge_lengths(mesh: TriangleMesh) -> Float[np.ndarray, "m 3"]:
+    """Length of the edges of every triangle [m], in the order of its midpoints."""
+    corner = mesh.vertices[mesh.triangles]
+    return lengths(corner - np.roll(corner, -1, axis=1))
+
+
+def _contact_shape(
+    surface: BoundarySurface,
+    edge: Float[np.ndarray, "m 3"],
+    disc: PressureDisc,
+    normal: Float[np.ndarray, "3"],
+) -> ContactShape:
+    """The dip of a half space of this outward normal against its own fit, at the midpoints around
+    the load; `edge`: `_edge_lengths`."""
     mesh, nodes = surface.mesh, surface.displacement
     middle = surface.element_nodes[:, 3:]
-    edge = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], -1, axis=1)
-    distance = np.linalg.norm(middle - disc.centre, axis=2)
-    reach = disc.radius + _REACH_EDGES * np.linalg.norm(edge, axis=2)
+    within = lengths(middle - disc.centre) < disc.radius + _REACH_EDGES * edge
+    # A midpoint is within reach of the load in both of its triangles, or in none.
+    near = np.flatnonzero(within.any(axis=1))
     low, high = _TURNED
-    level = np.clip((unit_normals(mesh) @ normal - low) / (high - low), 0.0, 1.0)
+    a, b, c = mesh.vertices[mesh.triangles[near]].transpose(1, 0, 2)
+    area = np.cross(b - a, c - a)
+    level = np.clip((area @ normal / lengths(area) - low) / (high - low), 0.0, 1.0)
     edge_level = np.ones(nodes.weights.shape[0])
-    row = nodes.element[:, 3:] - nodes.n_nodes
-    np.minimum.at(edge_level, row, np.where(surface.held, 0.0, level)[:, None])
-    chosen = (distance < reach) & (edge_level[row] > 0.0) & ~surface.sides.cut[surface.sides.edge]
+    row = nodes.element[near, 3:] - nodes.n_nodes
+    np.minimum.at(edge_level, row, np.where(surface.held[near], 0.0, level)[:, None])
+    chosen = within[near] & (edge_level[row] > 0.0) & ~surface.sides.cut[surface.sides.edge[near]]
     midpoints, first = np.unique(row[chosen], return_index=True)
-    position = middle[chosen][first]
+    position = middle[near][chosen][first]
     weights = csr_array(nodes.weights[midpoints])
     vertices = np.unique(weights.indices)
     at_vertices = disc_displacement(disc, normal, mesh.vertices[vertices])
@@ -111,16 +165,15 @@ def shape_columns(
     blocks = assemble(
         surface, system.collocation, nodes, TRACTION, triangles=triangles, quadrature=quadrature
     )
-    n_rows = blocks.n_rows
-    fields = blocks.values.transpose(2, 0, 3, 1)
-    fields = fields.reshape(TRACTION.count, -1, len(shapes), 2, 3, forces)
-    # Component j of the dip by its force c, constant and slope p; force and component i of the row.
-    scaled, constant = (
-        np.einsum("ijrspjc->pirsc", part).reshape(2, 3 * n_rows, -1)
-        for part in traction_parts(fields[:, :n_rows])
-    )
+    n_blocks, _, n_fields, lanes = blocks.values.shape
+    # Both parts of the kernel: component i of the row from component j of the dip and a field.
+    kernel = np.stack(traction_parts(np.eye(n_fields))).reshape(6, 3 * n_fields)
+    parts = kernel @ blocks.values.reshape(-1, 3 * n_fields, lanes)
+    parts = parts.reshape(n_blocks, len(shapes), 2, forces, 2, 3, lanes)
+    parts = parts.transpose(4, 2, 5, 0, 6, 1, 3).reshape(2, 2, 3, n_blocks * lanes, -1)
+    scaled, constant = parts[:, :, :, : blocks.n_rows].reshape(2, 2, 3 * blocks.n_rows, -1)
     constant, slope = scaled + constant, -2 * scaled
-    terms = np.zeros((3, 3 * n_rows + 3, forces * len(shapes)))
+    terms = np.zeros((3, 3 * blocks.n_rows + 3, forces * len(shapes)))
     terms[:, :-3] = -constant[0], -(constant[1] + slope[0]), -slope[1]
     return RightHand(terms)
 
@@ -129,14 +182,15 @@ def _shape_nodes(
     nodes: QuadraticNodes, shapes: Sequence[ContactShape]
 ) -> tuple[QuadraticNodes, Int[np.ndarray, " t"]]:
     """Some nodes a shape, one for each entry of its `missing` at a midpoint, whose shape functions
-    carry these entries; and the triangles on which they do."""
+    carry these entries (constant and slope, then forces, then components); and the triangles on
+    which they do."""
     entries = shapes[0].missing[:, 0].size
     used = np.unique(np.concatenate([shape.midpoints for shape in shapes]))
     number = np.full(nodes.weights.shape[0], -1)
     number[used] = np.arange(used.size)
     parts = []
     for k, shape in enumerate(shapes):
-        values = shape.missing.transpose(1, 0, 2, 3).reshape(-1, entries)
+        values = shape.missing.transpose(1, 0, 3, 2).reshape(-1, entries)
         row = np.repeat(number[shape.midpoints], entries)
         column = np.tile(entries * k + np.arange(entries), shape.midpoints.size)
         parts.append((row, column, values.ravel()))

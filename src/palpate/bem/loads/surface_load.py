@@ -275,13 +275,14 @@ def _mend_touching_rows(
     scale = np.abs(np.linalg.det(corners))[:, None] * polar_weight / points.total
     weight = density * area * scale
     around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
-    nothing = np.zeros(0, dtype=np.int64)
-    for row in np.unique(place):
-        point, out, mine = collocation.point[order[row]], fields[row : row + 1], place == row
-        out[:] = 0.0
-        own = around[mine].reshape(-1, 6)
-        _add_fields(point, own, np.zeros(len(own), dtype=np.int64), nothing, out)
-        _add_fields(point, sources, points.triangle, triangle[mine], out)
+    by_row = np.argsort(place, kind="stable")
+    rows, start = np.unique(place[by_row], return_index=True)
+    mended = np.zeros((rows.size, 1, DISPLACEMENT.count))
+    in_threads(
+        _sum_around, rows.size, collocation.point[order[rows]], around[by_row], triangle[by_row],
+        np.append(start, place.size), sources, points.triangle, mended,
+    )  # fmt: skip
+    fields[rows] = mended[:, 0]
 
 
 def _touching_parts(
@@ -337,14 +338,18 @@ def _sum_points(begin, end, lanes, sources, out):
                     total[i] += buffer[q * width + i]
 
 
-@numba.njit(error_model="numpy", cache=True)
-def _add_fields(point, sources, triangle, left_out, out):
-    """Add the displacement fields of one load point from all sources but those on some triangles;
-    out is (1, 6)."""
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _sum_around(begin, end, points, around, triangle, start, sources, loaded, out):
+    """Displacement fields at some points: from the sources around each, parts start[i] to
+    start[i + 1], and from all sources that lie on none of the triangles of these parts."""
     factor = np.ones(1)
-    for q in range(sources.shape[0]):
-        counts = True
-        for k in range(left_out.size):
-            counts = counts and triangle[q] != left_out[k]
-        if counts:
-            add_point_fields(_N_FIELDS, point, sources[q], 1.0, factor, out)
+    for i in range(begin, end):
+        for part in range(start[i], start[i + 1]):
+            for q in range(around.shape[1]):
+                add_point_fields(_N_FIELDS, points[i], around[part, q], 1.0, factor, out[i])
+        for q in range(sources.shape[0]):
+            counts = True
+            for part in range(start[i], start[i + 1]):
+                counts = counts and loaded[q] != triangle[part]
+            if counts:
+                add_point_fields(_N_FIELDS, points[i], sources[q], 1.0, factor, out[i])

@@ -42,13 +42,17 @@ class SystemSlope:
         (r, c) float              rows in the order of `system_matrix`
         """
         (n_rows, n_free), count = self.flux.shape, unknowns.shape[1]
-        u = unknowns[: 3 * n_free].reshape(n_free, 3 * count)
+        u = unknowns[: 3 * n_free].reshape(n_free, 3, count)
         q = unknowns[3 * n_free : -3].reshape(self.trace.shape[1], 3 * count)
-        x, y, z = ((part @ u).reshape(n_rows, 3, count) for part in self.skew)
-        along = (self.flux @ u + self.trace @ q).reshape(n_rows, 3, count)
-        along[:, 0] += y[:, 2] - z[:, 1]
-        along[:, 1] += z[:, 0] - x[:, 2]
-        along[:, 2] += x[:, 1] - y[:, 0]
+        along = self.flux @ u.reshape(n_free, 3 * count) + self.trace @ q
+        along = along.reshape(n_rows, 3, count)
+        for axis, part in enumerate(self.skew):
+            # Of a cross product with the axis only what is square to it.
+            after, last = (axis + 1) % 3, (axis + 2) % 3
+            beside = u[:, [after, last]].reshape(n_free, 2 * count)
+            beside = (part @ beside).reshape(n_rows, 2, count)
+            along[:, after] -= beside[:, 1]
+            along[:, last] += beside[:, 0]
         return np.concatenate([*along.transpose(1, 0, 2), np.zeros((3, count))])
 
 

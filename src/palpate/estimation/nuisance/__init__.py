@@ -4,12 +4,15 @@ Purpose    : what a wrong gain, direction, contact, pose or scale does to the di
 Takes      : the response of a probing and what it is multiplied with.
 Gives      : `Nuisance` and `CurvedNuisance` (protocols); `ForceGain`, `ForceDirection`,
              `LengthScale`, `SpaceStretch`, `ContactError`, `Pose`, `Discretisation`,
-             `Interpolation`, `SupportCompliance`, `CorrectionError`.
+             `Interpolation`, `SupportCompliance`, `CorrectionError`; `contact_error`.
 Depends on : nothing but the ground floor.
 Read first : `nuisance.py`, then `force_gain.py`.
 """
 
-from palpate.estimation.nuisance.contact import ContactError as ContactError
+from palpate.estimation.nuisance.contact import (
+    ContactError as ContactError,
+    contact_error as contact_error,
+)
 from palpate.estimation.nuisance.correction_error import CorrectionError as CorrectionError
 from palpate.estimation.nuisance.discretisation import Discretisation as Discretisation
 from palpate.estimation.nuisance.force_direction import ForceDirection as ForceDirection

@@ -16,11 +16,11 @@ Saad, Iterative Methods for Sparse Linear Systems (2003), algorithm 6.2 with reo
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from palpate.bem import (
     BoundarySystem,
@@ -39,6 +39,8 @@ from palpate.errors import NotConvergedError
 
 CENTRE = 0.3
 MOST_DIRECTIONS = 80
+# Relative residual at both ends of the range.
+DENSE_RESIDUAL = 1e-8
 # Relative residual that a compressed system's model leaves over the range.
 SNAPSHOT_RESIDUAL = 5e-7
 _TINY = np.finfo(float).tiny
@@ -50,8 +52,8 @@ class SolutionModel(Protocol):
     sides its own: `ReducedModel` from one factorisation, `SnapshotModel` from a few solutions."""
 
     @property
-    def directions(self) -> Float[np.ndarray, "j k c"]:
-        """(j, k, c): j directions of k unknowns."""
+    def directions(self) -> tuple[Float[np.ndarray, "k c"], ...]:
+        """j directions of k unknowns."""
         ...
 
     def coefficients(
@@ -69,15 +71,18 @@ class ReducedModel:
     Attributes
     ----------
     centre : float                    Poisson's ratio of the factorisation
-    directions : (j, k, c) float      for each of c right-hand sides: x_0, x_1, then an orthonormal
-                                      basis of the Krylov space
-    hessenberg : (c, j - 1, j - 2) float    M in that basis; its last row leads out of it
+    directions : tuple of j (k, c) float    for each of c right-hand sides: x_0, x_1, then an
+                                      orthonormal basis of the Krylov space, zero from where a
+                                      right-hand side needs no more
+    identity, hessenberg : (c, j - 1, j - 2) float    1 and M from that basis into it and one
+                                      direction more, into which all leads that leaves it
     start : (c,) float                norm of x_2
     scale : (c,) float                norm of x_0, the solution at the centre
     """
 
     centre: float
-    directions: Float[np.ndarray, "j k c"]
+    directions: tuple[Float[np.ndarray, "k c"], ...]
+    identity: Float[np.ndarray, "c rows rank"]
     hessenberg: Float[np.ndarray, "c rows rank"]
     start: Float[np.ndarray, " c"]
     scale: Float[np.ndarray, " c"]
@@ -98,9 +103,15 @@ class ReducedModel:
         float                     largest residual over the columns, relative to the solution at the
                                   centre
         """
+        weights, residual = self.weights(poisson_ratio, columns)
+        return weights.T, float(residual.max(initial=0.0))
+
+    def weights(
+        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
+    ) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, " c"]]:
+        """The same by right-hand side, and the residual of each."""
         distance = poisson_ratio - self.centre
-        hessenberg = self.hessenberg[columns]
-        matrix = np.eye(*hessenberg.shape[1:]) + distance * hessenberg
+        matrix = self.identity[columns] + distance * self.hessenberg[columns]
         right = np.zeros(matrix.shape[:2])
         right[:, 0] = distance**2 * self.start[columns]
         q, r = np.linalg.qr(matrix)
@@ -108,8 +119,7 @@ class ReducedModel:
         left = right - np.einsum("cij,cj->ci", matrix, inner)
         residual = np.linalg.norm(left, axis=1) / self.scale[columns]
         first = np.broadcast_to([1.0, distance], (inner.shape[0], 2))
-        weights = np.concatenate([first, inner], axis=1)
-        return weights.T, float(residual.max(initial=0.0))
+        return np.concatenate([first, inner], axis=1), residual
 
 
 def make_reduced_model(
@@ -117,7 +127,7 @@ def make_reduced_model(
     right: RightHand,
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    tolerance: float = 1e-8,
+    tolerance: float | Float[np.ndarray, " c"] = DENSE_RESIDUAL,
     snapshot_residual: float = SNAPSHOT_RESIDUAL,
 ) -> SolutionModel:
     """Factorise once and gather directions until they serve the whole range.
@@ -129,7 +139,7 @@ def make_reduced_model(
     system : BoundarySystem
     right : RightHand                 c columns
     poisson_range : (float, float)    Poisson's ratios that will be asked for
-    tolerance : float                 largest relative residual at both ends, where it is largest;
+    tolerance : float or (c,) float   largest relative residual at both ends, where it is largest;
                                       thin bodies make up to 1000 times as large an error of it
     snapshot_residual : float         the same for a compressed system, over the whole range
 
@@ -162,7 +172,7 @@ def make_spring_model(
     *,
     known: Float[np.ndarray, "e c"] | None = None,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    tolerance: float = 1e-8,
+    tolerance: float = DENSE_RESIDUAL,
 ) -> ReducedModel:
     """The same for an object on springs, with the derivatives of its solutions (`SpringSystem`).
 
@@ -193,41 +203,51 @@ def make_spring_model(
     return _gathered(solver.solve, slope.apply, right, poisson_range, tolerance)
 
 
+def _placed(
+    columns: Float[np.ndarray, "k o"], where: Bool[np.ndarray, " c"]
+) -> Float[np.ndarray, "k c"]:
+    """Columns at their places among others, which are zero."""
+    placed = np.zeros((len(columns), len(where)))
+    placed[:, where] = columns
+    return placed
+
+
 def _gathered(
     solved: Callable[[np.ndarray], np.ndarray],
     sloped: Callable[[np.ndarray], np.ndarray],
     right: RightHand,
     poisson_range: tuple[float, float],
-    tolerance: float,
+    tolerance: float | Float[np.ndarray, " c"],
 ) -> ReducedModel:
-    """Directions by the inverse of the matrix at the centre, and by its derivative."""
+    """Directions by the inverse of the matrix at the centre, and by its derivative: of every
+    right-hand side as many as it needs."""
     _, slope, curvature = right.terms
     slope = slope + 2 * CENTRE * curvature
     first = solved(right.at(CENTRE))
     second = solved(slope - sloped(first))
     third = solved(curvature - sloped(second))
     scale, start = (np.linalg.norm(term, axis=0) + _TINY for term in (first, third))
-    basis, steps = [third / start], []
-    while len(basis) <= MOST_DIRECTIONS:
+    identity, hessenberg = np.zeros((2, len(start), MOST_DIRECTIONS + 1, MOST_DIRECTIONS))
+    directions = [first, second, third / start]
+    # Of those right-hand sides only that need more.
+    basis, open_ = directions[2:], np.ones(len(start), dtype=bool)
+    for rank in range(1, MOST_DIRECTIONS + 1):
         direction, step = orthogonalised(solved(sloped(basis[-1])), basis)
-        steps.append(step)
-        # Residuals rest on the Hessenberg matrices alone; directions are large, and copied once.
-        none = np.zeros((2 + len(basis), 0, len(start)))
-        model = ReducedModel(CENTRE, none, _hessenberg(steps), start, scale)
-        residual = max(model.coefficients(nu)[1] for nu in poisson_range)
-        if residual <= tolerance:
-            return replace(model, directions=np.stack([first, second, *basis]))
-        basis.append(direction)
+        hessenberg[open_, : rank + 1, rank - 1] = step.T
+        # Where a basis has ended, what would come leads to nothing but itself.
+        identity[open_, rank - 1, rank - 1] = identity[~open_, rank, rank - 1] = 1.0
+        known = identity[:, : rank + 1, :rank].copy(), hessenberg[:, : rank + 1, :rank].copy()
+        model = ReducedModel(CENTRE, tuple(directions), *known, start, scale)
+        residual = np.maximum(*(model.weights(nu)[1] for nu in poisson_range))
+        more = open_ & (residual > tolerance)
+        if not more.any():
+            return model
+        basis = [*basis, direction]
+        if not more[open_].all():
+            basis, open_ = [one[:, more[open_]] for one in basis], more
+        directions.append(basis[-1] if open_.all() else _placed(basis[-1], open_))
     raise NotConvergedError(
-        f"the reduced model leaves a residual of {residual:.1e} over Poisson's ratios "
-        f"{poisson_range[0]} to {poisson_range[1]}, at most {tolerance:.0e} is allowed; narrow the "
-        "range, or use the method nelder-mead"
+        f"the reduced model leaves a residual of {residual.max():.1e} over Poisson's ratios "
+        f"{poisson_range[0]} to {poisson_range[1]}, at most {np.min(tolerance):.0e} is allowed;"
+        " narrow the range, or use the method nelder-mead"
     )
-
-
-def _hessenberg(steps: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "c rows rank"]:
-    """The matrices whose columns these are, zero below."""
-    whole = np.zeros((steps[0].shape[1], len(steps) + 1, len(steps)))
-    for j, step in enumerate(steps):
-        whole[:, : len(step), j] = step.T
-    return whole

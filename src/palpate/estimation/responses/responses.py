@@ -359,8 +359,9 @@ def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
     -------
     ProbeResponse
     """
-    projected = _projected(rows, model.directions[:, :, rows.columns])
+    projected = _projected(rows, [one[:, rows.columns] for one in model.directions])
 
+    @lru_cache(maxsize=1)
     def seen(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:
         weights, _ = model.coefficients(poisson_ratio, rows.columns)
         return (projected @ weights.T[:, :, None])[:, :, 0].T
@@ -381,8 +382,8 @@ def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -
     -------
     SpringResponse
     """
-    parts = np.split(model.directions[:, :, rows.columns], blocks, axis=1)
-    projected = np.stack([_projected(rows, part) for part in parts])
+    parts = [np.split(one[:, rows.columns], blocks) for one in model.directions]
+    projected = np.stack([_projected(rows, part) for part in zip(*parts, strict=True)])
 
     def seen(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
         weights, _ = model.coefficients(poisson_ratio, rows.columns)
@@ -392,7 +393,7 @@ def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -
 
 
 def _projected(
-    rows: ProbeRows, directions: Float[np.ndarray, "j k c"]
+    rows: ProbeRows, directions: Sequence[Float[np.ndarray, "k c"]]
 ) -> Float[np.ndarray, "c rows j"]:
     """What a probing sees of each direction."""
     terms = [rows.seen(term) for term in directions]

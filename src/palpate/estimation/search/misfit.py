@@ -143,6 +143,8 @@ class Misfit:
         scaled = []
         for probe, shift in zip(self.probes, shifts, strict=True):
             sigma = probe.sigma(self.level)[:, None]
+            # First: all that follows asks at the ratio itself, and a response keeps its latest.
+            slope = probe.slope(poisson_ratio) if with_slope else 0.0
             response = probe.value(poisson_ratio)
             settling = probe.settling(poisson_ratio, shear_modulus)
             if settling is not None and probe.settlement is not None:
@@ -152,11 +154,10 @@ class Misfit:
             load = probe.load(shear_modulus, shift)
             effects = self._effects(probe, response, load, poisson_ratio)
             curvature = self._curvature(probe, load, poisson_ratio)
-            slope, drift = np.zeros_like(response), np.zeros((len(sigma), 3))
+            drift = np.zeros((len(sigma), 3))
             considered = np.zeros((len(sigma), 0))
             known = np.append(errors, shift[3 + len(probe.motion) :])
             if with_slope:
-                slope = probe.slope(poisson_ratio)
                 considered = probe.considered_columns(response, load, poisson_ratio)
             if with_slope and known.any():
                 start = _explained(effects, curvature, known)
@@ -166,7 +167,7 @@ class Misfit:
                     probe=probe,
                     measured=probe.measured / sigma[:, 0],
                     base=response / sigma,
-                    slope=slope / sigma,
+                    slope=np.broadcast_to(slope, response.shape) / sigma,
                     effects=effects / sigma,
                     curvature=None if curvature is None else curvature / sigma[:, :, None],
                     drift=drift / sigma,

@@ -21,7 +21,7 @@ from palpate.bem import (
     held_system,
     joined,
     load_right_hand,
-    load_shape,
+    load_shapes,
     make_surface,
     point_equations,
     pressure_column,
@@ -178,13 +178,13 @@ def make_object_model(
     weight = None
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
-    dips = [load_shape(boundary, surface_load(patch)) for patch in patches.values()]
+    dips = load_shapes(boundary, [surface_load(patch) for patch in patches.values()])
     numbers = _patch_numbers(session, patches)
     changes: tuple[ContactChange, ...] = ()
     if not nominal:
         changes = (*contact_changes(session, numbers), *dip_changes(session, numbers, dips))
     moved = [one.patch for one in changes if one.patch is not None]
-    changed_dips = [load_shape(boundary, surface_load(patch)) for patch in moved]
+    changed_dips = load_shapes(boundary, [surface_load(patch) for patch in moved])
     pressures = tuple(pressed.values())
     loads = tuple(patches.values()), dips, pressures, weight, shapes, changes, changed_dips
     right, body = _right_hand(system, *loads)

@@ -7,7 +7,6 @@ from jaxtyping import Float
 from scipy.sparse import csr_array, kron
 
 from palpate.estimation import (
-    ContactError,
     ForceDirection,
     ForceGain,
     LengthScale,
@@ -15,6 +14,7 @@ from palpate.estimation import (
     Pose,
     ProbeResponse,
     SpringResponse,
+    contact_error,
 )
 from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.moving_supports import rigid_modes
@@ -78,7 +78,7 @@ def _contact_errors(
     parameters = tuple(dict.fromkeys(parameter for steps in mine for parameter in steps))
     steps = np.array([[one.get(parameter, 0.0) for parameter in parameters] for one in mine])
     count = response.rows.surface.shape[0] // 3
-    return [ContactError(parameters, steps, response.change, count)]
+    return [contact_error(parameters, steps, response.change, count)]
 
 
 def _measured_components(probing: Probing, turn: float) -> tuple[bool, bool, bool]:

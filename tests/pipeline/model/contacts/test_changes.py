@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from surfaces import sphere
 
-from palpate.bem import RightHand, load_shape, shape_columns
+from palpate.bem import RightHand, load_shapes, shape_columns
 from palpate.estimation import ContactError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
@@ -49,10 +49,9 @@ def test_the_dips_of_all_patches_are_those_of_each_alone() -> None:
     model = make_object_model(_session(2, EXACT))
     (patch,) = model.patches.values()
     beside = replace(patch, contact=replace(patch.contact, radius=4e-3))
-    dips = [
-        load_shape(model.system.surface, surface_load(one)) if one is not None else None
-        for one in (patch, None, beside)
-    ]
+    loads = [surface_load(one) for one in (patch, beside)]
+    dips = load_shapes(model.system.surface, loads)
+    dips.insert(1, None)
     bare = [RightHand(np.ones((3, model.system.size, 3)))] * 3
     first, nothing, last = dipped_columns(model.system, dips, bare)
     assert not nothing.terms.any()
@@ -70,7 +69,9 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
     load = np.append(seen.force, 1.0) / MODULUS
     with_dips = seen.response.value(NU)[rows]
     column = error.columns(rows, with_dips, load, NU)[:, -1]
-    monkeypatch.setattr("palpate.pipeline.model.object_model.load_shape", lambda *_: None)
+    monkeypatch.setattr(
+        "palpate.pipeline.model.object_model.load_shapes", lambda _, loads: [None] * len(loads)
+    )
     without = _seen(_session(2, GAIN))
     assert NAME not in [p.name for one in without.nuisances for p in one.parameters]
     step = (with_dips - without.response.value(NU)[rows])[:, :3] @ seen.force / MODULUS

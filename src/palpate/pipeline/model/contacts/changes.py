@@ -147,7 +147,7 @@ def change_columns(
     ----------
     system : BoundarySystem
     changes : sequence of ContactChange     those of dips are passed over
-    shapes : sequence                       `load_shape` of the others
+    shapes : sequence                       `load_shapes` of the others
     nominal : sequence of RightHand         of every change's nominal contact
     """
     moved = [(one, nominal[k]) for k, one in enumerate(changes) if one.patch is not None]
@@ -181,7 +181,7 @@ def dipped_columns(
     Parameters
     ----------
     system : BoundarySystem
-    dips : sequence                         `load_shape` of every patch
+    dips : sequence                         `load_shapes` of every patch
     bare : sequence of RightHand            columns of every patch without its dip
 
     Returns

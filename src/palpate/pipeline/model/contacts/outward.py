@@ -19,7 +19,7 @@ from palpate.bem import (
     RightHand,
     SurfaceLoad,
     load_right_hand,
-    load_shape,
+    load_shapes,
 )
 from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
@@ -79,7 +79,7 @@ def outward_columns(
     potential, shifts = _POTENTIALS[contact.tool.shape], _shifts(contact, normal)
     loads = [_potential_load(patch, centre, potential) for centre, _ in shifts]
     forces = np.array([force for _, force in shifts])
-    shapes = [load_shape(system.surface, load) for load in loads]
+    shapes = load_shapes(system.surface, loads)
     parts = load_right_hand(system, loads, shapes, forces=forces, cells=cells)
     return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
 
