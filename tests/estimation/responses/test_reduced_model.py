@@ -95,7 +95,8 @@ def test_each_column_has_the_directions_that_it_needs(problem, model):
         error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
         residual = mixed.weights(nu)[1]
         # As above: residual and error differ by the condition between two neighbouring matrices.
-        assert (residual <= tolerance).all() and (error < 100.0 * tolerance).all()
+        assert (residual <= tolerance).all()
+        assert (error < 100.0 * tolerance).all()
         np.testing.assert_allclose(found[:, 1::2], solution(model, nu)[0][:, 1::2], atol=1e-7)
     assert error[::2].max() > 1e-6
 
