@@ -239,7 +239,7 @@ def _gathered(
         known = identity[:, : rank + 1, :rank].copy(), hessenberg[:, : rank + 1, :rank].copy()
         model = ReducedModel(CENTRE, tuple(directions), *known, start, scale)
         residual = np.maximum(*(model.weights(nu)[1] for nu in poisson_range))
-        more = open_ & (residual > tolerance)
+        more = open_ & ~(residual <= tolerance)
         if not more.any():
             return model
         basis = [*basis, direction]
