@@ -24,7 +24,7 @@ from palpate.pipeline.observations import (
     coarser_observations,
     mesh_errors,
     settled_observations,
-    with_interpolation_errors,
+    with_considered_errors,
 )
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
@@ -87,7 +87,7 @@ def test_intervals_hold_what_a_finer_mesh_says(
     assert (_off(session) < 1.96).all()
     # Without, errors of a hundred nanometres leave nothing open: this is what the mesh is off by.
     module = sys.modules["palpate.pipeline.fit_session"]
-    monkeypatch.setattr(module, "with_interpolation_errors", _as_they_are)
+    monkeypatch.setattr(module, "with_considered_errors", _as_they_are)
     assert (_off(session) > 3.0).any()
 
 
@@ -99,7 +99,7 @@ def _as_they_are(
 
 def test_the_estimate_itself_stays(session: Session) -> None:
     _, plain = coarser_observations(session)
-    considered = with_interpolation_errors(session, plain)
+    considered = with_considered_errors(session, plain)
     graded = graded_session(session)
     model = make_object_model(graded)
     one, other = (
@@ -115,6 +115,6 @@ def test_neither_linear_nor_very_fine_meshes_have_it(
 ) -> None:
     linear = SurfaceSettings(quadratic=False)
     _, seen = coarser_observations(session, surface=linear)
-    assert with_interpolation_errors(session, seen, surface=linear) == seen
+    assert with_considered_errors(session, seen, surface=linear) == seen
     monkeypatch.setattr(mesh_errors, "LARGEST_DENSE", len(session.mesh.vertices) - 1)
-    assert with_interpolation_errors(session, seen) == seen
+    assert with_considered_errors(session, seen) == seen

@@ -32,7 +32,7 @@ from palpate.pipeline.model import (
 from palpate.pipeline.observations import (
     coarser_observations,
     settled_observations,
-    with_interpolation_errors,
+    with_considered_errors,
 )
 from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
@@ -163,7 +163,7 @@ def _beside_given_mesh(
     else:
         # The model's integrals are gone before the next model takes its memory.
         seen = coarser_observations(session, settings=settings, surface=surface, cache=cache)[1]
-    return session, with_interpolation_errors(
+    return session, with_considered_errors(
         session, seen, settings=settings, surface=surface, cache=cache
     )
 

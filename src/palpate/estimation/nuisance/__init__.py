@@ -4,7 +4,7 @@ Purpose    : what a wrong gain, direction, contact, pose or scale does to the di
 Takes      : the response of a probing and what it is multiplied with.
 Gives      : `Nuisance` and `CurvedNuisance` (protocols); `ForceGain`, `ForceDirection`,
              `LengthScale`, `SpaceStretch`, `ContactError`, `Pose`, `Discretisation`,
-             `Interpolation`, `SupportCompliance`, `CorrectionError`; `contact_error`.
+             `ModelStep`, `SupportCompliance`, `CorrectionError`; `contact_error`.
 Depends on : nothing but the ground floor.
 Read first : `nuisance.py`, then `force_gain.py`.
 """
@@ -17,8 +17,8 @@ from palpate.estimation.nuisance.correction_error import CorrectionError as Corr
 from palpate.estimation.nuisance.discretisation import Discretisation as Discretisation
 from palpate.estimation.nuisance.force_direction import ForceDirection as ForceDirection
 from palpate.estimation.nuisance.force_gain import ForceGain as ForceGain
-from palpate.estimation.nuisance.interpolation import Interpolation as Interpolation
 from palpate.estimation.nuisance.length_scale import LengthScale as LengthScale
+from palpate.estimation.nuisance.model_step import ModelStep as ModelStep
 from palpate.estimation.nuisance.nuisance import (
     CurvedNuisance as CurvedNuisance,
     Nuisance as Nuisance,

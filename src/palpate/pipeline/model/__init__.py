@@ -25,6 +25,7 @@ from palpate.pipeline.model.giving_supports import (
 )
 from palpate.pipeline.model.grading import (
     LEFT_OF_STEP as LEFT_OF_STEP,
+    edge_refined_session as edge_refined_session,
     graded_session as graded_session,
     resolved_session as resolved_session,
 )

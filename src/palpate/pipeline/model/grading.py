@@ -76,6 +76,31 @@ def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettin
     return _divided_session(session, *graded_mesh(_boundary(session, surface)))
 
 
+def edge_refined_session(
+    session: Session, *, surface: SurfaceSettings = SurfaceSettings()
+) -> Session:
+    """The same session on a mesh whose edges are cut in their middle along its creases, those apart
+    that the graded mesh sees to.
+
+    Parameters
+    ----------
+    session : Session
+    surface : SurfaceSettings       new vertices lie on the surface so understood
+
+    Returns
+    -------
+    Session                         vertices of the given mesh first, in their order; all points of
+                                    its fields placed anew
+    """
+    boundary = _boundary(session, surface)
+    ends, on_rim = _edge_ends(boundary), _at_rim(boundary)
+    creases = boundary.sides.cut & ~_hollow_edges(boundary) & ~on_rim[ends].all(axis=1)
+    at_crease = np.zeros(len(boundary.mesh.vertices), dtype=bool)
+    at_crease[ends[creases]] = True
+    cuts = np.where(at_crease[ends].any(axis=1)[:, None], ends, -1)
+    return _divided_session(session, *_divided(boundary, cuts, 0.5))
+
+
 def halved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
     """The same session on a mesh whose every edge is cut in its middle.
 
@@ -134,14 +159,19 @@ def graded_mesh(boundary: BoundarySurface) -> tuple[TriangleMesh, Int[np.ndarray
     TriangleMesh                    vertices of the given one first
     (t,) int                        the given triangle that each of its triangles is a part of
     """
-    mesh, held = boundary.mesh, boundary.held
-    ends = _edge_ends(boundary)
-    on_line = np.zeros(len(mesh.vertices), dtype=bool)
-    on_line[np.intersect1d(mesh.triangles[held], mesh.triangles[~held])] = True
+    ends, on_line = _edge_ends(boundary), _at_rim(boundary)
     on_line[ends[_hollow_edges(boundary)]] = True
     outward = np.where(on_line[ends[:, 0], None], ends, ends[:, ::-1])
     leaves = on_line[ends].sum(axis=1) == 1
     return _divided(boundary, np.where(leaves[:, None], outward, -1), ROW)
+
+
+def _at_rim(boundary: BoundarySurface) -> Bool[np.ndarray, " v"]:
+    """Vertices where held triangles end."""
+    triangles, held = boundary.mesh.triangles, boundary.held
+    at_rim = np.zeros(len(boundary.mesh.vertices), dtype=bool)
+    at_rim[np.intersect1d(triangles[held], triangles[~held])] = True
+    return at_rim
 
 
 def _hollow_edges(boundary: BoundarySurface) -> Bool[np.ndarray, " e"]:

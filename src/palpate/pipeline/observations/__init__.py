@@ -11,7 +11,7 @@ Read first : `session_observations.py`, `settled_observations.py`, then `mesh_er
 from palpate.pipeline.observations.mesh_errors import (
     coarser_observations as coarser_observations,
     graded_observations as graded_observations,
-    with_interpolation_errors as with_interpolation_errors,
+    with_considered_errors as with_considered_errors,
 )
 from palpate.pipeline.observations.session_observations import (
     session_observations as session_observations,

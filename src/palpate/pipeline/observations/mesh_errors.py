@@ -5,8 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from palpate.bem import LARGEST_DENSE, SurfaceSettings
-from palpate.estimation import FitMethod, FitSettings, Interpolation, ProbeObservations
-from palpate.pipeline.model import ObjectModel, graded_session, make_object_model
+from palpate.estimation import FitMethod, FitSettings, ModelStep, ProbeObservations
+from palpate.pipeline.model import (
+    ObjectModel,
+    edge_refined_session,
+    graded_session,
+    make_object_model,
+)
 from palpate.pipeline.observations.settled_observations import settled_observations
 from palpate.records import EXACT, Session
 
@@ -51,7 +56,7 @@ def coarser_observations(
     )
 
 
-def with_interpolation_errors(
+def with_considered_errors(
     session: Session,
     observations: Sequence[ProbeObservations],
     *,
@@ -59,8 +64,8 @@ def with_interpolation_errors(
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
 ) -> list[ProbeObservations]:
-    """What was seen beside the given mesh's model, with what that model's fields between the
-    vertices may be off by.
+    """What was seen beside the given mesh's model, with what that model may be off by between the
+    vertices and along sharp edges.
 
     Parameters
     ----------
@@ -74,24 +79,37 @@ def with_interpolation_errors(
     -------
     list of k ProbeObservations           as they are where elements are linear, and where the mesh
                                           is so large that its integrals are compressed: four times
-                                          as many vertices leave a tenth of that error
+                                          as many vertices leave a seventh of these errors or less
 
     Raises
     ------
     InputError, SingularSystemError, NotConvergedError    as `settled_observations`
     """
-    if not surface.quadratic or len(session.mesh.vertices) > LARGEST_DENSE:
+    if not surface.quadratic:
         return list(observations)
-    _, wider = coarser_observations(
-        session,
-        settings=replace(settings, method=FitMethod.REDUCED.value),
-        surface=replace(surface, rings=2),
-        cache=cache,
-    )
-    return [
-        replace(one, considered=(Interpolation(one.response_at, other.response_at),))
-        for one, other in zip(observations, wider, strict=True)
-    ]
+    wider, refined = replace(surface, rings=2), edge_refined_session(session, surface=surface)
+    count, found = len(session.mesh.vertices), list(observations)
+    for name, beside, understood in (
+        ("fields between the vertices (in steps to wider fits)", session, wider),
+        ("sharp edges (in steps to finer ones)", refined, surface),
+    ):
+        size = len(beside.mesh.vertices)
+        if size > LARGEST_DENSE or (beside is refined and size == count):
+            continue
+        _, others = coarser_observations(
+            beside,
+            settings=replace(settings, method=FitMethod.REDUCED.value),
+            surface=understood,
+            cache=cache,
+        )
+        found = [
+            replace(
+                one,
+                considered=(*one.considered, ModelStep(name, one.response_at, other.response_at)),
+            )
+            for one, other in zip(found, others, strict=True)
+        ]
+    return found
 
 
 def graded_observations(session: Session) -> list[ProbeObservations]:
@@ -110,6 +128,6 @@ def graded_observations(session: Session) -> list[ProbeObservations]:
     InputError, SingularSystemError, NotConvergedError    as `settled_observations`
     """
     _, coarser = coarser_observations(session)
-    coarser = with_interpolation_errors(session, coarser)
+    coarser = with_considered_errors(session, coarser)
     graded = graded_session(session)
     return settled_observations(graded, make_object_model(graded), coarser=coarser)

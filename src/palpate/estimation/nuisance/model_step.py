@@ -1,4 +1,4 @@
-"""What the fields between a mesh's vertices may be off by."""
+"""What a model may be off by, measured by another model of the same body."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,24 +10,24 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Interpolation:
-    """Error of quadratics that are fitted to the vertices around, measured by fitting them to more
-    of these (`Nuisance`).
+class ModelStep:
+    """The step from one model to another as the standard deviation of an error (`Nuisance`).
 
     Parameters
     ----------
-    fitted, wider : function        Poisson's ratio, shear modulus [Pa] -> (n_rows, c) float:
-                                    response with the one and with the other (`ResponseModel`)
+    name : str                      of the error, in words that end a sentence
+    one, other : function           Poisson's ratio, shear modulus [Pa] -> (n_rows, c) float:
+                                    responses of both (`ResponseModel`)
     """
 
-    fitted: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
-    wider: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
+    name: str
+    one: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
+    other: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """One for all probings."""
-        name = "fields between the vertices (in steps to wider fits)"
-        return (NuisanceParameter(name, 1.0, of="mesh"),)
+        return (NuisanceParameter(self.name, 1.0, of="mesh"),)
 
     def columns(
         self,
@@ -38,5 +38,5 @@ class Interpolation:
     ) -> Float[np.ndarray, "r p"]:
         """The step from one to the other (`Nuisance.columns`)."""
         constants = poisson_ratio, 1.0 / load[3]
-        step = self.wider(*constants)[rows] - self.fitted(*constants)[rows]
+        step = self.other(*constants)[rows] - self.one(*constants)[rows]
         return (step @ load)[:, None]
