@@ -44,8 +44,8 @@ def test_only_what_others_can_use_stays_behind(fitted):
     folder, _, _ = fitted
     assert list((folder / "one").iterdir()) == []
     assert [path.name for path in (folder / "two").iterdir()] == ["bodies"]
-    # The given mesh, the same with wider fits between its vertices, the graded one.
-    assert len(list((folder / "two" / "bodies").glob("*.npz"))) == 3
+    # The given mesh, the same with wider fits between its vertices, with finer sharp edges, graded.
+    assert len(list((folder / "two" / "bodies").glob("*.npz"))) == 4
 
 
 def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_path):

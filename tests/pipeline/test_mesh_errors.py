@@ -1,5 +1,5 @@
-"""What fields between the vertices may be off by: as much as a finer mesh shows, and in the
-intervals."""
+"""What the mesh may be off by between its vertices and along sharp edges: as much as finer ones
+show, and in the intervals."""
 
 import sys
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from surfaces import sphere
+from surfaces import box, sphere
 
 from palpate.bem import SurfaceSettings
 from palpate.estimation import ProbeObservations, fit
@@ -19,7 +19,7 @@ from palpate.pipeline import (
     make_object_model,
     session_observations,
 )
-from palpate.pipeline.model.grading import halved_session
+from palpate.pipeline.model.grading import edge_refined_session, halved_session
 from palpate.pipeline.observations import (
     coarser_observations,
     mesh_errors,
@@ -108,6 +108,38 @@ def test_the_estimate_itself_stays(session: Session) -> None:
     )
     assert other.value == pytest.approx(one.value, rel=1e-9)
     assert other.std > 1.5 * one.std
+
+
+def test_sharp_edges_are_a_step_of_their_own(session: Session) -> None:
+    assert [len(one.considered) for one in _considered(session)] == [1, 1, 1]
+    block = _block()
+    _, plain = coarser_observations(block)
+    _, refined = coarser_observations(edge_refined_session(block))
+    (seen,) = _considered(block)
+    between, edges = seen.considered
+    assert between.parameters != edges.parameters
+    rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / SHEAR
+    column = edges.columns(rows, plain[0].response.value(NU)[rows], load, NU)[:, 0]
+    given, finer = (one[0].response.value(NU)[rows] @ load for one in (plain, refined))
+    np.testing.assert_allclose(column, finer - given, atol=1e-9 * np.abs(given).max())
+    assert np.abs(column).max() > 1e-4 * np.abs(given).max()
+
+
+def _considered(session: Session) -> list[ProbeObservations]:
+    return with_considered_errors(session, coarser_observations(session)[1])
+
+
+def _block() -> Session:
+    """A glued cube of 3 cm, pushed aside on its top."""
+    mesh = box((0.03, 0.03, 0.03), 4)
+    held = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < 1e-9)
+    points = np.array([[0.0, 0.01, 0.03], [0.02, 0.0, 0.02], [0.03, 0.03, 0.01]])
+    told = closest_points(mesh, points)
+    field = DisplacementField(points, np.zeros((3, 3)), None, None, told, "")
+    contact = Contact(np.array([0.015, 0.015, 0.03]), 0.008, "smooth")
+    push = np.array([0.3, 0.0, -0.5])
+    probing = Probing("n", contact, push, np.zeros(3), None, None, field, None)
+    return Session("block", Path("b"), mesh, held, (probing,), None, None, None, (), errors=EXACT)
 
 
 def test_neither_linear_nor_very_fine_meshes_have_it(

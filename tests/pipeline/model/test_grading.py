@@ -1,5 +1,6 @@
 """Graded meshes: closed, on the surface, finer at rims alone; and nearer to a much finer mesh."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,12 @@ from palpate.pipeline import (
     resolved_session,
     session_observations,
 )
-from palpate.pipeline.model.grading import ROW, graded_mesh, resolved_mesh
+from palpate.pipeline.model.grading import (
+    ROW,
+    edge_refined_session,
+    graded_mesh,
+    resolved_mesh,
+)
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
 RADIUS = 0.03
@@ -216,6 +222,37 @@ def test_the_error_in_a_hollow_edge_falls() -> None:
     truth = _moved(graded_session(graded_session(_angle(3))), 0.3)
     error = [np.linalg.norm(_moved(one, 0.3) - truth) for one in (given, graded_session(given))]
     assert error[1] < 0.5 * error[0]
+
+
+def test_edges_are_cut_along_creases_but_not_at_the_rim() -> None:
+    given = _session(4)
+    fine = edge_refined_session(given)
+    _, notes = checked_mesh(fine.mesh)
+    assert notes == ()
+    # Every edge of the grid that has an end on one of the eight creases above the support.
+    mesh, last = given.mesh, 0.04
+    side = np.isclose(mesh.vertices, 0.0) | np.isclose(mesh.vertices, last)
+    above = side[:, 0] & side[:, 1]
+    above |= np.isclose(mesh.vertices[:, 2], last) & (side[:, 0] | side[:, 1])
+    pairs = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = np.unique(np.sort(pairs, axis=1), axis=0)
+    middle = mesh.vertices[edges[above[edges].any(axis=1)]].mean(axis=1)
+    new = fine.mesh.vertices[len(mesh.vertices) :]
+    assert {tuple(x) for x in new.round(9)} == {tuple(x) for x in middle.round(9)}
+    assert len(new) == len(middle) < len(edges)
+
+
+def test_a_smooth_body_has_no_edges_to_cut() -> None:
+    mesh, held = _ball()
+    pole = np.array([[0.0, 0.0, RADIUS]])
+    given = _session(4)
+    field = DisplacementField(pole, np.zeros((1, 3)), None, None, closest_points(mesh, pole), "")
+    contact = Contact(pole[0], 0.008, "smooth")
+    probing = replace(given.probings[0], contact=contact, displacement=field)
+    smooth = replace(
+        given, mesh=mesh, held_triangles=np.flatnonzero(held), probings=(probing,), supports=()
+    )
+    assert len(edge_refined_session(smooth).mesh.vertices) == len(mesh.vertices)
 
 
 def test_a_session_goes_along() -> None:
