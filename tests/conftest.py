@@ -1,11 +1,14 @@
 """What every test may ask for."""
 
+import faulthandler
 import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numba
 import pytest
+from _pytest.faulthandler import fault_handler_stderr_fd_key
 from jaxtyping import _import_hook
 from shape_checks import check_first_calls, start_counting_calls
 
@@ -24,6 +27,39 @@ def _is_unchecked(decorator: Any) -> bool:
 
 _import_hook._is_no_type_check = _is_unchecked
 check_first_calls()
+
+
+def _trace_file(workerinput: dict[str, str]) -> Path:
+    """Where one of several processes says what its threads were doing when it ended."""
+    name = f"palpate-tests-{workerinput['testrunuid']}-{workerinput['workerid']}.txt"
+    return Path(tempfile.gettempdir()) / name
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: Any) -> None:
+    """A process that crashes or stands still writes what its threads were doing into a file: its
+    standard error is lost among what the others print."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        path = _trace_file(config.workerinput)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.close(config.stash[fault_handler_stderr_fd_key])
+        config.stash[fault_handler_stderr_fd_key] = descriptor
+        faulthandler.enable(descriptor)
+
+
+def pytest_unconfigure(config: Any) -> None:
+    """Nothing is left of processes that ended well."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        _trace_file(config.workerinput).unlink(missing_ok=True)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_handlecrashitem(report: Any) -> None:
+    """The report of a test that took its process along shows what that wrote."""
+    path = _trace_file(report.node.workerinput)
+    text = path.read_text(errors="replace") if path.exists() else ""
+    report.longrepr += "\n\n" + (text or "It left no trace: it was killed, or ended by itself.")
+    path.unlink(missing_ok=True)
 
 
 def pytest_runtest_setup() -> None:
