@@ -17,24 +17,22 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
-from typing import NamedTuple
 
-from palpate.errors import InputError, RecordError
+from palpate.errors import InUseError, RecordError
+from palpate.files import checked_file
 
 try:
     import fcntl
 except ImportError:  # not on Windows: two commands at once are then not noticed
     fcntl = None  # type: ignore[assignment]
 
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 # linux/fs.h: exchange two names in one step.
 _RENAME_EXCHANGE, _AT_FDCWD = 2, -100
-
-
-class InUseError(InputError):
-    """Another process is writing the same file or folder."""
+# How a lock's text begins, that it is no link, and what a journal has at most [bytes].
+_HOLDER, _NO_LINK, _MOST_JOURNAL = "process ", getattr(os, "O_NOFOLLOW", 0), 2**20
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -123,7 +121,7 @@ def settle(target: Path) -> None:
     interrupted = False
     # Whoever reads the file says what is wrong with its place.
     with suppress(OSError):
-        interrupted = _journal(_beside(final, "journal")).undo
+        interrupted, _ = _journal(_beside(final, "journal"))
     if interrupted:
         with _locked(final), _refused(final):
             _tidy([final])
@@ -134,9 +132,8 @@ def _check_places(finals: Sequence[Path], folder: bool) -> None:
     for final in finals:
         if final.exists() and not (final.is_dir() if folder else final.is_file()):
             wrong = "a folder" if final.is_dir() else "no regular file"
-            raise RecordError(
-                f"{final}: is {'no folder' if folder else wrong}; choose another place"
-            )
+            wrong = "no folder" if folder else wrong
+            raise RecordError(f"{final}: is {wrong}; choose another place")
         if final.parent != finals[-1].parent:
             raise RecordError(
                 f"{final}: a link leads out of the folder of {finals[-1]}, and both are to change"
@@ -151,6 +148,9 @@ def _locked(final: Path) -> Iterator[None]:
     with _refused(final):
         handle = _opened_lock(path, final)
     try:
+        with _refused(final):
+            os.ftruncate(handle, 0)
+            os.write(handle, f"{_HOLDER}{os.getpid()} on {socket.gethostname()}".encode())
         yield
     finally:
         with suppress(OSError):
@@ -161,33 +161,41 @@ def _locked(final: Path) -> Iterator[None]:
 def _opened_lock(path: Path, final: Path) -> int:
     """An open lock file that is locked and has its name still."""
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        handle, holder = _lock_file(path)
         try:
             if fcntl is not None:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            holder = os.pread(handle, 200, 0).decode(errors="replace") or "another process"
             os.close(handle)
             raise InUseError(
-                f"{final}: is being written by {holder}; wait until that has ended, or choose"
-                " another place"
+                f"{final}: is being written by {holder or 'another process'}; wait until that has"
+                " ended, or choose another place"
             ) from None
         except OSError:
             pass  # A file system without locks.
         with suppress(FileNotFoundError):
             if os.path.samestat(os.stat(path), os.fstat(handle)):
-                os.ftruncate(handle, 0)
-                os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
                 return handle
         # The one before has ended and taken the file with it in between.
         os.close(handle)
+
+
+def _lock_file(path: Path) -> tuple[int, str]:
+    """A lock file, opened or made, and the process that it names; what is another's stays so."""
+    if not os.path.lexists(path) or (path.is_file() and not path.is_symlink()):
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
+        holder = os.pread(handle, 200, 0).decode(errors="replace")
+        if not holder or holder.startswith(_HOLDER):
+            return handle, holder
+        os.close(handle)
+    raise RecordError(f"{path}: is not a lock of Palpate's; move it to another place")
 
 
 def _tidy(finals: Sequence[Path]) -> None:
     """Undo, remove or put back what interrupted processes left of these files, and name it."""
     journal = _beside(finals[-1], "journal")
     if journal.exists():
-        done = "was undone" if _journal(journal).undo else "was tidied up"
+        done = "was undone" if _journal(journal)[0] else "was tidied up"
         _undo(journal)
         _say(f"{finals[-1]}: what an interrupted run had begun {done}")
     for final in finals:
@@ -243,10 +251,8 @@ def _kept_aside(path: Path, final: Path) -> Path:
 
     A file keeps its own name as well, so that there is no moment without it.
     """
-    kept, number = final.with_name(f"{final.name}.old"), 1
-    while os.path.lexists(kept):
-        number += 1
-        kept = final.with_name(f"{final.name}.old{number}")
+    names = (final.with_name(f"{final.name}.old{number or ''}") for number in chain([0], count(2)))
+    kept = next(name for name in names if not os.path.lexists(name))
     if path != final or path.is_dir():
         os.rename(path, kept)
     else:
@@ -268,7 +274,7 @@ def _place_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
 
 def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
     """Write which files are being changed, which were there, and whether that is to be undone."""
-    journal, draft = _beside(finals[-1], "journal"), _beside(finals[-1], "draft")
+    journal, draft = (_beside(finals[-1], what) for what in ("journal", "draft"))
     there = {final.name: _beside(final, "older").exists() for final in finals}
     draft.write_text(json.dumps({"undo": undo, "there": there}), encoding="utf-8")
     _sync(draft)
@@ -277,22 +283,16 @@ def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
         _sync(journal.parent)
 
 
-class _Journal(NamedTuple):
+def _journal(path: Path) -> tuple[bool, dict[str, bool]]:
     """Whether a change of several files is to be undone, and which of them were there before."""
-
-    undo: bool
-    there: dict[str, bool]
-
-
-def _journal(path: Path) -> _Journal:
-    """What a journal says; nothing where there is none."""
     if not path.exists():
-        return _Journal(False, {})
+        return False, {}
     try:
-        journal = _Journal(**json.loads(path.read_text(encoding="utf-8")))
-        if all(Path(name).name == name for name in journal.there):
-            return journal
-    except (ValueError, TypeError, AttributeError, RecursionError):
+        found = json.loads(checked_file(path, most=_MOST_JOURNAL).read_text(encoding="utf-8"))
+        undo, there = found["undo"], dict[str, bool](found["there"])
+        if len(found) == 2 and all(Path(name).name == name for name in there):
+            return bool(undo), there
+    except (LookupError, ValueError, TypeError, RecursionError):
         pass
     # It may come from anywhere with a session, and must not reach beyond its folder.
     raise RecordError(f"{path}: is not what Palpate leaves of an interrupted run; remove it")
@@ -300,17 +300,17 @@ def _journal(path: Path) -> _Journal:
 
 def _undo(path: Path) -> None:
     """Undo what a journal says is to be undone, again if need be; remove what belongs to it."""
-    journal = _journal(path)
-    for name, was_there in journal.there.items():
+    undo, there = _journal(path)
+    for name, was_there in there.items():
         final = path.with_name(name)
         older = _beside(final, "older")
-        if journal.undo and older.exists():
+        if undo and older.exists():
             os.replace(older, final)
-        elif journal.undo and not was_there:
+        elif undo and not was_there:
             final.unlink(missing_ok=True)
         _remove(older)
         _remove(_beside(final, "partial"))
-    if journal.there:
+    if there:
         _sync(path.parent)
     _remove(path)
 

@@ -46,6 +46,10 @@ class RecordError(InputError):
     """A file (session, displacement, estimate) that cannot be read as what it claims to be."""
 
 
+class InUseError(InputError):
+    """Another process is writing the same file or folder."""
+
+
 class CalibrationError(InputError):
     """Camera parameters that are contradictory or do not fit their images."""
 

@@ -14,8 +14,8 @@ from pipeline.kept.picture_session import with_pictures
 
 from palpate.campaign import FitOptions, Store, read_items, run_campaign, work as work_file
 from palpate.campaign.engine import Engine
-from palpate.disk import InUseError, placed
-from palpate.errors import InputError, RecordError
+from palpate.disk import placed
+from palpate.errors import InputError, InUseError, RecordError
 from palpate.records import read_session, verify_result
 from palpate.records.files import results
 

@@ -12,7 +12,7 @@ from fault_injection import in_child
 
 import palpate
 from palpate import disk
-from palpate.errors import RecordError
+from palpate.errors import InUseError, RecordError
 
 
 def _file(folder: Path, text: str) -> None:
@@ -124,7 +124,7 @@ def test_a_second_process_is_told_who_writes(tmp_path):
     target = tmp_path / "result"
     with (
         disk.placed([target], folder=True),
-        pytest.raises(disk.InUseError, match=rf"being written by process {os.getpid()} on "),
+        pytest.raises(InUseError, match=rf"being written by process {os.getpid()} on "),
         disk.placed([target], folder=True),
     ):
         raise AssertionError("the block must not run")
@@ -132,6 +132,44 @@ def test_a_second_process_is_told_who_writes(tmp_path):
     (tmp_path / ".result.lock").write_text("process 1 on this host")
     _folder(tmp_path, "new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["result"]
+
+
+def _linked(path: Path) -> None:
+    path.with_name("precious").write_text("of somebody else")
+    path.symlink_to("precious")
+
+
+# What may lie where a lock or a journal would, in a folder that comes from anywhere.
+_FOREIGN = {
+    "link": _linked,
+    "link to nothing": lambda path: path.symlink_to("nothing"),
+    "file": lambda path: path.write_text("of somebody else"),
+    "folder": lambda path: path.mkdir(),
+    "pipe": lambda path: os.mkfifo(path),
+    "device": lambda path: path.symlink_to("/dev/zero"),
+}
+
+
+@pytest.mark.parametrize("kind", _FOREIGN)
+def test_what_is_no_lock_stays_as_it_is(tmp_path, kind):
+    lock = tmp_path / ".a.lock"
+    _FOREIGN[kind](lock)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    with pytest.raises(RecordError, match=r"\.a\.lock: is not a lock of Palpate's"):
+        _file(tmp_path, "new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    for path in tmp_path.iterdir():
+        assert not path.is_file() or path.read_text() == "of somebody else"
+
+
+@pytest.mark.parametrize("kind", ["link", "file", "folder", "pipe", "device"])
+def test_what_is_no_journal_is_refused_at_once(tmp_path, kind):
+    _FOREIGN[kind](tmp_path / ".session.journal")
+    for work in (_files, lambda folder, _: disk.settle(folder / "session")):
+        with pytest.raises(RecordError, match="is not what Palpate leaves of an interrupted run"):
+            work(tmp_path, "new")
+    assert not (tmp_path / "session").exists()
+    assert not (tmp_path / ".session.lock").exists()
 
 
 def test_a_signal_waits_until_all_is_in_place(tmp_path, monkeypatch):

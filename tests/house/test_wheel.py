@@ -67,4 +67,4 @@ def test_what_it_says_of_itself(wheel):
     }
     assert said["License-Expression"] == "BSD-3-Clause"
     points = opened.read(name.replace("METADATA", "entry_points.txt")).decode()
-    assert "palpate = palpate.app.cli:main" in points
+    assert "palpate = palpate.__main__:main" in points

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from palpate.app.exit_codes import BAD_INPUT
 from palpate.app.output import Output, output_as
+from palpate.app.versions import versions
 from palpate.errors import InputError
-from palpate.versions import versions
 
 # Numbers as options take them.
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")

@@ -18,7 +18,7 @@ from palpate.app.guard import guarded
 from palpate.errors import NotConvergedError, PalpateError
 
 _BROKEN_PIPE = BY_SIGNAL + 13
-_STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
+_STOPPING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 
 
 @guarded

@@ -18,6 +18,7 @@ from palpate.app.terminal import (
     probes_table,
     progress_bar,
 )
+from palpate.app.versions import versions
 from palpate.bem import SurfaceSettings, check_memory
 from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import (
@@ -41,7 +42,6 @@ from palpate.records import (
     write_text,
 )
 from palpate.report import REPORT_FILE, write_report, write_result_files
-from palpate.versions import versions
 
 # Fractions of the work that are done when the fit and when the drawing begin.
 _PICTURES, _DRAWN = 0.5, 0.9

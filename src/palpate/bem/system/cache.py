@@ -16,8 +16,8 @@ import numpy as np
 from palpate.bem.integrals import BoundarySurface, FieldBlocks, Quadrature
 from palpate.bem.system.boundary import find_unknowns, place_collocation
 from palpate.bem.system.system import BoundarySystem, assemble_system
-from palpate.disk import InUseError, placed
-from palpate.errors import InputError, RecordError
+from palpate.disk import placed
+from palpate.errors import InputError, InUseError, RecordError
 from palpate.files import checked_file
 
 # Raised by whoever changes what is stored or how it is computed.
