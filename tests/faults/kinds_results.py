@@ -30,6 +30,13 @@ def _value(*keys: str | int, to: Any) -> Callable[[Path], object]:
     return damage
 
 
+def _probing_twice(folder: Path) -> None:
+    path = folder / "result" / "estimate.json"
+    content = json.loads(path.read_text())
+    content["probes"] = 2 * content["probes"][:1]
+    path.write_text(json.dumps(content))
+
+
 def _made(name: str) -> Callable[[Path], object]:
     return lambda folder: (folder / name).mkdir()
 
@@ -153,6 +160,10 @@ _COMPRESSION_KINDS = [
 ]  # fmt: skip
 
 _ESTIMATE_KINDS = [
+    _estimate("a key twice",
+              replaced("result/estimate.json", '"method":', '"method": "other",\n "method":'),
+              "estimate.json: has 'method' twice in one object; keep one"),
+    _estimate("a probing twice", _probing_twice, "2 probings have 1 names; each its own"),
     _estimate("a constant that is not told and status ok",
                    _value("identifiable", "poisson_ratio", to=False), "status is 'ok'"),
     _estimate("a status of its own", _value("status", to="fine"), "status: is 'fine'"),

@@ -17,7 +17,6 @@ from palpate.errors import RecordError
 from palpate.pipeline import MeasuredMotion
 from palpate.pipeline.motion_figures import motion_figures, write_flow_document
 from palpate.pipeline.result_files import (
-    file_stems,
     seen_vertices,
     write_flow_npz,
     write_flow_vtp,
@@ -59,29 +58,6 @@ def shown(table, width=100):
     with console.file:
         console.print(table)
     return console.export_text()
-
-
-# Names
-
-
-def test_a_motion_has_its_own_name_where_that_is_a_file_name():
-    assert file_stems(["n01", "n05_1", "0.5-N"]) == ["n01", "n05_1", "0.5-N"]
-
-
-@pytest.mark.parametrize("name", ["a/b", "..", ".hidden", "", "a b", "[bold]", "contents"])
-def test_other_names_are_replaced_by_a_number(name):
-    assert file_stems(["n01", name]) == ["n01", "motion-2"]
-
-
-@pytest.mark.parametrize("names", [["a", "a_flow"], ["a_quality", "a"], ["a", "A"], ["a", "a"]])
-def test_no_two_motions_write_the_same_file(names):
-    stems = file_stems(names)
-    files = [stem + end for stem in stems for end in ("", "_flow", "_quality")]
-    assert len({file.lower() for file in files}) == 6
-
-
-def test_a_name_that_is_another_ones_number_is_no_trap():
-    assert len(set(file_stems(["motion-2", "?", "motion-2"]))) == 3
 
 
 # Vertices

@@ -29,7 +29,7 @@ from palpate.figures.style import (
     save_figure,
     styled,
 )
-from palpate.records import Constant, Estimate, Session, file_stem, modulus_unit
+from palpate.records import Constant, Estimate, Session, file_stems, modulus_unit
 
 # Per cent: deviance, chi squared with two degrees of freedom.
 REGIONS = {50: 1.3863, 95: 5.9915}
@@ -75,12 +75,12 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
         if drawn is not None:
             written += save_drawing(drawn, folder / f"{name}.png")
     by_name = {probing.name: probing for probing in session.probings}
-    for number, fit in enumerate(result.probes, start=1):
+    stems = file_stems([fit.name for fit in result.probes], kind="probing")
+    for stem, fit in zip(stems, result.probes, strict=True):
         figure = displacement_figure(
             session.mesh, by_name[fit.name], fit, held=session.held_triangles
         )
         if figure is not None:
-            stem = file_stem(fit.name, otherwise=f"probing-{number}")
             file = folder / "displacement" / f"{stem}.png"
             file.parent.mkdir(exist_ok=True)
             written.append(save_figure(figure, file))

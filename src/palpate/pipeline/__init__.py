@@ -74,7 +74,6 @@ from palpate.pipeline.rejections import (
     rejections as rejections,
 )
 from palpate.pipeline.result_files import (
-    file_stems as file_stems,
     seen_vertices as seen_vertices,
     write_flow_npz as write_flow_npz,
     write_flow_vtp as write_flow_vtp,

@@ -14,7 +14,7 @@ from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh
 from palpate.pipeline.measure_motion import MeasuredMotion, SessionFlow, vertex_field
 from palpate.pipeline.motion_figures import MotionFigures, motion_figures
-from palpate.records import Camera, Session, file_stem, write_displacement, write_text
+from palpate.records import Camera, Session, file_stems, write_displacement, write_text
 from palpate.shapes import Flags
 from palpate.vision import (
     Outcome,
@@ -29,34 +29,7 @@ from palpate.vision import (
 )
 
 RANGE_FLOW_FORMAT = "palpate-range-flow/1"
-# What is put behind a stem; another motion's name must not end up there.
-_ENDINGS = ("", "_flow", "_quality")
 _RESIDUALS = "x,y,z,ux,uy,uz,predicted_ux,predicted_uy,predicted_uz,weight_x,weight_y,weight_z"
-
-
-def file_stems(names: Sequence[str]) -> list[str]:
-    """File names without their endings, one for each of k motions, all different.
-
-    Parameters
-    ----------
-    names : sequence of k str       of the motions
-
-    Returns
-    -------
-    list of k str                   a motion's own name, or `motion-NUMBER` (from 1) where that is
-                                    no file name or would meet the files of an earlier motion
-    """
-    stems: list[str] = []
-    taken: set[str] = set()
-    for number, name in enumerate(names, start=1):
-        other = f"motion-{number}"
-        stem = other if name.lower() == "contents" else file_stem(name, otherwise=other)
-        # Some file systems do not tell upper from lower case.
-        while taken & {(stem + ending).lower() for ending in _ENDINGS}:
-            stem = other if stem == name else f"{stem}-"
-        taken |= {(stem + ending).lower() for ending in _ENDINGS}
-        stems.append(stem)
-    return stems
 
 
 def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
@@ -77,12 +50,13 @@ def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
     below = folder / "residuals"
     below.mkdir()
     fields_of = {probing.name: probing.displacement for probing in session.probings}
-    for number, fit in enumerate(result.probes, start=1):
+    stems = file_stems([fit.name for fit in result.probes], kind="probing")
+    for stem, fit in zip(stems, result.probes, strict=True):
         field = fields_of[fit.name]
         if field is None:
             continue
         rows = np.concatenate([field.points, field.displacement, fit.predicted, fit.weight], axis=1)
-        file = below / f"{file_stem(fit.name, otherwise=f'probing-{number}')}.csv"
+        file = below / f"{stem}.csv"
         np.savetxt(file, rows, fmt="%.9g", delimiter=",", header=_RESIDUALS, comments="")
 
 
@@ -126,7 +100,7 @@ def write_motions(folder: Path, session: Session, found: SessionFlow) -> Iterato
     camera, mesh = found.rig.cameras[found.rig.reference], session.mesh
     names = [camera.name for camera in found.rig.cameras]
     surfaces: dict[tuple[int, ...], SurfaceMap] = {}
-    stems = file_stems([motion.name for motion in found.motions])
+    stems = file_stems([motion.name for motion in found.motions], kind="motion")
     for motion, stem in zip(found.motions, stems, strict=True):
         rows, columns = motion.first.shape
         if (rows, columns) not in surfaces:

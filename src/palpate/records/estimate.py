@@ -328,6 +328,9 @@ class Estimate:
         # The other words speak of something else than what the data determine.
         if self.status != expected and self.status.value.endswith(("ok", "identifiable")):
             raise InputError(f"status is '{self.status}'; `identifiable` asks for '{expected}'")
+        names = [probe.name for probe in self.probes]
+        if len(set(names)) < len(names):
+            raise InputError(f"{len(names)} probings have {len(set(names))} names; each its own")
         for name in CONSTANT_NAMES:
             if self.identifiable[name] and not math.isfinite(getattr(self, name).value):
                 raise InputError(f"{name} is identifiable by `identifiable`, but has no value")

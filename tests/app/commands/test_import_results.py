@@ -172,6 +172,10 @@ def test_existing_displacements_need_leave(palpate, bare, top, tmp_path):
     assert (bare / "session.toml").read_bytes() == before["session.toml"]
     field = read_session(bare, probes=["n01"]).probings[0].displacement
     np.testing.assert_allclose(field.displacement[0], 3.0 * top[1][0], rtol=1e-15)
+    # It may have been the only copy of a measurement.
+    assert (bare / "n01.csv.old").read_bytes() == before["n01.csv"]
+    assert palpate("import", "vic3d", file, bare, "--replace")[0] == 0
+    assert sorted(set(_tree(bare)) - set(before)) == ["n01.csv.old"]
 
 
 def test_a_file_that_happens_to_be_there_is_not_replaced(palpate, bare, top, tmp_path):
@@ -208,6 +212,7 @@ def test_the_old_session_or_the_new_one_wherever_it_is_killed(palpate, bare, top
     before = _tree(bare)
     assert palpate(*command[:3], bare, *command[3:])[0] == 0
     after, step, outcome, seen = _tree(bare), 0, None, []
+    del after["n01.csv.old"]
     while outcome != "done":
         # Every third step: the steps of a change have a test of their own.
         step += 3
@@ -219,7 +224,9 @@ def test_the_old_session_or_the_new_one_wherever_it_is_killed(palpate, bare, top
         outcome = in_child(lambda words=words: main(words), folder, step=step, dies=True)
         assert (folder / "session.toml").is_file()
         read_session(folder, probes=["n01"])
-        seen.append({name: found for name, found in _tree(folder).items() if name[0] != "."})
+        found = {name: content for name, content in _tree(folder).items() if name[0] != "."}
+        assert found.pop("n01.csv.old", before["n01.csv"]) == before["n01.csv"]
+        seen.append(found)
         assert seen[-1] in (before, after)
     assert seen[0] == before
     assert seen[-1] == after

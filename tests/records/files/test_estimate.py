@@ -95,7 +95,7 @@ def _material(ratio, shear, *widths):
 @settings(max_examples=40, deadline=None)
 @given(
     material=MATERIALS,
-    probes=st.lists(PROBES, max_size=3),
+    probes=st.lists(PROBES, max_size=3, unique_by=lambda probe: probe[0]),
     status=st.sampled_from([None, Status.NOT_CONVERGED]),
     told=st.tuples(*[st.booleans()] * 3),
     seconds=st.dictionaries(st.text(), FINITE, max_size=3),

@@ -108,7 +108,7 @@ def import_displacements(
     drop_off_surface
         Leave out measured points that are not on the object: background, tool, holder.
     replace
-        Replace displacements that the session already has.
+        Replace displacements that the session already has; those are kept as NAME.old.
     out
         Write the CSV files into this result folder instead, and leave the session as it is.
     force
@@ -200,8 +200,18 @@ def _session_files(
             f" move it, write elsewhere with --out, or give --force to keep it as"
             f" {strangers[0].name}.old"
         )
-    with placed([*targets, session.path], aside=lambda path: path in strangers) as staged:
+    written: dict[str, Path] = {}
+
+    def differs(path: Path) -> bool:
+        """Whether it may hold the only copy of what somebody measured."""
+        return path.name in written and path.read_bytes() != written[path.name].read_bytes()
+
+    with placed([*targets, session.path], aside=differs) as staged:
         where = dict(zip(names.values(), staged, strict=False))
+        written.update(
+            (os.path.basename(os.path.realpath(target)), staged[k])
+            for k, target in enumerate(targets)
+        )
         yield where.__getitem__
         # As it is by now, and as bytes, so that line ends stay as they are.
         text = session.path.read_bytes().decode("utf-8")

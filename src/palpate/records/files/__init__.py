@@ -21,7 +21,6 @@ from palpate.records.files.results import (
     check_free as check_free,
     default_folder as default_folder,
     disk_errors as disk_errors,
-    file_stem as file_stem,
     folder_changes as folder_changes,
     parts_folder as parts_folder,
     record_inputs as record_inputs,

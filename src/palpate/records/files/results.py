@@ -54,22 +54,6 @@ def default_folder(session: Path, what: str) -> Path:
     return Path(f"{folder.name}-{what}" if file == "session" else f"{folder.name}-{file}-{what}")
 
 
-def file_stem(name: str, *, otherwise: str) -> str:
-    """A name as the stem of a file's name.
-
-    Parameters
-    ----------
-    name : str
-    otherwise : str                 stands in where a system may refuse or hide a file so named
-
-    Returns
-    -------
-    str
-    """
-    plain = name.replace("_", "").replace("-", "").replace(".", "")
-    return name if plain.isalnum() and name[0] != "." else otherwise
-
-
 @contextmanager
 def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iterator[Path]:
     """A folder to write into; it takes its final name when the block ends well, else vanishes.

@@ -1,4 +1,4 @@
-"""Text files: TOML with messages that name the key, tables, trees; and MATLAB's files.
+"""Text files: TOML with messages that name the key, tables, trees; MATLAB's files; file names.
 
 Purpose    : one reader for each kind of text, whoever wrote it.
 Takes      : paths.
@@ -16,6 +16,7 @@ from palpate.records.text.csv_table import (
     split_cells as split_cells,
     text_lines as text_lines,
 )
+from palpate.records.text.file_names import file_stems as file_stems
 from palpate.records.text.hdf5 import open_hdf5 as open_hdf5
 from palpate.records.text.json_file import (
     json_text as json_text,

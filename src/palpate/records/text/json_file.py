@@ -28,8 +28,17 @@ def read_json(path: Path) -> TomlTable:
     RecordError                     not there, not readable, not JSON, or no object
     """
     text = read_text(path)
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            names = [name for name, _ in pairs]
+            twin = next(name for name in names if names.count(name) > 1)
+            raise RecordError(f"{path}: has {quoted(twin)} twice in one object; keep one")
+        return found
+
     with damage(path, "write it again", what="is not valid JSON"):
-        content = json.loads(text)
+        content = json.loads(text, object_pairs_hook=unique)
     if not isinstance(content, dict):
         raise RecordError(f"{path}: is {quoted(content)}; must be an object in braces")
     return TomlTable(path, "", content)
