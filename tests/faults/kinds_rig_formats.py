@@ -52,7 +52,18 @@ def _matlab(name: str, change: dict[str, object], *says: str) -> Kind:
     return Kind(f"MATLAB: {name}", damage, ("flow", "."), ("stereo.mat", *says))
 
 
+def _yaml(name: str, text: str, *says: str) -> Kind:
+    damage = _rig("rig.yaml", lambda path: path.write_text(text))
+    return Kind(f"YAML: {name}", damage, ("check", "."), ("rig.yaml", *says))
+
+
+# Nine lists of nine values each: written out, 9^9 of them.
+_LAUGHS = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 9)
+)
 KINDS = [
+    _yaml("a billion values by aliases", _LAUGHS, "line 2: '*a0' stands for another value"),
+    _yaml("a table by an alias", "a: &a {b: 1}\nc: {<<: *a}\n", "line 2: '*a'", "write out"),
     _toml("a fisheye lens", "size", "fisheye = true\nsize", "camera '0'", "fisheye"),
     _toml("no pose", "rotation = [0.1, 0.2, 0.3]", "", "camera '0'", "no rotation"),
     _toml("a pose that is text", "[0.1, 0.2, 0.3]", '"null"', "camera '0' rotation", "numbers"),

@@ -81,7 +81,8 @@ def _plain(name: str) -> str:
 def _lines(file: CalibrationFile) -> list[str]:
     """Lines of a .caldat file, or of pyvale's YAML of the same keys."""
     if isinstance(file.content, dict):
-        return [f"{key};{value}" for key, value in file.content.items()]
+        scalars = (str, int, float)
+        return [f"{key};{x}" for key, x in file.content.items() if isinstance(x, scalars)]
     lines = file.content.splitlines() if isinstance(file.content, str) else []
     return [line for line in lines if len(line) <= _LONGEST_LINE]
 

@@ -26,7 +26,8 @@ def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
 
     Raises
     ------
-    RecordError                     not there, not text, broken XML or YAML, a key that is twice
+    RecordError                     not there, not text, broken XML or YAML, a key that is twice,
+                                    an alias
     """
     data = read_bytes(path)
     if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
@@ -49,7 +50,17 @@ def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain values, and OpenCV's matrices as tables; no key twice, no deep nesting."""
+    """Plain values, and OpenCV's matrices as tables; no key twice, no deep nesting, no aliases."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """A value; lists of aliases of lists of aliases would be a billion values."""
+        if self.check_event(yaml.AliasEvent):
+            alias = self.peek_event()
+            raise ValueError(
+                f"line {alias.start_mark.line + 1}: '*{alias.anchor}' stands for another value;"
+                " write out the value itself"
+            )
+        return super().compose_node(parent, index)
 
     def fetch_flow_collection_start(self, token: type[yaml.Token]) -> None:
         """A bracket that is opened; many open ones are no calibration."""
