@@ -1,11 +1,16 @@
 """Files that are read: regular ones of a bounded size, and messages that name what is wrong."""
 
+import math
 import os
 import stat
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from io import StringIO
+from io import BufferedIOBase, BytesIO, StringIO
 from pathlib import Path
+from typing import IO
+
+import numpy as np
 
 from palpate.errors import InputError, PalpateError, RecordError
 
@@ -121,6 +126,82 @@ def damage(
     # They raise whatever their parsing came across, and one of them ends the process.
     except (Exception, SystemExit) as error:
         raise kind(f"{path}: {what} ({_reason(error)}); {cure}") from error
+
+
+@contextmanager
+def stored_arrays(
+    path: Path, cure: str, *, what: str = "is damaged or cut off", most: int = _MOST_BYTES
+) -> Iterator[dict[str, np.ndarray]]:
+    """The arrays of an NPZ file, and messages about whatever is wrong with them within the block.
+
+    Nothing is read before the sizes are known: a few bytes can be packed gigabytes.
+
+    Parameters
+    ----------
+    path : Path
+    cure, what : str                as `damage`
+    most : int                      bytes that the arrays of such a file take at most
+
+    Yields
+    ------
+    dict of str to array            by name
+
+    Raises
+    ------
+    PalpateError                    as the block raises it
+    RecordError                     not there, no regular file, too large, no NPZ file, damaged; in
+                                    place of what the block raised
+    """
+    read_bytes(path, 0, most=most)
+    with damage(path, cure, what=what):
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            size = sum(member.file_size for member in members)
+            if size > most:
+                raise RecordError(
+                    f"{path}: its arrays take {size} bytes, more than the {most} that are read of"
+                    " such a file; is it the right one?"
+                )
+            arrays = {}
+            for member in members:
+                with archive.open(member) as packed:
+                    arrays[member.filename.removesuffix(".npy")] = _array(packed, member.file_size)
+        yield arrays
+
+
+def parse_array(content: bytes) -> np.ndarray:
+    """The array of an NPY file.
+
+    Parameters
+    ----------
+    content : bytes                 the whole file
+
+    Returns
+    -------
+    array                           of any shape, of numbers or texts
+
+    Raises
+    ------
+    ValueError                      no such file, damaged, another length than its head says
+    """
+    return _array(BytesIO(content), len(content))
+
+
+def _array(file: IO[bytes] | BufferedIOBase, size: int) -> np.ndarray:
+    """An array in NPY format of so many bytes, which are counted before memory is taken."""
+    heads = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    version = np.lib.format.read_magic(file)
+    if version not in heads:
+        raise ValueError(f"its arrays have version {version} of the format NPY")
+    shape, _, kind = heads[version](file)
+    said, held = math.prod(shape) * max(kind.itemsize, 1), size - file.tell()
+    if said != held and not kind.hasobject:
+        raise ValueError(f"an array says that it has {said} bytes, and holds {held}")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _reason(error: BaseException) -> str:

@@ -3,6 +3,7 @@
 import sqlite3
 from pathlib import Path
 
+import numpy as np
 from faults.kind import Kind, replaced, written
 from faults.kinds_files import PLACES, Damage
 from faults.kinds_values import kinds_of_values
@@ -76,6 +77,18 @@ def _without_table(folder: Path) -> None:
     (folder / "many" / "campaign.sqlite").unlink()
     with sqlite3.connect(folder / "many" / "campaign.sqlite") as table:
         table.execute("CREATE TABLE tunes (name TEXT)")
+
+
+def _packed_zeros(folder: Path) -> None:
+    """Damage: a covariance that is a few kilobytes on the disk, and 72 MB."""
+    numbers = np.zeros(3000)
+    np.savez_compressed(
+        folder / "rig_covariance.npz",
+        format="palpate-rig-covariance/1",
+        names=[f"n{k}" for k in range(len(numbers))],
+        value=numbers,
+        covariance=np.zeros((len(numbers), len(numbers))),
+    )
 
 
 _BOARD = ("calibrate", "board", "made.pdf")
@@ -188,6 +201,8 @@ KINDS = [
     _listed("cu\0be\n", "line 1", "cannot be a file"),
     _listed("cube\ncube/session.toml\n", "line 2", "already in line 1"),
     _listed("cube\n./cube/../cube, b\n", "line 2", "already in line 1"),
+    Kind("a covariance that fills the memory", _packed_zeros, (*_OBJECT, "--refine"),
+         ("rig_covariance.npz: its arrays take 72", "more than the 67108864"), "bench"),
     Kind("a table of another program", _without_table, _TABLES[0], ("campaign.sqlite",), "bench"),
     Kind("points with an underscore", written("scan/top.xyz", "0 0 0\n1_0 0 0\n0 1 0\n"), _SCAN,
          ("top.xyz", "line 2", "no row of numbers"), "bench"),

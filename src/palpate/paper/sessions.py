@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import InputError, RecordError
+from palpate.errors import InputError
+from palpate.files import stored_arrays
 from palpate.lab import LabConfig, Material, Variant, make_session
 from palpate.pipeline import FLOW_METHODS, MeasuredMotion, SessionFlow, measure_motion
 from palpate.progress import Progress, part_of, silent
@@ -242,14 +243,10 @@ def _by_map(session: Session, name: str, flow: RangeFlow) -> Points:
     if name not in known:
         raise InputError(f"there is no probing '{name}'; there are {', '.join(known)}")
     file = session.path.parent / f"truth_{name}.npz"
-    try:
-        with np.load(file, allow_pickle=False) as content:
-            pixel, moved = content["pixel"], content["U"].astype(float)
-            rows, columns = content["shape"].tolist()
-    except (OSError, ValueError, KeyError) as error:
-        raise RecordError(
-            f"{file}: cannot be read as a truth map; make the session anew with `palpate lab`"
-        ) from error
+    cure = "make the session anew with `palpate lab`"
+    with stored_arrays(file, cure, what="cannot be read as a truth map") as content:
+        pixel, moved = content["pixel"], content["U"].astype(float)
+        rows, columns = content["shape"].tolist()
     column, row = np.rint(flow.pixel).astype(int).T
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     wanted = np.where(inside, row * columns + column, -1)

@@ -18,8 +18,6 @@ forces and proportional to 1 / shear modulus.
 """
 
 import hashlib
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import PalpateError, RecordError
-from palpate.files import checked_file
+from palpate.files import stored_arrays
 from palpate.geometry import TriangleMesh
 from palpate.simulation.green_functions import GreenFunctions
 from palpate.simulation.material import Material
@@ -37,12 +35,6 @@ _ARRAYS = ("held_triangles", "nodes", "compliance", "surface", "slope", "asymmet
 _KEYS = {
     "format", "name", "vertices", "triangles", "constants", "covariance", "sha256", *_ARRAYS,
 }  # fmt: skip
-
-# What the reader of NPZ files says of damaged ones.
-_DAMAGED = (
-    OSError, ValueError, TypeError, EOFError, KeyError, OverflowError, RuntimeError,
-    zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
 
 
 def write_green_functions(path: Path, green: GreenFunctions) -> None:
@@ -89,15 +81,13 @@ def read_green_functions(path: Path | str) -> GreenFunctions:
     RecordError                     not there, no such file, of another version, damaged, or arrays
                                     that contradict each other; the text names the array
     """
-    path = checked_file(Path(path))
-    try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            content = {name: file[name] for name in file.files}
-    except _DAMAGED as error:
-        raise RecordError(
-            f"{path}: is no NPZ file, or only a part of one; make it again with"
-            " `palpate export RESULT --to npz`"
-        ) from error
+    path = Path(path)
+    cure = "make it again with `palpate export RESULT --to npz`"
+    with stored_arrays(path, cure, what="is no NPZ file, or only a part of one") as content:
+        return _green_functions(path, content)
+
+
+def _green_functions(path: Path, content: dict[str, np.ndarray]) -> GreenFunctions:
     found = str(content.get("format", ""))
     if found != GREENS_FORMAT:
         raise RecordError(f"{path}: format is '{found}'; this version reads '{GREENS_FORMAT}'")

@@ -67,3 +67,8 @@ def test_other_probings_measure_again(kept):
 def test_a_damaged_file_is_measured_again(kept, damage):
     (kept[2] / MOTION_FILE).write_bytes(damage)
     assert with_kept_motion(kept[0], kept[2]) is None
+
+
+def test_motion_without_a_sum_is_measured_again(kept):
+    (kept[2] / "contents.txt").unlink()
+    assert with_kept_motion(kept[0], kept[2]) is None

@@ -1,7 +1,6 @@
 """The surface of a fitted object, measured and predicted, as a file that any program reads."""
 
 import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from jaxtyping import Float, Int
 from palpate.disk import write_bytes
 from palpate.errors import RecordError
 from palpate.estimation import FitResult, LikelihoodMap
-from palpate.files import read_bytes
+from palpate.files import stored_arrays
 from palpate.records import Session
 from palpate.shapes import Indices, Points, Vector3
 
@@ -20,6 +19,8 @@ SURFACE_FILE = "surface.npz"
 SURFACE_FORMAT = "palpate-fitted-surface/1"
 # What it was called while the mesh of a scan bore the same name.
 _EARLIER_FORMAT = "palpate-surface/1"
+# A hundred probings of fifty thousand vertices.
+_MOST_BYTES = 2**30
 # Fields of a probing: names of its arrays, behind `NUMBER/`.
 _POINTS = ("points", "displacement", "predicted", "left_out", "sigma", "weight")
 
@@ -145,13 +146,9 @@ def read_fitted_surface(folder: Path) -> FittedSurface:
             f"{path}: is not there; was {folder} written by `palpate fit` of an earlier version?"
             " fit the session again"
         )
-    try:
-        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as kept:
-            return _surface({name: kept[name] for name in kept.files})
-    except (ValueError, KeyError, IndexError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise RecordError(
-            f"{path}: is damaged or of another version ({error}); fit the session again"
-        ) from error
+    what = "is damaged or of another version"
+    with stored_arrays(path, "fit the session again", what=what, most=_MOST_BYTES) as kept:
+        return _surface(kept)
 
 
 def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:

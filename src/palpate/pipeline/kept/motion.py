@@ -1,7 +1,6 @@
 """The motion that was measured in a session's pictures, kept in a result for the next fit."""
 
 import io
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,8 @@ import numpy as np
 from scipy.sparse import bsr_array, csr_array
 
 from palpate.disk import write_bytes
-from palpate.errors import InputError, RecordError
-from palpate.files import read_bytes
+from palpate.errors import InputError
+from palpate.files import stored_arrays
 from palpate.geometry import closest_points
 from palpate.pipeline.measure_motion import SCALE_ERROR, motion_key
 from palpate.pipeline.object_pose import PoseChoice
@@ -81,14 +80,15 @@ def with_kept_motion(session: Session, folder: Path) -> Session | None:
     """
     path = folder / MOTION_FILE
     try:
-        if not path.is_file() or MOTION_FILE in folder_changes(folder)[1]:
+        _, changed, sums = folder_changes(folder)
+        if MOTION_FILE in changed or MOTION_FILE not in sums:
             return None
-        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as kept:
+        with stored_arrays(path, "") as kept:
             found = [str(kept[name]) for name in ("format", "key")]
             if found != [MOTION_FORMAT, motion_key(session, *_HOW)]:
                 return None
-            return _with_fields(session, {name: kept[name] for name in kept.files})
-    except (InputError, RecordError, OSError, ValueError, KeyError, zipfile.BadZipFile):
+            return _with_fields(session, kept)
+    except InputError:
         # What cannot be read is measured again.
         return None
 

@@ -1,18 +1,19 @@
 """How well a rig is known: `rig_covariance.npz` beside `rig.toml`."""
 
 import os
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from palpate.files import damage, read_bytes
+from palpate.files import stored_arrays
 from palpate.records.rig import RigCovariance
 
 COVARIANCE_FORMAT = "palpate-rig-covariance/1"
 _FILE = "rig_covariance.npz"
+# Three thousand numbers of a rig and how they hang together; four cameras have eighty.
+_MOST_BYTES = 2**26
 _CURE = "calibrate again, or remove it: then lengths are known as [errors] says"
 
 
@@ -66,14 +67,11 @@ def read_rig_covariance(path: Path) -> RigCovariance:
 
     Raises
     ------
-    RecordError                     not there, not readable, damaged, of another format
+    RecordError                     not there, not readable, damaged, too large, of another format
     CalibrationError                contradictory
     """
-    content = read_bytes(path)
-    with (
-        damage(path, _CURE, what="cannot be read as the covariance of a rig"),
-        np.load(BytesIO(content), allow_pickle=False) as stored,
-    ):
+    what = "cannot be read as the covariance of a rig"
+    with stored_arrays(path, _CURE, what=what, most=_MOST_BYTES) as stored:
         form = str(stored["format"])
         if form != COVARIANCE_FORMAT:
             raise ValueError(f"its format is {form!r}, not '{COVARIANCE_FORMAT}'")

@@ -1,6 +1,5 @@
 """Depth maps of RGB-D cameras and range scanners."""
 
-from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -8,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.files import damage, read_bytes
+from palpate.files import damage, parse_array, read_bytes
 from palpate.records import Camera
 from palpate.shapes import Points
 from palpate.vision import normalised
@@ -71,8 +70,9 @@ def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Poin
 def _levels(path: Path) -> Float[np.ndarray, "rows columns"]:
     content = read_bytes(path, most=_MOST_BYTES)
     with damage(path, "write it again", what="cannot be read as a depth map"):
+        levels: np.ndarray | None
         if path.suffix.lower() == ".npy":
-            levels = np.load(BytesIO(content), allow_pickle=False)
+            levels = parse_array(content)
         else:
             levels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
         if levels is None or levels.ndim != 2:

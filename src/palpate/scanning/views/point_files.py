@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.files import damage, read_bytes
+from palpate.files import damage, parse_array, read_bytes
 from palpate.optional_imports import late_import
 from palpate.shapes import Points
 
@@ -72,7 +72,7 @@ def _read(path: Path, content: bytes, suffix: str) -> np.ndarray:
     if suffix == ".e57":
         return _e57(path)
     if suffix == ".npy":
-        return np.load(BytesIO(content), allow_pickle=False)
+        return parse_array(content)
     if suffix == ".pcd":
         return _pcd(content)
     if suffix == ".ply":
