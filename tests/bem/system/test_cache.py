@@ -9,6 +9,7 @@ from surfaces import sphere
 from palpate.bem import Quadrature, SurfaceSettings, cached_system, make_surface
 from palpate.bem.system import cache as module
 from palpate.bem.system.cache import content_hash
+from palpate.bem.system.system import assemble_system
 from palpate.errors import InputError, RecordError
 
 
@@ -35,12 +36,61 @@ def test_the_second_time_it_is_read(surface, tmp_path, monkeypatch):
     assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
 
 
-def test_a_broken_file_is_computed_anew(surface, tmp_path):
+def _emptied(path):
+    path.write_bytes(b"")
+
+
+def _cut_off(path):
+    path.write_bytes(path.read_bytes()[:1000])
+
+
+def _packed(change):
+    """Damage: the arrays are others, in a file that is whole."""
+
+    def damage(path):
+        with np.load(path) as stored:
+            arrays = dict(stored)
+        np.savez(path, **{name: change(name, array) for name, array in arrays.items()})
+
+    return damage
+
+
+def _values(change):
+    return _packed(lambda name, array: change(array) if name == "traction_values" else array)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        _emptied,
+        _cut_off,
+        _values(lambda array: array[:1]),
+        _values(lambda array: np.full_like(array, np.nan)),
+        _values(lambda array: 1.1 * array),
+        _packed(lambda name, array: array[:1] if array.ndim else array),
+        _packed(lambda name, array: np.array("") if name == "sha256" else array),
+    ],
+)
+def test_a_file_that_is_not_as_it_was_written_is_computed_anew(surface, tmp_path, damage):
     computed = cached_system(surface, tmp_path)
     (path,) = tmp_path.iterdir()
-    path.write_bytes(path.read_bytes()[:1000])
+    damage(path)
     again = cached_system(surface, tmp_path)
     np.testing.assert_array_equal(again.traction_kernel.values, computed.traction_kernel.values)
+    # And kept in its place.
+    with np.load(path) as stored:
+        values = stored["traction_values"]
+    np.testing.assert_array_equal(values, computed.traction_kernel.values)
+
+
+def test_integrals_of_another_surface_are_computed_anew(surface, tmp_path):
+    mesh = surface.mesh
+    other = make_surface(mesh, low_part(mesh), settings=SurfaceSettings(smooth=False))
+    cached_system(other, tmp_path)
+    (path,) = tmp_path.iterdir()
+    path.rename(tmp_path / f"system-{content_hash(surface, Quadrature())}.npz")
+    values = cached_system(surface, tmp_path).traction_kernel.values
+    np.testing.assert_array_equal(values, assemble_system(surface).traction_kernel.values)
 
 
 def test_all_that_matters_changes_the_hash(surface):

@@ -5,7 +5,6 @@ anew in a second or two.
 """
 
 import hashlib
-import zipfile
 from contextlib import suppress
 from dataclasses import astuple
 from pathlib import Path
@@ -18,10 +17,11 @@ from palpate.bem.system.boundary import find_unknowns, place_collocation
 from palpate.bem.system.system import BoundarySystem, assemble_system
 from palpate.disk import placed
 from palpate.errors import InputError, InUseError, RecordError
-from palpate.files import checked_file
+from palpate.files import stored_arrays
+from palpate.parts import content_digest
 
 # Raised by whoever changes what is stored or how it is computed.
-_FORMAT = 2
+_FORMAT = 3
 _KERNELS = ("traction", "displacement")
 
 
@@ -84,17 +84,20 @@ def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
 
 
 def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
-    """The system in a file, or None where there is none that can be read."""
+    """The system in a file, or None where there is none that is as it was written."""
     try:
-        with checked_file(path).open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            kernels = [(stored[f"{name}_values"], stored[f"{name}_rows"]) for name in _KERNELS]
+        with stored_arrays(path, "") as stored:
+            if str(stored.pop("sha256")) != _digest(path, stored):
+                return None
     # What is there and is no file is said when the system is kept in its place.
-    except (RecordError, OSError, ValueError, KeyError, zipfile.BadZipFile):
+    except RecordError:
         return None
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
     count = collocation.point.shape[0]
-    traction, displacement = (FieldBlocks(values, rows, count) for values, rows in kernels)
+    traction, displacement = (
+        FieldBlocks(stored[f"{name}_values"], stored[f"{name}_rows"], count) for name in _KERNELS
+    )
     return BoundarySystem(surface, unknowns, collocation, traction, displacement)
 
 
@@ -106,4 +109,9 @@ def _write(path: Path, system: BoundarySystem) -> None:
     for name, kernel in zip(_KERNELS, blocks, strict=True):
         arrays |= {f"{name}_values": kernel.values, f"{name}_rows": kernel.rows}
     with suppress(InUseError), placed([path]) as (staged,), staged.open("wb") as file:
-        np.savez(file, **arrays)
+        np.savez(file, **arrays, sha256=np.array(_digest(path, arrays)))
+
+
+def _digest(path: Path, arrays: dict[str, Any]) -> str:
+    """Sum over the arrays and the name of their file, which says what they were computed from."""
+    return content_digest((path.name, arrays))
