@@ -3,6 +3,7 @@
 import sqlite3
 from pathlib import Path
 
+import cv2
 import numpy as np
 from faults.kind import Kind, replaced, written
 from faults.kinds_files import PLACES, Damage
@@ -89,6 +90,13 @@ def _packed_zeros(folder: Path) -> None:
         value=numbers,
         covariance=np.zeros((len(numbers), len(numbers))),
     )
+
+
+def _three_pictures(folder: Path) -> None:
+    """Damage: a TIFF of three pages."""
+    grey = cv2.imread(str(folder / "boards" / "c0" / "01.png"))
+    _, pages = cv2.imencodemulti(".tif", [grey] * 3)
+    (folder / "boards" / "c0" / "01.png").write_bytes(pages.tobytes())
 
 
 _BOARD = ("calibrate", "board", "made.pdf")
@@ -203,6 +211,8 @@ KINDS = [
     _listed("cube\n./cube/../cube, b\n", "line 2", "already in line 1"),
     Kind("a covariance that fills the memory", _packed_zeros, (*_OBJECT, "--refine"),
          ("rig_covariance.npz: its arrays take 72", "more than the 67108864"), "bench"),
+    Kind("three pictures in one file", _three_pictures, _CHESSBOARD,
+         ("01.png: holds 3 pictures; give each a file of its own",), "bench"),
     Kind("a table of another program", _without_table, _TABLES[0], ("campaign.sqlite",), "bench"),
     Kind("points with an underscore", written("scan/top.xyz", "0 0 0\n1_0 0 0\n0 1 0\n"), _SCAN,
          ("top.xyz", "line 2", "no row of numbers"), "bench"),

@@ -10,7 +10,7 @@ import pytest
 
 from palpate.errors import CalibrationError, RecordError
 from palpate.records import Camera, Rig
-from palpate.vision.images import pictures
+from palpate.vision.images import pictures, read_grey
 from palpate.vision.images.decoder import decode_picture
 
 GREY = np.random.default_rng(0).integers(3, 253, (12, 20), dtype=np.uint8)
@@ -146,12 +146,31 @@ def test_an_orientation_tag_does_not_turn_the_picture(written):
     np.testing.assert_array_equal(*seen.grey)
 
 
-def test_the_first_of_several_pages_is_used_and_it_is_said(written):
-    done, both = cv2.imencodemulti(".tif", [GREY, GREY[::-1]])
+def _pages(count):
+    done, pages = cv2.imencodemulti(".tif", [GREY, GREY[::-1], GREY[:, ::-1]][:count])
     assert done
-    seen = written(both.tobytes(), suffix=".tif")
+    return pages.tobytes()
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_file_of_several_pictures_is_refused(written, tmp_path, count):
+    said = rf"tif: holds {count} pictures; give each a file of its own"
+    with pytest.raises(RecordError, match=f"camera 'c0': .*{said}"):
+        written(_pages(count), suffix=".tif")
+    (tmp_path / "one.tif").write_bytes(_pages(count))
+    with pytest.raises(RecordError, match=said):
+        read_grey(tmp_path / "one.tif")
+
+
+def test_a_smaller_copy_beside_a_picture_is_left_aside(written):
+    """The tag that says what the second picture is for, as `imencodemulti` writes it."""
+    content = bytearray(_pages(2))
+    purpose = struct.pack("<HHII", 254, 4, 1, 2)
+    assert content.count(purpose) == 2
+    place = content.rindex(purpose)
+    content[place : place + 12] = struct.pack("<HHII", 254, 4, 1, 1)
+    seen = written(bytes(content), suffix=".tif")
     np.testing.assert_array_equal(seen.grey[0], GREY)
-    assert "the file holds more pictures; the first was used" in _note(seen)
 
 
 def test_any_size_will_do_where_the_rig_does_not_say(written):
@@ -185,7 +204,7 @@ def test_a_file_cut_off_anywhere_is_refused(written, kind, capfd):
     for end in range(len(content)):
         with pytest.raises(RecordError, match=r"is (empty|none of|cut off)"):
             decode_picture(content[:end])
-    assert decode_picture(content)[0].shape[:2] == GREY.shape
+    assert decode_picture(content).shape[:2] == GREY.shape
     for share in (0.3, 0.5, 0.99):
         _refused(written, "cut off", content[: int(share * len(content))])
     captured = capfd.readouterr()
@@ -234,7 +253,7 @@ def test_the_old_header_of_a_bmp_is_known(written):
     content = b"BM" + struct.pack("<IHHI", 26 + 720, 0, 0, 26) + head + colour[::-1].tobytes()
     # OpenCV makes the colours of this header grey by itself, in whole levels.
     luminance = colour @ [0.114, 0.587, 0.299]
-    np.testing.assert_allclose(decode_picture(content)[0], luminance, atol=0.51)
+    np.testing.assert_allclose(decode_picture(content), luminance, atol=0.51)
     _refused(written, "cut off", content[:-1])
 
 
@@ -293,9 +312,7 @@ def test_decoding_works_without_an_error_stream(monkeypatch):
         raise OSError(9, "Bad file descriptor")
 
     monkeypatch.setattr(os, "dup", closed)
-    pixels, several = decode_picture(_encoded(GREY))
-    np.testing.assert_array_equal(pixels, GREY)
-    assert not several
+    np.testing.assert_array_equal(decode_picture(_encoded(GREY)), GREY)
 
 
 def test_what_cannot_be_read_is_refused(written, tmp_path):
@@ -381,6 +398,6 @@ def test_grey_levels_that_are_not_finite_are_refused(written):
 
 def test_other_types_of_grey_levels_are_refused(written, monkeypatch):
     _refused(written, "grey levels of type int32", _encoded(GREY.astype(np.int32), ".tif"))
-    monkeypatch.setattr(pictures, "decode_picture", lambda _content: (np.dstack([GREY] * 2), False))
+    monkeypatch.setattr(pictures, "decode_picture", lambda _content: np.dstack([GREY] * 2))
     with pytest.raises(RecordError, match=r"camera 'c0': .* has 2 channels; must be grey, RGB or"):
         written(_encoded(GREY))

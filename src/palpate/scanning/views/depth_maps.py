@@ -10,7 +10,7 @@ from palpate.errors import RecordError
 from palpate.files import damage, parse_array, read_bytes
 from palpate.records import Camera
 from palpate.shapes import Points
-from palpate.vision import normalised
+from palpate.vision import normalised, picture_count
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 _MOST_BYTES = 2**28
@@ -73,6 +73,8 @@ def _levels(path: Path) -> Float[np.ndarray, "rows columns"]:
         levels: np.ndarray | None
         if path.suffix.lower() == ".npy":
             levels = parse_array(content)
+        elif (count := picture_count(content)) > 1:
+            raise ValueError(f"it holds {count} pictures; give each a file of its own")
         else:
             levels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
         if levels is None or levels.ndim != 2:

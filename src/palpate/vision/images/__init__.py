@@ -23,6 +23,7 @@ from palpate.vision.images.normalisation import (
     moments as moments,
     point_spread as point_spread,
 )
+from palpate.vision.images.picture_size import picture_count as picture_count
 from palpate.vision.images.pictures import (
     Pictures as Pictures,
     read_grey as read_grey,

@@ -10,14 +10,14 @@ import os
 import re
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 import cv2
 import numpy as np
 
 from palpate.errors import RecordError
-from palpate.vision.images.picture_size import BMP, JPEG, PNG, TIFF
+from palpate.vision.images.picture_size import BMP, JPEG, PNG, TIFF, picture_count
 
 PICTURE_KINDS = "PNG, JPEG, TIFF or BMP"
 # Start of the coded data of a JPEG's last scan, and end of its picture.
@@ -32,8 +32,8 @@ _DAMAGE = re.compile(r"Corrupt JPEG|[Pp]remature end|ERROR|error")
 _SOURCE = re.compile(r"^\[.*?\] global \S+ ")
 
 
-def decode_picture(content: bytes) -> tuple[np.ndarray, bool]:
-    """Pixels of the first picture of a file as they are stored: not converted, not turned.
+def decode_picture(content: bytes) -> np.ndarray:
+    """Pixels of a file as they are stored: not converted, not turned.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ def decode_picture(content: bytes) -> tuple[np.ndarray, bool]:
 
     Returns
     -------
-    pixels : array                  (rows, columns) or (rows, columns, channels) with the channels
+    array                           (rows, columns) or (rows, columns, channels) with the channels
                                     blue, green, red, alpha
-    several : bool                  the file, a TIFF, holds more pictures
 
     Raises
     ------
-    RecordError                     the file is empty, of another kind, cut off or damaged; the text
-                                    is the end of a sentence that begins with the file's name
+    RecordError                     the file is empty, of another kind, cut off or damaged, or a
+                                    TIFF with several pictures; the text is the end of a sentence
+                                    that begins with the file's name
     """
     if not content:
         raise RecordError("is empty; copy or record it again")
@@ -56,24 +56,23 @@ def decode_picture(content: bytes) -> tuple[np.ndarray, bool]:
         raise RecordError(
             f"is none of {PICTURE_KINDS} (it starts with {content[:8]!r}); copy or record it again"
         )
-    pictures: Sequence[np.ndarray] = ()
+    if (count := picture_count(content)) > 1:
+        raise RecordError(f"holds {count} pictures; give each a file of its own")
+    pixels = None
     buffer = np.frombuffer(content, dtype=np.uint8)
     with _codec_messages() as messages, suppress(cv2.error):
-        if content.startswith(TIFF):
-            _, pictures = cv2.imdecodemulti(buffer, cv2.IMREAD_UNCHANGED, range=(0, 2))
-        elif (pixels := cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)) is not None:
-            pictures = (pixels,)
+        pixels = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     damage = [_SOURCE.sub("", line.strip()) for line in messages if _DAMAGE.search(line)]
     # In the coded data 0xFF is never followed by 0xD9.
     if content.startswith(JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
         damage.insert(0, "it has no end-of-image marker")
-    if damage or not pictures:
+    if damage or pixels is None:
         said = f" ({damage[0]})" if damage else ""
         raise RecordError(
             f"is cut off or damaged, or of a kind that cannot be decoded{said}; it has"
             f" {len(content)} bytes: copy or record it again"
         )
-    return pictures[0], len(pictures) > 1
+    return pixels
 
 
 @contextmanager

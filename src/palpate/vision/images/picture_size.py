@@ -1,13 +1,17 @@
-"""Size that a picture file says it has, read before any of its pixels is decoded."""
+"""Size and number of pictures that a file says it has, read before any pixel is decoded."""
 
 import struct
+from collections.abc import Iterator
+from contextlib import suppress
 
 PNG, JPEG, BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
 # Both byte orders, each plain and large.
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Markers of JPEG that begin a frame: 0xC0 to 0xCF but for tables and arithmetic coding's settings.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_WIDTH, _HEIGHT = 256, 257
+_WIDTH, _HEIGHT, _PURPOSE = 256, 257, 254
+# Purposes of pictures that come with another one: a smaller copy, a mask.
+_COMPANION = 1 | 4
 # Bytes of a number of each of TIFF's types that a size may have: SHORT, LONG, LONG8.
 _FORMATS = {3: "H", 4: "I", 16: "Q"}
 
@@ -37,10 +41,31 @@ def claimed_size(content: bytes) -> tuple[int, int] | None:
             columns, rows = struct.unpack_from("<HH" if old else "<ii", content, 18)
             return abs(columns), abs(rows)
         if content.startswith(TIFF):
-            return _tiff_size(content)
+            first = next(_tiff_directories(content), {})
+            return (first[_WIDTH], first[_HEIGHT]) if {_WIDTH, _HEIGHT} <= set(first) else None
         return _jpeg_size(content) if content.startswith(JPEG) else None
     except struct.error:
         return None
+
+
+def picture_count(content: bytes) -> int:
+    """Pictures in a file; smaller copies and masks of one in a TIFF do not count.
+
+    Parameters
+    ----------
+    content : bytes                 the whole file
+
+    Returns
+    -------
+    int                             1 for all but TIFF; of a TIFF that is cut off, those before it
+    """
+    if not content.startswith(TIFF):
+        return 1
+    count = 0
+    with suppress(struct.error):
+        for found in _tiff_directories(content):
+            count += not found.get(_PURPOSE, 0) & _COMPANION
+    return count
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:
@@ -57,17 +82,22 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
         place += 1 if kind == 0xFF else 2 + length
 
 
-def _tiff_size(content: bytes) -> tuple[int, int] | None:
-    """From the first directory."""
+def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
+    """What each directory of a TIFF says of its picture: size and purpose."""
     order = "<" if content.startswith(b"II") else ">"
     large = content[2:4] in (b"+\0", b"\0+")
     head, count, entry, value = ("Q", "Q", 20, 12) if large else ("I", "H", 12, 8)
     (place,) = struct.unpack_from(order + head, content, 8 if large else 4)
-    (entries,) = struct.unpack_from(order + count, content, place)
-    place += struct.calcsize(order + count)
-    found = {}
-    for start in range(place, place + entry * min(entries, 4096), entry):
-        tag, kind = struct.unpack_from(order + "HH", content, start)
-        if tag in (_WIDTH, _HEIGHT) and kind in _FORMATS:
-            (found[tag],) = struct.unpack_from(order + _FORMATS[kind], content, start + value)
-    return (found[_WIDTH], found[_HEIGHT]) if len(found) == 2 else None
+    seen = set()
+    while place and place not in seen:
+        seen.add(place)
+        (entries,) = struct.unpack_from(order + count, content, place)
+        start = place + struct.calcsize(order + count)
+        found = {}
+        for k in range(min(entries, 4096)):
+            tag, kind = struct.unpack_from(order + "HH", content, start + k * entry)
+            if tag in (_WIDTH, _HEIGHT, _PURPOSE) and kind in _FORMATS:
+                number = order + _FORMATS[kind]
+                (found[tag],) = struct.unpack_from(number, content, start + k * entry + value)
+        yield found
+        (place,) = struct.unpack_from(order + head, content, start + entries * entry)

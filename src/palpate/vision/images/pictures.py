@@ -68,7 +68,8 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
     Raises
     ------
     RecordError                     a file that is missing, cut off, damaged, of another kind, not
-                                    finite, or the same grey everywhere; no `{camera}`
+                                    finite, of several pictures, or the same grey everywhere; no
+                                    `{camera}`
     CalibrationError                a picture of another size than its camera's
     """
     if CAMERA_FIELD not in pattern and len(rig.cameras) > 1:
@@ -124,10 +125,8 @@ def _read_picture(
     camera: Camera, path: Path, place: str
 ) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
     """Grey levels, saturated share and remarks of one file."""
-    stored, several, place = _stored(path, place, camera)
+    stored, place = _stored(path, place, camera)
     levels, remarks = _grey_levels(stored, place)
-    if several:
-        remarks.append("the file holds more pictures; the first was used")
     return levels, _saturated_share(stored), remarks
 
 
@@ -144,14 +143,15 @@ def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
 
     Raises
     ------
-    RecordError                     missing, damaged, of another kind, not finite, of one grey
+    RecordError                     missing, damaged, of another kind, not finite, of one grey,
+                                    several pictures
     """
-    stored, _, place = _stored(path, "picture", None)
+    stored, place = _stored(path, "picture", None)
     return _grey_levels(stored, place)[0]
 
 
-def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, bool, str]:
-    """Pixels of a file as they are stored, whether it holds more pictures, and its place."""
+def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, str]:
+    """Pixels of a file as they are stored, and its place."""
     try:
         content = read_bytes(path)
     except RecordError as error:
@@ -160,11 +160,11 @@ def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, 
     if size := claimed_size(content):
         _check_size(camera, size, place)
     try:
-        stored, several = decode_picture(content)
+        stored = decode_picture(content)
     except RecordError as error:
         raise RecordError(f"{place}: {error}") from error
     _check_size(camera, (stored.shape[1], stored.shape[0]), place)
-    return stored, several, place
+    return stored, place
 
 
 def _check_size(camera: Camera | None, size: tuple[int, int], place: str) -> None:
