@@ -18,6 +18,8 @@ from palpate.errors import RecordError
 from palpate.files import read_bytes
 
 T = TypeVar("T")
+# Bytes of the sum that stands before a part.
+_SUM = 32
 # How numpy puts arrays together again.
 _NUMPY = ("_reconstruct", "_frombuffer", "scalar", "ndarray", "dtype")
 
@@ -61,7 +63,7 @@ class Parts:
             # A disk that has room for the result only is no reason to end without one.
             with suppress(OSError, RecordError):
                 self.folder.mkdir(exist_ok=True)
-                write_bytes(path, content.getvalue())
+                write_bytes(path, _sum(content.getvalue()) + content.getvalue())
         part: T = found[0]
         return part
 
@@ -139,10 +141,18 @@ class _Reader(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is nothing that a part is made of")
 
 
+def _sum(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()
+
+
 def _read(path: Path, known: Mapping[str, Any]) -> tuple[Any] | None:
-    """A part in a file, or None where there is none that can be read."""
+    """A part in a file, or None where there is none that is as it was written."""
     try:
-        found = _Reader(io.BytesIO(read_bytes(path)), known).load()
+        stored = read_bytes(path)
+        content = stored[_SUM:]
+        if stored[:_SUM] != _sum(content):
+            return None
+        found = _Reader(io.BytesIO(content), known).load()
     except (RecordError, ValueError, LookupError, TypeError, AttributeError, ImportError, EOFError,
             pickle.UnpicklingError):  # fmt: skip
         return None

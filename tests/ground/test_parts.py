@@ -1,5 +1,6 @@
 """Parts of long work are read as they were made, and only by the work that made them."""
 
+import hashlib
 import os
 import pickle
 from dataclasses import dataclass
@@ -56,7 +57,17 @@ def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
         def __reduce__(self):
             return (exec, ("raise SystemExit",))
 
-    for bad in (b"", content[:-10], content[: len(content) // 2], pickle.dumps((Evil(),))):
+    evil = pickle.dumps((Evil(),))
+    changed = content.replace(np.float64(0.1).tobytes(), np.float64(0.2).tobytes())
+    assert changed != content
+    for bad in (
+        b"",
+        content[:-10],
+        content[: len(content) // 2],
+        changed,
+        evil,
+        hashlib.sha256(evil).digest() + evil,
+    ):
         file.write_bytes(bad)
         assert store.kept("one", lambda: "new") == "new"
 
