@@ -64,6 +64,9 @@ KINDS = [
         for text in ("f 1 2", "f 1", "f", "vv 1 2 3", "face 1 2 3", "v 1 2", "1 2 3", "f 1/ 2/ x")
     ),
     _mesh("cube.obj", _line("f 1 2 999"), "the face names vertex 999, of"),
+    _mesh("cube.off", _line("3 0 1 2"), "it says that it has 74 rows, and holds 75"),
+    _mesh("cube.off", _line("hello"), "it says that it has 74 rows, and holds 75"),
+    _mesh("cube.off", _without(3), "it says that it has 74 rows, and holds 71"),
     _mesh("text.ply", _without(1), "rows, and holds"),
     _mesh("text.ply", _without(30), "rows, and holds "),
     _mesh("text.ply", _line("3 0 1 2"), "it says that it has"),
