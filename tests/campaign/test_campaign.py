@@ -56,8 +56,8 @@ def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
     assert float(read[1]["young_modulus"]) == rows[1].young_modulus
     results = sorted((folder / "results").iterdir())
     found = [one for path in results for one in verify_result(path)]
-    # Estimate, surface, notes, list of inputs; session, mesh and displacements.
-    assert len(found) == 2 * (4 + 3)
+    # Estimate, surface, list of inputs; session, mesh and displacements.
+    assert len(found) == 2 * (3 + 3)
     assert all(one.is_whole for one in found)
 
     # What is done is not done again, even where the table is lost; what failed is tried again.

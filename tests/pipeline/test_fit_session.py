@@ -154,11 +154,12 @@ def test_settings_are_kept_with_the_result(session: Session, result: FitResult) 
     assert result.estimate.settings["poisson_range"] == (0.0, 0.4999)
     assert result.estimate.settings["surface"]["smooth"] is True
     narrow = fit_session(
-        session,
+        replace(session, notes=("Told by the session.",)),
         settings=FitSettings(poisson_range=(0.0, 0.25)),
         surface=SurfaceSettings(smooth=False),
     ).estimate
     assert narrow.settings["surface"]["smooth"] is False
+    assert "Told by the session." in narrow.notes
     assert narrow.poisson_ratio.ci95[1] == pytest.approx(0.25)
 
 

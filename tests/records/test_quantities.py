@@ -3,8 +3,17 @@
 import math
 
 import pytest
+from estimate_samples import constants
 
-from palpate.records import BudgetEntry, Constant, ErrorEstimate
+from palpate.records import (
+    BIASED,
+    CONSTANT_NAMES,
+    BudgetEntry,
+    Constant,
+    ErrorEstimate,
+    Estimate,
+    Status,
+)
 from palpate.records.quantities import (
     FILE_LENGTH_UNITS,
     LENGTH_UNITS,
@@ -15,6 +24,7 @@ from palpate.records.quantities import (
     length_unit,
     modulus_unit,
     unit_name,
+    verdict_text,
 )
 
 
@@ -94,3 +104,14 @@ def test_a_budget_names_what_counts():
     assert budget_text(budget, "young_modulus") == "gain 1 %, noise 0.4 %"
     assert budget_text(budget, "poisson_ratio") == "noise 0.003, mesh 0.002"
     assert budget_text(budget, "shear_modulus") == budget_text([], "young_modulus") == ""
+
+
+def test_a_verdict_says_that_the_estimate_is_biased():
+    notes = ("A note.", f"Probing a: pressed far; {BIASED}.", f"Probing b: too; {BIASED}.")
+    known = dict.fromkeys(CONSTANT_NAMES, True)
+    estimate = Estimate(Status.OK, **constants(), identifiable=known, probes=(), seconds={},
+                        method="reduced", settings={}, notes=notes)  # fmt: skip
+    text = verdict_text(estimate)
+    assert text.startswith("All three constants are determined by the data. E = 60.0 kPa")
+    assert f"(95 % intervals in brackets). {notes[1]} The notes say so 2 times." in text
+    assert "A note" not in text

@@ -12,7 +12,7 @@ from typing import Any
 from palpate.campaign.items import CampaignItem
 from palpate.campaign.package import Package, check_package
 from palpate.campaign.rows import COLUMNS, Row, constants_of
-from palpate.campaign.work import ESTIMATE_FILE, LOG_FILE, Outcome, Work
+from palpate.campaign.work import ESTIMATE_FILE, Outcome, Work
 from palpate.disk import write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
@@ -22,7 +22,6 @@ from palpate.records import (
     disk_errors,
     folder_changes,
     read_estimate,
-    read_text,
     result_folder,
     sums_text,
     write_text,
@@ -197,7 +196,7 @@ class Store:
         folder = self.result(work)
         estimate = read_estimate(folder / ESTIMATE_FILE)
         constants: dict[str, Any] = constants_of(estimate)
-        notes = " ".join([*read_text(folder / LOG_FILE).splitlines(), *estimate.notes])
+        notes = " ".join(estimate.notes)
         return replace(head, state="done", status=estimate.status.value, message=notes, **constants)
 
     def _motion_file(self, work: Work) -> Path:

@@ -36,10 +36,9 @@ from palpate.records import (
     require_probings,
     result_folder,
     write_estimate,
-    write_text,
 )
 
-ESTIMATE_FILE, LOG_FILE = "estimate.json", "log.txt"
+ESTIMATE_FILE = "estimate.json"
 # Integrals of bodies that a worker keeps [bytes]; the ones used longest ago go first.
 _MOST_KEPT = 4 * 2**30
 
@@ -198,7 +197,6 @@ def _fit(work: Work, session: Session, result: Path, own: Path, bodies: Path | N
     notes = tuple(_as_at_home(note, work, own) for note in found.estimate.notes)
     # How long it took is no part of the result; the table has it.
     write_estimate(result / ESTIMATE_FILE, replace(found.estimate, notes=notes, seconds={}))
-    write_text(result / LOG_FILE, "\n".join([*session.notes, ""]))
     # Holds the residuals too: few files are kept sooner than many.
     write_fitted_surface(result, session, found)
     if bodies is not None:

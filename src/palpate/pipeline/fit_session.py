@@ -37,6 +37,7 @@ from palpate.pipeline.observations import (
 from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
+    BIASED,
     ProbeEstimate,
     Session,
     SupportEstimate,
@@ -118,7 +119,13 @@ def fit_session(
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(*result.estimate.notes, *_notes(session, resolved, probes)),
+        notes=(
+            *result.estimate.notes,
+            *_session_notes(session, finite_strain),
+            *_turn_notes(probes),
+            *_touch_notes(resolved),
+            *_rejection_notes(session),
+        ),
         seconds=seconds,
         settings={
             **result.estimate.settings,
@@ -131,9 +138,9 @@ def fit_session(
     return replace(result, estimate=estimate, probes=_on_given_mesh(result.probes, session))
 
 
-def _notes(session: Session, resolved: Session, probes: Sequence[ProbeEstimate]) -> tuple[str, ...]:
-    """What the model and the pictures have to say beside the estimate."""
-    return (*_turn_notes(probes), *_touch_notes(resolved), *_rejection_notes(session))
+def _session_notes(session: Session, finite_strain: bool) -> list[str]:
+    """The session's own notes; what is corrected for does not make an estimate biased."""
+    return [note for note in session.notes if not (finite_strain and BIASED in note)]
 
 
 def _described(session: Session, resolved: Session, graded: Session) -> dict[str, Any]:

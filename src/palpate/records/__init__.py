@@ -27,6 +27,7 @@ from palpate.records.contact import (
 )
 from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
+    BIASED as BIASED,
     CONSTANT_NAMES as CONSTANT_NAMES,
     IMPOSSIBLE as IMPOSSIBLE,
     SURPRISING as SURPRISING,

@@ -15,6 +15,8 @@ _EXACT = 1e-12
 SURPRISING = 3.0
 # The same: chance leads so far in one of two million, so that the model contradicts the session.
 IMPOSSIBLE = 5.0
+# What notes say of data that lead every constant astray; a verdict quotes such notes.
+BIASED = "the estimate will be biased"
 CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from palpate.records.estimate import BudgetEntry, Constant, ErrorEstimate, Estimate
+from palpate.records.estimate import BIASED, BudgetEntry, Constant, ErrorEstimate, Estimate
 
 # Metres in each unit that a file or a command may name.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
@@ -168,7 +168,8 @@ def verdict_text(estimate: Estimate) -> str:
     Returns
     -------
     str                             begins with what the status means; then the constants that are
-                                    determined, with their intervals
+                                    determined, with their intervals; then the first of the notes
+                                    that call it biased
     """
     sentence = estimate.status.sentence
     known = []
@@ -178,8 +179,14 @@ def verdict_text(estimate: Estimate) -> str:
             factor, _ = constant_unit(name, getattr(estimate, name).value)
             value = value_text(getattr(estimate, name), factor=factor)
             known.append(f"{symbol} = {value}{unit and ' ' + unit} ({interval})")
-    tail = f" {', '.join(known)}, in brackets the 95 % interval." if known else ""
-    return f"{sentence[0].upper()}{sentence[1:]}.{tail}"
+    said = [f"{sentence[0].upper()}{sentence[1:]}."]
+    if known:
+        said.append(f"{', '.join(known)} (95 % intervals in brackets).")
+    biased = [note for note in estimate.notes if BIASED in note]
+    said += biased[:1]
+    if len(biased) > 1:
+        said.append(f"The notes say so {len(biased)} times.")
+    return " ".join(said)
 
 
 def constant_unit(name: str, value: float) -> tuple[float, str]:

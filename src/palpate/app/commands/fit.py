@@ -169,7 +169,7 @@ def _write(
     if measured is not given:
         keep_motion(folder, given, measured)
     write_result_files(folder, measured, result)
-    write_text(folder / "log.txt", "\n".join([*log.lines, *measured.notes, ""]))
+    write_text(folder / "log.txt", "\n".join([*log.lines, ""]))
     write_report(folder, folder / REPORT_FILE)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from palpate.geometry import TriangleMesh, triangle_distances, unit_normals
 from palpate.records.checks.loads import UNIT_HINT, largest_displacement, modulus_range, pascals
+from palpate.records.estimate import BIASED
 from palpate.records.large_turn import LARGE_TURN, whole_turn
 from palpate.records.probing import Probing, observed_rows
 from palpate.shapes import Vector3
@@ -45,7 +46,7 @@ def probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str
     elif largest > 0.1 * size:
         notes.append(
             f"the largest displacement is {100.0 * largest / size:.0f} % of the object's size,"
-            " outside small deformation; the estimate will be biased: press less."
+            f" outside small deformation; {BIASED}: press less, or fit with --strain finite."
         )
     if probing.displacement is not None:
         seen = observed_rows(probing.displacement)
