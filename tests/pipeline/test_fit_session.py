@@ -177,7 +177,7 @@ def test_progress_rises_to_one(session: Session) -> None:
     fit_session(session, progress=lambda text, share: told.append((text, share)))
     shares = [share for _, share in told]
     assert shares == sorted(shares)
-    assert (shares[0], told[-1]) == (0.0, ("done", 1.0))
+    assert (shares[0], told[-1]) == (0.0, ("fit done", 1.0))
     assert dict(told)["tabulation"] == pytest.approx(0.8)
     assert dict(told)["validation"] == pytest.approx(0.99)
 

@@ -5,6 +5,7 @@ Nothing heavy is imported here: it is decided before a command is loaded.
 
 import json
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -22,11 +23,14 @@ class Output:
     ----------
     json : bool                     all tables and sentences as one JSON document
     verbose : bool                  every stage of long work as a line of its own, with its time
+    start : float [s]               of the command, as `time.perf_counter` has it: before what it
+                                    needs is loaded
     tables, sentences : list        what was printed so far, where it becomes a document
     """
 
     json: bool = False
     verbose: bool = False
+    start: float = field(default_factory=time.perf_counter)
     tables: list[dict[str, Any]] = field(default_factory=list)
     sentences: list[str] = field(default_factory=list)
 

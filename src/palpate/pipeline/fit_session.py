@@ -114,18 +114,12 @@ def fit_session(
         **result.estimate.seconds,
         "total": time.perf_counter() - start,
     }
-    progress("done", 1.0)
+    progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(
-            *result.estimate.notes,
-            *_session_notes(session, finite_strain),
-            *_turn_notes(probes),
-            *_touch_notes(resolved),
-            *_rejection_notes(session),
-        ),
+        notes=(*result.estimate.notes, *_notes(session, resolved, probes, finite_strain)),
         seconds=seconds,
         settings={
             **result.estimate.settings,
@@ -138,9 +132,13 @@ def fit_session(
     return replace(result, estimate=estimate, probes=_on_given_mesh(result.probes, session))
 
 
-def _session_notes(session: Session, finite_strain: bool) -> list[str]:
-    """The session's own notes; what is corrected for does not make an estimate biased."""
-    return [note for note in session.notes if not (finite_strain and BIASED in note)]
+def _notes(
+    session: Session, resolved: Session, probes: Sequence[ProbeEstimate], finite_strain: bool
+) -> list[str]:
+    """What the session, the model and the pictures have to say beside the estimate."""
+    # What is corrected for does not make an estimate biased.
+    told = [note for note in session.notes if not (finite_strain and BIASED in note)]
+    return [*told, *_turn_notes(probes), *_touch_notes(resolved), *_rejection_notes(session)]
 
 
 def _described(session: Session, resolved: Session, graded: Session) -> dict[str, Any]:

@@ -37,12 +37,14 @@ _WORDS = {
 # Of the settings of an estimate: what a person repeats it with, and what has a place of its own.
 _ELSEWHERE = ("versions", "command")
 _STAGES = {
+    "loading": "loading the program",
     "reading_and_motion": "reading, and motion in the pictures",
     "given_mesh": "model of the given mesh",
     "assembly": "integrals over the graded mesh",
     "factorisation": "factorisation and reduced model",
     "fit": "search and intervals",
-    "total": "all, until the pictures were drawn",
+    "drawing": "tables and pictures",
+    "total": "total",
 }
 
 

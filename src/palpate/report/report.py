@@ -3,6 +3,8 @@
 import base64
 import io
 import json
+import time
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -144,7 +146,7 @@ def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
     return found, 0
 
 
-def write_result_files(folder: Path, session: Session, result: FitResult) -> None:
+def write_result_files(folder: Path, session: Session, result: FitResult) -> Estimate:
     """Write all that a report is made of: estimate.json, residuals, surface.npz, pictures.
 
     Parameters
@@ -153,14 +155,25 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Non
     session : Session               that was fitted
     result : FitResult
 
+    Returns
+    -------
+    Estimate                        as written: its seconds with those of the drawing
+
     Raises
     ------
     OSError, RecordError            a file cannot be written
     """
-    write_estimate(folder / "estimate.json", result.estimate)
+    start = time.perf_counter()
     write_residuals(folder, session, result)
     write_fitted_surface(folder, session, result)
     write_plots(folder, session, result)
+    seconds = dict(result.estimate.seconds)
+    drawing = time.perf_counter() - start
+    total = seconds.pop("total", 0.0) + drawing
+    seconds |= {"drawing": drawing, "total": total}
+    estimate = replace(result.estimate, seconds=seconds)
+    write_estimate(folder / "estimate.json", estimate)
+    return estimate
 
 
 def checked_result(folder: Path) -> None:

@@ -218,8 +218,20 @@ def test_motion_is_measured_once(palpate, calls, cube_session, tmp_path, monkeyp
 def test_the_log_and_the_report_lie_in_the_result(palpate, calls, cube_session, tmp_path):
     _, out, err = palpate("fit", cube_session, "-v")
     folder = tmp_path / "cube-result"
-    assert "s  tables, pictures and report" in (folder / "log.txt").read_text(encoding="utf-8")
-    assert "tables, pictures and report" in err
+    log = (folder / "log.txt").read_text(encoding="utf-8").splitlines()
+    assert [line.split("  ")[-1] for line in log] == [
+        "reading",
+        "fit",
+        "tables and pictures",
+        "report",
+    ]
+    # Loading is a part of the whole, and so is the drawing.
+    seconds = read_estimate(folder / "estimate.json").seconds
+    assert list(seconds) == ["loading", "reading_and_motion", "drawing", "total"]
+    assert sum(seconds.values()) == pytest.approx(2 * seconds["total"], abs=0.1)
+    assert float(log[-1].split()[0]) == pytest.approx(seconds["total"], abs=0.3)
+    assert f"report.html ({seconds['total']:.1f} s)" in " ".join(out.split())
+    assert "tables and pictures" in err
     assert "report in cube-result/report.html" in out
     code, out, _ = palpate("report", "cube-result")
     assert (code, out[:35]) == (0, "Report in cube-result-report.html (")

@@ -97,6 +97,8 @@ def fit(
         0, or 3 where the data do not determine a constant.
     """
     log = StageLog()
+    log.add("reading")
+    loading = log.seconds
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
@@ -112,7 +114,7 @@ def fit(
             middle = _PICTURES if blind else 0.0
             measured, reused = _measured(given, target, folder, part_of(progress, 0.0, middle))
             print_notes(measured.notes[len(given.notes) :])
-            motion = log.seconds
+            before = {"loading": loading, "reading_and_motion": log.seconds - loading}
             result = fit_session(
                 measured,
                 settings=settings,
@@ -121,15 +123,17 @@ def fit(
                 finite_strain=strain == "finite",
                 progress=part_of(progress, middle, _DRAWN),
             )
-            progress("tables, pictures and report", _DRAWN)
-            result = _told(result, motion, log, _command(session, probe, settings, surface, strain))
-            _write(folder, given, measured, result, log)
-    _print(result.estimate, measured)
+            progress("tables and pictures", _DRAWN)
+            result = _told(result, before, log, _command(session, probe, settings, surface, strain))
+            estimate = _write(folder, measured, result, log)
+    _print(estimate, measured)
     if reused:
         print_text(f"Note: {_REUSED.format(target)}.")
-    print_text(f"Result in {target}, report in {target / REPORT_FILE} ({log.seconds:.1f} s)")
-    if result.estimate.status is not Status.OK:
-        print(f"palpate: {result.estimate.status.advice}", file=sys.stderr)
+    print_text(
+        f"Result in {target}, report in {target / REPORT_FILE} ({estimate.seconds['total']:.1f} s)"
+    )
+    if estimate.status is not Status.OK:
+        print(f"palpate: {estimate.status.advice}", file=sys.stderr)
         return NOT_OK
     return 0
 
@@ -137,17 +141,20 @@ def fit(
 def _measured(
     given: Session, target: Path, folder: Path, progress: Progress
 ) -> tuple[Session, bool]:
-    """The session with the motion of its pictures, and whether an earlier result held it."""
+    """The session with the motion of its pictures, which the result keeps, and whether an earlier
+    result held it."""
     unread = any(one.displacement is None and one.images for one in given.probings)
-    if unread and (kept := with_kept_motion(given, target)) is not None:
-        return kept, True
-    return with_pictures_measured(given, progress=progress, parts=parts_folder(folder)), False
+    kept = with_kept_motion(given, target) if unread else None
+    measured = kept or with_pictures_measured(given, progress=progress, parts=parts_folder(folder))
+    if measured is not given:
+        keep_motion(folder, given, measured)
+    return measured, kept is not None
 
 
-def _told(result: FitResult, motion: float, log: StageLog, command: str) -> FitResult:
-    """The result with the seconds of the whole work, and what repeats it."""
+def _told(result: FitResult, before: dict[str, float], log: StageLog, command: str) -> FitResult:
+    """The result with the seconds of the whole work so far, and what repeats it."""
     estimate = result.estimate
-    seconds = {"reading_and_motion": motion, **estimate.seconds, "total": log.seconds}
+    seconds = {**before, **estimate.seconds, "total": log.seconds}
     settings = {"command": command, "versions": versions(), **estimate.settings}
     return replace(result, estimate=replace(estimate, seconds=seconds, settings=settings))
 
@@ -162,15 +169,14 @@ def _command(
     return shlex.join([*words, "--poisson-range", *(f"{end:g}" for end in settings.poisson_range)])
 
 
-def _write(
-    folder: Path, given: Session, measured: Session, result: FitResult, log: StageLog
-) -> None:
-    """All files of the result, the report last, which is made of the others."""
-    if measured is not given:
-        keep_motion(folder, given, measured)
-    write_result_files(folder, measured, result)
+def _write(folder: Path, measured: Session, result: FitResult, log: StageLog) -> Estimate:
+    """All files of the result, the report last, which is made of the others; the estimate as
+    written."""
+    estimate = write_result_files(folder, measured, result)
+    log.add("report")
     write_text(folder / "log.txt", "\n".join([*log.lines, ""]))
     write_report(folder, folder / REPORT_FILE)
+    return estimate
 
 
 def _print(estimate: Estimate, session: Session) -> None:

@@ -76,7 +76,7 @@ def _told_compilation(show: Progress) -> Iterator[Progress]:
 
 def _told_lines() -> Progress:
     """Progress as lines on stderr."""
-    start, last = time.perf_counter(), [""]
+    start, last = wanted_output().start, [""]
 
     def report(stage: str, fraction: float) -> None:
         if stage != last[0]:
@@ -89,19 +89,19 @@ def _told_lines() -> Progress:
 
 @dataclass(slots=True)
 class StageLog:
-    """When each stage of some work began, for the log that lies beside a result.
+    """When each stage of a command began, for the log that lies beside a result.
 
     Attributes
     ----------
-    lines : list of str             seconds since the beginning, and the stage
+    lines : list of str             seconds since the command began, and the stage
     """
 
     lines: list[str] = field(default_factory=list)
-    _start: float = field(default_factory=time.perf_counter)
+    _start: float = field(default_factory=lambda: wanted_output().start)
 
     @property
     def seconds(self) -> float:
-        """Since the beginning."""
+        """Since the command began."""
         return time.perf_counter() - self._start
 
     def add(self, stage: str) -> None:
