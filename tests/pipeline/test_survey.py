@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 
-from palpate.pipeline import ProbingSurvey, session_outlook, survey_field, survey_probing
+from palpate.geometry import TriangleMesh
+from palpate.pipeline import (
+    ProbingSurvey,
+    session_outlook,
+    size_notes,
+    survey_field,
+    survey_probing,
+)
 from palpate.records import read_session
 
 
@@ -81,3 +88,17 @@ def test_what_the_data_promise_is_said_in_words(session):
         assert "No standard deviations are given" not in text
     silent = replace(enough, signal_to_noise=np.nan, tangential_signal=np.nan)
     assert "No standard deviations are given" in session_outlook(session, [silent])
+
+
+@pytest.mark.parametrize(
+    ("vertices", "cost"),
+    [(4999, "about 4 minutes and 4.9 GB"), (20_000, "about 18 minutes and 4.1 GB")],
+)
+def test_what_a_large_mesh_costs_is_said(session, vertices, cost):
+    assert size_notes(session) == []
+    more = np.concatenate([session.mesh.vertices, np.zeros((vertices - 218, 3))])
+    # Vertices that no triangle has are no mesh of any object; only their number is asked for.
+    large = replace(session, mesh=TriangleMesh(more, session.mesh.triangles))
+    (note,) = size_notes(large)
+    assert f"{vertices} vertices: a fit will take {cost}" in note
+    assert "palpate mesh --vertices 2000" in note

@@ -66,6 +66,7 @@ from palpate.bem.system import (
     make_spring_factors as make_spring_factors,
     make_spring_system as make_spring_system,
     make_springs as make_springs,
+    memory_needed as memory_needed,
     point_equations as point_equations,
     solve as solve,
     spring_columns as spring_columns,

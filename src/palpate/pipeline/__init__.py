@@ -85,6 +85,7 @@ from palpate.pipeline.survey import (
     NEAR_RADII as NEAR_RADII,
     ProbingSurvey as ProbingSurvey,
     session_outlook as session_outlook,
+    size_notes as size_notes,
     survey_field as survey_field,
     survey_probing as survey_probing,
 )

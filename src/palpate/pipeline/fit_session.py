@@ -44,8 +44,11 @@ from palpate.records import (
     require_probings,
 )
 
-# Fraction of the work that is done when the estimation starts.
-_FIT_STARTS = 0.8
+# Fractions of the work that are done when the graded mesh's model, its factorisation and the
+# estimation start.
+_GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
+# Of the work beside the given mesh, when its own model is done.
+_OWN = 0.4
 # Radii settle when constants do; they change with the cube root of the modulus alone.
 # What is left is a tenth of the prior of a touched circle.
 _MOST_TOUCHES, _TOUCH_SETTLED = 6, 0.005
@@ -90,14 +93,15 @@ def fit_session(
     progress("the given mesh", 0.0)
     resolved = resolved_session(session, surface=surface)
     # First, and gone before the graded one takes its memory.
-    resolved, coarser = _beside_given_mesh(resolved, settings, surface, cache)
+    beside = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
+    resolved, coarser = _beside_given_mesh(resolved, settings, surface, cache, beside)
     compared = time.perf_counter()
-    progress("integrals over the surface", 0.25)
+    progress("integrals over the surface", _GRADED)
     graded = graded_session(resolved, surface=surface)
-    integrals = part_of(progress, 0.25, 0.5)
+    integrals = part_of(progress, _GRADED, _ASSEMBLED)
     model = make_object_model(graded, surface=surface, cache=cache, progress=integrals)
     assembled = time.perf_counter()
-    progress("factorisation", 0.5)
+    progress("factorisation", _ASSEMBLED)
     observations = settled_observations(
         graded, model, settings=settings, coarser=coarser, with_surface=True
     )
@@ -159,30 +163,44 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
 
 
 def _beside_given_mesh(
-    session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
+    session: Session,
+    settings: FitSettings,
+    surface: SurfaceSettings,
+    cache: Path | None,
+    progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with contacts as wide as its tools touch, and what was seen beside the model of its
     mesh as it is."""
+    own = part_of(progress, 0.0, _OWN)
     if has_tools(session):
-        session, seen = _with_touched_circles(session, settings, surface, cache)
+        session, seen = _with_touched_circles(session, settings, surface, cache, own)
     else:
         # The model's integrals are gone before the next model takes its memory.
-        seen = coarser_observations(session, settings=settings, surface=surface, cache=cache)[1]
+        seen = coarser_observations(
+            session, settings=settings, surface=surface, cache=cache, progress=own
+        )[1]
     return session, with_considered_errors(
-        session, seen, settings=settings, surface=surface, cache=cache
-    )
+        session, seen, settings=settings, surface=surface, cache=cache,
+        progress=part_of(progress, _OWN, 1.0),
+    )  # fmt: skip
 
 
 def _with_touched_circles(
-    session: Session, settings: FitSettings, surface: SurfaceSettings, cache: Path | None
+    session: Session,
+    settings: FitSettings,
+    surface: SurfaceSettings,
+    cache: Path | None,
+    progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session whose contacts are as wide as its tools touch, for the constants that it yields,
     and what was seen beside its model."""
     model = None
-    for _ in range(_MOST_TOUCHES):
+    for turn in range(_MOST_TOUCHES):
+        # How many turns there will be is not known: each takes half of what is left.
         model, observations = coarser_observations(
-            session, settings=settings, surface=surface, cache=cache, like=model
-        )
+            session, settings=settings, surface=surface, cache=cache, like=model,
+            progress=part_of(progress, 1.0 - 0.5**turn, 1.0 - 0.5 ** (turn + 1)),
+        )  # fmt: skip
         found = fit(observations, settings=settings).estimate
         touched = touched_session(
             session,

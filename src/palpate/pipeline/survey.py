@@ -6,13 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.arrays import known_median
+from palpate.bem import LARGEST_DENSE, memory_needed
 from palpate.geometry import triangle_distances, unit_normals
+from palpate.pipeline.model import giving_supports
 from palpate.records import DisplacementField, Probing, Session, observed_rows
 
 # Within this many contact radii a push shows as an imprint, farther away only as bending.
 NEAR_RADII = 8.0
 _MIN_NEAR_POINTS = 20
 _CLEAR_SIGNAL = 3.0
+# Most objects need no more vertices than these, and are offered so many.
+_LARGE, _USUAL = 3000, 2000
+# What a fit of a few probings takes a minute for on two cores: matrices grow with the square of
+# the vertices, the compressed operator with their number (docs/theory/compressed_operator.md).
+_DENSE_MINUTE, _COMPRESSED_MINUTE = 2500, 1100
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +127,34 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
         tangential_signal=known_median(np.linalg.norm(along, axis=1) / sigma),
         near=int((away < NEAR_RADII * (contact.radius or edge)).sum()),
     )
+
+
+def size_notes(session: Session) -> list[str]:
+    """What a fit of a large mesh will take, and what is quicker.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    list of str                     empty for a mesh of usual size, and where nothing is fitted
+    """
+    count = len(session.mesh.vertices)
+    if count <= _LARGE or not session.probings:
+        return []
+    rollers = any(support.directions is not None for support in session.supports)
+    gives = bool(giving_supports(session))
+    memory = memory_needed(count, len(session.probings), rollers=rollers, dense=gives)
+    minutes = count / _COMPRESSED_MINUTE
+    if count <= LARGEST_DENSE or rollers or gives:
+        minutes = (count / _DENSE_MINUTE) ** 2
+    text = (
+        f"The mesh has {count} vertices: a fit will take about {minutes:.0f} minutes and"
+        f" {memory / 1e9:.2g} GB of memory. With {_USUAL} (palpate mesh --vertices {_USUAL}) it is"
+        " a matter of a minute, and fine enough for most objects."
+    )
+    return [text]
 
 
 def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:

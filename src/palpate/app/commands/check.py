@@ -16,6 +16,7 @@ from palpate.pipeline import (
     moving_supports,
     require_given_motions,
     session_outlook,
+    size_notes,
     sliding_motion,
     survey_cameras,
     survey_probing,
@@ -48,7 +49,7 @@ def check(session: Path, /) -> int:
         print_tables(_cameras_table(cameras))
     if view is not None:
         print_tables(_view_table(view, cameras))
-    for note in (*given.notes, *remarks, *doubts):
+    for note in (*given.notes, *size_notes(given), *remarks, *doubts):
         print_text(f"Note: {note}")
     print_text(session_outlook(given, surveys))
     return 0

@@ -17,6 +17,7 @@ from palpate.bem.system.cache import cached_system as cached_system
 from palpate.bem.system.memory import (
     LARGEST_DENSE as LARGEST_DENSE,
     check_memory as check_memory,
+    memory_needed as memory_needed,
 )
 from palpate.bem.system.rollers import loose_motions as loose_motions
 from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope

@@ -13,11 +13,14 @@ from palpate.pipeline.model import (
     make_object_model,
 )
 from palpate.pipeline.observations.settled_observations import settled_observations
+from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, Session
 
 # Relative residual of a compressed model that shows the step to a finer mesh only: a thousandth of
 # the displacement or more, so that the step is known to a hundredth.
 _COARSER_RESIDUAL = 1e-5
+# Fraction of the work that is done when the integrals are.
+_SOLVED = 0.5
 
 
 def coarser_observations(
@@ -27,6 +30,7 @@ def coarser_observations(
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     like: ObjectModel | None = None,
+    progress: Progress = silent,
 ) -> tuple[ObjectModel, list[ProbeObservations]]:
     """The model of the mesh as it is, nothing else being wrong, and what was seen beside it.
 
@@ -39,6 +43,7 @@ def coarser_observations(
     surface : SurfaceSettings
     cache : Path or None                  folder that keeps the integrals
     like : ObjectModel or None            as `make_object_model`
+    progress : callable                   told what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -50,7 +55,12 @@ def coarser_observations(
     InputError, SingularSystemError, NotConvergedError    as `settled_observations`
     """
     plain = replace(session, errors=EXACT)
-    model = make_object_model(plain, surface=surface, cache=cache, nominal=True, like=like)
+    progress("integrals", 0.0)
+    model = make_object_model(
+        plain, surface=surface, cache=cache, nominal=True, like=like,
+        progress=part_of(progress, 0.0, _SOLVED),
+    )  # fmt: skip
+    progress("reduced model", _SOLVED)
     return model, settled_observations(
         plain, model, settings=settings, snapshot_residual=_COARSER_RESIDUAL
     )
@@ -63,6 +73,7 @@ def with_considered_errors(
     settings: FitSettings = FitSettings(),
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
+    progress: Progress = silent,
 ) -> list[ProbeObservations]:
     """What was seen beside the given mesh's model, with what that model may be off by between the
     vertices and along sharp edges.
@@ -74,6 +85,7 @@ def with_considered_errors(
     settings : FitSettings
     surface : SurfaceSettings
     cache : Path or None                  folder that keeps the integrals
+    progress : callable                   told what is done (text) and how far it is (0 to 1)
 
     Returns
     -------
@@ -89,10 +101,12 @@ def with_considered_errors(
         return list(observations)
     wider, refined = replace(surface, rings=2), edge_refined_session(session, surface=surface)
     count, found = len(session.mesh.vertices), list(observations)
-    for name, beside, understood in (
-        ("fields between the vertices (in steps to wider fits)", session, wider),
-        ("sharp edges (in steps to finer ones)", refined, surface),
-    ):
+    for name, beside, understood, say in (
+        ("fields between the vertices (in steps to wider fits)", session, wider,
+         part_of(progress, 0.0, 0.5, prefix="wider fits, ")),
+        ("sharp edges (in steps to finer ones)", refined, surface,
+         part_of(progress, 0.5, 1.0, prefix="finer edges, ")),
+    ):  # fmt: skip
         size = len(beside.mesh.vertices)
         if size > LARGEST_DENSE or (beside is refined and size == count):
             continue
@@ -101,6 +115,7 @@ def with_considered_errors(
             settings=replace(settings, method=FitMethod.REDUCED.value),
             surface=understood,
             cache=cache,
+            progress=say,
         )
         found = [
             replace(
