@@ -1,6 +1,7 @@
 """Tables on the terminal: names as they are, nothing left out on a narrow screen."""
 
 import io
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -56,6 +57,31 @@ def test_columns_are_as_narrow_as_their_numbers_and_nothing_is_left_out(width):
     assert text.count("-1234.50") == 7
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
+
+
+@pytest.mark.parametrize("width", [24, *range(55, 71)])
+def test_two_columns_of_words_lose_no_character(width):
+    rows = [
+        ("worst aspect (longest edge / height)", "28.00"),
+        ("support", "98 triangles, 9 cm^2, 6.5 % of all"),
+    ]
+    title = "Surface: closed, manifold, outward, without self-intersection"
+    lines = printed(terminal_table(title, ("figure", "value"), rows), width).splitlines()
+    assert max(map(len, lines)) <= width
+    wanted = title + "figure" + "value" + "".join(map("".join, rows))
+    shown = Counter("".join(lines).replace("─", "").replace(" ", ""))
+    assert shown == Counter(wanted.replace(" ", ""))
+
+
+def test_headings_titles_and_captions_take_the_room_there_is():
+    table = terminal_table(
+        "Elastic constants", ("constant", "value ± 1 sigma"), [("E", "3 ± 1")],
+        caption="sigma: one standard deviation",
+    )  # fmt: skip
+    text = printed(table, 40)
+    assert "constant  value ± 1 sigma" in text
+    assert "\nsigma: one standard deviation" in text
+    assert text.startswith("Elastic constants\n")
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])

@@ -1,8 +1,7 @@
 """A table that fits any terminal: where columns have no room, they go on below."""
 
 import re
-import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -11,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-# Headings are broken between words, so that columns are as narrow as what is in them, or this.
+# Headings go on in the next line where there is no room, but are not squeezed to less than this.
 _HEADING_WIDTH = 7
 # A cell that begins like this makes its column one of words, which are set to the left.
 _WORD = re.compile(r"(?!unknown|nan|inf|not determined)[A-Za-z\[]")
@@ -46,21 +45,12 @@ class ShownTable(Table):
         *,
         total: bool = False,
     ) -> None:
-        super().__init__(
-            title=escape(heading) or None, title_justify="left", caption=escape(below) or None,
-            caption_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
-        )  # fmt: skip
+        super().__init__(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
         self.heading, self.names, self.cells, self.below = heading, list(names), cells, below
         self.total = total
         for k, name in enumerate(names):
-            column = [row[k] for row in cells]
-            width = max(_HEADING_WIDTH, *map(len, column)) if column else _HEADING_WIDTH
-            self.add_column(
-                escape(textwrap.fill(name, width, break_long_words=False)),
-                justify="left" if self._has_words(k) else "right",
-                overflow="fold",
-                min_width=self._least(k),
-            )
+            side = "left" if self._has_words(k) else "right"
+            self.add_column(escape(name), justify=side, overflow="fold")
         for k, row in enumerate(cells):
             if total and k == len(cells) - 1:
                 self.add_section()
@@ -72,30 +62,50 @@ class ShownTable(Table):
     def _least(self, column: int) -> int:
         """Width that breaks no number, no word, and no name of usual length."""
         cells = [row[column] for row in self.cells]
-        head = min(_HEADING_WIDTH, max(map(len, self.names[column].split()), default=0))
-        whole = max(map(len, cells), default=0)
+        head = min(_HEADING_WIDTH, _longest(self.names[column].split()))
+        whole = _longest(cells)
         if column == 0:
             return max(head, min(whole, _NAMES_WIDTH))
         if not self._has_words(column):
             return max(head, whole)
-        longest = max((len(word) for cell in cells for word in cell.split()), default=0)
+        longest = _longest(word for cell in cells for word in cell.split())
         return max(head, longest, min(whole, _WORDS_WIDTH))
+
+    def _widths(self, room: int) -> list[int]:
+        """Widths of the columns: the least, then as far as there is room whole cells, whole words
+        in the headings, whole headings."""
+        every = range(len(self.names))
+        widths = [self._least(k) for k in every]
+        while sum(widths) > max(room, len(widths)):
+            # Words and names are broken sooner than numbers.
+            widest = max(every, key=lambda k: (self._has_words(k) and widths[k] > 1, widths[k]))
+            widths[widest] -= 1
+        for wanted in (
+            [_longest(row[k] for row in self.cells) for k in every],
+            [_longest(name.split()) for name in self.names],
+            [len(name) for name in self.names],
+        ):
+            for k in sorted(every, key=lambda k: wanted[k] - widths[k]):
+                widths[k] += max(min(wanted[k] - widths[k], room - sum(widths)), 0)
+        return widths
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
         """The table, or as many as it takes for each to be no wider than the terminal."""
         parts = self._parts(options.max_width)
+        # Above and below a narrow table there is more room than in it.
+        if self.heading:
+            yield Text(self.heading, style="table.title")
         if len(parts) == 1:
+            room = options.max_width - _FRAME - _BESIDE * len(self.names)
+            for column, width in zip(self.columns, self._widths(room), strict=True):
+                column.width = width
             yield from super().__rich_console__(console, options)
-            return
-        for number, part in enumerate(parts):
-            shown = [0, *part]
-            yield ShownTable(
-                self.heading if number == 0 else "",
-                [self.names[k] for k in shown],
-                [[row[k] for k in shown] for row in self.cells],
-                "",
-                total=self.total,
-            )
+        else:
+            for part in parts:
+                shown = [0, *part]
+                cells = [[row[k] for k in shown] for row in self.cells]
+                names = [self.names[k] for k in shown]
+                yield ShownTable("", names, cells, "", total=self.total)
         if self.below:
             yield Text(self.below, style="table.caption")
 
@@ -112,6 +122,11 @@ class ShownTable(Table):
                 break
             parts, room = tighter, room - 1
         return parts
+
+
+def _longest(words: Iterable[str]) -> int:
+    """Characters of the longest."""
+    return max(map(len, words), default=0)
 
 
 def _filled(columns: Sequence[int], needed: Sequence[int], room: int) -> list[list[int]]:
