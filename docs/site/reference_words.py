@@ -19,7 +19,7 @@ WORDS = {
     "stiffness": "of springs between the surface and what holds it: traction over displacement; by default"
     " rigid",
     "radius": "of the patch, in the file's unit; none with profile `vertex`",
-    "density": "needed with gravity only [kg/m^3]",
+    "density": "needed with gravity; exports write 1000 if absent [kg/m^3]",
     ("[support], or several [[support]]", "plane"): "triangles whose vertices all lie near a plane",
     ("[support], or several [[support]]", "box"): "triangles whose vertices all lie within a box",
     "triangles": "numbers of triangles, one a line, from 0; `#` starts a comment",

@@ -14,7 +14,7 @@ def test_tables_and_sentences_become_one_document(palpate, cube_session, place):
     found = json.loads(out)
     assert (code, found["format"]) == (0, "palpate-output/1")
     surface, probings = found["tables"]
-    assert surface["rows"][0] == {"figure": "vertices, triangles", "value": "218, 432"}
+    assert surface["rows"][0] == {"figure": "vertices, triangles", "value": [218, 432]}
     # Numbers are numbers.
     assert probings["rows"][0]["probing"] == "n01"
     assert probings["rows"][0]["observed"] == 168
@@ -22,12 +22,22 @@ def test_tables_and_sentences_become_one_document(palpate, cube_session, place):
 
 
 def test_cells_are_read_as_a_person_reads_them():
-    columns = ("name", "count", "value", "interval", "lost", "words", "minus")
-    row = ("12", "12", "0.30 ± 0.01", "20.7 to 21.3", "not determined", "5 mm", "-3e-05")
+    columns = ("name", "count", "value", "interval", "lost", "words", "minus", "place")
+    row = (
+        "12",
+        "12",
+        "0.30 ± 0.01",
+        "20.7 to 21.3",
+        "not determined",
+        "5 mm",
+        "-3e-05",
+        "1.9, -9.7, 28",
+    )
     (found,) = table_content("t", columns, [row], "c")["rows"]
     assert found == {
         "name": "12", "count": 12, "value": {"value": 0.30, "std": 0.01},
         "interval": [20.7, 21.3], "lost": None, "words": "5 mm", "minus": -3e-05,
+        "place": [1.9, -9.7, 28],
     }  # fmt: skip
 
 

@@ -170,7 +170,7 @@ def test_what_is_not_determined_has_no_best_dot(result):
     estimate = replace(result.estimate, identifiable=lost, status=Status.from_identifiable(lost))
     figure = likelihood_figure(replace(result, estimate=estimate))
     assert "estimate" not in texts(figure)
-    assert "not determined: all that is possible" in texts(figure)
+    assert "not determined: possible range" in texts(figure)
     assert not any(line.get_marker() == "o" for line in figure.axes[0].lines)
 
 

@@ -79,7 +79,7 @@ def test_given_means_given(solid: Scene) -> None:
 def test_what_a_ball_does_not_tell_is_left_as_given_and_said(ball: Scene) -> None:
     """Its centre is found where it was 10 mm off; its direction, 4 degrees off, stays."""
     rig, pictures, mesh = ball
-    said = "does not fix turning about any axis through"
+    said = "the shape is symmetric about any axis through"
     kept, notes = posed_rig(rig, pictures, mesh, "auto")
     assert kept is rig
     assert [said in note for note in notes] == [True]

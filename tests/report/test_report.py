@@ -69,7 +69,7 @@ def test_the_verdict_comes_first_and_all_parts_are_there(saved):
     page = page_of(saved)
     parts = [
         "Determined", "All three constants are determined", "Measured and simulated",
-        "Each probing alone", "Likelihood", "Errors that" , "What was left aside", "To repeat it",
+        "Each probing alone", "Likelihood", "Errors that" , "What was excluded", "To repeat it",
     ]  # fmt: skip
     places = [page.text.find(part) for part in parts if part != "Errors that"]
     assert -1 not in places

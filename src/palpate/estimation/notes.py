@@ -176,7 +176,7 @@ def _error_note(error: ErrorEstimate) -> str:
     value, std, prior = error_texts(error)
     return (
         f"Likely fault: the {error.name} is off by {value} +- {std}, more than"
-        f" {SURPRISING:.0f} times the {prior} that were taken for possible."
+        f" {SURPRISING:.0f} times the {prior} assumed (prior, 1 sigma)."
     )
 
 

@@ -1,4 +1,4 @@
-"""Pictures that check an estimate: what the other probings foretell, what the errors came to, what
+"""Pictures that check an estimate: what the other probings predict, what the errors came to, what
 the uncertainty comes from."""
 
 import numpy as np
@@ -26,7 +26,7 @@ _SMALLEST_PART = 0.02
 
 @styled
 def predictions_figure(session: Session, result: FitResult) -> Figure | None:
-    """Displacement of every point: measured, against what the other probings foretell.
+    """Displacement of every point: measured, against what the other probings predict.
 
     Of what was measured the component along the predicted direction is drawn: noise makes every
     length longer, and leaves that where it is. Outliers are left out.
@@ -102,7 +102,7 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     axes = figure.add_axes((0.41, 0.45 / height, 0.56, 1 - 0.8 / height))
     rows = np.arange(len(farthest))
     axes.axvspan(
-        -1.0, 1.0, color="#e6e8eb", linewidth=0, zorder=0, label="taken for possible, 1 sigma"
+        -1.0, 1.0, color="#e6e8eb", linewidth=0, zorder=0, label="assumed (prior, 1 sigma)"
     )
     for limit in (SURPRISING, IMPOSSIBLE):
         for side in (-limit, limit):
@@ -113,7 +113,7 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     reach = max(SURPRISING + 0.4, float(np.abs(value).max() + std.max()) + 0.2)
     axes.set(xlim=(-reach, reach), ylim=(len(farthest) - 0.4, -0.6))
     axes.set_yticks(rows, [_short(one.name) for one in farthest], parse_math=False)
-    axes.set_xlabel("in the standard deviations that were taken for possible")
+    axes.set_xlabel("in the assumed standard deviations (prior)")
     axes.tick_params(axis="y", length=0)
     axes.spines[["top", "right", "left"]].set_visible(False)
     figure.legend(loc="upper center", ncols=2)

@@ -196,7 +196,7 @@ def _left_out(scene: _Scene) -> str:
     notes = ["dark: held"] if scene.held.any() else []
     if scene.outlier.any() and not scene.outlier.all():
         count = int(scene.outlier.sum())
-        notes.append(f"\N{MULTIPLICATION SIGN} {count} outlier{'s' * (count > 1)}, left aside")
+        notes.append(f"\N{MULTIPLICATION SIGN} {count} outlier{'s' * (count > 1)}, excluded")
     hidden = int((~scene.front).sum())
     if hidden:
         notes.append(f"{hidden} point{'s' * (hidden > 1)} on the far side not drawn")

@@ -45,7 +45,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     """Write all pictures of an estimate as PNG files, those of lines and letters as SVG too.
 
     `likelihood.png` shows which pairs of Poisson's ratio and shear modulus the data allow,
-    `probings.png` what each probing alone says, `predictions.png` how well the others foretell it,
+    `probings.png` what each probing alone says, `predictions.png` how well the others predict it,
     `errors.png` what was found of the errors that points share, `budget.png` what the uncertainty
     comes from, `displacement/NAME.png` measured against predicted displacement of each probing on
     the object's surface.
@@ -134,13 +134,13 @@ def _told_lines(
     place = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
     low, high = np.clip(ratio.ci95, *axes.get_xlim())
     soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
-    # What is not determined is drawn as what it is: all that is possible.
+    # What is not determined is drawn as what it is: the possible range.
     lines = [
         axes.plot([low, high], [place[1]] * 2, **_told(known[0]))[0],
         axes.plot([place[0]] * 2, [soft, stiff], **_told(known[1]))[0],
     ]
     for line, one in zip(lines, known, strict=True):
-        label = "each alone, 95 %: as printed" if one else "not determined: all that is possible"
+        label = "each alone, 95 %: as printed" if one else "not determined: possible range"
         found[label] = line
     if all(known):
         (found["estimate"],) = axes.plot(

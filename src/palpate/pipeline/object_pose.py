@@ -81,11 +81,19 @@ def posed_rig(
             " 20 mm?"
         )
     free = free_motions_text(found)
-    left = (f"the surface does not fix {free}: left as the pose of the rig says",) if free else ()
+    left = (_free_note(free),) if free else ()
     if choice == "auto" and _agrees(found, _distance(stereo, mesh)):
         return rig, (*checked.notes, *left)
     posed, note = _registered(rig, found)
     return posed, (*checked.notes, note, *left)
+
+
+def _free_note(free: str) -> str:
+    """What becomes of the motions that the shape does not fix."""
+    if "sliding" in free:
+        return f"the shape does not fix {free}, which is kept as given"
+    axes = free.replace("turning about ", "")
+    return f"the shape is symmetric about {axes}, so rotation is kept as given"
 
 
 def _agrees(found: Registration, distance: float) -> bool:

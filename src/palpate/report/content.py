@@ -126,7 +126,7 @@ def _alone(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
 
 
 def prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str]]:
-    """How well the other probings foretell each one; lengths in mm.
+    """How well the other probings predict each one; lengths in mm.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _rms(vectors: Points) -> float:
 
 
 def error_rows(estimate: Estimate) -> list[list[str]]:
-    """Errors that points or probings share: taken for possible, found, and by how many sigmas.
+    """Errors that points or probings share: assumed, found, and by how many sigmas.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def _error_row(error: ErrorEstimate) -> list[str]:
 
 
 def rejection_rows(estimate: Estimate) -> list[list[str]]:
-    """Points of each probing: looked at, not measured, left aside by the robust estimate.
+    """Points of each probing: looked at, not measured, excluded by the robust estimate.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ _DRAWINGS = {
     "likelihood": "Pairs of Poisson's ratio and shear modulus that the data allow",
     "probings": "The constants as each probing alone gives them",
     "predictions": "Displacements predicted by the other probings against measured ones",
-    "errors": "What the data say about the errors that were taken for possible",
+    "errors": "What the data say about the assumed errors",
     "budget": "What each source adds to the standard deviations of the constants",
 }
 # What pictures of the probings may take [bytes of base64]; at first in good quality.

@@ -160,14 +160,14 @@ def _table(results: list[CompressionResult]) -> Table:
             Path(result.source).name,
             Constant(result.young_modulus, result.std, result.ci95),
             str(result.readings),
-            f"{100.0 * result.nonlinearity:.1f} %",
+            f"{100.0 * result.nonlinearity:.1f}",
         )
         for result in results
     ]
     if len(results) > 1:
         mean = Constant(series.young_modulus, series.spread, series.ci95)
         lines.append((f"mean and spread of {len(results)}", mean, "", ""))
-    columns = (f"E ± 1 sigma ({unit})", f"95 % interval ({unit})", "readings", "off the line")
+    columns = (f"E ± 1 sigma ({unit})", f"95 % interval ({unit})", "readings", "off the line %")
     rows = [
         (name, constant_text(young, factor=factor), interval_text(young, factor=factor), *rest)
         for name, young, *rest in lines

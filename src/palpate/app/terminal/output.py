@@ -11,9 +11,11 @@ from palpate.app.output import wanted_output
 from palpate.app.terminal.shown_table import ShownTable
 from palpate.records import NOT_DETERMINED
 
-# What a cell may say besides a text: nothing, a number, a number and its deviation, an interval.
+# What a cell may say besides a text: nothing, a number, a number and its deviation, an interval, a
+# vector.
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _WITH_DEVIATION = re.compile(rf"({_NUMBER}) ± ({_NUMBER})")
+_VECTOR = re.compile(rf"{_NUMBER}(?:, {_NUMBER})+")
 _INTERVAL = re.compile(rf"\(?({_NUMBER}) to ({_NUMBER})\)?")
 
 
@@ -77,7 +79,8 @@ def table_content(
 
 
 def _value(cell: str) -> Any:
-    """What a cell says: null for a dash, a number, `value` and `std`, both ends of an interval."""
+    """What a cell says: null for a dash, a number, `value` and `std`, both ends of an interval, the
+    components of a vector."""
     text = cell.strip()
     if text in ("", "-", NOT_DETERMINED):
         return None
@@ -89,4 +92,6 @@ def _value(cell: str) -> Any:
         return {"value": float(found[1]), "std": float(found[2])}
     if found := _INTERVAL.fullmatch(text):
         return [float(found[1]), float(found[2])]
+    if _VECTOR.fullmatch(text):
+        return [_value(part) for part in text.split(",")]
     return text

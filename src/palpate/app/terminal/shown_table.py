@@ -49,8 +49,9 @@ class ShownTable(Table):
         self.heading, self.names, self.cells, self.below = heading, list(names), cells, below
         self.total = total
         for k, name in enumerate(names):
-            side = "left" if self._has_words(k) else "right"
-            self.add_column(escape(name), justify=side, overflow="fold")
+            self.add_column(
+                escape(name), justify="left" if self._has_words(k) else "right", overflow="fold"
+            )
         for k, row in enumerate(cells):
             if total and k == len(cells) - 1:
                 self.add_section()

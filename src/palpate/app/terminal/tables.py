@@ -99,8 +99,8 @@ def _captions(estimate: Estimate) -> list[str]:
     if assumed := len(estimate.settings.get("assumed_forces", ())):
         share = estimate.settings["errors"]["force"]
         found.append(
-            f"The force of {assumed} of {len(estimate.probes)} probings is taken as known to"
-            f" {100 * share:.2g} % of its length, for no force_std is given."
+            f"The force of {assumed} of {len(estimate.probes)} probings is assumed known to"
+            f" {100 * share:.2g} % (no force_std given)."
         )
     lengths = estimate.settings.get("lengths", {})
     if "rig_covariance" in lengths.get("source", ""):
@@ -113,7 +113,7 @@ def _captions(estimate: Estimate) -> list[str]:
         value, std, prior = error_texts(worst)
         found.append(
             f"Of the errors that points share, farthest off is the {worst.name}, by {value} ± {std}"
-            f" (taken for possible: {prior})."
+            f" (assumed: {prior}, prior, 1 sigma)."
         )
     return found
 
@@ -160,11 +160,11 @@ def probes_table(estimate: Estimate) -> Table:
     ]  # fmt: skip
     return terminal_table(
         f"Each probing alone (moduli in {unit}, residuals in mm)",
-        ("probing", "nu", "G", "E", "seen", "nan", "off", "rms", "left out"),
+        ("probing", "nu", "G", "E", "points", "missing", "outliers", "rms", "predicted"),
         rows,
-        caption="seen: points; nan: of them not measured; off: outliers left aside; rms: residual"
-        " of the joint estimate; left out: residual of the prediction from the other probings; a"
-        " dash: not determined by this probing alone",
+        caption="missing: points not measured; outliers: excluded; rms: residual of the joint"
+        " estimate; predicted: residual of the prediction from the other probings; a dash: not"
+        " determined by this probing alone",
     )
 
 

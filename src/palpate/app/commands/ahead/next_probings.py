@@ -79,7 +79,7 @@ def _table(found: NextProbings) -> Table:
         rows.append((f"+ {number}", place, force, *_deviations(after, factor)))
     return terminal_table(
         f"Where to push next, with a radius of {1e3 * found.radius:.3g} mm",
-        ("", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"),
+        ("pushes", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"),
         rows,
         caption=f"best of {len(found.point)} places; sd: standard deviations to expect with all"
         " pushes up to this row",

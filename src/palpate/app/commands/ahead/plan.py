@@ -104,8 +104,8 @@ def _save(file: Path, picture: np.ndarray) -> None:
 
 
 def _cameras(found: MeasurementPlan) -> Table:
-    rows = [(name, f"{100 * share:.0f} %") for name, share in found.visible.items()]
-    return terminal_table("What each camera sees", ("camera", "of the free surface"), rows)
+    rows = [(name, f"{100 * share:.0f}") for name, share in found.visible.items()]
+    return terminal_table("What each camera sees", ("camera", "of the free surface %"), rows)
 
 
 def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
