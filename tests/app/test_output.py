@@ -81,11 +81,13 @@ def test_shells_learn_the_commands(palpate, shell):
     assert all(word in out for word in ("compression", "reproduce", "poisson-range"))
 
 
-@pytest.mark.parametrize("words", [("fit",), ("lab", "make"), ("calibrate", "rig"), ("import",)])
+@pytest.mark.parametrize("words", [("fit",), ("lab", "make"), ("calibrate", "rig"), ("mesh",)])
 def test_help_has_no_noise_and_even_line_ends(palpate, words):
     code, out, _ = palpate(*words, "--help")
     assert code == 0
     assert "--empty" not in out
+    assert "--no-force" not in out
+    assert "alse]" not in out
     assert "--json" in out
     boxed = [line.rstrip() for line in out.splitlines() if line.startswith("│")]
     assert len({len(line) for line in boxed}) == 1

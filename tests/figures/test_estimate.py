@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from estimate_samples import constants, sample_result
+from matplotlib.quiver import Quiver
 
 from palpate.estimation import LikelihoodMap
 from palpate.figures import (
@@ -14,11 +15,12 @@ from palpate.figures import (
     errors_figure,
     likelihood_figure,
     predictions_figure,
+    probings_figure,
 )
 from palpate.figures.displacement import best_direction, make_view, projected
 from palpate.figures.estimate import _panel_limits as panel_limits, _refined as refined, write_plots
 from palpate.geometry import TriangleMesh
-from palpate.records import BudgetEntry, Constant, ErrorEstimate, Status, read_session
+from palpate.records import CONSTANT_NAMES, BudgetEntry, ErrorEstimate, Status, read_session
 
 
 @pytest.fixture
@@ -118,8 +120,7 @@ def test_the_projection_is_a_rotation_and_shows_the_front(session):
 
 
 def limits(values, ends, joint=(2.0, (1.9, 2.1))):
-    joint = Constant(joint[0], 0.1, joint[1])
-    return panel_limits(np.array(values), np.array(ends), joint, 1.0)
+    return panel_limits(np.array([*values, joint[0], *joint[1]]), np.array(ends))
 
 
 def test_a_panel_shows_all_values_and_ends_of_usual_intervals():
@@ -204,11 +205,39 @@ def test_errors_are_drawn_in_their_own_sigmas(result):
     )
     figure = errors_figure(replace(result.estimate, errors=errors))
     (axes,) = figure.axes
+    # The names have the room that they take.
+    for long in (errors, (replace(errors[0], name="W" * 54),)):
+        drawn = errors_figure(replace(result.estimate, errors=long))
+        starts = [label.get_window_extent().x0 for label in drawn.axes[0].get_yticklabels()]
+        assert 0.0 < min(starts) < 0.05 * drawn.bbox.width
     dots = axes.containers[0].lines[0]
     # The farthest first.
     np.testing.assert_allclose(dots.get_xdata(), [-5.5, 0.4], rtol=1e-12)
     assert axes.get_yticklabels()[0].get_text() == errors[1].name
     assert errors_figure(result.estimate) is None
+
+
+def test_a_truth_is_drawn_however_far_it_is(result):
+    estimate = result.estimate
+    truth = {name: 2.0 * getattr(estimate, name).value for name in CONSTANT_NAMES}
+    for axes, name in zip(
+        probings_figure(estimate, truth=truth).axes,
+        ("poisson_ratio", "shear_modulus", "young_modulus"),
+        strict=True,
+    ):
+        factor = 1.0 if name == "poisson_ratio" else 1e3
+        assert axes.get_xlim()[1] > truth[name] / factor
+
+
+def test_arrows_stay_in_their_panels(session, result):
+    fit = result.probes[0]
+    figure = displacement_figure(session.mesh, session.probings[0], fit)
+    for axes in figure.axes[:3]:
+        (arrows,) = [one for one in axes.collections if isinstance(one, Quiver)]
+        ends = arrows.get_offsets() + np.stack([arrows.U, arrows.V], axis=1)
+        (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+        assert (ends > [left, low]).all()
+        assert (ends < [right, high]).all()
 
 
 def test_a_budget_shows_each_source_and_the_whole(result):

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -91,6 +92,14 @@ def test_the_budget_is_there_where_it_is_known(saved, tmp_path):
     text = Page(tmp_path / "again.html").text
     assert f"{title} The squares" in text
     assert "<gain> 4.6 1.2 \N{EN DASH}" in text
+
+
+def test_probings_are_shown_in_the_order_of_the_session(saved, tmp_path):
+    pictures = saved / "displacement"
+    shutil.copy(pictures / "n01.png", pictures / "a00.png")
+    write_report(saved, tmp_path / "again.html")
+    text = (tmp_path / "again.html").read_text(encoding="utf-8")
+    assert 0 < text.find("displacement of n01") < text.find("displacement of a00")
 
 
 def test_what_repeats_it_is_there(saved):

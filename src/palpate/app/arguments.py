@@ -146,8 +146,10 @@ def make_app() -> App:
     app = App(
         name="palpate",
         help_epilogue=_FLAGS_HELP,
-        # Nobody wants a list with nothing in it.
-        default_parameter=Parameter(negative_iterable=(), converter=_converted),
+        # Nobody wants a list with nothing in it, nor a flag that says what is so without it.
+        default_parameter=Parameter(
+            negative_iterable=(), negative_bool=(), converter=_converted, show_default=_shown
+        ),
         help="Elastic constants of a soft object, with intervals, from probings with a known"
         " force.",
         version=versions_text,
@@ -168,17 +170,26 @@ def make_app() -> App:
     def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
         """Print what a shell needs to complete commands and options.
 
+        To be written once, for bash, zsh (with `fpath+=~/.zfunc` before `compinit`) or fish:
+
+        - `palpate completion bash > ~/.local/share/bash-completion/completions/palpate`
+        - `palpate completion zsh > ~/.zfunc/_palpate`
+        - `palpate completion fish > ~/.config/fish/completions/palpate.fish`
+
         Parameters
         ----------
         shell
-            `palpate completion bash > ~/.local/share/bash-completion/completions/palpate`;
-            `palpate completion zsh > ~/.zfunc/_palpate`, with `fpath+=~/.zfunc` before `compinit`;
-            `palpate completion fish > ~/.config/fish/completions/palpate.fish`.
+            The one that completes.
         """
         sys.stdout.write(app.generate_completion(shell=shell))
         return 0
 
     return app
+
+
+def _shown(default: Any) -> str | None:
+    """The default of an option as its help has it; none of a flag."""
+    return None if default is None or isinstance(default, bool) else str(default)
 
 
 def versions_text() -> str:

@@ -99,7 +99,7 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     std = np.array([one.std / one.prior_std for one in farthest])
     height = 0.85 + 0.2 * len(farthest)
     figure = Figure(figsize=(7.0, height))
-    axes = figure.add_axes((0.41, 0.45 / height, 0.56, 1 - 0.8 / height))
+    axes = figure.add_axes((0.0, 0.45 / height, 1.0, 1 - 0.8 / height))
     rows = np.arange(len(farthest))
     axes.axvspan(
         -1.0, 1.0, color="#e6e8eb", linewidth=0, zorder=0, label="assumed (prior, 1 sigma)"
@@ -113,6 +113,9 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     reach = max(SURPRISING + 0.4, float(np.abs(value).max() + std.max()) + 0.2)
     axes.set(xlim=(-reach, reach), ylim=(len(farthest) - 0.4, -0.6))
     axes.set_yticks(rows, [_short(one.name) for one in farthest], parse_math=False)
+    left = max(label.get_window_extent().width for label in axes.get_yticklabels())
+    left = left / figure.bbox.width + 0.03
+    axes.set_position((left, 0.45 / height, 0.97 - left, 1 - 0.8 / height))
     axes.set_xlabel("in the assumed standard deviations (prior)")
     axes.tick_params(axis="y", length=0)
     axes.spines[["top", "right", "left"]].set_visible(False)

@@ -154,22 +154,25 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points], sigmas: PointScalars
     used = scene.used
     largest = max(float(np.quantile(lengths[0][used], 0.99)), float(lengths[1].max()), 1e-9)
     worst = max(float(np.quantile(lengths[2][used], 0.95)), 1e-9)
-    low, high = _extent(scene)
-    figure, panels = three_panels(high - low)
     titles = ("measured", "predicted", "measured \N{MINUS SIGN} predicted")
     shown = [*lengths[:2], lengths[2] if sigmas is None else sigmas]
     last = worst if sigmas is None else MOST_SIGMAS
     scales = ((LENGTHS, largest, largest), (LENGTHS, largest, largest), (RESIDUALS, last, worst))
     arrow = LONGEST_ARROW * scene.size
-    for axes, title, vector, colour, (cmap, most, top) in zip(
-        panels, titles, vectors, shown, scales, strict=True
+    front = scene.front & scene.used
+    stretched = [
+        _bounded(arrow / top * vector[front, :2], 1.5 * arrow)
+        for vector, (_, _, top) in zip(vectors, scales, strict=True)
+    ]
+    low, high = _extent(scene, np.concatenate([scene.place[front, :2] + one for one in stretched]))
+    figure, panels = three_panels(high - low)
+    for axes, title, arrows, colour, (cmap, most, _) in zip(
+        panels, titles, stretched, shown, scales, strict=True
     ):
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         _surface(axes, scene)
         _points(axes, scene, colour, cmap, most)
-        front = scene.front & scene.used
-        stretched = _bounded(arrow / top * vector[front, :2], 1.5 * arrow)
-        add_arrows(axes, scene.place[front, :2], stretched, pitch=scene.size / ARROWS_ACROSS)
+        add_arrows(axes, scene.place[front, :2], arrows, pitch=scene.size / ARROWS_ACROSS)
         title_panel(axes, title)
     _contact(panels[0], scene)
     _scale_bar(panels[0])
@@ -203,10 +206,13 @@ def _left_out(scene: _Scene) -> str:
     return "; ".join(notes)
 
 
-def _extent(scene: _Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Lower left and upper right of the picture [mm], with room for the force's arrow."""
+def _extent(
+    scene: _Scene, ends: Float[np.ndarray, "n 2"]
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Lower left and upper right of the picture [mm], with room for the force's arrow and those of
+    the points, which end at `ends`."""
     corners = 1e3 * scene.view.polygons.reshape(-1, 2)
-    everything = np.concatenate([corners, _arrow_tail(scene)[None]])
+    everything = np.concatenate([corners, _arrow_tail(scene)[None], ends])
     margin = 0.03 * scene.size
     return everything.min(axis=0) - margin, everything.max(axis=0) + margin
 

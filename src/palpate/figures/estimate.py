@@ -215,12 +215,13 @@ def probings_figure(estimate: Estimate, *, truth: Mapping[str, float] | None = N
             (getattr(probe, name), probe.identifiable.get(name, estimate.identifiable[name]))
             for probe in estimate.probes
         ]
-        _dots(axes, told, joint, factor, known=estimate.identifiable[name])
+        true = None if truth is None else truth[name] / factor
+        _dots(axes, told, joint, factor, known=estimate.identifiable[name], true=true)
         axes.set_xlabel(f"{symbol} ({unit})" if unit else symbol)
         if not estimate.identifiable[name]:
             axes.set_title("not determined by these data", color=INK)
-        if truth is not None:
-            true = axes.axvline(truth[name] / factor, color=INK, linestyle="--", linewidth=0.9)
+        if true is not None:
+            line = axes.axvline(true, color=INK, linestyle="--", linewidth=0.9)
     panels[0].set_yticks(range(count), [probe.name for probe in estimate.probes], parse_math=False)
     panels[0].set_ylim(count - 0.4, -0.6)
     handles: dict[str, Artist] = {
@@ -229,13 +230,19 @@ def probings_figure(estimate: Estimate, *, truth: Mapping[str, float] | None = N
         "its 95 % interval": Patch(color=ORANGE, alpha=0.18, linewidth=0),
     }
     if truth is not None:
-        handles["truth"] = true
+        handles["truth"] = line
     figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=4)
     return figure
 
 
 def _dots(
-    axes: Axes, told: list[tuple[Constant, bool]], joint: Constant, factor: float, *, known: bool
+    axes: Axes,
+    told: list[tuple[Constant, bool]],
+    joint: Constant,
+    factor: float,
+    *,
+    known: bool,
+    true: float | None,
 ) -> None:
     """One panel of the dot plot; an interval that leaves the panel ends in an arrow head."""
     singles = [single for single, _ in told]
@@ -245,12 +252,13 @@ def _dots(
         axes.axvspan(low / factor, high / factor, color=ORANGE, alpha=0.18, linewidth=0, zorder=0)
     value = np.array([single.value for single in singles]) / factor
     ends = np.array([single.ci95 for single in singles]).reshape(-1, 2) / factor
-    left, right = _panel_limits(value, ends, joint, factor)
+    shown = np.array([joint.value, *joint.ci95]) / factor
+    left, right = _panel_limits(np.append(value, shown if true is None else [*shown, true]), ends)
     rows = np.arange(len(singles))
-    shown = np.clip(ends, left, right)
+    reach = np.clip(ends, left, right)
     finite = np.isfinite(value)
     dot = np.clip(value, left, right)
-    bars = np.abs(shown - dot[:, None]).T
+    bars = np.abs(reach - dot[:, None]).T
     alone = np.array([one for _, one in told])
     for those, form, colour in ((finite & alone, "o", BLUE), (finite & ~alone, "none", GREY)):
         axes.errorbar(
@@ -269,10 +277,9 @@ def _dots(
 
 
 def _panel_limits(
-    value: Float[np.ndarray, " n"], ends: Float[np.ndarray, "n 2"], joint: Constant, factor: float
+    values: Float[np.ndarray, " k"], ends: Float[np.ndarray, "n 2"]
 ) -> tuple[float, float]:
     """Limits that show all values, and intervals that are not hopelessly wide."""
-    values = np.concatenate([value, np.array([joint.value, *joint.ci95]) / factor])
     values = values[np.isfinite(values)]
     low, high = values.min(), values.max()
     width = max(high - low, 1e-3 * max(abs(high), 1e-12))

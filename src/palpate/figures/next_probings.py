@@ -56,7 +56,9 @@ def next_probings_figure(name: str, found: NextProbings) -> Figure:
         _mark(axes, view, found, gain, norm)
         title_panel(axes, title)
     add_colour_bar(figure, panels, _MAP, norm, "one push there narrows the interval of nu by [%]")
-    add_texts(figure, name, "crosses: measured; rings: push here, in this order", "grey: held")
+    held = np.isin(np.concatenate([one.triangle for one in views]), found.session.held_triangles)
+    note = "grey: held" if held.any() else ""
+    add_texts(figure, name, "crosses: measured; rings: push here, in this order", note)
     return figure
 
 

@@ -26,6 +26,7 @@ from palpate.pipeline import (
 from palpate.records import (
     Estimate,
     Session,
+    file_stem,
     folder_changes,
     read_estimate,
     read_text,
@@ -130,10 +131,13 @@ def _drawing(path: Path) -> str:
 
 
 def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
-    """Pictures of the probings as addresses of themselves, and how many there is no room for."""
+    """Pictures of the probings as addresses of themselves, in the order of their names, and how
+    many there is no room for."""
+    order = {file_stem(name, otherwise=f"probing-{k}"): k for k, name in enumerate(names, start=1)}
     found: dict[str, str] = {}
     size = 0
-    files = sorted((folder / "displacement").glob("*.png"))
+    every = (folder / "displacement").glob("*.png")
+    files = sorted(every, key=lambda file: (order.get(file.stem, len(order)), file.name))
     for number, file in enumerate(files):
         packed = io.BytesIO()
         with Image.open(io.BytesIO(read_bytes(file))) as picture:

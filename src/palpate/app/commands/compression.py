@@ -32,7 +32,7 @@ from palpate.records import (
 
 
 def compression(
-    files: Annotated[list[Path], Parameter(consume_multiple=True, negative="")],
+    files: Annotated[list[Path], Parameter(consume_multiple=True)],
     /,
     *,
     diameter: str | None = None,
@@ -44,7 +44,7 @@ def compression(
     displacement_column: str | None = None,
     force_column: str | None = None,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Young's modulus E = F l / (A delta) of one or more cylinders pressed between plates.
 

@@ -59,7 +59,7 @@ def fit(
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
     cache: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
 

@@ -57,8 +57,8 @@ def flow(
     pose: Literal["auto", "given", "register"] = "auto",
     subset: int | None = None,
     step: int | None = None,
-    pictures: bool = True,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    no_pictures: bool = False,
+    force: bool = False,
 ) -> int:
     """Measure how the surface moved, from the pictures of calibrated cameras.
 
@@ -86,8 +86,8 @@ def flow(
     step
         Spacing of the measured points in pixels of the reference camera. Default: the method's, 5
         for joint.
-    pictures
-        With --no-pictures none are drawn.
+    no_pictures
+        Draw no pictures.
     force
         Write although something else than an unchanged result of this command is there; that is
         kept beside it as NAME.old.
@@ -117,7 +117,7 @@ def flow(
             heading = {"session": given.name, "settings": settings}
             figures = _write(
                 folder, given, found, progress, heading=heading, measuring=seconds,
-                pictures=pictures,
+                pictures=not no_pictures,
             )  # fmt: skip
     print_notes(note for note in found.notes if note not in given.notes)
     print_tables(flow_table(figures, found.rig))

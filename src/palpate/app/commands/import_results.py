@@ -64,19 +64,19 @@ class _Import:
 
 def import_displacements(
     kind: Annotated[_Kind, Parameter(help=f"The program: {kinds_text()}.")],
-    files: Annotated[list[Path], Parameter(consume_multiple=True, negative="")],
+    files: Annotated[list[Path], Parameter(consume_multiple=True)],
     /,
     *,
-    probe: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
+    probe: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
     rig: Path | None = None,
     to_object: Path | None = None,
     length_unit: Literal["um", "mm", "cm", "m", "in"] | None = None,
-    frame: Annotated[list[int] | None, Parameter(consume_multiple=True, negative="")] = None,
+    frame: Annotated[list[int] | None, Parameter(consume_multiple=True)] = None,
     min_score: float | None = None,
-    drop_off_surface: Annotated[bool, Parameter(negative="")] = False,
-    replace: Annotated[bool, Parameter(negative="")] = False,
+    drop_off_surface: bool = False,
+    replace: bool = False,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Take over displacements that another image correlation program measured.
 

@@ -30,8 +30,8 @@ def lab(
     /,
     *,
     seed: int | None = None,
-    list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    list_: Annotated[bool, Parameter(name="--list")] = False,
+    force: bool = False,
 ) -> int:
     """Measure a virtual specimen: its pictures, forces and the truth as a session folder.
 

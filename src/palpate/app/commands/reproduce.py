@@ -1,9 +1,6 @@
 """`palpate reproduce`: the paper's experiments on the virtual bench, from pictures to tables."""
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.errors import InputError
@@ -29,9 +26,9 @@ def reproduce(
     /,
     *,
     out: Path | None = None,
-    quick: Annotated[bool, Parameter(negative="")] = False,
+    quick: bool = False,
     page: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Repeat an experiment of the paper on the virtual bench, its own numbers beside.
 

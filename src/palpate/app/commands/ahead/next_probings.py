@@ -1,9 +1,7 @@
 """`palpate plan`: where to push next, and what it promises."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
 from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
@@ -24,10 +22,10 @@ def plan(
     session: Path,
     /,
     *,
-    next: Annotated[bool, Parameter(negative="")] = True,
+    next: bool = True,
     count: int = 3,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Find the places where further pushes tell most of the constants.
 

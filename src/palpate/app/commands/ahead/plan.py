@@ -1,11 +1,9 @@
 """`palpate lab plan`: what cameras will see and which precision to expect of a session."""
 
 from pathlib import Path
-from typing import Annotated
 
 import cv2
 import numpy as np
-from cyclopts import Parameter
 from rich.table import Table
 
 from palpate.app.terminal import (
@@ -45,7 +43,7 @@ def plan(
     poisson_ratio: float = 0.3,
     noise: float = 1.5,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Say what to expect of a measurement: which precision, from which probings, in which view.
 

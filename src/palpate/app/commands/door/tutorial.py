@@ -1,10 +1,8 @@
 """`palpate lab tutorial`: everything a bench records before it knows anything."""
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from cyclopts import Parameter
 
 from palpate.app.terminal import print_notes, print_text, progress_bar
 from palpate.calibration import Charuco
@@ -20,7 +18,7 @@ def tutorial(
     out: Path,
     /,
     *,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Record boards, a turntable and presses of a virtual half ball, for the tutorial.
 

@@ -38,7 +38,7 @@ from palpate.records import check_free, disk_errors, modulus_unit
 
 # What several commands say of an argument that they share.
 _Campaign = Annotated[Path, Parameter(help="Folder of the campaign.")]
-_Force = Annotated[bool, Parameter(negative="", help="Replace a file of that name.")]
+_Force = Annotated[bool, Parameter(help="Replace a file of that name.")]
 # Workers wait for pictures, not for each other; more of them only share the memory.
 _MOST_PER_CORE = 16
 _WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}

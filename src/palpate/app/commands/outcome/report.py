@@ -1,9 +1,6 @@
 """`palpate report`: a result folder in, its report out."""
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from palpate.app.terminal import print_text
 from palpate.records import check_free, disk_errors
@@ -15,7 +12,7 @@ def report(
     /,
     *,
     out: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Make the report of a result again: one HTML file that needs nothing else.
 

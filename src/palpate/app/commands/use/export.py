@@ -1,9 +1,7 @@
 """`palpate export`: an estimated object in the files of a simulator."""
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from palpate.app.terminal import print_notes, print_text, progress_bar
 from palpate.records import default_folder, record_inputs, result_folder
@@ -24,7 +22,7 @@ def export(
     edge: float | None = None,
     session: Path | None = None,
     cache: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Write an estimated object for a simulator: shape, what is held, constants, one push.
 

@@ -2,9 +2,6 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from palpate.app.terminal import print_text, progress_bar
 from palpate.errors import InputError
@@ -22,7 +19,7 @@ def view(
     turntable: Path | None = None,
     probe: str | None = None,
     cache: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: bool = False,
 ) -> int:
     """Look at an object in a browser: its probings, what the model says, how it feels.
 

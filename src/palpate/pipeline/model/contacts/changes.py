@@ -264,4 +264,4 @@ def _direction_name(direction: Float[np.ndarray, "3"]) -> str:
     axis = int(np.abs(direction).argmax())
     if abs(direction[axis]) > _ALONG_AXIS:
         return "+-"[int(direction[axis] < 0)] + "xyz"[axis]
-    return "(" + ", ".join(f"{x:.2f}" for x in direction) + ")"
+    return "(" + ", ".join(f"{x:g}" for x in np.round(direction, 2) + 0.0) + ")"
