@@ -1,5 +1,7 @@
 """Green's functions against the elastic map, and their files."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from cube_green import NU, SHEAR, TOP
@@ -8,7 +10,7 @@ from surfaces import box
 
 from palpate.errors import InputError, RecordError
 from palpate.pipeline import poke_session
-from palpate.records import Contact
+from palpate.records import Contact, read_session
 from palpate.simulation import (
     GreenFunctions,
     Material,
@@ -114,6 +116,26 @@ def test_a_file_with_any_other_byte_is_refused_or_reads_the_same(tmp_path):
             np.testing.assert_array_equal(again.surface, small.surface)
     # Few bytes of an archive mean nothing: times, attributes, spare room.
     assert refused > 200
+
+
+def test_vertices_at_narrow_triangles_are_left_out_and_refused_if_chosen(tmp_path):
+    """The beam has triangles of 2 degrees near the tip, where its weights hang."""
+    beam = read_session(Path(__file__).parents[2] / "examples" / "beam")
+    material = exact_material(1e5, 0.3)
+    green = make_green_functions(beam, material, most=100)
+    assert 0 < len(green.left_out) < 10
+    assert len(green.nodes) + len(green.left_out) == 100
+    assert green.left_out_text.startswith(f"{len(green.left_out)} of 100 vertices")
+    corners = beam.mesh.vertices[beam.mesh.triangles]
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    narrow = beam.mesh.triangles[edges.min(axis=1) < 0.1 * edges.max(axis=1)]
+    assert np.isin(green.left_out, narrow).all()
+    write_green_functions(tmp_path / "g.npz", green)
+    again = read_green_functions(tmp_path / "g.npz")
+    np.testing.assert_array_equal(again.left_out, green.left_out)
+    chosen = np.union1d(green.nodes, green.left_out)
+    with pytest.raises(InputError, match="not positive definite"):
+        make_green_functions(beam, material, nodes=chosen)
 
 
 def test_held_and_unknown_vertices_are_refused(session):

@@ -196,7 +196,8 @@ def export_fit(
     model = None
     if form.of_surface is not None:
         say(f"files of {form.title}", 0.5)
-        form.of_surface(folder, body)
+        if left_out := form.of_surface(folder, body):
+            body = replace(body, notes=(*body.notes, left_out))
     elif form.of_solid is not None:
         say("tetrahedra", 0.4)
         model = make_solid_model(body, edge=edge)

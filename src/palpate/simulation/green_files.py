@@ -11,6 +11,7 @@ surface (n, 3, v, 3)               [m/N] [j, b, i, a]: the same of every vertex 
 slope (n, 3, n, 3)                 [m/N] derivative of compliance by Poisson's ratio, [i, a, j, b]
 constants (2,), covariance (2, 2)  shear modulus [Pa], Poisson's ratio
 asymmetry ()                       of compliance before it was made symmetric, a share
+left_out (l,)                      vertices that would be nodes, if forces on them gained no energy
 sha256                             of the bytes of all other arrays, in the order of their names
 
 A force on a node is spread as the linear hat around its vertex. Displacements are linear in the
@@ -31,7 +32,7 @@ from palpate.simulation.green_functions import GreenFunctions
 from palpate.simulation.material import Material
 
 GREENS_FORMAT = "palpate-greens/1"
-_ARRAYS = ("held_triangles", "nodes", "compliance", "surface", "slope", "asymmetry")
+_ARRAYS = ("held_triangles", "nodes", "compliance", "surface", "slope", "left_out", "asymmetry")
 _KEYS = {
     "format", "name", "vertices", "triangles", "constants", "covariance", "sha256", *_ARRAYS,
 }  # fmt: skip

@@ -12,11 +12,12 @@ James and Pai, ArtDefo: accurate real time deformable objects, SIGGRAPH (1999), 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.linalg.lapack import dpotrf
 
 from palpate.arrays import fixed_array
 from palpate.bem import (
@@ -58,6 +59,8 @@ class GreenFunctions:
     slope : (n, 3, n, 3) float [m/N]    derivative of `compliance` by Poisson's ratio
     material : Material                 constants and their covariance
     asymmetry : float                   of the compliance before it was made symmetric, as a share
+    left_out : (l,) int                 vertices that would be nodes, if forces on them gained no
+                                        energy
 
     Raises
     ------
@@ -74,15 +77,16 @@ class GreenFunctions:
     slope: Float[np.ndarray, "n 3 n 3"]
     material: Material
     asymmetry: float
+    left_out: Int[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         vertices, count = len(self.mesh.vertices), len(self.nodes)
         shapes = {
             "nodes": (None,), "held_triangles": (None,), "compliance": (count, 3, count, 3),
-            "surface": (count, 3, vertices, 3), "slope": (count, 3, count, 3),
+            "surface": (count, 3, vertices, 3), "slope": (count, 3, count, 3), "left_out": (None,),
         }  # fmt: skip
         for name, shape in shapes.items():
-            integer = name in ("nodes", "held_triangles")
+            integer = name in ("nodes", "held_triangles", "left_out")
             value = fixed_array(getattr(self, name), name=name, shape=shape, integer=integer)
             object.__setattr__(self, name, value)
         check_nodes(self.mesh, self.held_triangles, self.nodes)
@@ -97,12 +101,24 @@ class GreenFunctions:
                 " close to each other for the mesh, leave out those at narrow triangles"
             ) from None
 
+    @property
+    def left_out_text(self) -> str:
+        """What was left out, in a sentence; empty where nothing was."""
+        if not len(self.left_out):
+            return ""
+        count = len(self.nodes) + len(self.left_out)
+        return (
+            f"{len(self.left_out)} of {count} vertices cannot be touched: the triangles there are"
+            " so narrow that forces would gain energy; a mesh of even triangles has none of them"
+        )
+
 
 def make_green_functions(
     session: Session,
     estimate: Estimate | Material,
     *,
     nodes: Int[np.ndarray, " n"] | None = None,
+    most: int | None = None,
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     progress: Progress | None = None,
@@ -114,7 +130,10 @@ def make_green_functions(
     session : Session
     estimate : Estimate or Material     constants; of an estimate with their covariance
     nodes : (n,) int                    vertices of the mesh that may be touched; None: all that
-                                        belong to no held triangle
+                                        belong to no held triangle, but those at narrow triangles
+                                        where forces would gain energy
+    most : int                          of them where `nodes` is None: those nearest to the
+                                        contacts; None: all
     surface : SurfaceSettings           how the surface between the vertices is understood
     cache : Path                        folder that keeps the surface integrals; None: none
     progress : callable                 called with what is done (text) and how far it is (0 to 1)
@@ -141,7 +160,7 @@ def make_green_functions(
             f"{session.path}: a support gives (stiffness); Green's functions are made of objects on"
             " rigid supports: leave its stiffness out if it hardly gives"
         )
-    chosen = free_nodes(session) if nodes is None else np.unique(nodes)
+    chosen = _default_nodes(session, most) if nodes is None else np.unique(nodes)
     check_nodes(session.mesh, session.held_triangles, chosen)
     needed = 8.0 * 9 * len(chosen) * (len(session.mesh.vertices) + 4 * len(chosen))
     if needed > _LARGEST:
@@ -153,16 +172,52 @@ def make_green_functions(
     say("integrals over the surface", 0.0)
     _, system = held_object(session, surface=surface, cache=cache, dense=True)
     everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), say)
-    square = everywhere[:, :, chosen].transpose(2, 3, 0, 1).reshape(3 * len(chosen), -1)
+    left_out = chosen[:0]
+    if nodes is None:
+        kept = _without_gain(_square(everywhere[:, :, chosen]))
+        if len(kept) < len(chosen):
+            left_out, chosen = np.delete(chosen, kept), chosen[kept]
+            everywhere, slope = everywhere[kept], slope[kept][:, :, kept]
+    square = _square(everywhere[:, :, chosen])
     compliance = 0.5 * (square + square.T)
     asymmetry = float(np.linalg.norm(square - square.T) / np.linalg.norm(square + square.T))
     shape = (len(chosen), 3, len(chosen), 3)
     everywhere[:, :, chosen] = compliance.reshape(shape)
-    slope = slope.transpose(2, 3, 0, 1).reshape(square.shape)
+    slope = _square(slope)
     return GreenFunctions(
         session.name, session.mesh, session.held_triangles, chosen, compliance.reshape(shape),
-        everywhere, (0.5 * (slope + slope.T)).reshape(shape), material, asymmetry,
+        everywhere, (0.5 * (slope + slope.T)).reshape(shape), material, asymmetry, left_out,
     )  # fmt: skip
+
+
+def _square(pairs: Float[np.ndarray, "n 3 n 3"]) -> Float[np.ndarray, "m m"]:
+    """Responses [j, b, i, a] as a matrix: displacements down, forces across."""
+    return pairs.transpose(2, 3, 0, 1).reshape(3 * len(pairs), -1)
+
+
+def _default_nodes(session: Session, most: int | None) -> Int[np.ndarray, " n"]:
+    """The free vertices nearest to the contacts, or to the top where there are none."""
+    if most is None:
+        return free_nodes(session)
+    points = np.array([one.contact.point for one in session.probings])
+    if not len(points):
+        points = session.mesh.vertices[session.mesh.vertices[:, 2].argmax()][None]
+    return nearest_nodes(session, points, most)
+
+
+def _without_gain(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray, " k"]:
+    """Nodes whose compliance, made symmetric, is positive definite: node by node, those are left
+    out of which some force, together with forces on nodes before, would gain energy."""
+    symmetric = square + square.T
+    kept = np.arange(len(square) // 3)
+    while len(kept):
+        rows = (3 * kept[:, None] + np.arange(3)).ravel()
+        # Order of the first leading minor that is not positive; 0: all are.
+        order = dpotrf(symmetric[np.ix_(rows, rows)])[1]
+        if not order:
+            break
+        kept = np.delete(kept, (order - 1) // 3)
+    return kept
 
 
 def free_nodes(session: Session) -> Int[np.ndarray, " n"]:

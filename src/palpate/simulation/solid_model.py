@@ -48,14 +48,15 @@ class Format:
     poisson : (float, float)        Poisson's ratios that it takes
     run : str                       what to do with the files
     of_solid : callable or None     (folder, SolidModel): writes tetrahedra
-    of_surface : callable or None   (folder, EstimatedObject): writes the surface; one of the two
+    of_surface : callable or None   (folder, EstimatedObject): writes the surface, and may say what
+                                    of it is left out, in a sentence; one of the two
     """
 
     title: str
     poisson: tuple[float, float]
     run: str
     of_solid: "Callable[[Path, SolidModel], None] | None" = None
-    of_surface: "Callable[[Path, EstimatedObject], None] | None" = None
+    of_surface: "Callable[[Path, EstimatedObject], str | None] | None" = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

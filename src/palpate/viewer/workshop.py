@@ -5,8 +5,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from palpate.errors import PalpateError
 from palpate.estimation import FitResult
 from palpate.pipeline import FittedProbing, fit_session
@@ -17,7 +15,6 @@ from palpate.simulation import (
     estimated_material,
     exact_material,
     make_green_functions,
-    nearest_nodes,
 )
 from palpate.viewer.subject import Subject, fitted_probings, shown_probings
 
@@ -113,9 +110,9 @@ class Workshop:
         self._changed()
         try:
             self.green = make_green_functions(
-                session, material, nodes=_touchable(session), cache=self.cache
+                session, material, most=_touchable(session), cache=self.cache
             )
-            self.touch_text = ""
+            self.touch_text = self.green.left_out_text
         except PalpateError as error:
             self.touch_text = f"the object cannot be touched: {error}"
 
@@ -131,15 +128,10 @@ class Workshop:
         return ASSUMED
 
 
-def _touchable(session: Session) -> np.ndarray | None:
-    """Vertices about the contacts, as many as a laptop can take; None: all that are free."""
+def _touchable(session: Session) -> int:
+    """How many vertices a laptop can take."""
     count = len(session.mesh.vertices)
     nodes = count
     while 72.0 * nodes * (count + 4 * nodes) > _LARGEST_GREEN:
         nodes = int(0.9 * nodes)
-    if nodes == count:
-        return None
-    points = np.array([one.contact.point for one in session.probings])
-    if not len(points):
-        points = session.mesh.vertices[session.mesh.vertices[:, 2].argmax()][None]
-    return nearest_nodes(session, points, nodes)
+    return nodes

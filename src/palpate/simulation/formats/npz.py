@@ -2,10 +2,8 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from palpate.simulation.green_files import write_green_functions
-from palpate.simulation.green_functions import make_green_functions, nearest_nodes
+from palpate.simulation.green_functions import make_green_functions
 from palpate.simulation.solid_model import EstimatedObject, Format
 
 _POISSON = (-0.999, 0.5)
@@ -17,7 +15,7 @@ _RUN = (
 _NODES = 400
 
 
-def write_npz(folder: Path, body: EstimatedObject) -> None:
+def write_npz(folder: Path, body: EstimatedObject) -> str:
     """Write green.npz: the Green's functions of the vertices nearest to the session's contacts.
 
     Parameters
@@ -25,15 +23,17 @@ def write_npz(folder: Path, body: EstimatedObject) -> None:
     folder : Path
     body : EstimatedObject
 
+    Returns
+    -------
+    str                             which vertices are left out; empty: none
+
     Raises
     ------
     RecordError                     the file cannot be written
     """
-    session = body.session
-    contacts = np.array([probing.contact.point for probing in session.probings])
-    nodes = nearest_nodes(session, contacts, _NODES)
-    green = make_green_functions(session, body.material, nodes=nodes)
+    green = make_green_functions(body.session, body.material, most=_NODES)
     write_green_functions(folder / "green.npz", green)
+    return green.left_out_text
 
 
 NPZ = Format("NPZ", _POISSON, _RUN, of_surface=write_npz)

@@ -52,6 +52,8 @@ class TouchPanel:
             how = "Click on the object to press it; drag to press deeper."
             if known and self._workshop.assumed:
                 how += " Nothing was estimated: G 20 kPa and nu 0.3 are assumed."
+            if known and self._workshop.touch_text:
+                how += f" {self._workshop.touch_text}."
             self.text.content = how if known else f"*{self._workshop.touch_text}*"
 
     def put(self, point: Vector3) -> None:
