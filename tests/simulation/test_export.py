@@ -1,6 +1,7 @@
 """An estimated object in the files of simulators: what is in them, and what two of these do."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from exported_result import RADIUS, SIDE, written_result
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import enclosed_volume, read_mesh
-from palpate.records import Constant
+from palpate.records import Constant, Status
 from palpate.simulation import FORMATS, export_fit, read_fit, read_green_functions
 from palpate.simulation.formats import npz, registry
 from palpate.simulation.material import exact_material
@@ -216,6 +217,20 @@ def test_a_material_outside_a_simulators_range_is_refused_or_said(source, tmp_pa
     assert body.notes[0].startswith("Poisson's ratio 0.4999 was written as 0.495")
     assert body.material.poisson_ratio == 0.495
     assert body.material.shear_modulus == source.estimate.shear_modulus.value
+
+
+def test_what_the_data_do_not_determine_is_written_as_assumed(source, tmp_path):
+    known = {"shear_modulus": False, "poisson_ratio": False, "young_modulus": True}
+    status = Status.from_identifiable(known)
+    told = replace(source, estimate=replace(source.estimate, identifiable=known, status=status))
+    body = export_fit(tmp_path, told, "obj")
+    assert body.notes[0] == status.advice
+    facts = json.loads((tmp_path / "palpate.json").read_text())
+    found = {name: one["determined"] for name, one in facts["constants"].items()}
+    assert found == known
+    readme = (tmp_path / "README.txt").read_text()
+    assert re.search(r"poisson_ratio +not determined +\(", readme)
+    assert re.search(r"Written: young_modulus \S+ Pa, poisson_ratio \S+ \(assumed\), den", readme)
 
 
 def test_a_probing_that_is_not_there_is_refused(source, tmp_path):

@@ -10,11 +10,11 @@ from surfaces import box
 from palpate.api import Result
 from palpate.errors import InputError, PalpateError, RecordError
 from palpate.geometry import write_mesh
-from palpate.records import read_session
+from palpate.records import Status, read_session
 from palpate.viewer import read_subject
 from palpate.viewer.colours import FIELDS, RESIDUAL, coloured_field, colours_of, linear_light
-from palpate.viewer.server import free_port
-from palpate.viewer.subject import shown_probings
+from palpate.viewer.server import free_port, heading
+from palpate.viewer.subject import Subject, shown_probings
 
 
 def test_a_session_shows_what_was_measured_and_no_more(cube_session):
@@ -38,6 +38,19 @@ def test_a_result_shows_residuals_in_sigmas(cube_session, tmp_path):
     # Half of (3, 0, -4) tenths of a millimetre is left, sigma is one tenth.
     expected = np.sqrt((1.5**2 + 2.0**2) / 3.0)
     np.testing.assert_allclose(coloured_field(shown, RESIDUAL).values, expected, rtol=1e-9)
+
+
+def test_the_heading_has_no_number_of_what_the_data_do_not_determine(cube_session):
+    session = read_session(cube_session)
+    found = sample_result(session).estimate
+    known = {"shear_modulus": False, "poisson_ratio": False, "young_modulus": True}
+    estimate = replace(found, identifiable=known, status=Status.from_identifiable(known))
+    text = heading(Subject(session, estimate, None, None))
+    assert text.startswith("result: Only Young's modulus is determined")
+    assert "E = " in text
+    assert "nu = " not in text
+    assert estimate.status.value not in text
+    assert "nu = " in heading(Subject(session, found, None, None))
 
 
 def test_a_result_whose_session_changed_is_refused(cube_session, tmp_path):

@@ -11,6 +11,7 @@ from palpate.records import (
     Estimate,
     Session,
     Status,
+    constant_row,
     file_sums,
     json_text,
     read_estimate,
@@ -212,7 +213,7 @@ def _told(estimate: Estimate) -> str:
     """What the data did not determine."""
     if estimate.status is Status.OK:
         return ""
-    return f"{estimate.status.value}: {estimate.status.advice}"
+    return estimate.status.advice
 
 
 def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
@@ -226,7 +227,12 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
         "session": body.session.name,
         "status": estimate.status.value,
         "constants": {
-            name: {"value": one.value, "std": one.std, "ci95": list(one.ci95)}
+            name: {
+                "value": one.value,
+                "std": one.std,
+                "ci95": list(one.ci95),
+                "determined": estimate.identifiable[name],
+            }
             for name, one in constants.items()
         },
         "written": {
@@ -264,14 +270,14 @@ def _readme(form: Format, body: EstimatedObject, model: SolidModel | None) -> st
     lines += ["Units are SI (m, N, Pa, kg), the frame is that of the session's mesh.", ""]
     lines.append("Estimated, with 95 % intervals:")
     for name in CONSTANT_NAMES:
-        one = getattr(body.estimate, name)
-        low, high = one.ci95
-        lines.append(f"  {name:15s} {one.value:.5g}   {low:.5g} to {high:.5g}")
-    material = body.material
-    lines.append(
-        f"Written: young_modulus {material.young_modulus:.6g}, poisson_ratio"
-        f" {material.poisson_ratio:.6g}, density {body.density:g} kg/m^3."
-    )
+        value, interval, unit = constant_row(body.estimate, name)
+        lines.append(f"  {name:15s} {value}   {interval} {unit}".rstrip())
+    written = [
+        f"{name} {getattr(body.material, name):.6g}{unit}"
+        f"{'' if body.estimate.identifiable[name] else ' (assumed)'}"
+        for name, unit in (("young_modulus", " Pa"), ("poisson_ratio", ""))
+    ]
+    lines.append(f"Written: {', '.join(written)}, density {body.density:g} kg/m^3.")
     if model is not None:
         lines.append(
             f"{len(model.solid.elements)} ten-node tetrahedra, {len(model.linear)} of four on the"

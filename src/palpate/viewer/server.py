@@ -11,6 +11,7 @@ import numpy as np
 
 from palpate.errors import InputError
 from palpate.optional_imports import late_import
+from palpate.records import verdict_text
 from palpate.viewer.panels import (
     LookPanel,
     MaterialPanel,
@@ -44,7 +45,7 @@ class Tab:
         # The workshop's thread and the one that opens the tab both say that something is ready.
         self._updating = threading.Lock()
         self.stage = Stage(client, subject)
-        gui.add_markdown(f"**{subject.session.name}**  \n{_heading(subject)}")
+        gui.add_markdown(f"**{subject.session.name}**  \n{heading(subject)}")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Look"):
             self.look = LookPanel(gui, workshop, self.stage)
@@ -189,11 +190,19 @@ def free_port(wanted: int | None) -> int:
     raise InputError(f"{what} cannot be had ({why}); choose another with --port")
 
 
-def _heading(subject: Subject) -> str:
-    """What is looked at, in a line."""
+def heading(subject: Subject) -> str:
+    """What is looked at: a session, or what an estimate says.
+
+    Parameters
+    ----------
+    subject : Subject
+
+    Returns
+    -------
+    str
+    """
     estimate = subject.estimate
     if estimate is None:
         measured = [one.displacement is not None for one in subject.session.probings]
         return "session, fitted while you look" if measured and all(measured) else "session"
-    modulus, nu = 1e-3 * estimate.young_modulus.value, estimate.poisson_ratio.value
-    return f"result: E {modulus:.4g} kPa, nu {nu:.3f} ({estimate.status})"
+    return f"result: {verdict_text(estimate)}"
