@@ -1,14 +1,20 @@
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
+from estimate_samples import sample_result
 from PIL import Image
 
 from palpate.app.cli import main
 from palpate.errors import InputError
+from palpate.pipeline import FittedSurface
+from palpate.records import read_session
 from palpate.viewer import read_subject, stills, write_screenshot, write_turntable
+from palpate.viewer.subject import Subject, shown_probings
 
 
 @pytest.fixture
@@ -23,6 +29,42 @@ def test_a_picture_shows_the_object(cube_session, tmp_path, capsys):
     assert pixels[len(pixels) // 2, pixels.shape[1] // 2].max() < 250
     assert (np.ptp(pixels, axis=2) > 60).sum() > 200
     assert (pixels.min(axis=2) > 250).mean() > 0.3
+
+
+def drawn_by_the_model(cube_session):
+    """The cube, sheared along z by a quarter of x."""
+    session = read_session(cube_session)
+    estimate = sample_result(session).estimate
+    (plain,) = shown_probings(Subject(session, None, None, None))
+    moved = np.zeros_like(session.mesh.vertices)
+    moved[:, 2] = -0.25 * session.mesh.vertices[:, 0]
+    one = replace(plain, predicted=plain.displacement, surface=moved)
+    mesh = session.mesh
+    surface = FittedSurface(
+        session.name, mesh.vertices, mesh.triangles, session.held_triangles, (one,),
+        sample_result(session).likelihood,
+    )  # fmt: skip
+    return Subject(session, estimate, surface, None)
+
+
+def test_different_displacements_have_different_colours(cube_session, tmp_path):
+    write_screenshot(drawn_by_the_model(cube_session), tmp_path / "cube.png")
+    pixels = np.asarray(Image.open(tmp_path / "cube.png").convert("RGB"), dtype=int)
+    # Of the body, not of the scale below it.
+    red, green, blue = pixels[: int(0.87 * len(pixels))].transpose(2, 0, 1)
+    yellow = (green > 2 * blue) & (red > 0.9 * green)
+    turquoise = (green > 1.2 * red) & (green > 1.05 * blue)
+    assert yellow.sum() < turquoise.sum()
+
+
+def test_a_long_object_fills_the_picture(tmp_path):
+    beam = Path(__file__).parents[2] / "examples" / "beam"
+    write_screenshot(read_subject(beam), tmp_path / "beam.png")
+    pixels = np.asarray(Image.open(tmp_path / "beam.png").convert("RGB"), dtype=int)
+    # Between name and scale.
+    part = pixels[len(pixels) // 10 : int(0.87 * len(pixels))]
+    columns = np.flatnonzero((part.min(axis=2) < 240).any(axis=0))
+    assert 0.75 < np.ptp(columns) / pixels.shape[1] < 0.98
 
 
 @pytest.mark.parametrize("name", ["turn.gif", "turn.mp4"])

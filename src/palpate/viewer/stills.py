@@ -1,12 +1,14 @@
 """The object as a picture, or as a film that turns it, without a browser or a display."""
 
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import cv2
 import numpy as np
+from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
@@ -31,15 +33,18 @@ from palpate.figures import (
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
 from palpate.pipeline import FittedProbing
 from palpate.progress import Progress, silent
-from palpate.shapes import Vector3
+from palpate.shapes import Vector3, Vertices
 from palpate.viewer.colours import MEASURED, PREDICTED, ColouredField, coloured_field, colours_of
 from palpate.viewer.stage import direction_of
 from palpate.viewer.subject import Subject, shown_probings
 
 # Pictures of one turn, and seconds of a picture.
 _VIEWS, _PACE = 72, 0.06
-# Of the object's size: how far the largest displacement is drawn, the arrow, half a picture.
-_SHOWN, _ARROW, _REACH = 0.06, 0.22, 0.6
+# Of the object's size: how far the largest displacement is drawn, and the arrow.
+_SHOWN, _ARROW = 0.06, 0.22
+# Of the figure: its size [inch], the part of it that shows the object, and what stays free of that.
+_FIGURE, _PART, _FREE = np.array([5.6, 5.2]), (0.02, 0.13, 0.96, 0.77), 0.1
+_LINE = 60
 _CLAY = "#d4d7db"
 # A codec that browsers play, and one that every OpenCV has.
 _CODECS = ("vp09", "mp4v")
@@ -59,6 +64,29 @@ class _Shown:
         """Displacement of the vertices, where the model gives it."""
         return None if self.probing is None else self.probing.surface
 
+    @property
+    def drawn(self) -> TriangleMesh:
+        """The surface, moved so many times as far."""
+        mesh = self.subject.session.mesh
+        moved = np.zeros_like(mesh.vertices) if self.surface is None else self.surface
+        return TriangleMesh(mesh.vertices + self.stretch * moved, mesh.triangles)
+
+    @property
+    def arrow(self) -> np.ndarray | None:
+        """Tail and tip of the force, (2, 3) [m], where there is one."""
+        one = self.probing
+        newtons = 0.0 if one is None else float(np.linalg.norm(one.force))
+        if one is None or not newtons:
+            return None
+        size = bounding_diagonal(self.subject.session.mesh)
+        return np.array([one.contact - _ARROW * size * one.force / newtons, one.contact])
+
+    @property
+    def middle(self) -> Vector3:
+        """What every view has in its middle."""
+        vertices = self.subject.session.mesh.vertices
+        return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+
 
 def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) -> None:
     """Write a picture of an object: moved as the fitted model says, or with what was measured.
@@ -76,7 +104,8 @@ def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) 
     """
     _check_kind(path, (".png", ".jpg", ".jpeg"))
     shown = _shown(subject, probe)
-    pixels = _pixels(shown, direction_of(subject))
+    direction = direction_of(subject)
+    pixels = _pixels(shown, direction, _reach(shown, [direction]))
     with placed([path]) as (partial,):
         form = "PNG" if path.suffix.lower() == ".png" else "JPEG"
         Image.fromarray(pixels).save(partial, form)
@@ -102,10 +131,11 @@ def write_turntable(
     _check_kind(path, (".mp4", ".gif"))
     shown = _shown(subject, probe)
     start = direction_of(subject)
-    views = []
-    for number in range(_VIEWS):
+    directions = [_turned(start, 2 * np.pi * number / _VIEWS) for number in range(_VIEWS)]
+    reach, views = _reach(shown, directions), []
+    for number, direction in enumerate(directions):
         progress("turntable", number / _VIEWS)
-        views.append(_pixels(shown, _turned(start, 2 * np.pi * number / _VIEWS)))
+        views.append(_pixels(shown, direction, reach))
     with placed([path]) as (partial,):
         write: Callable[[Path, list[np.ndarray]], None]
         write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
@@ -129,31 +159,35 @@ def _shown(subject: Subject, probe: str | None) -> _Shown:
     moved = field.moved if one.surface is None and field else one.surface
     largest = 0.0 if moved is None else float(np.linalg.norm(moved, axis=1).max())
     if one.surface is not None and field is not None:
-        # Under the tool it is far more than elsewhere: the scale ends at half of that.
-        field = replace(field, top=0.5e3 * largest)
+        # The largest that is drawn: no colour stands for more than one number.
+        lengths = _face_lengths(subject.session.mesh, one.surface)
+        field = replace(field, top=max(float(lengths.max()), 1e-6))
     size = bounding_diagonal(subject.session.mesh)
     return _Shown(subject, one, field, _SHOWN * size / largest if largest else 1.0)
 
 
+def _reach(shown: _Shown, directions: Sequence[Vector3]) -> Float[np.ndarray, "2"]:
+    """Half of what a picture is wide and high [mm], so that it holds the object in all views."""
+    drawn, room = shown.drawn, (1.0 - _FREE) * _FIGURE * _PART[2:]
+    arrow = drawn.vertices[:0] if shown.arrow is None else shown.arrow
+    points = np.concatenate([drawn.vertices, arrow]) - shown.middle
+    seen = [projected(make_view(drawn, one), points)[:, :2] for one in directions]
+    return np.asarray(1e3 * float((np.abs(seen) / room).max()) * _FIGURE * _PART[2:])
+
+
 @styled
-def _pixels(shown: _Shown, direction: Vector3) -> np.ndarray:
+def _pixels(
+    shown: _Shown, direction: Vector3, reach: Float[np.ndarray, "2"]
+) -> UInt8[np.ndarray, "_ _ 3"]:
     """One view."""
-    mesh = shown.subject.session.mesh
-    moved = np.zeros_like(mesh.vertices) if shown.surface is None else shown.surface
-    drawn = TriangleMesh(mesh.vertices + shown.stretch * moved, mesh.triangles)
-    figure = Figure(figsize=(5.6, 5.2))
-    axes = figure.add_axes((0.02, 0.12, 0.96, 0.8))
+    drawn = shown.drawn
+    figure = Figure(figsize=tuple(_FIGURE))
+    axes = figure.add_axes(_PART)
     axes.set_axis_off()
     _surface(axes, shown, drawn, direction)
-    if shown.probing is not None:
-        _force(axes, shown.probing, drawn, direction)
-    reach = 1e3 * _REACH * bounding_diagonal(mesh)
-    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    middle = 1e3 * projected(make_view(mesh, direction), middle)
-    axes.set(
-        xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - reach, middle[1] + reach),
-        aspect="equal",
-    )  # fmt: skip
+    _force(axes, shown, drawn, direction)
+    x, y, _ = 1e3 * projected(make_view(drawn, direction), shown.middle)
+    axes.set(xlim=(x - reach[0], x + reach[0]), ylim=(y - reach[1], y + reach[1]), aspect="equal")
     _texts(figure, shown)
     return figure_pixels(figure)[..., :3]
 
@@ -165,9 +199,8 @@ def _surface(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3)
     colours = np.tile(np.array(to_rgb(_CLAY)), (len(view.triangle), 1))
     field = shown.field
     if shown.surface is not None and field is not None:
-        length = 1e3 * np.linalg.norm(shown.surface, axis=1)
-        of_faces = length[drawn.triangles[view.triangle]].mean(axis=1)
-        colours = colours_of(of_faces, field.top, LENGTHS) / 255
+        lengths = _face_lengths(drawn, shown.surface)[view.triangle]
+        colours = colours_of(lengths, field.top, LENGTHS) / 255
     colours[np.isin(view.triangle, shown.subject.session.held_triangles)] = to_rgb(HELD)
     polygons = cast(Any, 1e3 * view.polygons)
     axes.add_collection(
@@ -175,6 +208,11 @@ def _surface(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3)
     )
     if shown.surface is None and field is not None:
         _points(axes, shown, drawn, direction)
+
+
+def _face_lengths(mesh: TriangleMesh, moved: Vertices) -> Float[np.ndarray, " m"]:
+    """Length of the displacement, mean of each triangle's corners [mm]."""
+    return np.asarray(1e3 * np.linalg.norm(moved, axis=1)[mesh.triangles].mean(axis=1))
 
 
 def _points(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
@@ -194,22 +232,21 @@ def _points(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) 
     )  # fmt: skip
 
 
-def _force(axes: Axes, one: FittedProbing, drawn: TriangleMesh, direction: Vector3) -> None:
+def _force(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
     """The arrow of the force with its newtons; pale where the object hides its tip."""
-    newtons = float(np.linalg.norm(one.force))
-    if not newtons:
+    if shown.arrow is None or shown.probing is None:
         return
-    view, size = make_view(drawn, direction), bounding_diagonal(drawn)
-    tip = 1e3 * projected(view, one.contact)
-    tail = tip - 1e3 * _ARROW * size * projected(view, one.force / newtons)
-    hidden = float(one.force @ direction) > 0.0
+    force = shown.probing.force
+    text = f"{np.linalg.norm(force):.3g} N"
+    tail, tip = 1e3 * projected(make_view(drawn, direction), shown.arrow)
+    hidden = float(force @ direction) > 0.0
     style = {"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
     axes.annotate(
         "", xy=tuple(tip[:2]), xytext=tuple(tail[:2]), arrowprops=style,
         zorder=-1 if hidden else 5, annotation_clip=False,
     )  # fmt: skip
     axes.annotate(
-        f"{newtons:.3g} N", tuple(tail[:2]), (4, 2), textcoords="offset points", zorder=6,
+        text, tuple(tail[:2]), (4, 2), textcoords="offset points", zorder=6,
         path_effects=[Stroke(linewidth=2.0, foreground="white"), Normal()],
     )  # fmt: skip
 
@@ -218,12 +255,14 @@ def _texts(figure: Figure, shown: _Shown) -> None:
     """Name, constants, scale."""
     subject, field = shown.subject, shown.field
     name = subject.session.name + (f": {shown.probing.name}" if shown.probing else "")
-    figure.text(0.5, 0.975, name, ha="center", va="top", weight="bold", parse_math=False)
+    title = textwrap.fill(name, _LINE)
+    figure.text(0.5, 0.985, title, ha="center", va="top", weight="bold", parse_math=False)
     if field is None:
         return
     axes = figure.add_axes((0.3, 0.075, 0.4, 0.016))
     scale = ScalarMappable(Normalize(0.0, field.top), field.cmap)
-    bar = figure.colorbar(scale, cax=axes, orientation="horizontal", extend="max")
+    beyond = "neither" if shown.surface is not None else "max"
+    bar = figure.colorbar(scale, cax=axes, orientation="horizontal", extend=beyond)
     what = "as the fitted model says" if shown.surface is not None else "measured"
     bar.set_label(f"displacement in mm, {what}; drawn {shown.stretch:.2g} times", labelpad=2)
     bar.outline.set_linewidth(0.4)
