@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
@@ -6,7 +8,8 @@ from PIL import Image
 from palpate.estimation import LikelihoodMap
 from palpate.records import Camera, Rig, read_session
 from palpate.viewer.drawings import LikelihoodPlot, camera_picture
-from palpate.viewer.stage import camera_place
+from palpate.viewer.panels.material import rms_text
+from palpate.viewer.stage import camera_place, place_labels
 from palpate.viewer.subject import read_subject, shown_probings
 
 FOCAL, SIZE, HEIGHT = 800.0, (400, 300), 0.2
@@ -71,6 +74,23 @@ def test_the_view_from_a_camera_is_its_own():
     # Half a turn about x: it looks down.
     np.testing.assert_allclose(np.abs(turn), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
     assert np.tan(0.5 * fov) == pytest.approx(150.0 / FOCAL)
+
+
+def test_probings_at_one_place_have_one_label():
+    here, there = np.zeros(3), np.array([10.0, 0.0, 0.0])
+    starts = {"a": (here, ""), "b": (here + 0.1, "b: 2 N"), "c": (there, "")}
+    (first, place), (second, _) = place_labels(starts, 1.0)
+    assert (first, second) == ("b: 2 N and 1 more", "c")
+    np.testing.assert_array_equal(place, here)
+
+
+def test_the_rms_difference_has_a_fitting_unit(cube_session):
+    (shown,) = shown_probings(read_subject(cube_session))
+    field = np.full_like(shown.points, 2e-3)
+    one = replace(shown, displacement=field, predicted=0 * field, weight=np.ones_like(field))
+    # The square root of three times 2 mm.
+    assert rms_text(one).endswith(": 3.46 mm")
+    assert rms_text(replace(one, predicted=0.999 * field)).endswith(": 3.46 µm")
 
 
 def test_the_cross_is_where_the_constants_are():

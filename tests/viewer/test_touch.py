@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from palpate.errors import InputError
-from palpate.simulation import PlacedTool, Sphere, start_contact, touch
-from palpate.viewer.touch import force_text, place_on_ray, press, put_ball
+from palpate.simulation import Material, PlacedTool, Sphere, start_contact, touch
+from palpate.simulation.contact import FEW_NODES
+from palpate.viewer.touch import force_text, place_on_ray, press, put_ball, resolved_radius
 
 TOP = np.array([0.02, 0.02, 0.04])
 UP = np.array([0.0, 0.0, 1.0])
@@ -48,6 +51,22 @@ def test_what_is_not_prepared_cannot_be_pressed(green):
 
 def test_too_few_vertices_are_told(green):
     assert "too few" in force_text(press(green, put_ball(green, TOP, 0.002), 2e-4))
+
+
+def test_the_first_ball_is_one_that_the_mesh_resolves(green):
+    small, depth = 0.002, 2e-4
+    assert not press(green, put_ball(green, TOP, small), depth).state.resolved.all()
+    radius = resolved_radius(green, TOP, depth, (small, 1.0))
+    assert press(green, put_ball(green, TOP, radius), depth).touching >= FEW_NODES
+    assert resolved_radius(green, TOP, depth, (small, 0.003)) == 0.003
+
+
+def test_a_force_that_is_not_resolved_has_no_sigma(green):
+    material = Material(2e4, 0.3, np.diag([1e6, 1e-4]))
+    unsure = replace(green, material=material)
+    assert "\N{PLUS-MINUS SIGN}" in force_text(press(unsure, put_ball(unsure, TOP, 0.2), 2e-3))
+    few = force_text(press(unsure, put_ball(unsure, TOP, 0.002), 2e-4))
+    assert "\N{PLUS-MINUS SIGN}" not in few
 
 
 def test_rays_meet_the_cube_where_they_enter_its_slabs(session):

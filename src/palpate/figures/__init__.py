@@ -34,6 +34,7 @@ from palpate.figures.displacement import (
 from palpate.figures.estimate import (
     likelihood_figure as likelihood_figure,
     probings_figure as probings_figure,
+    refined_likelihood as refined_likelihood,
     write_plots as write_plots,
 )
 from palpate.figures.flow import (

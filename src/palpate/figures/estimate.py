@@ -101,7 +101,7 @@ def likelihood_figure(result: FitResult) -> Figure:
     """
     estimate = result.estimate
     factor, unit = modulus_unit(estimate.shear_modulus.value)
-    nu, shear, deviance = _refined(result.likelihood)
+    nu, shear, deviance = refined_likelihood(result.likelihood)
     shear = shear / factor
     figure = Figure(figsize=(4.6, 3.9))
     axes = figure.add_axes((0.14, 0.12, 0.82, 0.70))
@@ -165,10 +165,21 @@ def _told(known: bool) -> dict[str, Any]:
     return ends | {"color": ORANGE if known else GREY, "linewidth": 2.0 if known else 1.2}
 
 
-def _refined(
+def refined_likelihood(
     likelihood: LikelihoodMap,
 ) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"], Float[np.ndarray, "b a"]]:
-    """The part of the map that is shown, on a finer grid: a coarse one makes regions angular."""
+    """The part of a likelihood that is drawn, on a finer grid: a coarse one makes regions angular.
+
+    Parameters
+    ----------
+    likelihood : LikelihoodMap
+
+    Returns
+    -------
+    (a,) float                      Poisson's ratios
+    (b,) float [Pa]                 shear moduli
+    (b, a) float                    deviance; a spline may dip below zero
+    """
     nu, shear, deviance = likelihood.poisson_ratio, likelihood.shear_modulus, likelihood.deviance.T
     near = deviance < MAX_DEVIANCE
     if not near.any():

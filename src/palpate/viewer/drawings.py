@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from palpate.errors import PalpateError
 from palpate.estimation import LikelihoodMap
-from palpate.figures import INK, MIDDLE_BLUE, ORANGE, PALE_BLUE, styled
+from palpate.figures import INK, MIDDLE_BLUE, ORANGE, PALE_BLUE, refined_likelihood, styled
 from palpate.pipeline import FittedProbing
 from palpate.records import Camera, Rig, Session, modulus_unit
 from palpate.vision import project, read_grey
@@ -18,7 +18,6 @@ from palpate.vision import project, read_grey
 # Pixels along the longer side of a picture in the page.
 _LARGEST = 640
 _REGIONS = (0.5, 0.95)
-_MOST_DEVIANCE = 16.0
 # Arrows across a picture.
 _ARROWS = 26
 
@@ -65,15 +64,13 @@ def _likelihood_pixels(
     """The plot's pixels, and where on them a pair of constants is."""
     figure = Figure(figsize=(3.4, 2.7), dpi=150, layout="constrained")
     axes = figure.subplots()
-    modulus = likelihood.shear_modulus / factor
-    levels = [0.0, *(likelihood.height(share) for share in _REGIONS)]
-    deviance = np.minimum(likelihood.deviance.T, _MOST_DEVIANCE)
-    axes.contourf(
-        likelihood.poisson_ratio, modulus, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE]
-    )
-    axes.contour(
-        likelihood.poisson_ratio, modulus, deviance, levels=levels[1:], colors=INK, linewidths=0.6
-    )
+    nu, modulus, deviance = refined_likelihood(likelihood)
+    modulus = modulus / factor
+    levels = [min(0.0, float(deviance.min())) - 1e-9, *map(likelihood.height, _REGIONS)]
+    axes.contourf(nu, modulus, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE])
+    axes.contour(nu, modulus, deviance, levels=levels[1:], colors=INK, linewidths=0.6)
+    whole = likelihood.shear_modulus / factor
+    axes.set(xlim=likelihood.poisson_ratio[[0, -1]], ylim=whole[[0, -1]])
     axes.set(xlabel="Poisson's ratio", ylabel=f"shear modulus, {unit}")
     axes.set_title("50 and 95 % regions; cross: the sliders", fontsize=8)
     canvas = FigureCanvasAgg(figure)

@@ -1,6 +1,7 @@
 """What one browser tab shows of the object in space; lengths in millimetres."""
 
 import threading
+from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -24,7 +25,7 @@ _CHIP = (640, 480)
 _FOV = np.pi / 3
 _BODY, _SET = "#c9ccd2", "#e69f00"
 # Of the object's size.
-_POINT, _ARROW, _TIP, _FRUSTUM = 0.012, 0.2, 0.006, 0.12
+_POINT, _ARROW, _TIP, _FRUSTUM, _NEAR = 0.012, 0.2, 0.006, 0.12, 0.03
 # More arrows hide the points.
 _MOST_ARROWS = 250
 
@@ -169,6 +170,7 @@ class Stage:
 
     def draw_probings(self, probings: tuple[FittedProbing, ...], chosen: str) -> None:
         """Draw the force of every probing, the chosen one orange with its newtons."""
+        starts = {}
         for one in probings:
             newtons = float(np.linalg.norm(one.force))
             if not newtons:
@@ -177,8 +179,9 @@ class Stage:
             start = end - _ARROW * self.size * one.force / newtons
             colour = rgb(ORANGE if here else GREY)
             self._arrows(f"/probings/{one.name}/force", start[None], end[None], colour)
-            text = f"{one.name}: {newtons:.3g} N" if here else one.name
-            self.scene.add_label(f"/probings/{one.name}/name", text, position=tuple(start))
+            starts[one.name] = start, f"{one.name}: {newtons:.3g} N" if here else ""
+        for number, (text, start) in enumerate(place_labels(starts, _NEAR * self.size)):
+            self.scene.add_label(f"/probings/label {number}", text, position=tuple(start))
 
     def draw_cameras(self, probing: str) -> None:
         """Draw where the cameras are, with what they saw of a probing at rest."""
@@ -230,6 +233,37 @@ class Stage:
             handle = self._loose.pop(name, None)
             if handle is not None:
                 handle.remove()
+
+
+def place_labels(
+    starts: Mapping[str, tuple[Vector3, str]], near: float
+) -> list[tuple[str, Vector3]]:
+    """One label for all probings whose arrows begin at one place.
+
+    Parameters
+    ----------
+    starts : mapping                probing's name -> where its arrow begins [mm]; what to write
+                                    there, empty: its name
+    near : float [mm]               places that are nearer to each other are one
+
+    Returns
+    -------
+    list of (str, (3,) float [mm])
+    """
+    places: list[tuple[Vector3, list[str]]] = []
+    for name, (start, _) in starts.items():
+        for place, names in places:
+            if np.linalg.norm(start - place) < near:
+                names.append(name)
+                break
+        else:
+            places.append((start, [name]))
+    found = []
+    for place, names in places:
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        told = next((text for name in names if (text := starts[name][1])), names[0])
+        found.append((told + more, place))
+    return found
 
 
 def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float]:

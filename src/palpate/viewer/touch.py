@@ -20,6 +20,8 @@ from palpate.simulation import (
 
 # Of its radius: the ball starts so far off, and goes at most so far in a step.
 _OFF, _STEP = 1e-3, 0.02
+# By so much a ball is larger than the one before, which was too small for the mesh.
+_GROWTH = 1.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +123,36 @@ def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
     )
 
 
+def resolved_radius(
+    green: GreenFunctions, point: Vector3, depth: float, radii: tuple[float, float]
+) -> float:
+    """The smallest ball whose contact the mesh resolves, pressed in at a place.
+
+    Parameters
+    ----------
+    green : GreenFunctions
+    point : (3,) float [m]          of the surface
+    depth : float [m]
+    radii : (float, float) [m]      smallest and largest
+
+    Returns
+    -------
+    float [m]                       the largest where the mesh is too coarse for every ball
+
+    Raises
+    ------
+    InputError                      a place that cannot be pressed
+    NotConvergedError               the contact does not settle
+    """
+    radius, largest = radii
+    while radius < largest:
+        pressed = press(green, put_ball(green, point, radius), depth)
+        if pressed.touching and pressed.state.resolved.all():
+            return radius
+        radius *= _GROWTH
+    return largest
+
+
 def force_text(pressed: Pressed) -> str:
     """The force in words, with what its reader should know.
 
@@ -133,9 +165,12 @@ def force_text(pressed: Pressed) -> str:
     str                             a line or two of Markdown
     """
     length = float(np.linalg.norm(pressed.force))
-    doubt = f" \N{PLUS-MINUS SIGN} {pressed.sigma:.2g}" if pressed.sigma else ""
+    resolved = bool(pressed.state.resolved.all())
+    # What the constants leave would look like all that the force may be off by.
+    known = resolved and pressed.sigma > 0.0
+    doubt = f" \N{PLUS-MINUS SIGN} {pressed.sigma:.2g}" if known else ""
     text = f"**{length:.3g}{doubt} N** at {1e3 * pressed.depth:.2f} mm"
-    if not pressed.state.resolved.all():
+    if not resolved:
         text += (
             f"\n\nThe ball touches {pressed.touching} of the mesh's vertices: too few for a force"
             " that can be trusted. Take a larger ball, or a finer mesh."

@@ -7,7 +7,7 @@ import numpy as np
 from palpate.errors import PalpateError
 from palpate.estimation import FitResult, ModelState
 from palpate.pipeline import FittedProbing
-from palpate.records import modulus_unit
+from palpate.records import length_unit, modulus_unit
 from palpate.viewer.drawings import LikelihoodPlot
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.subject import with_prediction
@@ -98,7 +98,7 @@ class MaterialPanel:
         self.text.content = (
             f"**misfit {misfit:.1f}** above that of the best constants; 6 is the edge of the 95 %"
             f" region where noise is independent  \nE = {young:.4g} {name};"
-            f" {_rms_text(self._look.shown)}"
+            f" {rms_text(self._look.shown)}"
         )
         if self._plot is not None:
             self._image.image = self._plot.marked(nu, modulus)
@@ -109,11 +109,21 @@ def _short(number: float) -> float:
     return float(f"{number:.4g}")
 
 
-def _rms_text(one: FittedProbing | None) -> str:
-    """Root mean square of what the model leaves of the measured displacement."""
+def rms_text(one: FittedProbing | None) -> str:
+    """Root mean square of what the model leaves of the measured displacement.
+
+    Parameters
+    ----------
+    one : FittedProbing or None
+
+    Returns
+    -------
+    str                             empty: there is no probing
+    """
     if one is None:
         return ""
     used = np.isfinite(one.displacement).all(axis=1) & (one.weight.max(axis=1) >= 0.1)
     left = np.linalg.norm((one.displacement - one.predicted)[used], axis=1)
-    rms = 1e6 * float(np.sqrt(np.mean(left**2))) if used.any() else 0.0
-    return f"rms difference in {one.name}: {rms:.3g} \N{MICRO SIGN}m"
+    rms = float(np.sqrt(np.mean(left**2))) if used.any() else 0.0
+    factor, unit = length_unit(rms)
+    return f"rms difference in {one.name}: {rms / factor:.3g} {unit}"
