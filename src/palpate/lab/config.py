@@ -12,6 +12,7 @@ import numpy as np
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.lab.bodies import TipName
+from palpate.records import MODULUS_RANGE
 from palpate.shapes import Indices, Vector3
 
 # Of a picture: the largest chips have as many, and its truth maps take 100 bytes for each.
@@ -32,9 +33,21 @@ class Limit:
     holds: Callable[[Any], bool]
 
 
+def _between(low: float, high: float, unit: str = "") -> Limit:
+    return Limit(f"must be {low:g} to {high:g} {unit}".rstrip(), lambda x: low <= x <= high)
+
+
+def _no_longer(most: float, unit: str) -> Limit:
+    return Limit(f"must be {most:g} {unit} long at most", lambda x: bool(np.linalg.norm(x) <= most))
+
+
 Positive = Annotated[float, Limit("must be positive", lambda x: 0.0 < x < np.inf)]
-NotNegative = Annotated[float, Limit("must not be negative", lambda x: 0.0 <= x < np.inf)]
 Share = Annotated[float, Limit("must be in 0 to 1", lambda x: 0.0 <= x <= 1.0)]
+Length = Annotated[float, _between(1e-6, 100.0, "m")]
+# Standard deviations of lengths and turns, and of a sensor's readings.
+LengthError = Annotated[float, _between(0.0, 1.0, "m")]
+TurnError = Annotated[float, _between(0.0, 45.0, "degrees")]
+ReadingError = Annotated[float, _between(0.0, 1e6, "N or m")]
 Count = Annotated[int, Limit("must be 1 to 1000", lambda x: 1 <= x <= 1000)]
 Pixels = Annotated[int, Limit("must be 32 to 20000 px", lambda x: 32 <= x <= 20_000)]
 Direction = Annotated[
@@ -93,7 +106,7 @@ class Material(_Limited):
 
     Parameters
     ----------
-    young_modulus : float [Pa]      > 0
+    young_modulus : float [Pa]      1 to 1.2e12
     poisson_ratio : float           -1 to 0.5
     law : "linear" or "neo-hookean" the second for large motions
 
@@ -102,7 +115,7 @@ class Material(_Limited):
     InputError                      out of range; so in all classes here
     """
 
-    young_modulus: Annotated[float, Limit("must be positive, in Pa", lambda x: x > 0.0)]
+    young_modulus: Annotated[float, _between(*MODULUS_RANGE, "Pa")]
     poisson_ratio: Annotated[float, Limit("must be in (-1, 0.5)", lambda x: -1.0 < x < 0.5)]
     law: Literal["linear", "neo-hookean"] = "linear"
 
@@ -119,12 +132,13 @@ class Look(_Limited):
     Parameters
     ----------
     texture : "speckle", "natural" or "poor"
-    size : float [m]                > 0; of a speckle, of the finest or of the weak structure
+    size : float [m]                1e-6 to 100; of a speckle, of the finest or of the weak
+                                    structure
     gloss : float                   share of the light that makes highlights, 0 to 1
     """
 
     texture: Literal["speckle", "natural", "poor"] = "speckle"
-    size: Positive = 2e-3
+    size: Length = 2e-3
     gloss: Share = 0.0
 
 
@@ -135,18 +149,19 @@ class Arm(_Limited):
     Parameters
     ----------
     tip : "sphere" or "punch"       a punch is flat and round
-    radius : float [m]              > 0; of the tip
-    misalignment : float [degrees]  standard deviation of the tip's direction, about each of two
-                                    axes
-    placement : float [m]           standard deviation of where it touches, along the surface, each
-                                    of two directions; the session holds where it was sent
+    radius : float [m]              1e-6 to 100; of the tip
+    misalignment : float [degrees]  0 to 45; standard deviation of the tip's direction, about each
+                                    of two axes
+    placement : float [m]           0 to 1; standard deviation of where it touches, along the
+                                    surface, each of two directions; the session holds where it was
+                                    sent
     sticking : bool                 the tip holds what it touches, else the surface slides
     """
 
     tip: TipName = "sphere"
-    radius: Positive = 4.5e-3
-    misalignment: NotNegative = 0.0
-    placement: NotNegative = 0.0
+    radius: Length = 4.5e-3
+    misalignment: TurnError = 0.0
+    placement: LengthError = 0.0
     sticking: bool = False
 
 
@@ -156,16 +171,16 @@ class Sensor(_Limited):
 
     Parameters
     ----------
-    noise : float [N or m]          standard deviation
-    relative_noise : float          the same, as a share of the reading's size
-    bias : (3,) float [N or m]
-    resolution : float [N or m]     readings are whole multiples; 0: any
+    noise : float [N or m]          0 to 1e6; standard deviation
+    relative_noise : float          0 to 1; the same, as a share of the reading's size
+    bias : (3,) float [N or m]      1e6 long at most
+    resolution : float [N or m]     0 to 1e6; readings are whole multiples; 0: any
     """
 
-    noise: NotNegative = 0.0
-    relative_noise: NotNegative = 0.0
-    bias: Vector3 = field(default_factory=lambda: np.zeros(3))
-    resolution: NotNegative = 0.0
+    noise: ReadingError = 0.0
+    relative_noise: Share = 0.0
+    bias: Annotated[Vector3, _no_longer(1e6, "N or m")] = field(default_factory=lambda: np.zeros(3))
+    resolution: ReadingError = 0.0
 
     def read(self, truth: Vector3, *, rng: np.random.Generator) -> Vector3:
         """A reading of a force, a position or a displacement.
@@ -212,7 +227,7 @@ class Probe(_Limited):
     name : str
     point : (3,) float [m]          where the arm is sent, on the surface
     direction : (3,) float or None  into the body; None: along the normal
-    depth : float [m] or None       > 0; travel of the tip from its first touch
+    depth : float [m] or None       1e-6 to 100; travel of the tip from its first touch
     force : float [N] or None       > 0; its force in the end
     steps : int                     instants with pictures, the last one at the end
     """
@@ -220,7 +235,7 @@ class Probe(_Limited):
     name: str
     point: Vector3
     direction: Direction | None = None
-    depth: Positive | None = None
+    depth: Length | None = None
     force: Positive | None = None
     steps: Count = 1
 
@@ -237,16 +252,19 @@ class Stage(_Limited):
     Parameters
     ----------
     steps : int                     besides the first instant
-    translation : (3,) float [m]    a step
-    rotation : float [degrees]      a step, about `axis` through `centre`
-    axis, centre : (3,) float
+    translation : (3,) float [m]    a step, 1 long at most
+    rotation : float [degrees]      a step, -180 to 180, about `axis` through `centre`
+    axis : (3,) float               a direction
+    centre : (3,) float [m]         100 from the origin at most
     """
 
     steps: Count
-    translation: Vector3 = field(default_factory=lambda: np.zeros(3))
-    rotation: float = 0.0
+    translation: Annotated[Vector3, _no_longer(1.0, "m")] = field(
+        default_factory=lambda: np.zeros(3)
+    )
+    rotation: Annotated[float, _between(-180.0, 180.0, "degrees")] = 0.0
     axis: Direction = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    centre: Vector3 = field(default_factory=lambda: np.zeros(3))
+    centre: Annotated[Vector3, _no_longer(100.0, "m")] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,25 +277,26 @@ class Head(_Limited):
                                     far as the object allows; or `cameras` evenly on a ring around
                                     the direction of view
     cameras : int                   of a ring, 2 to 4
-    distance : float [m]            > 0; from the middle of the object
-    baseline : float [m]            > 0; between reference and others, or the ring's diameter
+    distance : float [m]            0.01 to 100; from the middle of the object
+    baseline : float [m]            1e-6 to 100; between reference and others, or the ring's
+                                    diameter
     toward : (3,) float             direction from the object to the head
-    columns, rows : int [px]        at least 32
-    focal : float [px] or None      > 0; None: such that the object fills three quarters of the
-                                    picture
-    k1 : float                      barrel (negative) or cushion of the lenses
+    columns, rows : int [px]        32 to 20 000
+    focal : float [px] or None      1 to 1e6; None: such that the object fills three quarters of
+                                    the picture
+    k1 : float                      -1 to 1; barrel (negative) or cushion of the lenses
     file : str or None              a rig of one's own instead, with the object in its frame
     """
 
     layout: Literal["trinocular", "ring"] = "trinocular"
     cameras: Annotated[int, Limit("must be 2, 3 or 4", lambda x: x in (2, 3, 4))] = 3
-    distance: Positive = 0.8
-    baseline: Positive = 0.1
+    distance: Annotated[float, _between(0.01, 100.0, "m")] = 0.8
+    baseline: Length = 0.1
     toward: Direction = field(default_factory=lambda: np.array([0.3, -0.5, 0.8]))
     columns: Pixels = 640
     rows: Pixels = 480
-    focal: Positive | None = None
-    k1: float = 0.0
+    focal: Annotated[float, _between(1.0, 1e6, "px")] | None = None
+    k1: Annotated[float, _between(-1.0, 1.0)] = 0.0
     file: str | None = None
 
     def __post_init__(self) -> None:
@@ -293,17 +312,17 @@ class Head(_Limited):
 class Calibration(_Limited):
     """By how much the rig in the session differs from the one that took the pictures.
 
-    Standard deviations, another error for each camera: of the focal length as a share, the
-    principal point [px], the camera's rotation [degrees] and place [m]; and of the object's pose,
-    the same for all cameras.
+    Standard deviations, another error for each camera: of the focal length as a share (0 to 1),
+    the principal point (0 to 1000 px), the camera's rotation (0 to 45 degrees) and place (0 to
+    1 m); and of the object's pose, the same for all cameras.
     """
 
-    focal: NotNegative = 0.0
-    centre: NotNegative = 0.0
-    rotation: NotNegative = 0.0
-    translation: NotNegative = 0.0
-    object_rotation: NotNegative = 0.0
-    object_translation: NotNegative = 0.0
+    focal: Share = 0.0
+    centre: Annotated[float, _between(0.0, 1000.0, "px")] = 0.0
+    rotation: TurnError = 0.0
+    translation: LengthError = 0.0
+    object_rotation: TurnError = 0.0
+    object_translation: LengthError = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,25 +332,28 @@ class Pictures(_Limited):
     Parameters
     ----------
     samples : int                   rays through a pixel; 9 leave less noise than the sensor has
-    noise : float                   read noise [grey levels of 255]
+    noise : float                   read noise, 0 to 255 [grey levels of 255]
     full_well : float or None       electrons at white, > 0: their number is noisy too
-    response : float [px]           blur of lens and chip, standard deviation
-    gain_drift : float              standard deviation of each picture's brightness, as a share
+    response : float [px]           0 to 100; blur of lens and chip, standard deviation
+    gain_drift : float              0 to 1; standard deviation of each picture's brightness, as a
+                                    share
     bits : int                      8 or 12
-    aperture : float [m]            of the lens, 0: everything is sharp; sharp at `Head.distance`
-    motion_blur : float             share of the motion that falls into the exposure
-    lamp : float [m]                side of the lamp: the longer, the softer its shadows
+    aperture : float [m]            0 to 1, of the lens, 0: everything is sharp; sharp at
+                                    `Head.distance`
+    motion_blur : float             0 to 1; share of the motion that falls into the exposure
+    lamp : float [m]                1e-6 to 100; side of the lamp: the longer, the softer its
+                                    shadows
     """
 
     samples: Count = 9
-    noise: NotNegative = 1.5
+    noise: Annotated[float, _between(0.0, 255.0, "grey levels")] = 1.5
     full_well: Positive | None = None
-    response: NotNegative = 0.6
-    gain_drift: NotNegative = 0.0
+    response: Annotated[float, _between(0.0, 100.0, "px")] = 0.6
+    gain_drift: Share = 0.0
     bits: Annotated[int, Limit("must be 8 or 12", lambda x: x in (8, 12))] = 8
-    aperture: NotNegative = 0.0
-    motion_blur: NotNegative = 0.0
-    lamp: Positive = 0.2
+    aperture: LengthError = 0.0
+    motion_blur: Share = 0.0
+    lamp: Annotated[float, _between(1e-3, 100.0, "m")] = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -10,9 +10,16 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import numpy as np
 
 from palpate.errors import quoted
-from palpate.geometry import TriangleMesh, enclosed_volume, read_mesh, triangle_areas
-from palpate.lab.bodies import SHAPES
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    enclosed_volume,
+    read_mesh,
+    triangle_areas,
+)
+from palpate.lab.bodies import SHAPES, TIPS
 from palpate.lab.config import LabConfig, Probe, Specimen
+from palpate.lab.pictures import dot_count, make_head
 from palpate.records import STIFFNESS_UNITS, TomlTable, read_support, read_toml
 from palpate.shapes import Indices
 
@@ -23,6 +30,15 @@ _APART = ("format", "specimen", "support", "probe")
 _ROUNDER = 3.0
 # What a specimen may be cut into: minutes of work and some gigabytes.
 _MOST_SQUARES, _MOST_TETRAHEDRA = 30_000, 300_000
+# Across a specimen [m].
+_SMALLEST, _LARGEST = 1e-4, 50.0
+# Lengths that are no longer than the specimen.
+_WITHIN = (
+    ("specimen", "element"), ("look", "size"), ("arm", "radius"), ("arm", "placement"),
+    ("position_sensor", "noise"), ("position_sensor", "bias"), ("position_sensor", "resolution"),
+    ("calibration", "translation"), ("calibration", "object_translation"),
+)  # fmt: skip
+_DOWN = np.array([0.0, 0.0, -1.0])
 # The facility's own specimens stand on this plane.
 _BASE = {"point": [0, 0, 0], "normal": [0, 0, 1], "tolerance": 1e-9}
 
@@ -53,12 +69,14 @@ def read_lab_config(path: Path | str) -> LabConfig:
         root.fail("format", f"is '{root.text('format')}'; must be '{LAB_FORMAT}'")
     probes = root.tables("probe", "[[probe]]") if "probe" in root.values else ()
     plain = {key: value for key, value in root.values.items() if key not in _APART}
-    return _settings(
+    config = _settings(
         TomlTable(root.file, "", plain),
         LabConfig,
         specimen=_specimen(root),
         probes=tuple(_settings(probe, Probe) for probe in probes),
     )
+    _check_sizes(root.file, config)
+    return config
 
 
 def built_in() -> dict[str, Path]:
@@ -88,6 +106,13 @@ def _specimen(root: TomlTable) -> Specimen:
         with table.blamed():
             mesh = shape.make(edge=edge, **lengths)
             body = shape.make(edge=edge / _ROUNDER, **lengths)
+    size = bounding_diagonal(mesh)
+    if not _SMALLEST <= size <= _LARGEST:
+        table.fail(
+            "",
+            f"the object is {size:.3g} m across; must be {_SMALLEST:g} to {_LARGEST:g} m: lengths"
+            " are in metres",
+        )
     element = table.number("element") if "element" in table.values else edge
     if not element > 0.0:
         table.fail("element", f"is {element:g} m; must be positive")
@@ -134,6 +159,34 @@ def _check_edge(table: TomlTable, edge: float, lengths: Mapping[str, float]) -> 
             f"is {edge:g} m, which makes more than {_MOST_SQUARES} triangles of the surface; must"
             f" be {least:.2g} m or more",
         )
+
+
+def _check_sizes(file: Path, config: LabConfig) -> None:
+    """Refuse lengths that contradict each other, before anything long is begun with them."""
+    mesh, look, arm = config.specimen.mesh, config.look, config.arm
+    size = bounding_diagonal(mesh)
+
+    def part(name: str) -> TomlTable:
+        return TomlTable(file, name, {})
+
+    for name, key in _WITHIN:
+        length = float(np.linalg.norm(getattr(getattr(config, name), key)))
+        if length > size:
+            part(f"[{name}]").fail(
+                key, f"is {length:g} m; must be {size:.2g} m at most, the object's size"
+            )
+    if config.head.file is None:
+        with part("[head]").blamed():
+            make_head(config.head, mesh)
+    if look.texture == "speckle":
+        with part("[look]").blamed():
+            dot_count(mesh, look.size)
+    modulus = config.material.young_modulus / (1.0 - config.material.poisson_ratio**2)
+    for probe in config.probes:
+        tip = TIPS[arm.tip](arm.radius, probe.point, _DOWN)
+        with part(f"[[probe]] '{probe.name}'").blamed():
+            tip.check_depth(probe.depth or 0.0)
+            tip.check_force(probe.force or 0.0, modulus)
 
 
 def _settings(table: TomlTable, kind: type[Settings], **given: Any) -> Settings:

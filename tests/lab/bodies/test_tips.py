@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from palpate.errors import InputError
 from palpate.lab.bodies.tips import TIPS, Punch, Sphere
 
 POINT = np.array([0.01, -0.02, 0.03])
@@ -53,6 +54,20 @@ def test_a_punch_obeys_boussinesq():
     assert punch.half_space_radius(depth, None, MODULUS) == 0.006
     assert punch.max_depth == np.inf
     assert punch.tool == "flat"
+
+
+def test_a_ball_goes_in_by_less_than_its_radius_and_a_punch_as_deep_as_it_likes():
+    ball, punch = (kind(0.006, POINT, ALONG) for kind in (Sphere, Punch))
+    # Johnson, Contact Mechanics (1985), equation 4.23; a thin layer may bear more than it says.
+    force = 4.0 / 3.0 * MODULUS * np.sqrt(0.006 * 0.05**3)
+    ball.check_depth(0.0059)
+    ball.check_force(force, MODULUS)
+    with pytest.raises(InputError, match="depth is 6 mm, the tip's radius 6 mm; a sphere goes in"):
+        ball.check_depth(0.006)
+    with pytest.raises(InputError, match=r"force is .* half space of this material in by 79.4 mm"):
+        ball.check_force(2.0 * force, MODULUS)
+    punch.check_depth(1.0)
+    punch.check_force(1e9, MODULUS)
 
 
 @pytest.mark.parametrize(("radius", "shaft"), [(0.003, 0.003), (0.012, 0.004)])

@@ -21,7 +21,7 @@ from palpate.lab import (
     make_session,
     read_lab_config,
 )
-from palpate.records import parts_folder, record_inputs, result_folder, session_files
+from palpate.records import TomlTable, parts_folder, record_inputs, result_folder, session_files
 
 
 def lab(
@@ -65,7 +65,9 @@ def lab(
     file = _file(config)
     plan = read_lab_config(file)
     plan = plan if seed is None else replace(plan, seed=seed)
-    with result_folder(out, kind="lab", force=force) as folder:
+    # What is found out while it is made is the configuration's, too.
+    about = TomlTable(file, "", {}).blamed()
+    with result_folder(out, kind="lab", force=force) as folder, about:
         record_inputs(folder, session_files(file))
         variant = choose_variant()
         print_notes([variant.why])

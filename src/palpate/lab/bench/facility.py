@@ -307,7 +307,7 @@ def _rig(config: LabConfig) -> Rig:
         return make_head(config.head, config.specimen.mesh)
     rig = read_rig(config.head.file)
     if without := [camera.name for camera in rig.cameras if camera.size is None]:
-        raise InputError(
+        raise RecordError(
             f"{config.head.file}: camera '{without[0]}' has no size; give it as size = [columns,"
             " rows]"
         )

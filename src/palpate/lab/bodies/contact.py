@@ -114,11 +114,7 @@ def press(
         raise InputError(
             f"depths are {depths.tolist()}; must be positive and increasing, in metres"
         )
-    if depths[-1] >= tip.max_depth:
-        raise InputError(
-            f"depth is {1e3 * depths[-1]:.3g} mm, the tip's radius {1e3 * tip.radius:.3g} mm; a"
-            " sphere goes in by less than its radius: press less deep, or take a larger one"
-        )
+    tip.check_depth(depths[-1])
     start = touch(body.solid, tip)
     near = _candidates(body, tip, start + _CANDIDATE_DEPTH * depths[-1])
     anchor = np.full((len(near.node), 3), np.nan)
@@ -147,14 +143,16 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
 
     Raises
     ------
-    InputError                      a force that is not positive, a tip beside the body
+    InputError                      a force that is not positive or presses a sphere in by its
+                                    radius, a tip beside the body
     NotConvergedError               the set of touching nodes does not settle
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
-    start = touch(body.solid, tip)
     modulus = 2.0 * body.shear_modulus / (1.0 - body.poisson_ratio)
-    reach = _FIRST_DEPTH * tip.half_space_depth(force, modulus)
+    tip.check_force(force, modulus)
+    start = touch(body.solid, tip)
+    reach = min(_FIRST_DEPTH * tip.half_space_depth(force, modulus), tip.max_depth)
     near = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
 
     def excess(depth: float) -> float:
@@ -164,9 +162,10 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
 
     low = 0.0
     while (short := excess(reach)) < 0.0:
+        tip.check_depth(reach)
         # Force grows with the depth to the power 1 (punch) to 1.5 (sphere): a little beyond.
         grown = 1.1 * force / max(short + force, 1e-3 * force)
-        low, reach = reach, reach * min(grown, 4.0)
+        low, reach = reach, min(reach * min(grown, 4.0), tip.max_depth)
         near = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
     depth = float(brentq(excess, low, reach, xtol=_SETTLED * reach, rtol=_SETTLED))
     return _state(body, tip, near, _sliding(near, tip, start + depth), start, depth)

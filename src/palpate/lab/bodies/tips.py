@@ -15,6 +15,8 @@ from palpate.shapes import Points, PointScalars, Vector3
 TipName = Literal["sphere", "punch"]
 # A round end larger than this sits on a thinner shaft, so that it hides less [m].
 _SHAFT = 4e-3
+# A thin layer on its support gives less than a half space does, by this factor or less.
+_STIFFER = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +71,43 @@ class Tip(ABC):
     def max_depth(self) -> float:
         """Depth that it must stay below [m]; infinite for a tip that may go as deep as it likes."""
         return np.inf
+
+    def check_depth(self, depth: float) -> None:
+        """Refuse a depth that it must stay below.
+
+        Parameters
+        ----------
+        depth : float [m]
+
+        Raises
+        ------
+        InputError
+        """
+        if not depth < self.max_depth:
+            raise InputError(
+                f"depth is {1e3 * depth:.3g} mm, the tip's radius {1e3 * self.radius:.3g} mm; a"
+                " sphere goes in by less than its radius: press less, or take a larger one"
+            )
+
+    def check_force(self, force: float, modulus: float) -> None:
+        """Refuse a force that presses it deeper than it may go, however thin the body is.
+
+        Parameters
+        ----------
+        force : float [N]
+        modulus : float [Pa]            E / (1 - nu^2) of the body
+
+        Raises
+        ------
+        InputError
+        """
+        depth = self.half_space_depth(force, modulus)
+        if not depth < _STIFFER * self.max_depth:
+            raise InputError(
+                f"force is {force:g} N, which presses a half space of this material in by"
+                f" {1e3 * depth:.3g} mm, the tip's radius is {1e3 * self.radius:.3g} mm; a sphere"
+                " goes in by less than its radius: press less, or take a larger one"
+            )
 
     @abstractmethod
     def lead(self, beside: PointScalars) -> PointScalars:

@@ -20,6 +20,7 @@ from palpate.lab.pictures.studio import (
     make_studio as make_studio,
     photograph as photograph,
 )
+from palpate.lab.pictures.textures import dot_count as dot_count
 from palpate.lab.pictures.truth_maps import (
     truth_map as truth_map,
     write_truth_map as write_truth_map,

@@ -84,25 +84,41 @@ def speckle(
     Raises
     ------
     InputError                      more dots than can be drawn
-
-    Source
-    ------
-    Boolean model: discs of area a, lambda of them in unit area, cover 1 - exp(-lambda a).
     """
     areas = triangle_areas(surface)
-    expected = -np.log1p(-_COVERAGE) / (0.25 * np.pi * size**2) * areas.sum()
-    if expected > _MAX_DOTS:
-        raise InputError(
-            f"dots of {size:g} m on {areas.sum():.3g} m^2 are {expected:.2g}; at most"
-            f" {_MAX_DOTS:.0e} are drawn: make them larger, and check the unit of length"
-        )
-    centres = _random_points(surface, areas, rng.poisson(expected), rng)
+    centres = _random_points(surface, areas, rng.poisson(dot_count(surface, size)), rng)
     if len(centres) == 0:
         return np.full(len(points), _BRIGHT)
     distance, _ = cKDTree(centres).query(points)
     # 1 inside, 0 outside; a cubic step of width RIM size around half the diameter.
     inside = np.clip(0.5 + (0.5 * size - distance) / (RIM * size), 0.0, 1.0)
     return _BRIGHT + (_DARK - _BRIGHT) * inside**2 * (3.0 - 2.0 * inside)
+
+
+def dot_count(surface: TriangleMesh, size: float) -> float:
+    """How many dots a speckle has on average.
+
+    Parameters
+    ----------
+    surface : TriangleMesh          that carries the dots
+    size : float [m]                > 0; diameter of a dot
+
+    Raises
+    ------
+    InputError                      more than can be drawn
+
+    Source
+    ------
+    Boolean model: discs of area a, lambda of them in unit area, cover 1 - exp(-lambda a).
+    """
+    area = triangle_areas(surface).sum()
+    expected = float(-np.log1p(-_COVERAGE) / (0.25 * np.pi * size**2) * area)
+    if expected > _MAX_DOTS:
+        raise InputError(
+            f"size is {size:g} m; dots of it on {area:.3g} m^2 are {expected:.2g}, and at most"
+            f" {_MAX_DOTS:.0e} are drawn: make them larger, and check the unit of length"
+        )
+    return expected
 
 
 def natural(
