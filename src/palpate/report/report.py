@@ -26,7 +26,7 @@ from palpate.pipeline import (
 from palpate.records import (
     Estimate,
     Session,
-    file_stem,
+    file_stems,
     folder_changes,
     read_estimate,
     read_text,
@@ -133,7 +133,7 @@ def _drawing(path: Path) -> str:
 def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
     """Pictures of the probings as addresses of themselves, in the order of their names, and how
     many there is no room for."""
-    order = {file_stem(name, otherwise=f"probing-{k}"): k for k, name in enumerate(names, start=1)}
+    order = {stem: k for k, stem in enumerate(file_stems(names, kind="probing"))}
     found: dict[str, str] = {}
     size = 0
     every = (folder / "displacement").glob("*.png")

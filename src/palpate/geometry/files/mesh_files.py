@@ -196,10 +196,10 @@ def _check_whole(content: bytes, suffix: str) -> None:
         if b"format ascii" in head and counts:
             _check_said(sum(map(int, counts)), sum(bool(row.strip()) for row in rows.splitlines()))
     elif suffix == ".off":
-        lines = [line for row in content.splitlines() if (line := row.partition(b"#")[0].split())]
+        words = [line for row in content.splitlines() if (line := row.partition(b"#")[0].split())]
         # Some write the counts behind the word OFF.
-        head, *faces = [lines[0][1:], *lines[1:]] if lines[0][1:] else lines[1:]
-        _check_said(int(head[0]) + int(head[1]), len(faces))
+        counted, *faces = [words[0][1:], *words[1:]] if words[0][1:] else words[1:]
+        _check_said(int(counted[0]) + int(counted[1]), len(faces))
     elif suffix == ".stl" and content.startswith(b"solid") and b"facet" in content[:_STL_TEXT]:
         if b"endsolid" not in content:
             raise ValueError("its last line, endsolid, is missing: it was cut off")
