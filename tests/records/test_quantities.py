@@ -113,5 +113,5 @@ def test_a_verdict_says_that_the_estimate_is_biased():
                         method="reduced", settings={}, notes=notes)  # fmt: skip
     text = verdict_text(estimate)
     assert text.startswith("All three constants are determined by the data. E = 60.0 kPa")
-    assert f"(95 % intervals in brackets). {notes[1]} The notes say so 2 times." in text
+    assert f"(95 % intervals in brackets). {notes[1]} 2 notes say so." in text
     assert "A note" not in text

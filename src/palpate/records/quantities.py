@@ -185,7 +185,7 @@ def verdict_text(estimate: Estimate) -> str:
     biased = [note for note in estimate.notes if BIASED in note]
     said += biased[:1]
     if len(biased) > 1:
-        said.append(f"The notes say so {len(biased)} times.")
+        said.append(f"{len(biased)} notes say so.")
     return " ".join(said)
 
 

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import math
 import time
 from dataclasses import replace
 from importlib import resources
@@ -137,7 +138,7 @@ def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
     found: dict[str, str] = {}
     size = 0
     every = (folder / "displacement").glob("*.png")
-    files = sorted(every, key=lambda file: (order.get(file.stem, len(order)), file.name))
+    files = sorted(every, key=lambda file: (order.get(file.stem, math.inf), file.name))
     for number, file in enumerate(files):
         packed = io.BytesIO()
         with Image.open(io.BytesIO(read_bytes(file))) as picture:
