@@ -9,6 +9,7 @@ may use. The order of the rooms is that of the import contract in `pyproject.tom
 
 import ast
 import re
+import textwrap
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ FIELDS = ("Purpose", "Takes", "Gives", "Depends on", "Read first")
 GROUND_FLOOR = "ground floor"
 INK, SHORT_CUT = "#26323c", "#9fb4c7"
 FLOOR_COLOURS = ("#e9f0f6", "#fdf3e3", "#e6e6e6")  # floors in turn, and the ground floor
+# Characters that have room in a box, beside its name.
+NAMES_A_LINE = 60
 PREFACE = """\
 # Map of the code
 
@@ -217,12 +220,12 @@ def draw_map(path: Path, rooms: dict[str, Room], imports: list[Import]) -> None:
     height = {name: -float(place) for place, name in enumerate(order)}
     style = {"svg.hashsalt": "palpate", "font.family": "DejaVu Sans"}
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=(10.5, 0.66 * (len(order) + 2)), layout="constrained")
+        figure = Figure(figsize=(11.7, 0.66 * (len(order) + 2)), layout="constrained")
         axes = figure.add_subplot()
         for shade, row in enumerate(floors):
             for name in row:
                 colour = FLOOR_COLOURS[shade % 2]
-                inside = [room.split(".")[1] for room in rooms if room.startswith(f"{name}.")]
+                inside = [room.split(".")[1] for room in rooms if room.rpartition(".")[0] == name]
                 _draw_room(axes, name, inside, height[name], colour)
         _draw_room(axes, GROUND_FLOOR, ground, -len(order) - 0.25, FLOOR_COLOURS[2])
         for name in order:
@@ -230,7 +233,7 @@ def draw_map(path: Path, rooms: dict[str, Room], imports: list[Import]) -> None:
             beyond = {far for near in needs[name] for far in _reached(near, needs)}
             for target in sorted(needs[name]):
                 _draw_arc(axes, height[name], height[target], short_cut=target in beyond)
-        axes.set(xlim=(-7.4, 7.4), ylim=(-len(order) - 0.8, 0.6))
+        axes.set(xlim=(-7.4, 9.1), ylim=(-len(order) - 0.8, 0.6))
         axes.set_axis_off()
         description = {"Date": None, "Description": arrows_text(rooms, imports)}
         figure.savefig(path, metadata=description)
@@ -246,7 +249,7 @@ def _draw_room(axes: Axes, name: str, inside: list[str], y: float, colour: str) 
     )
     axes.add_patch(box)
     axes.text(-3.8, y, name, va="center", ha="left", weight="bold", size=12, color=INK)
-    text = "   ".join(inside)
+    text = textwrap.fill("   ".join(inside), NAMES_A_LINE)
     axes.text(3.8, y, text, va="center", ha="right", size=8.5, color=INK)
 
 

@@ -329,11 +329,11 @@ def programs_page() -> str:
 
 
 def gallery_page() -> str:
-    """docs/gallery.md: every picture, with its words and the page that explains it."""
+    """docs/gallery.md: every picture for users, with its words and the page that explains it."""
     parts = [HEAD, "# Gallery\n", "Every picture of these pages, and where it is explained.\n"]
     shown: set[Path] = set()
     for page in sorted(DOCS.rglob("*.md")):
-        if page.name == "gallery.md":
+        if page.name == "gallery.md" or page.parent.name == "developer":
             continue
         title = next(
             (x[2:] for x in page.read_text().splitlines() if x.startswith("# ")), page.stem
