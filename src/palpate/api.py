@@ -210,7 +210,7 @@ class Result:
         """
         if to not in FORMATS:
             raise InputError(f"there is no simulator {to!r}; there are: {', '.join(FORMATS)}")
-        with result_folder(folder, kind="export", force=force) as new:
+        with result_folder(folder, kind=f"export --to {to}", force=force) as new:
             record_inputs(new, session_files(self.session.path))
             source = FitSource(self.session, self.estimate, ())
             export_fit(new, source, to, probe=probe, cache=self.cache)

@@ -143,7 +143,7 @@ KINDS = [
             ("mesh", "mesh.ply", "--vertices", ("1000.5", "inf", "")),
             ("view", "cube", "--port", ("80.80",)),
             ("campaign", "run", "list.txt", "--workers", ("1.5",)),
-            ("export", "result", "--to", "obj", "--edge", ("1_0e-5", "nan", "1e400", "3mm")),
+            ("export", "result", "--to", "obj", "--edge", ("1_0e-5", "nan", "1e400", "3N")),
             (*_PLAN, "--poisson-ratio", ("0_1", "NaN")),
             ("init", "boards", "--radius", ("1_0", "nan")),
         )

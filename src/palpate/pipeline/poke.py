@@ -105,7 +105,9 @@ def poke_session(
     say("integrals over the surface", 0.0)
     dense = bool(giving_supports(session))
     session, system = held_object(session, surface=surface, cache=cache, dense=dense)
-    patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="the tool")
+    patch = find_contact_patch(
+        session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
+    )
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
     say("factorisation", 0.6)
     elastic_map = make_elastic_map(

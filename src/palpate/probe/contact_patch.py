@@ -66,7 +66,12 @@ class ContactPatch:
 
 
 def find_contact_patch(
-    mesh: TriangleMesh, contact: Contact, held_triangles: Int[np.ndarray, " h"], *, name: str
+    mesh: TriangleMesh,
+    contact: Contact,
+    held_triangles: Int[np.ndarray, " h"],
+    *,
+    name: str,
+    point_name: str = "contact.point",
 ) -> ContactPatch:
     """Find the triangles under a tool.
 
@@ -76,6 +81,7 @@ def find_contact_patch(
     contact : Contact
     held_triangles : (h,) int         the support; a tool cannot press there
     name : str                        of the probing, for messages
+    point_name : str                  what the contact's point is given as, for messages
 
     Returns
     -------
@@ -100,7 +106,7 @@ def find_contact_patch(
             raise InputError(
                 f"probe '{name}': the contact point is {1e3 * distance:.3g} mm from the surface, "
                 f"farther than its radius of {1e3 * contact.radius:.3g} mm; check the frame and "
-                "the units of contact.point"
+                f"the units of {point_name}"
             )
         triangles = _reached(mesh, contact.point, contact.radius, first)
     held = np.intersect1d(triangles, held_triangles)

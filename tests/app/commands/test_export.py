@@ -34,6 +34,19 @@ def test_a_folder_that_holds_something_else_is_left_alone(palpate, result, tmp_p
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
 
 
+def test_an_export_to_another_simulator_is_left_alone(palpate, result):
+    assert palpate("export", result, "--to", "obj", "--out", "made")[0] == 0
+    assert palpate("export", result, "--to", "obj", "--out", "made")[0] == 0
+    code, _, err = palpate("export", result, "--to", "genesis", "--out", "made")
+    assert code == 2
+    assert "is a result of `palpate export --to obj`" in err
+
+
+def test_the_edge_may_have_a_unit(palpate, result):
+    code, _, err = palpate("export", result, "--to", "vtu", "--edge", "900000 mm")
+    assert (code, "0.0693 m across" in err) == (2, True)
+
+
 def test_the_command_knows_every_format():
     assert set(get_args(Simulator)) == set(FORMATS)
 

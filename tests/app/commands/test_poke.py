@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from estimate_samples import SHEAR
+from exported_result import written_result
 
 from palpate.app.commands import poke as poke_command
 from palpate.bem import InteriorState
@@ -99,6 +101,15 @@ def test_the_material_may_come_from_a_fit(palpate, asked, cube_session, tmp_path
         assert (options["shear_modulus"], options["poisson_ratio"]) == (2.5e4, 0.2)
 
 
+def test_a_result_may_stand_for_its_session(palpate, asked, tmp_path):
+    folder = written_result(tmp_path)
+    assert palpate("poke", folder, *PUSH)[0] == 0
+    assert palpate("poke", folder, *PUSH, *MATERIAL)[0] == 0
+    fitted, given = (options["shear_modulus"] for _, _, _, options in asked)
+    assert fitted == pytest.approx(SHEAR)
+    assert given == 2e4
+
+
 def test_an_estimate_that_is_not_ok_is_used_with_a_note(palpate, asked, cube_session, tmp_path):
     folder = estimate(tmp_path / "result", lost=["poisson_ratio"])
     code, _, err = palpate("poke", cube_session, *PUSH, "--result", folder)
@@ -143,4 +154,5 @@ def test_a_contact_beside_the_object_is_refused(palpate, cube_session):
     code, out, err = palpate("poke", cube_session, *options)
     assert (code, out) == (2, "")
     assert "the contact point is 40 mm from the surface" in err
+    assert "check the frame and the units of --at" in err
     assert err.count("\n") == 1

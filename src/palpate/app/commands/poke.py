@@ -18,6 +18,7 @@ from palpate.geometry import bounding_diagonal
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
 from palpate.records import MODULUS_RANGE, Status, modulus_unit, read_estimate, read_session
 from palpate.shapes import Points
+from palpate.simulation import read_fit
 
 _Triple = tuple[float, float, float]
 # Newtons that no tool has; and of the object's size, what is no small deformation.
@@ -52,21 +53,23 @@ def poke(
     Parameters
     ----------
     session
-        Folder of the session, or a session file in it.
+        Folder of the session, or a session file in it; or a result folder of `palpate fit`, whose
+        session and constants are taken.
     force
-        Force of the tool on the object, N: --force 0.3 0 -0.8.
+        Force of the tool on the object, N, or with its unit: --force 0.3N 0N -0.8N.
     at
-        Centre of the contact on the surface, m.
+        Centre of the contact on the surface, m, or with its unit: --at 0mm 0mm 30mm.
     interior
         Points inside the object, m, three numbers each: displacement and stress are shown there.
     radius
-        Radius of the contact, m. Default: that of the session's first probing.
+        Radius of the contact, m, or with its unit: 3mm. Default: that of the session's first
+        probing.
     result
         Result folder of `palpate fit`, or its estimate.json.
     young_modulus
-        Young's modulus, Pa; with --poisson-ratio.
+        Young's modulus, Pa, or with its unit: 60kPa; with --poisson-ratio.
     shear_modulus
-        Shear modulus, Pa; with --poisson-ratio.
+        Shear modulus, Pa, or with its unit: 23kPa; with --poisson-ratio.
     poisson_ratio
         Poisson's ratio.
     surface
@@ -80,12 +83,19 @@ def poke(
     int
         0.
     """
+    fit = read_fit(session) if (session / "estimate.json").is_file() else None
+    if fit is not None and (young_modulus, shear_modulus, poisson_ratio) == (None, None, None):
+        result = result or session
     shear, ratio = _material(result, young_modulus, shear_modulus, poisson_ratio)
     if not any(force):
         raise InputError("--force is zero; give the force of the tool in newtons: --force 0 0 -1")
     if np.abs(force).max() > _STRONGEST:
         raise InputError(f"--force is {_numbers(force)}; must be newtons, at most {_STRONGEST:g}")
-    given = read_session(session, allow=lambda count, _: check_memory(count))
+    if fit is not None:
+        given = fit.session
+        print_notes(fit.notes)
+    else:
+        given = read_session(session, allow=lambda count, _: check_memory(count))
     print_notes(given.notes)
     contact = tool_contact(given, np.array(at), radius)
     points = None if interior is None else np.array(interior)
@@ -123,8 +133,8 @@ def _material(
         return _estimated(result)
     if result is not None or len(moduli) != 1 or ratio is None:
         raise InputError(
-            "give the material in one way: --result FOLDER of `palpate fit`, or --poisson-ratio"
-            " with either --young-modulus or --shear-modulus"
+            "give the material in one way: a result of `palpate fit` in place of the session,"
+            " --result FOLDER, or --poisson-ratio with either --young-modulus or --shear-modulus"
         )
     softest, stiffest = MODULUS_RANGE
     if not softest <= moduli[0] <= stiffest:

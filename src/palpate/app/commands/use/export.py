@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 from palpate.app.terminal import print_notes, print_text, progress_bar
+from palpate.app.units import Length
 from palpate.records import default_folder, record_inputs, result_folder
 from palpate.simulation import FORMATS, export_fit, read_fit
 
@@ -19,7 +20,7 @@ def export(
     to: Simulator,
     out: Path | None = None,
     probe: str | None = None,
-    edge: float | None = None,
+    edge: Length | None = None,
     session: Path | None = None,
     cache: Path | None = None,
     force: bool = False,
@@ -42,14 +43,14 @@ def export(
         Probing that is written along, to be repeated in the simulator. Default: the first that the
         estimate was made without, else the first.
     edge
-        Edge of the tetrahedra away from the contact, m. Default: a ninth of the cube root of the
-        volume.
+        Edge of the tetrahedra away from the contact, m, or with its unit: 3mm. Default: a ninth of
+        the cube root of the volume.
     session
         Where the session of the result is now, if it was moved.
     cache
         Folder that keeps the surface integrals of this object for the next time.
     force
-        Write although something else than an unchanged result of this command is there; that is
+        Write although something else than an unchanged export to this simulator is there; that is
         kept beside it as NAME.old.
 
     Returns
@@ -58,7 +59,7 @@ def export(
         0.
     """
     target = out or default_folder(result, to)
-    with result_folder(target, kind="export", force=force) as folder:
+    with result_folder(target, kind=f"export --to {to}", force=force) as folder:
         source = read_fit(result, session)
         record_inputs(folder, source.files)
         with progress_bar() as progress:
