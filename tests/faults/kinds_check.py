@@ -78,4 +78,23 @@ KINDS = [
         ("compression", "c.csv", "d.csv", "--diameter", "50mm", "--height", "50mm"),
         ("d.csv: holds the same readings as c.csv",),
     ),
+    Kind(
+        "a copy of a compression record with one row more",
+        lambda folder: [
+            (folder / name).write_text("\n".join(f"{0.1 * k},{0.2 * k}" for k in range(rows)))
+            for name, rows in (("c.csv", 60), ("d.csv", 61))
+        ],
+        ("compression", "c.csv", "d.csv", "--diameter", "50mm", "--height", "50mm"),
+        ("d.csv: holds the same readings as c.csv, 59 of 60",),
+    ),
+    *(
+        Kind(
+            f"a compression record that says another {name}",
+            lambda _: None,
+            ("compression", "press.csv", f"--{name}", given),
+            (f"press.csv: says that the {name} is", f"and --{name} that it is {given}"),
+            "others",
+        )
+        for name, given in (("diameter", "40 mm"), ("height", "20.3 mm"))
+    ),
 ]

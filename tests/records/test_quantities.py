@@ -49,6 +49,7 @@ def test_unit_leaves_few_digits_before_the_point(modulus, unit):
         (0.21234, 0.0061, "0.2123 ± 0.0061"),
         (1234.5, 56.0, "1234 ± 56"),
         (1.0, 0.0, "1.000 ± 0.000"),
+        (315.76340709432, 1e-13, "315.8 ± 0.0"),
         (0.3, math.inf, "0.3000"),
         (math.nan, math.nan, "unknown"),
     ],

@@ -7,6 +7,7 @@ Depends on : `geometry`, `arrays`, `optional_imports`, `shapes`, `errors`.
 Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
+from palpate.records.checks import copied_rows as copied_rows
 from palpate.records.contact import (
     CONE as CONE,
     CYLINDER as CYLINDER,

@@ -24,6 +24,8 @@ _ERROR_UNITS = {
 MODULUS_RANGE = (1.0, 1.2e12)
 # The strongest steels yield here [Pa].
 HIGHEST_PRESSURE = 3e9
+# A standard deviation that is a smaller share of its value comes from the rounding of numbers.
+_ROUNDING = 1e-9
 # What stands in place of a value that the data do not determine.
 NOT_DETERMINED = "not determined"
 # Constants in the order in which they are told, with their symbols.
@@ -202,7 +204,8 @@ def constant_unit(name: str, value: float) -> tuple[float, str]:
 
 def _places(std: float, value: float) -> int:
     """Decimals that show two digits of the standard deviation, or four of the value."""
-    shown = std if math.isfinite(std) and std > 0.0 else abs(value) * 1e-2
+    known = math.isfinite(std) and std > _ROUNDING * abs(value)
+    shown = std if known else abs(value) * 1e-2
     if not (math.isfinite(shown) and shown > 0.0):
         return 3
     return min(max(1 - math.floor(math.log10(shown)), 0), 12)

@@ -2,11 +2,13 @@
 
 import math
 import re
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 from rich.table import Table
 
@@ -23,12 +25,16 @@ from palpate.probe import (
 from palpate.records import (
     Constant,
     constant_text,
+    copied_rows,
     interval_text,
     modulus_unit,
     result_file,
     sealed,
     write_text,
 )
+
+# Sizes that differ by less are one, rounded.
+_SAME_SIZE = 0.01
 
 
 def compression(
@@ -80,7 +86,7 @@ def compression(
     if out is not None and any(out.exists() and out.samefile(f) for f in files if f.exists()):
         raise InputError(f"{out}: --out names one of the records; give the result its own name")
     results: list[CompressionResult] = []
-    seen: dict[bytes, Path] = {}
+    earlier: list[tuple[Path, set[bytes]]] = []
     notes: list[tuple[str, str]] = []
     # The target is tried first: no one should wait for a result that cannot be kept.
     with nullcontext() if out is None else result_file(out, force=force) as staged:
@@ -92,12 +98,7 @@ def compression(
                 displacement_column=displacement_column,
                 force_column=force_column,
             )
-            twin = seen.setdefault(record.displacement.tobytes() + record.force.tobytes(), file)
-            if twin is not file:
-                raise InputError(
-                    f"{file}: holds the same readings as {twin}; a specimen that counts twice makes"
-                    " the mean look surer than it is: name each record once"
-                )
+            earlier.append((file, _checked_rows(record, earlier)))
             result = compression_test(
                 record.displacement,
                 record.force,
@@ -116,13 +117,37 @@ def compression(
     return 0
 
 
+def _checked_rows(
+    record: CompressionRecord, earlier: Sequence[tuple[Path, set[bytes]]]
+) -> set[bytes]:
+    """Readings of a record, one entry each; refused where they are a copy of an earlier one's."""
+    readings = np.stack([record.displacement, record.force], axis=1)
+    rows = {row.tobytes() for row in readings if row.any()}
+    for twin, others in earlier:
+        if shared := copied_rows(rows, others):
+            raise InputError(
+                f"{record.source}: holds the same readings as {twin}, {shared} of {len(rows)}; a"
+                " specimen that counts twice makes the mean look surer than it is: name each"
+                " record once"
+            )
+    return rows
+
+
 def _size(given: str | None, name: str, record: CompressionRecord, found: float | None) -> float:
     """A size of the cylinder from the command line, else from the file."""
-    if given is not None:
-        return metres_from_text(given, name=f"--{name}")
-    if found is None:
-        raise InputError(f"{record.source}: does not say the {name}; give it, e.g. --{name} 50mm")
-    return found
+    if given is None:
+        if found is None:
+            raise InputError(
+                f"{record.source}: does not say the {name}; give it, e.g. --{name} 50mm"
+            )
+        return found
+    asked = metres_from_text(given, name=f"--{name}")
+    if found is not None and abs(asked - found) > _SAME_SIZE * found:
+        raise InputError(
+            f"{record.source}: says that the {name} is {1e3 * found:g} mm, and --{name} that it is"
+            f" {1e3 * asked:g} mm; leave the option out, or correct the file"
+        )
+    return asked
 
 
 def _strain_range(text: str) -> tuple[float, float]:

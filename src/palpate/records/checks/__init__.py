@@ -10,6 +10,7 @@ Read first : `plausibility.py`.
 from palpate.records.checks.displacements import (
     check_copies as check_copies,
     check_observed_points as check_observed_points,
+    copied_rows as copied_rows,
 )
 from palpate.records.checks.loads import check_contact as check_contact, check_load as check_load
 from palpate.records.checks.plausibility import (

@@ -87,8 +87,7 @@ def check_copies(probings: tuple[Probing, ...]) -> None:
             continue
         rows = _moved_rows(probing.displacement)
         for twin, others in earlier:
-            shared = len(rows & others)
-            if 2 * shared >= min(len(rows), len(others)):
+            if shared := copied_rows(rows, others):
                 raise InputError(
                     f"{shared} of {len(rows)} points of probing {quoted(probing.name)} have the"
                     f" same displacement, digit by digit, as in probing {quoted(twin.name)};"
@@ -96,6 +95,21 @@ def check_copies(probings: tuple[Probing, ...]) -> None:
                     " or leave one out"
                 )
         earlier.append((probing, rows))
+
+
+def copied_rows(rows: set[bytes], others: set[bytes]) -> int:
+    """How many rows two measurements share, digit by digit, where one is a copy of the other.
+
+    Parameters
+    ----------
+    rows, others : set of bytes     one entry a row
+
+    Returns
+    -------
+    int                             0 where it is less than half of the rows of the shorter one
+    """
+    shared = len(rows & others)
+    return shared if 2 * shared >= min(len(rows), len(others)) else 0
 
 
 def _moved_rows(field: DisplacementField) -> set[bytes]:
