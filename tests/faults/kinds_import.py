@@ -46,5 +46,10 @@ KINDS = [
         options="--min-score 0.5",
     ),
     _kind("codes of failure everywhere", _table(*[r.replace("0.95", "-3") for r in _ROWS]), *_KEPT),
+    _kind(
+        "a score in per cent",
+        _table(*_ROWS[:2], _ROWS[2].replace("0.95", "95")),
+        "n.csv: line 4: r1t1 ZNCC is 95; must be a correlation, 1 at most",
+    ),
     _kind("a planar table", _table("0.1,0,5,5", head="u,v,x,y"), "'w' is missing", "2-D"),
 ]

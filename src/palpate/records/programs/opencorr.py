@@ -1,19 +1,26 @@
 """Stereo results of OpenCorr."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from palpate.errors import RecordError
 from palpate.records.program import LEAST_CORRELATION, Program, ProgramPoints, chosen_frame
-from palpate.records.text import read_text_table
+from palpate.records.text import Column, TextTable, read_text_table
+from palpate.shapes import PointScalars
 
 _COLUMNS = {name: (name,) for name in ("u", "v", "w", "ref_x", "ref_y", "ref_z")}
 _SCORES = ("r1r2 zncc", "r1t1 zncc", "r1t2 zncc")
+# A correlation, and the rounding of single precision.
+_LARGEST_SCORE = 1.0 + 1e-3
 
 
 def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a stereo table that OpenCorr saved as CSV.
 
     Read are ref_x, ref_y, ref_z (at rest) and u, v, w. The score is the least of the three
-    correlations (r1r2, r1t1, r1t2 ZNCC); one of zero or less is a code of failure.
+    correlations (r1r2, r1t1, r1t2 ZNCC), 1 at most; one of zero or less is a code of failure.
 
     Parameters
     ----------
@@ -23,7 +30,7 @@ def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
     Raises
     ------
     RecordError                     a 2-D or volume table, or one of a reconstruction alone, whose
-                                    u, v, w are places; text, no rows
+                                    u, v, w are places; a score above 1; text, no rows
 
     Source
     ------
@@ -39,10 +46,22 @@ def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
     )
     values = table.values(wanted)
     if scores := [c for name in _SCORES if (c := table.find([name], spelled=str.lower))]:
-        score = table.values(scores).min(axis=1)
+        score = _least_score(table, scores)
         return ProgramPoints(values[:, 3:], values[:, :3], ~(score > 0.0), score=score)
     notes = ("It has no columns ZNCC, so failed points cannot be recognised.",)
     return ProgramPoints(values[:, 3:], values[:, :3], notes=notes)
+
+
+def _least_score(table: TextTable, columns: Sequence[Column]) -> PointScalars:
+    """The least correlation of each row."""
+    found = table.values(columns)
+    if len(beyond := np.argwhere(found > _LARGEST_SCORE)):
+        row, k = beyond[0]
+        raise RecordError(
+            f"{table.path}: line {table.numbers[row]}: {columns[k].name} is {found[row, k]:g}; must"
+            " be a correlation, 1 at most (0 or less: a code of failure): is it in per cent?"
+        )
+    return np.asarray(found.min(axis=1))
 
 
 def _why(missing: list[str], *, is_volume: bool) -> str:
