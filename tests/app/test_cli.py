@@ -64,7 +64,7 @@ _SCRIPT = "import sys; from palpate.app.cli import main; sys.exit(main(['--help'
     ("redirection", "code", "message"),
     [
         ("| true; exit ${PIPESTATUS[0]}", 141, ""),
-        ("> /dev/full", 2, "palpate: output: No space left on device\n"),
+        ("> /dev/full", 2, "palpate: output: No space left on device; all files are whole\n"),
         (">&-", 0, "palpate: note: standard output is closed: nothing is shown\n"),
         ("<&- >&- 2>&-", 0, ""),
     ],

@@ -12,7 +12,7 @@ from surfaces import box
 from palpate.app.cli import main
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, write_mesh
-from palpate.recording import chosen_side, flat_sides, likely_unit, read_recording
+from palpate.recording import chosen_side, flat_sides, likely_unit, read_recording, survey_folder
 from palpate.records import read_session
 
 
@@ -115,6 +115,23 @@ def test_pictures_become_probings(bench: Path, tmp_path: Path) -> None:
         "rest": "images/rest_{camera}.png",
         "loaded": ["images/n02_{camera}.png"],
     }
+
+
+def test_a_link_to_a_folder_makes_no_more_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_mesh(tmp_path / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=2))
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "rest_c0.png").write_bytes(b"")
+    # A second name for one file is meant.
+    (tmp_path / "pictures" / "n01_c0.png").symlink_to("rest_c0.png")
+    (tmp_path / "here").symlink_to(".")
+    (tmp_path / "earlier").symlink_to("pictures")
+    found = survey_folder(tmp_path)
+    assert found.meshes == ("mesh.ply",)
+    assert found.pictures == ("pictures/n01_c0.png", "pictures/rest_c0.png")
+    assert main(["init", str(tmp_path), "--template", "lab"]) == 0
+    assert "1 mesh, 2 pictures" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("template", ["lab", "dic", "robot", "gauge"])

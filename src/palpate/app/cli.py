@@ -59,8 +59,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if _folder_is_gone():
             _say("the current folder is there no more; change to another one")
             return BAD_INPUT
+        what = f"{error.filename or 'output'}: {error.strerror or error}"
+        if error.filename is None:
+            # Files take their place whole or not at all, and complain themselves.
+            what += "; all files are whole"
         # As messages of our own: no longer than a terminal shows.
-        _say(str(PalpateError(f"{error.filename or 'output'}: {error.strerror or error}")))
+        _say(str(PalpateError(what)))
         return BAD_INPUT
 
 

@@ -94,7 +94,7 @@ def survey_folder(folder: Path) -> FolderSurvey:
         raise RecordError(f"{folder}: the folder cannot be read (Permission denied)")
     if folder.resolve() == Path(folder.resolve().anchor):
         raise RecordError(f"{folder}: is the whole disk; name the folder of one measurement")
-    files = sorted(path for path in _files(folder) if os.path.isfile(path))
+    files = sorted(_files(folder))
     if len(files) > _MOST_FILES:
         raise RecordError(f"{folder}: has {len(files)} files; name the folder of one measurement")
 
@@ -123,7 +123,12 @@ def survey_folder(folder: Path) -> FolderSurvey:
 
 
 def _files(folder: Path) -> list[Path]:
-    return [*folder.glob("*"), *folder.glob("*/*")]
+    """Every name of a file once, however many links lead to the folder that it stands in."""
+    within = [one for one in folder.glob("*") if one.is_dir()]
+    # The folder itself first, then those that are no links.
+    folders = [folder, *sorted(within, key=lambda one: (one.is_symlink(), one))]
+    once = {one.resolve(): one for one in reversed(folders)}
+    return [file for one in once.values() for file in one.glob("*") if os.path.isfile(file)]
 
 
 def _table_kind(path: Path) -> str:
