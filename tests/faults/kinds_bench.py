@@ -16,6 +16,7 @@ _OBJECT = ("calibrate", "object", "rest_{camera}.png", "mesh.ply", "--rig", "rig
 _SCAN = ("scan", "scan", "--out", "made")
 _MESH = ("mesh", "mesh.ply", "--near", "near.csv", "--out", "made")
 _EXPORT = ("export", "result", "--to", "obj", "--out", "made")
+_EDGE = ("export", "result", "--to", "obj", "--edge")
 _REPORT = ("report", "result", "--out", "made.html")
 _PLAN = ("lab", "plan", "pictured", "--young-modulus", "50kPa")
 _RUN = ("campaign", "run", "list.txt", "--out", "made")
@@ -143,11 +144,14 @@ KINDS = [
             ("mesh", "mesh.ply", "--vertices", ("1000.5", "inf", "")),
             ("view", "cube", "--port", ("80.80",)),
             ("campaign", "run", "list.txt", "--workers", ("1.5",)),
-            ("export", "result", "--to", "obj", "--edge", ("1_0e-5", "nan", "1e400", "3N")),
             (*_PLAN, "--poisson-ratio", ("0_1", "NaN")),
             ("init", "boards", "--radius", ("1_0", "nan")),
         )
         for value in values
+    ),
+    *(
+        _option(None, *_EDGE, value, says=f"--edge is '{value}'; must be a finite number, with one of")
+        for value in ("1_0e-5", "nan", "1e400", "3N")
     ),
     *(
         _option(None, *command, says=says)
