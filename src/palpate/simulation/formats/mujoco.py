@@ -16,8 +16,8 @@ _RUN = (
     " large compression; a small share stays where the estimate holds. Written for MuJoCo 4; in"
     ' MuJoCo 3 replace integrator="discrete" by "implicitfast". MuJoCo may warn that the'
     " stiffness is ill-conditioned and the inertia close to singular: its solver stops early in"
-    " single steps. The half ball of Palpate's examples comes to rest at the same place with steps"
-    " of a third."
+    " single steps. The half ball of Palpate's examples comes to rest as far off with steps of a"
+    " third."
 )
 _MODEL = """<mujoco model="{name}">
   <!-- SI units; made by Palpate, see README.txt -->
