@@ -87,7 +87,7 @@ def test_help_has_no_noise_and_even_line_ends(palpate, words):
     assert code == 0
     assert "--empty" not in out
     assert "--no-force" not in out
-    assert "alse]" not in out
+    assert "default: False" not in out
     assert "--json" in out
     boxed = [line.rstrip() for line in out.splitlines() if line.startswith("│")]
     assert len({len(line) for line in boxed}) == 1

@@ -1,4 +1,4 @@
-"""Green's functions as an NPZ file, `palpate-greens/1`: for haptic loops in any language.
+"""Green's functions as an NPZ file, `palpate-greens/2`: for haptic loops in any language.
 
 Arrays, little endian, C order, SI units, object frame; v vertices, m triangles, n nodes:
 
@@ -31,7 +31,7 @@ from palpate.geometry import TriangleMesh
 from palpate.simulation.green_functions import GreenFunctions
 from palpate.simulation.material import Material
 
-GREENS_FORMAT = "palpate-greens/1"
+GREENS_FORMAT = "palpate-greens/2"
 _ARRAYS = ("held_triangles", "nodes", "compliance", "surface", "slope", "left_out", "asymmetry")
 _KEYS = {
     "format", "name", "vertices", "triangles", "constants", "covariance", "sha256", *_ARRAYS,
