@@ -65,6 +65,14 @@ def test_a_mesh_of_ones_own(read, tmp_path):
     assert config.specimen.element == pytest.approx(np.sqrt(0.5e-4 * 4 / np.sqrt(3)), rel=1e-6)
 
 
+def test_a_rig_of_ones_own_lies_beside_the_configuration(read, tmp_path):
+    config = read(HALF_BALL.replace("[head]\n", '[head]\nfile = "rig.toml"\n'))
+    assert config.head.file == str(tmp_path / "rig.toml")
+    elsewhere = str(tmp_path.parent / "rig.toml")
+    config = read(HALF_BALL.replace("[head]\n", f'[head]\nfile = "{elsewhere}"\n'))
+    assert config.head.file == elsewhere
+
+
 def test_a_support_on_springs_is_the_base_unless_said_otherwise_and_the_session_gets_it(read):
     rigid, springs = read(HALF_BALL), read(HALF_BALL + '[support]\nstiffness = "20 kPa/mm"\n')
     assert rigid.specimen.support_stiffness is None

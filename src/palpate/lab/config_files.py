@@ -75,6 +75,9 @@ def read_lab_config(path: Path | str) -> LabConfig:
         specimen=_specimen(root),
         probes=tuple(_settings(probe, Probe) for probe in probes),
     )
+    if config.head.file is not None:
+        beside = replace(config.head, file=str(root.file.parent / config.head.file))
+        config = replace(config, head=beside)
     _check_sizes(root.file, config)
     return config
 
