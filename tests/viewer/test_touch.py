@@ -5,8 +5,7 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.simulation import Material, PlacedTool, Sphere, start_contact, touch
-from palpate.simulation.contact import FEW_NODES
-from palpate.viewer.touch import force_text, place_on_ray, press, put_ball, resolved_radius
+from palpate.viewer.touch import force_text, place_on_ray, press, put_ball
 
 TOP = np.array([0.02, 0.02, 0.04])
 UP = np.array([0.0, 0.0, 1.0])
@@ -51,14 +50,6 @@ def test_what_is_not_prepared_cannot_be_pressed(green):
 
 def test_too_few_vertices_are_told(green):
     assert "too few" in force_text(press(green, put_ball(green, TOP, 0.002), 2e-4))
-
-
-def test_the_first_ball_is_one_that_the_mesh_resolves(green):
-    small, depth = 0.002, 2e-4
-    assert not press(green, put_ball(green, TOP, small), depth).state.resolved.all()
-    radius = resolved_radius(green, TOP, depth, (small, 1.0))
-    assert press(green, put_ball(green, TOP, radius), depth).touching >= FEW_NODES
-    assert resolved_radius(green, TOP, depth, (small, 0.003)) == 0.003
 
 
 def test_a_force_that_is_not_resolved_has_no_sigma(green):

@@ -27,7 +27,6 @@ from palpate.simulation.green_functions import (
     GreenFunctions as GreenFunctions,
     make_green_functions as make_green_functions,
     nearest_nodes as nearest_nodes,
-    touched_points as touched_points,
 )
 from palpate.simulation.material import (
     Material as Material,

@@ -196,10 +196,12 @@ def _square(pairs: Float[np.ndarray, "n 3 n 3"]) -> Float[np.ndarray, "m m"]:
 
 
 def _default_nodes(session: Session, most: int | None) -> Int[np.ndarray, " n"]:
-    """The free vertices nearest to where the object is touched."""
+    """The free vertices nearest to the contacts, or to the top where there are none yet."""
     if most is None:
         return free_nodes(session)
-    return nearest_nodes(session, touched_points(session), most)
+    vertices = session.mesh.vertices
+    points = [one.contact.point for one in session.probings]
+    return nearest_nodes(session, np.array(points or [vertices[vertices[:, 2].argmax()]]), most)
 
 
 def _without_gain(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray, " k"]:
@@ -230,23 +232,6 @@ def free_nodes(session: Session) -> Int[np.ndarray, " n"]:
     """
     held = session.mesh.triangles[session.held_triangles]
     return np.setdiff1d(np.arange(len(session.mesh.vertices)), held)
-
-
-def touched_points(session: Session) -> Float[np.ndarray, "k 3"]:
-    """Where an object is touched: at its contacts, or at its top where it has none yet.
-
-    Parameters
-    ----------
-    session : Session
-
-    Returns
-    -------
-    (k, 3) float [m]
-    """
-    if session.probings:
-        return np.array([one.contact.point for one in session.probings])
-    vertices = session.mesh.vertices
-    return vertices[[vertices[:, 2].argmax()]]
 
 
 def nearest_nodes(

@@ -20,8 +20,6 @@ from palpate.simulation import (
 
 # Of its radius: the ball starts so far off, and goes at most so far in a step.
 _OFF, _STEP = 1e-3, 0.02
-# By so much a ball is larger than the one before, which was too small for the mesh.
-_GROWTH = 1.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,36 +119,6 @@ def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
     return Pressed(
         before.point, before.normal, depth, state, moved, force, float(np.sqrt(max(variance, 0.0)))
     )
-
-
-def resolved_radius(
-    green: GreenFunctions, point: Vector3, depth: float, radii: tuple[float, float]
-) -> float:
-    """The smallest ball whose contact the mesh resolves, pressed in at a place.
-
-    Parameters
-    ----------
-    green : GreenFunctions
-    point : (3,) float [m]          of the surface
-    depth : float [m]
-    radii : (float, float) [m]      smallest and largest
-
-    Returns
-    -------
-    float [m]                       the largest where the mesh is too coarse for every ball
-
-    Raises
-    ------
-    InputError                      a place that cannot be pressed
-    NotConvergedError               the contact does not settle
-    """
-    radius, largest = radii
-    while radius < largest:
-        pressed = press(green, put_ball(green, point, radius), depth)
-        if pressed.touching and pressed.state.resolved.all():
-            return radius
-        radius *= _GROWTH
-    return largest
 
 
 def force_text(pressed: Pressed) -> str:

@@ -3,7 +3,7 @@
 Purpose    : what can be chosen and done in one browser tab.
 Takes      : a tab's handles of viser, a `Workshop`, a `Stage`.
 Gives      : sliders, lists and texts that change the stage.
-Depends on : `simulation`, `estimation`, `pipeline`, `records`, `geometry`; files of its room.
+Depends on : `estimation`, `pipeline`, `records`, `geometry`; files of its room.
 Read first : `look.py`, then `material.py` and `touching.py`.
 """
 

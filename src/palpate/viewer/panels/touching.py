@@ -1,17 +1,15 @@
 """A click presses a ball into the object, a drag presses deeper; the force is shown."""
 
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from palpate.errors import PalpateError
 from palpate.shapes import Vector3
-from palpate.simulation import touched_points
 from palpate.viewer.colours import scale_html
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.stage import Stage, length_colours
-from palpate.viewer.touch import Pressed, force_text, press, put_ball, resolved_radius
+from palpate.viewer.touch import Pressed, force_text, press, put_ball
 from palpate.viewer.workshop import Workshop
 
 # Of the object's size: the ball, how deep a click presses, and the deepest.
@@ -32,7 +30,6 @@ class TouchPanel:
     def __init__(self, gui: Any, workshop: Workshop, stage: Stage, look: LookPanel) -> None:
         self._workshop, self._stage, self._look = workshop, stage, look
         self.pressed: Pressed | None = None
-        self._is_sized = False
         size = stage.size
         self.text = gui.add_markdown("")
         self.scale = gui.add_html("")
@@ -52,25 +49,12 @@ class TouchPanel:
         """Say whether the object can be touched yet."""
         if self.pressed is None:
             known = self._workshop.green is not None
-            self._size_ball()
             how = "Click on the object to press it; drag to press deeper."
             if known and self._workshop.assumed:
                 how += " Nothing was estimated: G 20 kPa and nu 0.3 are assumed."
             if known and self._workshop.touch_text:
                 how += f" {self._workshop.touch_text}."
             self.text.content = how if known else f"*{self._workshop.touch_text}*"
-
-    def _size_ball(self) -> None:
-        """Begin with a ball whose contact the mesh resolves where the object was touched."""
-        green = self._workshop.green
-        if green is None or self._is_sized:
-            return
-        self._is_sized = True
-        point = touched_points(self._stage.subject.session)[0]
-        radii = 1e-3 * float(self.radius.value), 1e-3 * float(self.radius.max)
-        with suppress(PalpateError):
-            radius = resolved_radius(green, point, 1e-3 * float(self.depth.value), radii)
-            self.radius.value = _round(1e3 * radius)
 
     def put(self, point: Vector3) -> None:
         """Press the ball at a place of the surface [m], as deep as the slider says."""
