@@ -65,7 +65,6 @@ KINDS = [
     ),
     _mesh("cube.obj", _line("f 1 2 999"), "the face names vertex 999, of"),
     _mesh("cube.off", _line("3 0 1 2"), "it says that it has 74 rows, and holds 75"),
-    _mesh("cube.off", _line("hello"), "it says that it has 74 rows, and holds 75"),
     _mesh("cube.off", _without(3), "it says that it has 74 rows, and holds 71"),
     _mesh("text.ply", _without(1), "rows, and holds"),
     _mesh("text.ply", _without(30), "rows, and holds "),

@@ -18,7 +18,7 @@ from palpate.figures import (
     probings_figure,
 )
 from palpate.figures.displacement import best_direction, make_view, projected
-from palpate.figures.estimate import _panel_limits as panel_limits, _refined as refined, write_plots
+from palpate.figures.estimate import _panel_limits as panel_limits, refined_likelihood, write_plots
 from palpate.geometry import TriangleMesh
 from palpate.records import CONSTANT_NAMES, BudgetEntry, ErrorEstimate, Status, read_session
 
@@ -143,7 +143,7 @@ def test_unknown_values_have_no_say_in_the_limits():
 def test_the_likelihood_is_refined_between_its_nodes():
     nu, shear = np.linspace(0.1, 0.3, 41), np.linspace(1.0, 3.0, 31)
     quadratic = 5e4 * (nu[:, None] - 0.2) ** 2 + 26 * (shear - 2.0) ** 2
-    fine_nu, fine_shear, fine = refined(LikelihoodMap(nu, shear, quadratic))
+    fine_nu, fine_shear, fine = refined_likelihood(LikelihoodMap(nu, shear, quadratic))
     # Shown is what is below a deviance of 16, and two nodes more.
     assert (fine_nu[0], fine_nu[-1]) == pytest.approx((0.175, 0.225))
     assert (fine_shear[0], fine_shear[-1]) == pytest.approx((2.0 - 13 / 15, 2.0 + 13 / 15))
