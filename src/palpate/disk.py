@@ -12,27 +12,22 @@ import os
 import re
 import shutil
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 
-from palpate.errors import InUseError, RecordError
+from palpate.errors import RecordError
 from palpate.files import checked_file
-
-try:
-    import fcntl
-except ImportError:  # not on Windows: two commands at once are then not noticed
-    fcntl = None  # type: ignore[assignment]
+from palpate.locks import release_lock, take_lock
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 # linux/fs.h: exchange two names in one step.
 _RENAME_EXCHANGE, _AT_FDCWD = 2, -100
-# How a lock's text begins, that it is no link, and what a journal has at most [bytes].
-_HOLDER, _NO_LINK, _MOST_JOURNAL = "process ", getattr(os, "O_NOFOLLOW", 0), 2**20
+# What a journal has at most [bytes].
+_MOST_JOURNAL = 2**20
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -132,8 +127,9 @@ def _check_places(finals: Sequence[Path], folder: bool) -> None:
     for final in finals:
         if final.exists() and not (final.is_dir() if folder else final.is_file()):
             wrong = "a folder" if final.is_dir() else "no regular file"
-            wrong = "no folder" if folder else wrong
-            raise RecordError(f"{final}: is {wrong}; choose another place")
+            raise RecordError(
+                f"{final}: is {'no folder' if folder else wrong}; choose another place"
+            )
         if final.parent != finals[-1].parent:
             raise RecordError(
                 f"{final}: a link leads out of the folder of {finals[-1]}, and both are to change"
@@ -146,56 +142,19 @@ def _locked(final: Path) -> Iterator[None]:
     """Hold the right to write a file or folder; a lock dies with its process, however that ends."""
     path = _beside(final, "lock")
     with _refused(final):
-        handle = _opened_lock(path, final)
+        handle = take_lock(path, final)
     try:
-        with _refused(final):
-            os.ftruncate(handle, 0)
-            os.write(handle, f"{_HOLDER}{os.getpid()} on {socket.gethostname()}".encode())
         yield
     finally:
-        with suppress(OSError):
-            path.unlink()
-        os.close(handle)
-
-
-def _opened_lock(path: Path, final: Path) -> int:
-    """An open lock file that is locked and has its name still."""
-    while True:
-        handle, holder = _lock_file(path)
-        try:
-            if fcntl is not None:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(handle)
-            raise InUseError(
-                f"{final}: is being written by {holder or 'another process'}; wait until that has"
-                " ended, or choose another place"
-            ) from None
-        except OSError:
-            pass  # A file system without locks.
-        with suppress(FileNotFoundError):
-            if os.path.samestat(os.stat(path), os.fstat(handle)):
-                return handle
-        # The one before has ended and taken the file with it in between.
-        os.close(handle)
-
-
-def _lock_file(path: Path) -> tuple[int, str]:
-    """A lock file, opened or made, and the process that it names; what is another's stays so."""
-    if not os.path.lexists(path) or (path.is_file() and not path.is_symlink()):
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
-        holder = os.pread(handle, 200, 0).decode(errors="replace")
-        if not holder or holder.startswith(_HOLDER):
-            return handle, holder
-        os.close(handle)
-    raise RecordError(f"{path}: is not a lock of Palpate's; move it to another place")
+        release_lock(path, handle)
 
 
 def _tidy(finals: Sequence[Path]) -> None:
     """Undo, remove or put back what interrupted processes left of these files, and name it."""
     journal = _beside(finals[-1], "journal")
     if journal.exists():
-        done = "was undone" if _journal(journal)[0] else "was tidied up"
+        interrupted, _ = _journal(journal)
+        done = "was undone" if interrupted else "was tidied up"
         _undo(journal)
         _say(f"{finals[-1]}: what an interrupted run had begun {done}")
     for final in finals:
@@ -251,8 +210,10 @@ def _kept_aside(path: Path, final: Path) -> Path:
 
     A file keeps its own name as well, so that there is no moment without it.
     """
-    names = (final.with_name(f"{final.name}.old{number or ''}") for number in chain([0], count(2)))
-    kept = next(name for name in names if not os.path.lexists(name))
+    kept, number = final.with_name(f"{final.name}.old"), 1
+    while os.path.lexists(kept):
+        number += 1
+        kept = final.with_name(f"{final.name}.old{number}")
     if path != final or path.is_dir():
         os.rename(path, kept)
     else:
@@ -274,7 +235,7 @@ def _place_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
 
 def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
     """Write which files are being changed, which were there, and whether that is to be undone."""
-    journal, draft = (_beside(finals[-1], what) for what in ("journal", "draft"))
+    journal, draft = _beside(finals[-1], "journal"), _beside(finals[-1], "draft")
     there = {final.name: _beside(final, "older").exists() for final in finals}
     draft.write_text(json.dumps({"undo": undo, "there": there}), encoding="utf-8")
     _sync(draft)

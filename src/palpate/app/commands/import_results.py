@@ -208,10 +208,8 @@ def _session_files(
 
     with placed([*targets, session.path], aside=differs) as staged:
         where = dict(zip(names.values(), staged, strict=False))
-        written.update(
-            (os.path.basename(os.path.realpath(target)), staged[k])
-            for k, target in enumerate(targets)
-        )
+        # By the names that `placed` asks for: links are followed.
+        written.update((target.resolve().name, where[target.name]) for target in targets)
         yield where.__getitem__
         # As it is by now, and as bytes, so that line ends stay as they are.
         text = session.path.read_bytes().decode("utf-8")
