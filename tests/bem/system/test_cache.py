@@ -103,7 +103,7 @@ def test_all_that_matters_changes_the_hash(surface):
         content_hash(surface, default),
         content_hash(flat, default),
         content_hash(fewer, default),
-        content_hash(surface, Quadrature(tolerance=1e-5)),
+        content_hash(surface, Quadrature(tolerance=1e-4)),
     }
     assert len(hashes) == 4
 

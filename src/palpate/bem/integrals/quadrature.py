@@ -1,5 +1,5 @@
-"""Quadrature rules on the reference triangle: symmetric rules for far points, conical products for
-near ones."""
+"""Quadrature rules on the reference triangle: symmetric rules for distant collocation points,
+conical products for near ones."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -31,25 +31,24 @@ class Quadrature:
 
     Attributes
     ----------
-    tolerance : float [-]     relative error aimed at in each integral over one triangle; the rule
-                              for a triangle follows from it and from the distance of the point over
-                              the triangle's radius
-    degrees : tuple of int    degrees of the rules for distant points, rising
-    polar_points : (int, int) Gauss points along and across the polar coordinates of the singular
-    integrals
+    tolerance : float [-]     target relative error of each integral over one triangle; together
+                              with the distance of the collocation point over the triangle's radius
+                              it selects the rule
+    degrees : tuple of int    degrees of the regular rules, ascending
+    polar_points : (int, int) radial and angular Gauss points of the singular integrals
     """
 
-    tolerance: float = 1e-6
-    degrees: tuple[int, ...] = (2, 4, 5, 7, 11)
+    tolerance: float = 1e-5
+    degrees: tuple[int, ...] = (2, 4, 5, 7, 9, 11, 13, 15, 19)
     polar_points: tuple[int, int] = (4, 12)
 
     def ratios(self) -> Float[np.ndarray, " k"]:
-        """Distance over triangle radius from which each rule meets the tolerance.
+        """Distance over triangle radius above which each rule meets the tolerance.
 
         Returns
         -------
-        (k,) float [-]            falling with the degree; a rule of degree d errs by (radius /
-                                  distance)^(d + 1)
+        (k,) float [-]            decreasing with the degree; a rule of degree d has a relative
+                                  error of (radius / distance)^(d + 1)
         """
         return np.array([self.tolerance ** (-1.0 / (degree + 1)) for degree in self.degrees])
 
@@ -128,6 +127,6 @@ def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]
 
 @cache
 def _unit_gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
-    # Kept: an eigenvalue problem each, and contacts ask for the same few again and again.
+    # Cached: each rule takes an eigenvalue problem, and contacts use the same few over and over.
     x, w = roots_legendre(n)
     return 0.5 * (x + 1), 0.5 * w
