@@ -1,4 +1,4 @@
-"""From probings to elastic constants: the order of the steps, and nothing else."""
+"""The sequence of steps from probings to elastic constants."""
 
 import time
 from collections.abc import Sequence
@@ -47,22 +47,22 @@ from palpate.progress import Progress, silent
 from palpate.records import Estimate, Status
 
 _LEVEL_ROUNDS = 3
-# Noise levels that change by less have settled.
+# Relative change below which the noise levels count as converged.
 _LEVEL_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
-    """An estimate with what its plots and checks need.
+    """An estimate with the data needed to plot and check it.
 
     Parameters
     ----------
     estimate : Estimate
     likelihood : LikelihoodMap
     probes : tuple of ProbeFit
-    intervals : IntervalSet or None     of the joint constants as the data give them: without prior
-                                        ranges for what is not identifiable
-    model : FittedModel or None         that can be asked at other constants
+    intervals : IntervalSet or None     of the joint constants from the data alone: without prior
+                                        ranges for constants that are not identifiable
+    model : FittedModel or None         can be evaluated at other constants
     """
 
     estimate: Estimate
@@ -87,16 +87,19 @@ def fit(
     ----------
     probes : sequence of ProbeObservations  at least one
     settings : FitSettings
-    progress : callable                     called with what starts and how far it is (0 to 1)
+    progress : callable                     called with the name of each step and the fraction done
 
     Returns
     -------
-    FitResult                               what is not identifiable is data: see `Estimate.status`
+    FitResult                               constants that are not identifiable do not raise: see
+                                            `Estimate.status`
 
     Raises
     ------
-    InputError                              no probing, a name twice, nothing measured in a probing
-    NotConvergedError                       the true force of a probing did not settle
+    InputError                              no probings, duplicate names, or a probing without
+                                            measurements or without any load
+    NotConvergedError                       the true force of a probing did not converge (only with
+                                            the method nelder-mead)
     """
     start = time.perf_counter()
     progress("tabulation", 0.0)
@@ -144,7 +147,7 @@ def fit(
 def best_constants_of(
     probes: Sequence[ProbeObservations], *, settings: FitSettings = FitSettings()
 ) -> tuple[float, float]:
-    """The constants alone, without intervals.
+    """Best-fit constants from all probings together, without intervals.
 
     Parameters
     ----------
@@ -167,7 +170,7 @@ def best_constants_of(
 def _weights(
     rows: tuple[ObservedRows, ...], table: ResponseTable, misfit: Misfit, minimum: Minimum
 ) -> FixedWeights:
-    """The misfit with the weights and errors of its minimum held fixed."""
+    """The misfit with robust weights and errors held fixed at their values at the minimum."""
     apart, table = without_settlement(rows, table, minimum)
     return fixed_weights(
         apart,
@@ -195,7 +198,7 @@ def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ..
 def _joint_minimum(
     rows: tuple[ObservedRows, ...], table: ResponseTable, settings: FitSettings
 ) -> tuple[Misfit, Minimum]:
-    """Robust start, exact minimum, and noise levels that agree with its residuals."""
+    """Robust start, then the exact minimum, with noise levels consistent with its residuals."""
     noise, poisson_range = NOISE_MODELS[settings.noise], settings.poisson_range
     start = global_start(rows, table, noise)
     nu, modulus, level = start.poisson_ratio, start.shear_modulus, start.level
@@ -221,7 +224,8 @@ def _joint_minimum(
 
 
 def _intervals(uncertainty: Uncertainty) -> tuple[IntervalSet, IntervalSet, dict[str, bool]]:
-    """Intervals as the data give them, within prior ranges, and what is identifiable."""
+    """Intervals from the data alone, intervals to report (the prior range where a constant is not
+    identifiable), and which constants are identifiable."""
     intervals = interval_set(uncertainty)
     ranged, weights = intervals, uncertainty.weights
     if uncertainty.is_beyond_range():
@@ -233,9 +237,9 @@ def _intervals(uncertainty: Uncertainty) -> tuple[IntervalSet, IntervalSet, dict
 def _single_constants(
     misfit: Misfit, joint: Uncertainty
 ) -> list[tuple[IntervalSet, dict[str, bool]]]:
-    """Constants of every probing alone, with the noise and weights of all, and which of them it
-    determines."""
-    # A force that all others doubt is as good as claimed where there are no others.
+    """Constants from each probing alone, with noise and weights of the joint fit, and which of them
+    it identifies."""
+    # A force downweighted for disagreeing with the other probings is as good as claimed by itself.
     claimed = np.stack([probe.force_std for probe in misfit.probes])
     apart = replace(joint.weights, force_root=claimed)
     found = []

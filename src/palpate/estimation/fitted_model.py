@@ -1,4 +1,4 @@
-"""The model of a fit, asked at other constants than the best: what sliders need."""
+"""The fitted model, evaluated at constants other than the estimate (for interactive sliders)."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from palpate.shapes import Points, Vertices
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedProbing:
-    """What the model says of one probing at some constants.
+    """Prediction of one probing at given constants.
 
     Attributes
     ----------
     name : str
-    predicted : (n, 3) float [m]            under the true force and the errors that fit best there
+    predicted : (n, 3) float [m]            with the true force and errors that fit best there
     residual : (n, 3) float [m]             measured minus predicted, NaN where not measured
     surface : (v, 3) float [m] or None      displacement of all vertices of the model's mesh
     """
@@ -28,11 +28,11 @@ class PredictedProbing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelState:
-    """The model at some constants.
+    """Predictions and misfit of the model at given constants.
 
     Attributes
     ----------
-    misfit : float                  minus twice the logarithm of the likelihood, above its lowest
+    misfit : float                  minus twice the log likelihood, above its minimum
     probings : tuple of PredictedProbing
     """
 
@@ -42,13 +42,13 @@ class ModelState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedModel:
-    """The model that a fit used, with its noise levels.
+    """The model of a fit, with its noise levels.
 
     Attributes
     ----------
     observations : tuple of ProbeObservations
     misfit : Misfit                 of these
-    lowest : float                  its value at the best constants
+    lowest : float                  minimum of the misfit
     """
 
     observations: tuple[ProbeObservations, ...]
@@ -56,7 +56,7 @@ class FittedModel:
     lowest: float
 
     def at(self, poisson_ratio: float, shear_modulus: float) -> ModelState:
-        """What the model says at other constants; some milliseconds.
+        """Evaluate the model at other constants; takes a few milliseconds.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class FittedModel:
 
         Raises
         ------
-        NotConvergedError               the true force of a probing did not settle
+        NotConvergedError               the true force of a probing did not converge
         """
         errors, local = self.misfit.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
         value = total_loss(local, errors)
@@ -88,7 +88,7 @@ class FittedModel:
 def fitted_model(
     probes: tuple[ProbeObservations, ...], misfit: Misfit, minimum: Minimum
 ) -> FittedModel:
-    """The model of a fit, to be asked at other constants.
+    """Make the model of a fit that can be evaluated at other constants.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the reader of an estimate must know, in full sentences."""
+"""Notes for the reader of an estimate, as full sentences."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,7 +10,7 @@ from palpate.estimation.search import Misfit
 from palpate.records import SURPRISING, ErrorEstimate, error_texts, length_unit
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
-# Where the model fails, and what is most often wrong there.
+# The most frequent causes, by the landmark near which the model fails.
 _SUSPECTS = {
     "the contact": (
         "the contact's point, radius or profile, the direction of the force, or a mesh too coarse"
@@ -27,13 +27,13 @@ _WORDS = {
     "shear_modulus": "the shear modulus",
     "young_modulus": "Young's modulus",
 }
-# Disagreement of the probings that raises a variance by this factor is mentioned.
+# A variance inflated by more than this factor (correlation, disagreeing probings) is mentioned.
 _MENTIONED_FACTOR = 2.0
-# Fewer points leave the noise level and the errors that they share undetermined.
+# So few points leave the noise level and the shared errors undetermined.
 _FEW_POINTS = 4
-# Residuals over the motion of a component and of all; chance may do it with fewer rows.
+# RMS residual over RMS displacement of one component and of all, and the fewest rows to judge by.
 _OPPOSED, _TOLD, _FEW_ROWS = 1.3, 0.1, 8
-# A force of smaller robust weight is mentioned.
+# A force whose robust weight is smaller is mentioned.
 _MIN_FORCE_WEIGHT = 0.5
 
 
@@ -44,8 +44,8 @@ def fit_notes(
     contradictions: Sequence[Contradiction],
     errors: Sequence[ErrorEstimate],
 ) -> tuple[str, ...]:
-    """Sentences about noise, correlation, disagreement, doubted forces, errors far off, what is not
-    identifiable, and what contradicts the model.
+    """Notes on noise, correlation, disagreeing probings, downweighted forces, implausible errors,
+    constants that are not identifiable, and contradictions of the model.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def fit_notes(
 
     Returns
     -------
-    tuple of str                    empty where there is nothing to say
+    tuple of str                    empty if there is nothing to note
     """
     notes = [*_count_notes(misfit), *_noise_notes(misfit), *_interval_notes(uncertainty)]
     for probe in uncertainty.minimum.probes:
@@ -84,7 +84,7 @@ def fit_notes(
 
 
 def _count_notes(misfit: Misfit) -> list[str]:
-    """Said where so few points were measured that nothing else is to blame for a wide interval."""
+    """A note where so few points were measured that this alone explains wide intervals."""
     count = sum(len(probe.start) for probe in misfit.probes)
     if count > _FEW_POINTS:
         return []
@@ -116,11 +116,11 @@ def _noise_notes(misfit: Misfit) -> list[str]:
 
 
 def opposed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
-    """Sentences about components whose residuals exceed all that moved: the model has them the
-    other way round.
+    """Notes on components whose residuals exceed the measured displacement: the prediction has the
+    opposite sign.
 
-    Noise is part of what was measured, so that it cannot exceed it where the model is right. This
-    needs few points, and no claim of what their noise is.
+    Noise is part of the measurement, so under a correct model residuals cannot exceed it. The test
+    needs only a few points and no claimed noise level.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def opposed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
 
     Returns
     -------
-    list of str                     empty where the model contradicts none
+    list of str                     empty where no component is contradicted
     """
     probes = uncertainty.minimum.probes
     group = np.concatenate([probe.rows.group for probe in probes]) % (GROUP_COUNT // 2)

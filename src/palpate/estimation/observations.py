@@ -19,14 +19,14 @@ class ResponseModel(Protocol):
     """Displacement of the observed points per unit force, as a function of Poisson's ratio.
 
     Rows are 3 * point + component for all points of the probing, then, where the tip was measured,
-    three rows for the contact point. Columns 0 to 2 belong to a unit force along x, y and z, column
-    3 to all known loads; these are displacement times shear modulus. Further columns, if any,
-    belong to motions of supports and are displacements themselves. The displacement is
+    three rows for the contact point. Columns 0 to 2 are for a unit force along x, y and z, column 3
+    for all known loads together; they hold displacement times shear modulus. Further columns, if
+    any, are for unit motions of the supports and hold displacements. The displacement is
     (value[:, :3] @ force + value[:, 3]) / shear_modulus + value[:, 4:] @ motion.
     """
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
-        """Displacement times shear modulus [m Pa / N], column 3 [m Pa], then per unit of motion."""
+        """Response: columns 0 to 2 in m Pa / N, column 3 in m Pa, the others in m per unit."""
         ...
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
@@ -36,16 +36,16 @@ class ResponseModel(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settlement:
-    """How a response depends on the shear modulus where supports give under known stiffnesses.
+    """Dependence of a response on the shear modulus where supports are springs of known stiffness.
 
-    What an object sinks into springs does not depend on its own modulus: displacement is, nearly,
-    an affine function of 1 / G, and response(G) = response + (G / G_0 - 1) derivative.
+    How far the object sinks into the springs does not depend on its own modulus: displacement is
+    nearly an affine function of 1 / G, and response(G) = response + (G / G_0 - 1) derivative.
 
     Parameters
     ----------
     shear_modulus : float [Pa]              G_0, at which the response was taken
-    derivative : function                   Poisson's ratio -> (n_rows, c) float: of the response
-                                            with respect to log G, there
+    derivative : function                   Poisson's ratio -> (n_rows, c) float: derivative of the
+                                            response with respect to log G at G_0
     """
 
     shear_modulus: float
@@ -54,42 +54,42 @@ class Settlement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbeObservations:
-    """One probing: where the surface was seen to move, under which force, and its model.
+    """One probing: measured displacements of the surface, the force, and the response model.
 
     Parameters
     ----------
     name : str
     position : (n, 3) float [m]             observed points at rest
-    displacement : (n, 3) float [m]         NaN = looked at and not measured
+    displacement : (n, 3) float [m]         measured; NaN = no measurement there
     std : (n, 3) float [m] or None          1 sigma per component; None = to be estimated
     force : (3,) float [N]                  measured force on the object
     force_std : (3,) float [N]              1 sigma per component, zero = exact
     tip_displacement : (3,) float [m] or None    of the contact point, NaN = not measured
     tip_displacement_std : (3,) float [m] or None
     response : ResponseModel                3 n rows, three more where the tip was measured
-    motion : (q,) float                     motions of supports, as many as the response has columns
-                                            for
-    motion_std : (q,) float                 1 sigma of each, zero = exact; a free motion has a large
-                                            one
-    landmarks : name -> (k, 3) float [m]    places for messages, such as "the contact"
-    nuisances : tuple of Nuisance           errors that its points share, or all probings
+    motion : (q,) float                     motions of the supports (m, or rad for rotations), one
+                                            for each response column from the fifth
+    motion_std : (q,) float                 1 sigma of each, zero = exact; large for a free motion
+    landmarks : name -> (k, 3) float [m]    named places used in messages, such as "the contact"
+    nuisances : tuple of Nuisance           errors shared by its points or by all probings; fitted
     settlement : Settlement or None         None: the response does not depend on the modulus
-    vertices : ResponseModel or None        of all vertices of the mesh, where their displacement is
-                                            wanted along with the estimate
-    covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, beside `std`; points
-                                            then have all three components or none; None: their
-                                            errors are independent
-    correlation : PointCorrelation          how nearly neighbouring points may share their errors:
-                                            in proportion, the size is measured from the residuals
-    reference : str or None                 pictures at rest that the displacements were measured
-                                            from; points of probings with the same ones share their
-                                            noise
-    considered : tuple of Nuisance          errors of the model that data are not asked about: their
-                                            priors enter the intervals whole
+    vertices : ResponseModel or None        response of all mesh vertices, where their displacement
+                                            is wanted with the result
+    covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, in addition to
+                                            `std`; each point then has all three components or none;
+                                            None: errors of the components are independent
+    correlation : PointCorrelation          error correlation of neighbouring points, up to a common
+                                            factor that is estimated from the residuals
+    reference : str or None                 identifies the reference pictures (at rest); points of
+                                            probings with the same reference share its noise
+    considered : tuple of Nuisance          model errors that are considered, not fitted: all of
+                                            their prior variance enters the intervals
 
     Raises
     ------
-    InputError                              wrong shape, infinite entry, std not positive
+    InputError                              wrong shape, infinite entry, std not positive, negative
+                                            force_std or motion_std, covariance not positive
+                                            definite, without std or for partly measured points
     """
 
     name: str
@@ -176,7 +176,7 @@ def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | Non
 
 
 def _check_covariance(label: str, probe: ProbeObservations) -> None:
-    """Refuse a covariance without standard deviations, not positive, or of half measured points."""
+    """Refuse a covariance without `std`, not positive definite, or of partly measured points."""
     if probe.covariance is None:
         return
     known = np.isfinite(probe.displacement)

@@ -15,7 +15,7 @@ from palpate.shapes import Vector3
 GROUP_COUNT = 8
 CLAIMED_GROUPS = slice(4, 8)
 TIP_GROUP = 3
-# Multiplications below which OpenBLAS keeps to one thread.
+# Number of multiplications below which OpenBLAS uses a single thread.
 _UNTHREADED = 2**18
 
 
@@ -23,15 +23,15 @@ _UNTHREADED = 2**18
 class ObservedRows:
     """The measured components of one probing as one stack of rows, ready for the misfit.
 
-    A point has up to three rows that stand or fall together: a wrong match spoils all of them.
-    Where a point's covariance is known its three rows are mixed so that their errors are
-    independent and equal.
+    A point has up to three rows, which share one robust weight: a wrong match spoils all of them.
+    Where a point's covariance is known, its three rows are whitened: mixed so that their errors are
+    independent and of equal variance.
 
     Parameters
     ----------
     name : str
     rows : (r,) int                         rows of the response that were measured
-    measured : (r,) float [m]               mixed, as everything that its methods give
+    measured : (r,) float [m]               whitened, as are the rows that its methods return
     unit : (r,) float [m]                   claimed 1 sigma, or 1 where the level is estimated
     group : (r,) int                        noise group, see GROUP_COUNT
     start : (p,) int                        first row of each point
@@ -43,12 +43,12 @@ class ObservedRows:
     response : ResponseModel
     nuisances : tuple of Nuisance
     settlement : Settlement or None
-    mixing : (k, 3, 3) float [-] or None    of the first k points, which have three rows each: their
-                                            covariance to the power -1/2, times `unit`
-    neighbours : (r, r) sparse or None      correlation of the rows of neighbouring points, zero on
-                                            the diagonal; None: errors are independent
-    reference : str or None                 pictures at rest that it was measured from
-    considered : tuple of Nuisance          errors that are not fitted along
+    mixing : (k, 3, 3) float [-] or None    whitening matrices of the first k points, which have
+                                            three rows each: covariance^(-1/2) times `unit`
+    neighbours : (r, r) sparse or None      error correlation of the rows of neighbouring points,
+                                            zero on the diagonal; None: errors are independent
+    reference : str or None                 identifies the reference pictures (at rest)
+    considered : tuple of Nuisance          errors that are considered, not fitted
     """
 
     name: str
@@ -74,7 +74,7 @@ class ObservedRows:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """Parameters of the errors that its points share, in the order of `nuisance_columns`."""
+        """Nuisance parameters of the probing, in the order of `nuisance_columns`."""
         return tuple(one for nuisance in self.nuisances for one in nuisance.parameters)
 
     def nuisance_columns(
@@ -83,7 +83,7 @@ class ObservedRows:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """Change of the displacements for one prior standard deviation of each parameter [m]."""
+        """Change in displacement per prior standard deviation of each nuisance parameter [m]."""
         return self._columns(self.nuisances, response, load, poisson_ratio)
 
     def considered_columns(
@@ -92,7 +92,7 @@ class ObservedRows:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r q"]:
-        """The same of the errors that are not fitted along."""
+        """As `nuisance_columns`, for the errors that are considered, not fitted [m]."""
         return self._columns(self.considered, response, load, poisson_ratio)
 
     def _columns(
@@ -113,7 +113,7 @@ class ObservedRows:
     def nuisance_curvature(
         self, load: Float[np.ndarray, " c"], poisson_ratio: float
     ) -> list[tuple[tuple[NuisanceParameter, ...], Float[np.ndarray, "r p p"]]]:
-        """Parameters in which the displacements are not linear, and their second derivative [m]."""
+        """Parameters in which displacement is not linear, with its second derivatives [m]."""
         found = []
         for one in self.nuisances:
             if isinstance(one, CurvedNuisance):
@@ -124,18 +124,18 @@ class ObservedRows:
 
     @property
     def force_components(self) -> int:
-        """How many components of the force are uncertain."""
+        """Number of uncertain components of the force."""
         return int(np.count_nonzero(self.force_std))
 
     @property
     def fitted_components(self) -> int:
-        """How many components of the force and of the motions are fitted along."""
+        """Number of components of force and motions that are fitted with the constants."""
         return self.force_components + int(np.count_nonzero(self.motion_std))
 
     def load(self, shear_modulus: float, shift: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
-        """What the response's columns are multiplied with: force and known loads over the shear
-        modulus, motions; force and motions shifted by some of their sigmas (further ones, of
-        nuisance parameters, do not enter)."""
+        """Vector that multiplies the response: force and 1 (known loads), both over the shear
+        modulus, then motions. Force and motions are offset by `shift` standard deviations; entries
+        of `shift` beyond them (nuisance parameters) do not enter."""
         force = self.force + self.force_std * shift[:3]
         pushed = np.append(force, 1.0) / shear_modulus
         moved = self.motion + self.motion_std * shift[3 : 3 + len(self.motion)]
@@ -144,12 +144,12 @@ class ObservedRows:
     def per_shift(
         self, response: Float[np.ndarray, "r c"], shear_modulus: float
     ) -> Float[np.ndarray, "r n"]:
-        """Displacement per sigma of each component of the force and of the motions."""
+        """Displacement per standard deviation of each component of force and motions [m]."""
         forces = response[:, :3] * (self.force_std / shear_modulus)
         return np.concatenate([forces, response[:, 4:] * self.motion_std], axis=1)
 
     def prior(self, force_weight: float) -> Float[np.ndarray, " n"]:
-        """Weight of what was known before about each shift of the force and of the motions."""
+        """Prior weight of each shift of force and motions, in inverse prior variances."""
         return np.append(np.full(3, force_weight), np.ones(len(self.motion)))
 
     @property
@@ -162,7 +162,7 @@ class ObservedRows:
         return self.unit * level[self.group]
 
     def component_sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
-        """The same of the components x, y and z as they were measured."""
+        """1 sigma of the x, y and z components as measured, before whitening [m]."""
         sigma = self.sigma(level)
         if self.mixing is None:
             return sigma
@@ -172,25 +172,25 @@ class ObservedRows:
         return np.append(np.sqrt(own).ravel(), sigma[3 * k :])
 
     def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
-        """The value of its point for every row."""
+        """Values of points, repeated for each row of the point."""
         return np.repeat(values, self.components.astype(np.int64))
 
     def correlated(
         self, columns: Float[np.ndarray, "r c"], sharing: float
     ) -> Float[np.ndarray, "r c"]:
-        """The rows' correlation matrix times columns.
+        """Product of the rows' error correlation matrix and some columns.
 
         Parameters
         ----------
         columns : (r, c) float
-        sharing : float [-]     part of the neighbours' correlation that there is, 0 to 1
+        sharing : float [-]     factor on the correlation of `neighbours`, 0 to 1
         """
         if self.neighbours is None or sharing == 0.0:
             return columns
         return np.asarray(columns + sharing * (self.neighbours @ columns))
 
     def squared_length(self, residual: Float[np.ndarray, " r"]) -> Float[np.ndarray, " p"]:
-        """Squared length of every point's vector of residuals, in the residuals' unit squared."""
+        """Squared length of each point's residual vector, in the residuals' unit squared."""
         return np.add.reduceat(residual**2, self.start)
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
@@ -204,15 +204,15 @@ class ObservedRows:
     def settling(
         self, poisson_ratio: float, shear_modulus: float
     ) -> Float[np.ndarray, "r c"] | None:
-        """Derivative of the response of the measured rows with respect to log G; None: there is
-        none."""
+        """Derivative of the measured rows' response with respect to log G, at a shear modulus;
+        None: the response does not depend on G."""
         if self.settlement is None:
             return None
         found = self._measured_rows(self.settlement.derivative(poisson_ratio), poisson_ratio)
         return found * (shear_modulus / self.settlement.shear_modulus)
 
     def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
-        # A copy of all rows costs more than the fit's own work.
+        # No copy where every row was measured: it would cost more than the fit itself.
         whole = len(self.rows) == len(response)
         chosen = response if whole else response[self.rows[self.rows < len(response)]]
         shape = (len(self.measured), 4 + len(self.motion))
@@ -228,7 +228,7 @@ class ObservedRows:
 def _mixed(
     mixing: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r c"]
 ) -> Float[np.ndarray, "r c"]:
-    """Rows with the three of each of the first k points mixed; as they are where there is none."""
+    """Rows with the three of each of the first k points whitened; unchanged without `mixing`."""
     if mixing is None:
         return rows
     k = 3 * len(mixing)
@@ -249,7 +249,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
 
     Raises
     ------
-    InputError                              nothing was measured, or nothing pushes
+    InputError                              nothing was measured, or there is no load
     """
     displacement, unit, group = _stacked(probe)
     seen = np.isfinite(displacement)
@@ -297,7 +297,7 @@ def _neighbours(
     start: Int[np.ndarray, " p"],
     count: Int[np.ndarray, " p"],
 ) -> csr_array | None:
-    """`ObservedRows.neighbours` of the points that were measured whole."""
+    """`ObservedRows.neighbours` of the points with all three components measured."""
     whole = np.flatnonzero(count == 3)
     whole = whole[point[whole] < len(probe.position)]
     known = probe.correlation.among(point[whole], len(probe.position))
@@ -310,7 +310,7 @@ def _neighbours(
 
 
 def _mixing(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"] | None:
-    """`ObservedRows.mixing` of the points that were measured."""
+    """`ObservedRows.mixing` of the measured points."""
     if probe.covariance is None:
         return None
     known = probe.covariance[np.isfinite(probe.displacement).all(axis=1)]
@@ -342,10 +342,10 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
 def weighted_square(
     columns: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
 ) -> Float[np.ndarray, "s s"]:
-    """Matrix of weighted products, columns W columns', in pieces too small for BLAS to start
+    """Weighted Gram matrix, columns W columns', computed in pieces too small for BLAS to use
     threads.
 
-    Threads that wait for each other cost ten times the product where other work is running.
+    With other work running, waiting threads cost ten times as much as the product itself.
 
     Parameters
     ----------

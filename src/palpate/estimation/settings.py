@@ -1,4 +1,4 @@
-"""Everything that can be chosen about an estimation, with defaults that were measured."""
+"""Settings of an estimation; the defaults were chosen by measurement."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,18 +18,18 @@ class FitMethod(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """Choices of an estimation, stored with its result.
+    """Settings of an estimation, stored with its result.
 
     Parameters
     ----------
     method : FitMethod, or its name
-    noise : str                         name in `NOISE_MODELS`: "student-t" bears gross outliers,
-                                        "gaussian" is plain least squares
+    noise : str                         name in `NOISE_MODELS`: "student-t" is robust to gross
+                                        outliers, "gaussian" is plain least squares
     poisson_range : (float, float) [-]  prior range of Poisson's ratio, within [-0.99, 0.4999]
 
     Raises
     ------
-    InputError                          a choice is out of its range
+    InputError                          unknown method or noise model, or range out of bounds
     """
 
     method: str = FitMethod.REDUCED.value

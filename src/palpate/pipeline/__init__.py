@@ -3,7 +3,7 @@
 Purpose    : measure the motion of a session's object from its pictures, estimate its constants,
              poke it.
 Takes      : a `Session`.
-Gives      : `SessionFlow`, `FitResult`, the model between them, and the files that hold them.
+Gives      : `SessionFlow`, `FitResult`, the model that links them, and the files that hold them.
 Depends on : `lab`, `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
 Read first : `measure_motion.py`, then `fit_session.py`.
 """

@@ -1,4 +1,4 @@
-"""How well lengths are known that calibrated cameras measured on an object."""
+"""Uncertainty of lengths measured by calibrated cameras, from the covariance of the rig."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from palpate.vision import space_strains
 
 
 def calibration_strains(session: Session) -> Float[np.ndarray, "m 3 3"] | None:
-    """Strains of the space about an object by the errors of its cameras' calibration.
+    """Apparent strains of measured space at the object from errors of the camera calibration.
 
     Parameters
     ----------
@@ -20,13 +20,13 @@ def calibration_strains(session: Session) -> Float[np.ndarray, "m 3 3"] | None:
 
     Returns
     -------
-    (m, 3, 3) float [-] or None     as `space_strains`; None where there is no rig, or no covariance
-                                    beside it
+    (m, 3, 3) float [-] or None     as `space_strains`; None without a rig, or without the file of
+                                    its covariance beside it
 
     Raises
     ------
-    RecordError, CalibrationError   a rig or a covariance that cannot be read, or are not of each
-                                    other
+    RecordError, CalibrationError   a rig or a covariance that cannot be read, or that do not belong
+                                    together
     """
     file = None if session.rig is None else covariance_file(session.rig)
     if session.rig is None or file is None:
@@ -37,7 +37,7 @@ def calibration_strains(session: Session) -> Float[np.ndarray, "m 3 3"] | None:
 def with_stretch(
     observations: Sequence[ProbeObservations], strains: Float[np.ndarray, "m 3 3"] | None
 ) -> list[ProbeObservations]:
-    """What was seen, with what the calibration of the cameras leaves open.
+    """Observations with calibration errors as further nuisance parameters.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def with_stretch(
 def known_lengths(
     session: Session, strains: Float[np.ndarray, "m 3 3"] | None
 ) -> dict[str, object]:
-    """Where the error of lengths comes from, and how large it is along x, y and z.
+    """Source and size of the relative error of lengths along x, y and z, for the result's settings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What can be said about the cameras and pictures of a session before any motion is measured."""
+"""Survey of a session's cameras and pictures before any motion is measured."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -24,28 +24,28 @@ from palpate.vision import (
     read_pictures,
 )
 
-# With more pixels at the white end, or none above this grey level, texture is lost.
+# Texture is lost with a larger fraction of white pixels, or where 99 % are below this grey level.
 _MAX_SATURATED = 0.02
 _DARK = 25.0
-# Structure of a picture [px], the length over which a grey level changes by its own spread: where
-# it is finer matches are biased, where it is coarser a window holds too little of it.
+# Length scale of a picture's texture [px], the standard deviation of grey levels over that of their
+# gradient: finer texture biases matches, coarser texture leaves too little of it in a window.
 _FINEST, _COARSEST = 0.8, 5.0
-# What a usual camera adds to each picture, 1 sigma [grey levels].
+# Noise of a typical camera, 1 sigma [grey levels].
 _NOISE = 1.5
-# Of the points: with more of them without texture the paint or the light is at fault.
+# With a larger fraction of points without texture, the paint or the lighting is at fault.
 _MAX_PLAIN = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class PictureSurvey:
-    """What one picture amounts to.
+    """Figures of one picture.
 
     Attributes
     ----------
     size : (columns, rows) [px]
     grey : (float, float)           1st and 99th percentile of the grey levels, 255 is white
-    saturated : float [-]           share of pixels at the white end; NaN where there is no such end
-    digest : bytes                  of all grey levels: two pictures of an object differ by noise
+    saturated : float [-]           fraction of saturated pixels; NaN if grey levels have no maximum
+    digest : bytes                  hash of all grey levels, which noise makes unique
     """
 
     size: tuple[int, int]
@@ -56,12 +56,13 @@ class PictureSurvey:
 
 @dataclass(frozen=True, slots=True)
 class CameraSurvey:
-    """What a camera and all its pictures amount to.
+    """Figures of a camera and all its pictures.
 
     Attributes
     ----------
     name : str
-    sees : float [-]                share of the mesh's vertices that lie inside the picture
+    sees : float [-]                fraction of the mesh's vertices that project into the picture;
+                                    NaN where its size is not known
     pictures : tuple of PictureSurvey
     """
 
@@ -72,17 +73,17 @@ class CameraSurvey:
 
 @dataclass(frozen=True, slots=True)
 class ViewSurvey:
-    """What can be followed in a session's first pictures.
+    """What can be tracked in a session's first pictures.
 
     Attributes
     ----------
-    points : int                    windows that the reference camera has on the surface
-    followed : int                  of them, those that could be followed if nothing moved: texture
-                                    and a second camera are there
+    points : int                    windows of the reference camera on the surface
+    followed : int                  those that can be tracked without motion: with texture, and seen
+                                    by a second camera
     vertices : int                  vertices of the mesh that would be measured; a tool hides some
-    windows : float                 windows that speak for such a vertex, the median
-    structure : tuple of float [px] of each camera's picture, on the surface: the length over which
-                                    a grey level changes by its own spread
+    windows : float                 median number of windows that contribute to such a vertex
+    structure : tuple of float [px] length scale of the texture on the surface in each camera's
+                                    picture
     """
 
     points: int
@@ -93,7 +94,7 @@ class ViewSurvey:
 
 
 def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
-    """Look at the first pictures as `measure_motion` would, the object's pose included.
+    """Process the first pictures as `measure_motion` would, including the object's pose.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
     Returns
     -------
     survey : ViewSurvey or None     None without pictures
-    notes : tuple of str            what makes them hard to follow, and where the object lies
+    notes : tuple of str            what makes them hard to track, and the object's pose
 
     Raises
     ------
@@ -117,11 +118,11 @@ def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
     try:
         rig, remarks = posed_rig(given, grey, session.mesh, "auto")
     except PalpateError as error:
-        # What the pictures themselves lack may be why.
+        # The pictures themselves may be the cause, so the survey goes on.
         rig, remarks = given, (f"The rig cannot be checked against the pictures: {error}.",)
     method = JointFlow()
     state = method.start(rig, grey, session.mesh)
-    # Into itself, with the noise of a further picture: what is lost here cannot be followed later.
+    # Match to the same picture with new noise: windows lost here cannot be tracked later, either.
     rng = np.random.default_rng(0)
     again = [one + rng.normal(0.0, _NOISE, one.shape).astype(np.float32) for one in grey]
     flow = method.follow(state, again)[1]
@@ -141,13 +142,14 @@ def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
 def _structure(
     grey: Float[np.ndarray, "rows columns"], inner: Float[np.ndarray, "rows columns"]
 ) -> float:
-    """Spread of the grey levels over that of their slope, on the surface [px]; NaN without any."""
+    """Standard deviation of the grey levels over that of their gradient, on the surface [px]; NaN
+    where the surface is not in the picture."""
     shown = inner > 0.0
     if not shown.any():
         return np.nan
     levels = np.asarray(grey, dtype=np.float64)
     slope = np.stack(list(np.gradient(levels)))[:, shown]
-    # Light that falls off over the object is no structure; the ground beside it says nothing.
+    # Subtract the local mean over the surface alone: shading and background are no texture.
     share, local = (
         cv2.GaussianBlur(x, (0, 0), JointFlow().subset) for x in (inner, levels * inner)
     )
@@ -156,7 +158,7 @@ def _structure(
 
 
 def _view_doubts(found: ViewSurvey, flow: RangeFlow, names: list[str], whose: str) -> list[str]:
-    """What is wrong with the first pictures, and what to do about it."""
+    """Defects of the first pictures, and what to do about them."""
     texts = []
     if found.vertices == 0:
         causes = ", ".join(f"{count} {cause}" for cause, count in cause_counts(flow).items())
@@ -193,14 +195,14 @@ def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[st
 
     Returns
     -------
-    surveys : tuple of CameraSurvey     none where the session names no rig
-    notes : tuple of str                what was converted, or makes the pictures hard to follow
+    surveys : tuple of CameraSurvey     empty where the session names no rig
+    notes : tuple of str                conversions, and what makes the pictures hard to track
 
     Raises
     ------
-    RecordError                     a rig or picture that cannot be read; one picture under two
-                                    names where it cannot be two pictures
-    CalibrationError                a rig that contradicts itself, a picture of another size
+    RecordError                     a rig or picture that cannot be read; identical pictures that
+                                    cannot be of the same camera and instant
+    CalibrationError                an inconsistent rig, a picture of the wrong size
     """
     if session.rig is None:
         return (), ()
@@ -219,7 +221,7 @@ def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[st
 
 
 def _instants(session: Session) -> dict[str, str]:
-    """Every pattern of picture files, and whose it is."""
+    """Every file pattern of pictures, with the step or probing that it belongs to."""
     whose = {step.images: f"step '{step.name}'" for step in session.steps}
     for probing in session.probings:
         images = probing.images or Images("", ())
@@ -245,7 +247,7 @@ def _look(
 def _check_copies(
     session: Session, rig: Rig, instants: dict[str, str], pictures: list[list[PictureSurvey]]
 ) -> None:
-    """Refuse one picture in two places, unless both show the object at rest by one camera."""
+    """Refuse identical pictures, unless both show the object at rest from the same camera."""
     at_rest = {probing.images.rest for probing in session.probings if probing.images}
     first: dict[bytes, tuple[str, str]] = {}
     for (pattern, whose), each in zip(instants.items(), pictures, strict=True):
@@ -263,7 +265,7 @@ def _check_copies(
 
 
 def _seen_share(session: Session, rig: Rig, k: int) -> float:
-    """Share of the mesh's vertices in the picture of a camera; NaN where its size is not known."""
+    """Fraction of the mesh's vertices in a camera's picture; NaN where its size is not known."""
     camera = rig.cameras[k]
     if camera.size is None:
         return np.nan
@@ -272,7 +274,7 @@ def _seen_share(session: Session, rig: Rig, k: int) -> float:
 
 
 def _doubts(survey: CameraSurvey) -> list[str]:
-    """What makes a camera's pictures hard to follow."""
+    """What makes a camera's pictures hard to track."""
     texts = []
     if survey.sees == 0.0:
         texts.append(

@@ -1,5 +1,5 @@
-"""From a session to its elastic constants: the one place where probe, boundary elements and
-estimation meet."""
+"""From a session to its elastic constants: the only place that joins probe, boundary elements and
+estimation."""
 
 import time
 from collections.abc import Sequence
@@ -47,14 +47,14 @@ from palpate.records import (
 # Fractions of the work that are done when the graded mesh's model, its factorisation and the
 # estimation start.
 _GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
-# Of the work beside the given mesh, when its own model is done.
+# Fraction of the work on the given mesh that its own model takes.
 _OWN = 0.4
-# Radii settle when constants do; they change with the cube root of the modulus alone.
-# What is left is a tenth of the prior of a touched circle.
+# Contact radii vary only with the cube root of the modulus, so they converge with the constants.
+# The relative tolerance is a tenth of the prior standard deviation of such a radius.
 _MOST_TOUCHES, _TOUCH_SETTLED = 6, 0.005
 # At one half the formulae of the contact have a removable singularity.
 _LARGEST_RATIO = 0.4999
-# A turn [rad] that leaves a false strain of 1e-5 is mentioned.
+# A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
 _LARGE_TURN = 5e-3
 
 
@@ -72,11 +72,11 @@ def fit_session(
     Parameters
     ----------
     session : Session                 every probing with a displacement
-    settings : FitSettings            how the constants are searched and their intervals found
-    surface : SurfaceSettings         how the surface between the vertices is understood
-    cache : Path or None              folder that keeps the integrals for the next time
-    finite_strain : bool              correct for what a linear model leaves out
-    progress : callable               told what is done (text) and how far it is (0 to 1)
+    settings : FitSettings            method, noise model and range of Poisson's ratio
+    surface : SurfaceSettings         interpolation of the surface between the vertices
+    cache : Path or None              folder in which the integrals are kept for reuse
+    finite_strain : bool              True: correct for finite strain
+    progress : callable               called with the current step (text) and the fraction done
 
     Returns
     -------
@@ -86,13 +86,15 @@ def fit_session(
     ------
     InputError                        a probing without displacements, a bad contact
     SingularSystemError               the support does not hold the object
+    NotConvergedError                 contact radii, compliant supports or finite-strain corrections
+                                      did not converge
     """
     start = time.perf_counter()
     require_probings(session)
     strains = calibration_strains(session)
     progress("the given mesh", 0.0)
     resolved = resolved_session(session, surface=surface)
-    # First, and gone before the graded one takes its memory.
+    # First, so that its memory is free again before the graded model is made.
     beside = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
     resolved, coarser = _beside_given_mesh(resolved, settings, surface, cache, beside)
     compared = time.perf_counter()
@@ -139,14 +141,14 @@ def fit_session(
 def _notes(
     session: Session, resolved: Session, probes: Sequence[ProbeEstimate], finite_strain: bool
 ) -> list[str]:
-    """What the session, the model and the pictures have to say beside the estimate."""
-    # What is corrected for does not make an estimate biased.
+    """Notes from the session, its support motions, its contacts and its pictures."""
+    # A warning of bias does not apply where finite strain is corrected for.
     told = [note for note in session.notes if not (finite_strain and BIASED in note)]
     return [*told, *_turn_notes(probes), *_touch_notes(resolved), *_rejection_notes(session)]
 
 
 def _described(session: Session, resolved: Session, graded: Session) -> dict[str, Any]:
-    """What was taken for granted about a session, and how fine its meshes were."""
+    """Prior errors and assumed forces of a session, and the sizes of its meshes."""
     return {
         "errors": asdict(session.errors),
         "vertices": [len(one.mesh.vertices) for one in (session, resolved, graded)],
@@ -155,7 +157,7 @@ def _described(session: Session, resolved: Session, graded: Session) -> dict[str
 
 
 def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeFit, ...]:
-    """Without what the graded mesh has besides: the given mesh's vertices come first in it."""
+    """Surfaces restricted to the vertices of the given mesh, which come first in the graded one."""
     count = len(session.mesh.vertices)
     return tuple(
         one if one.surface is None else replace(one, surface=one.surface[:count]) for one in probes
@@ -169,13 +171,13 @@ def _beside_given_mesh(
     cache: Path | None,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
-    """A session with contacts as wide as its tools touch, and what was seen beside the model of its
-    mesh as it is."""
+    """A session with the contact radii of its tools, and its observations with the model of the
+    mesh before grading."""
     own = part_of(progress, 0.0, _OWN)
     if has_tools(session):
         session, seen = _with_touched_circles(session, settings, surface, cache, own)
     else:
-        # The model's integrals are gone before the next model takes its memory.
+        # The model is not kept, so that its memory is free before the next model is made.
         seen = coarser_observations(
             session, settings=settings, surface=surface, cache=cache, progress=own
         )[1]
@@ -192,11 +194,11 @@ def _with_touched_circles(
     cache: Path | None,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
-    """A session whose contacts are as wide as its tools touch, for the constants that it yields,
-    and what was seen beside its model."""
+    """A session with contact radii that are consistent with the constants fitted to it, and its
+    observations with the model of the mesh before grading."""
     model = None
     for turn in range(_MOST_TOUCHES):
-        # How many turns there will be is not known: each takes half of what is left.
+        # The number of iterations is not known: each takes half of the remaining progress.
         model, observations = coarser_observations(
             session, settings=settings, surface=surface, cache=cache, like=model,
             progress=part_of(progress, 1.0 - 0.5**turn, 1.0 - 0.5 ** (turn + 1)),
@@ -217,7 +219,7 @@ def _with_touched_circles(
 
 
 def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
-    """Sentences about turns that are not small."""
+    """Notes on rotations of supports that are not small."""
     notes = []
     for probe in probes:
         for support in probe.supports:
@@ -233,7 +235,7 @@ def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
 
 
 def _touch_notes(session: Session) -> list[str]:
-    """What the tools touch."""
+    """A note on the contact radii computed for the tools."""
     touched = [
         f"{1e3 * radius:.3g} mm in {one.name}"
         for one in session.probings
@@ -243,13 +245,13 @@ def _touch_notes(session: Session) -> list[str]:
 
 
 def _rejection_notes(session: Session) -> list[str]:
-    """A sentence about points that pictures could not follow."""
+    """A note on points that could not be tracked in the pictures."""
     found = rejections(session)
     return [rejection_note(found)] if any(one.lost for one in found) else []
 
 
 def _probe_estimates(model: ObjectModel, result: FitResult) -> tuple[ProbeEstimate, ...]:
-    """Those of the result, with the motions of their supports."""
+    """The result's probe estimates, with the motions of their supports."""
     return tuple(
         replace(one, supports=_support_estimates(model, k, result.probes[k]))
         for k, one in enumerate(result.estimate.probes)
@@ -259,7 +261,7 @@ def _probe_estimates(model: ObjectModel, result: FitResult) -> tuple[ProbeEstima
 def _support_estimates(
     model: ObjectModel, index: int, found: ProbeFit
 ) -> tuple[SupportEstimate, ...]:
-    """How the supports moved in a probing; the shifts of one that is pulled are not estimated."""
+    """Motions of the supports in a probing; NaN for translations of a support that is pulled."""
     lifts = model.lifts(index)
     left = [j for j in range(6 * len(model.supports)) if j not in lifts]
     value, std = np.full((2, 6 * len(model.supports)), np.nan)

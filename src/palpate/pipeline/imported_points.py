@@ -1,16 +1,16 @@
-"""What may be believed of displacements that another program measured."""
+"""Plausibility checks and triangulation of displacements measured by another program."""
 
 from palpate.errors import CalibrationError
 from palpate.records import MeasuredPoints, PictureTracks, ProgramPoints, Rig, measured_rows
 from palpate.vision import median_test, triangulate
 
-# A displacement is a mistake where it differs from those around by more than so many times what
-# these differ by (see `median_test`): of normal errors, ten standard deviations.
+# A displacement is an outlier if it differs from its neighbours by more than so many times their
+# own scatter (see `median_test`); for normal errors, ten standard deviations.
 _MAX_DIFFERENCE = 4.0
 
 
 def without_contradicted(measured: MeasuredPoints) -> MeasuredPoints:
-    """The points without those whose motion contradicts all around them.
+    """The points without those whose displacements contradict their neighbours.
 
     Parameters
     ----------
@@ -18,7 +18,7 @@ def without_contradicted(measured: MeasuredPoints) -> MeasuredPoints:
 
     Returns
     -------
-    MeasuredPoints                  contradicted ones are rows of NaN, and counted
+    MeasuredPoints                  outliers are rows of NaN, and counted
     """
     valid = measured_rows(measured.displacement)
     ratio = median_test(measured.points, measured.displacement, valid)
@@ -26,12 +26,12 @@ def without_contradicted(measured: MeasuredPoints) -> MeasuredPoints:
 
 
 def triangulated(tracks: PictureTracks, rig: Rig) -> ProgramPoints:
-    """Matches in pictures, brought into space.
+    """Triangulate matches in pictures.
 
     Parameters
     ----------
     tracks : PictureTracks
-    rig : Rig                       with the cameras of the tracks, by name; or just as many
+    rig : Rig                       with the cameras of the tracks, by name; or the same number
 
     Returns
     -------
@@ -39,7 +39,7 @@ def triangulated(tracks: PictureTracks, rig: Rig) -> ProgramPoints:
 
     Raises
     ------
-    CalibrationError                the rig has neither those cameras nor as many
+    CalibrationError                the rig has neither those cameras nor the same number
     """
     names = [camera.name for camera in rig.cameras]
     if set(tracks.cameras) <= set(names) and len(tracks.cameras) == len(tracks.rest):
@@ -52,6 +52,6 @@ def triangulated(tracks: PictureTracks, rig: Rig) -> ProgramPoints:
             f" the matches ({', '.join(tracks.cameras) or 'of any name'})"
         )
     pair = Rig(tuple(rig.cameras[i] for i in chosen), 0, rig.source)
-    # All pixels are known alike; how well does not matter for the points.
+    # Equal pixel noise for all matches; its size does not affect the points.
     rest, loaded = (triangulate(pair, pixels, 1.0).point for pixels in (tracks.rest, tracks.loaded))
     return ProgramPoints(rest, loaded - rest, unit="m", notes=tracks.notes, score=tracks.score)

@@ -41,14 +41,14 @@ FLOW_METHODS: Mapping[str, Callable[..., FlowMethod]] = {
     "joint": JointFlow,
     "lang-pai": LangPaiFlow,
 }
-# Motions of a fraction of a pixel are measured too long by structure finer than the pixels. With
-# the low-pass that is applied: by 0.1 % where speckles have a sigma of 1.7 px, 0.5 to 1.2 % where
-# it is 1 to 0.6 px (analytic textures).
+# Texture finer than the pixels makes motions of a fraction of a pixel come out too long: with the
+# low-pass filter applied, by 0.1 % for speckles with a sigma of 1.7 px, by 0.5 to 1.2 % for 1 to
+# 0.6 px (analytic textures).
 SCALE_ERROR = 0.007
-# Points without texture are an outline or a blot; more than this share of them is a surface without
-# paint.
+# A few points without texture are at outlines or blots; a larger fraction means a surface without
+# speckle.
 _MAX_TEXTURELESS = 0.1
-# An earlier image that shows so many times the motion of the last one is out of order.
+# An earlier image with more than this many times the motion of the last one is out of order.
 _MAX_EARLIER_MOTION = 1.2
 
 
@@ -58,13 +58,13 @@ class MeasuredMotion:
 
     Attributes
     ----------
-    name : str                      of the step or probing; an earlier image k of a probing has _k
+    name : str                      of the step or probing; with suffix _k for an earlier image k
     probing : str or None           the probing it belongs to
-    last : bool                     the instant of the full force; True for every step
+    last : bool                     whether at full force; True for every step
     first : (rows, columns) float   the reference camera's first picture [grey levels]
     flow : RangeFlow or None        None where the pictures could not be used
     vertices : VertexDisplacement or None
-    failure : str or None           why there is none
+    failure : str or None           why there is no flow
     """
 
     name: str
@@ -84,7 +84,7 @@ class SessionFlow:
     ----------
     rig : Rig                       with the pose that was used
     motions : tuple of MeasuredMotion
-    notes : tuple of str            what was converted, registered or looks wrong, in sentences
+    notes : tuple of str            on conversions, registration and what looks wrong
     """
 
     rig: Rig
@@ -94,7 +94,7 @@ class SessionFlow:
 
 @dataclass(frozen=True, slots=True)
 class _Instant:
-    """An instant: name, whose pictures they are, their pattern, whether the force is all there."""
+    """An instant: name, owner of the pictures, their file pattern, whether at full force."""
 
     name: str
     whose: str
@@ -102,8 +102,8 @@ class _Instant:
     last: bool
 
 
-# Of sequences that begin with the same pictures: posed rig, the reference's picture, the method's
-# state.
+# Start of sequences with the same first pictures: posed rig, the reference camera's picture, state
+# of the method.
 _Start = tuple[Rig, Float[np.ndarray, "_ _"], Any]
 
 
@@ -120,12 +120,12 @@ def measure_motion(
     Parameters
     ----------
     session : Session               with steps, or with probings of which some have images
-    method : FlowMethod             how, with its settings; see `FLOW_METHODS`
-    pose : "auto", "given" or "register"    whether the rig's pose of the object is believed: "auto"
-                                    registers only where the pictures contradict it
-    progress : callable             told what is done (text) and how far it is (0 to 1)
-    parts : Path or None           folder, there or not, that keeps finished instants, for a run
-                                    that is interrupted and started again
+    method : FlowMethod             with its settings; see `FLOW_METHODS`
+    pose : "auto", "given" or "register"    how the object's pose is determined: "given" is that of
+                                    the rig, "auto" registers only where the pictures contradict it
+    progress : callable             called with the current step (text) and the fraction done
+    parts : Path or None            folder, made if missing, for finished instants, so that an
+                                    interrupted run can be resumed
 
     Returns
     -------
@@ -171,7 +171,7 @@ def with_pictures_measured(
     progress: Progress = silent,
     parts: Path | None = None,
 ) -> Session:
-    """The session with displacements from the pictures where there is no file of them.
+    """The session, with displacements measured in the pictures where it has no file of them.
 
     Parameters
     ----------
@@ -180,8 +180,8 @@ def with_pictures_measured(
 
     Returns
     -------
-    Session                         the given one where nothing is to be measured; else with the
-                                    notes of the measurement behind its own
+    Session                         unchanged if nothing is to be measured; else with the notes of
+                                    the measurement after its own
 
     Raises
     ------
@@ -198,7 +198,7 @@ def with_pictures_measured(
 
 
 def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
-    """The session with the displacements that were measured at full force.
+    """The session, with the displacements that were measured at full force.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
 
 
 def _sequences(session: Session) -> Sequence[tuple[str | None, _Instant, list[_Instant]]]:
-    """What there is to measure: probing, if any, first instant, later ones."""
+    """The sequences to measure: probing, if any, first instant, later ones."""
     if session.steps:
         first, *later = (
             _Instant(step.name, f"step '{step.name}'", step.images, True) for step in session.steps
@@ -261,7 +261,7 @@ def _followed(
     method: FlowMethod,
     parts: Parts,
 ) -> Iterator[tuple[MeasuredMotion, tuple[str, ...]]]:
-    """Motions of one sequence, in time, with what is remarkable about their pictures."""
+    """Motions of one sequence in temporal order, with notes on their pictures."""
     rig, reference, state = start
     begun = {name: getattr(state, name) for name in getattr(state, "__dataclass_fields__", ())}
     for instant in later:
@@ -286,15 +286,15 @@ def _follow(
     mesh: TriangleMesh,
     estimated: bool,
 ) -> tuple[Any, RangeFlow, VertexDisplacement]:
-    """One instant: the method's state, the range flow and the vertices' displacement; with its
-    average where constants are estimated from it."""
+    """Measure one instant: the method's state, the range flow and the vertices' displacement, with
+    its window average where constants are estimated from it."""
     after, flow = method.follow(state, pictures.grey)
     found = method.vertices(flow, rig, mesh)
     return after, flow, method.averaged(found, flow, rig, mesh) if estimated else found
 
 
 def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
-    """Digest of what all instants depend on: the session's files, and how they are used."""
+    """Digest of everything that all instants depend on: the session's files, method and pose."""
     try:
         sums = file_sums(session_files(session.path), start=session.path.parent)
     except OSError as error:
@@ -310,13 +310,13 @@ def _read(session: Session, rig: Rig, instant: _Instant) -> Pictures:
 def vertex_field(
     mesh: TriangleMesh, vertices: VertexDisplacement, rows: Indices, source: str
 ) -> DisplacementField:
-    """Measured displacement of some vertices as a displacement file holds it.
+    """Displacement field of some vertices, as if read from a displacement file.
 
     Parameters
     ----------
     mesh : TriangleMesh
     vertices : VertexDisplacement   of all v vertices of the mesh
-    rows : (k,) int                 vertices that were looked at, measured or not
+    rows : (k,) int                 observed vertices, measured or not
     source : str                    where it comes from, for messages
 
     Returns
@@ -339,7 +339,7 @@ def vertex_field(
 
 
 def _displacement_field(session: Session, motion: MeasuredMotion) -> DisplacementField:
-    """Measured vertices of one motion as the estimate takes them."""
+    """Displacement field of one motion, as the estimation takes it."""
     if motion.vertices is None:
         raise InputError(f"probing '{motion.name}': {motion.failure}")
     measured = measured_vertices(motion.vertices)
@@ -353,7 +353,7 @@ def _displacement_field(session: Session, motion: MeasuredMotion) -> Displacemen
 
 
 def _order_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
-    """A remark where an earlier image of a probing shows more motion than the last one."""
+    """Notes where an earlier image of a probing shows more motion than the last one."""
     full = {
         motion.probing: _typical_motion(motion.flow)
         for motion in motions
@@ -374,7 +374,7 @@ def _order_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
 
 
 def _texture_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
-    """Where the surface has too little texture to be followed, and how much it needs."""
+    """A note on where the surface has too little texture to be tracked, and how much it needs."""
     for motion in motions:
         if motion.flow is None:
             continue

@@ -1,4 +1,4 @@
-"""What can be said about measured motions in numbers, and flow.json."""
+"""Summary figures of measured motions, and flow.json."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,24 +26,24 @@ FLOW_FORMAT = "palpate-flow/1"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionFigures:
-    """What can be said about one measured motion in a line, by the names that flow.json has.
+    """Summary figures of one measured motion, named as in flow.json.
 
     Attributes
     ----------
     name : str
     probing : str or None           that it belongs to; None for a step of a sequence
-    last : bool                     at the full force, or a step
+    last : bool                     whether at full force; True for every step
     failure : str or None           why there is no motion, or no displacement of the vertices
     points, valid : int             of the range flow
     rejected : dict of str to int   points by cause, every cause in the order of `Outcome`
-    vertices : dict of str to int   "seen" by the reference camera, and of these "measured"
-    median_displacement : float [m] length over the valid points; NaN: none
+    vertices : dict of str to int   "seen" by the reference camera or measured, and "measured"
+    median_displacement : float [m] median length over the valid points; NaN: none
     median_sigma : dict of str to float [m]     1 sigma of a valid point, "lateral" and in "depth",
                                     see `camera_sigma`; NaN: none
     median_vertex_sigma : dict of str to float [m]      the same of the measured vertices
     median_reprojection : float [px]    over the valid points; NaN: none
-    through_last : int              valid points followed through the instant before
-    drift : float [m]               rms difference of such motions from direct ones; NaN: unknown
+    through_last : int              valid points tracked through the preceding instant
+    drift : float [m]               RMS difference of such motions from direct ones; NaN: unknown
     noise : dict of str to float [grey levels]  of each camera, in the rig's order
     """
 
@@ -70,7 +70,7 @@ def motion_figures(motion: MeasuredMotion, rig: Rig, seen: Flags) -> MotionFigur
     Parameters
     ----------
     motion : MeasuredMotion
-    rig : Rig                       that it was measured with
+    rig : Rig                       with which it was measured
     seen : (v,) bool                vertices that the reference camera sees
 
     Returns
@@ -123,15 +123,15 @@ def write_flow_document(
     rig: Rig,
     heading: Mapping[str, Any],
 ) -> None:
-    """Write flow.json: all figures in SI units; what is not known (NaN) becomes null.
+    """Write flow.json: all figures in SI units; unknown ones (NaN) become null.
 
     Parameters
     ----------
     path : Path
     figures : sequence of k MotionFigures
-    files : sequence of k mappings  what was written for each: kind to file name
+    files : sequence of k mappings  files written for each: kind to file name
     rig : Rig
-    heading : mapping               further keys of the document, values that JSON knows
+    heading : mapping               further keys of the document, with values valid in JSON
 
     Raises
     ------
@@ -150,6 +150,6 @@ def write_flow_document(
 
 
 def _median_sigma(covariance: Float[np.ndarray, "k 3 3"], camera: Camera) -> dict[str, float]:
-    """Median standard deviations across a camera's axis and along it [m]."""
+    """Median standard deviations perpendicular to a camera's axis and along it [m]."""
     lateral, depth = camera_sigma(covariance, camera)
     return {"lateral": known_median(lateral), "depth": known_median(depth)}

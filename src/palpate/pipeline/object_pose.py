@@ -1,4 +1,4 @@
-"""Where the object is in front of the cameras: believed, or registered from the first pictures."""
+"""Pose of the object relative to the cameras: as given, or registered from the first pictures."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -29,11 +29,11 @@ from palpate.vision import (
 
 PoseChoice = Literal["auto", "given", "register"]
 
-# A registration that does not come to rest says nothing against a pose in which the points lie as
-# near to the mesh: half of them within its rms residual (of normal ones 68 % do).
+# A registration that does not converge does not contradict a given pose in which the points lie as
+# close to the mesh: half of them within its RMS residual (for a normal distribution 68 % are).
 _MAX_MEDIAN_RESIDUAL = 1.0
 # A registration that moves the points by less than three of its standard deviations, or by less
-# than 0.2 % of the diagonal, says that the given pose is right.
+# than 0.2 % of the diagonal, confirms the given pose.
 _MIN_SIGNIFICANCE = 3.0
 _MIN_MOVE = 0.002
 
@@ -44,11 +44,11 @@ def posed_rig(
     mesh: TriangleMesh,
     choice: PoseChoice,
 ) -> tuple[Rig, tuple[str, ...]]:
-    """The rig with the object's pose settled.
+    """The rig with the object's pose as given or registered.
 
     Parameters
     ----------
-    rig : Rig                       with the pose that is given
+    rig : Rig                       with the given pose
     pictures : sequence of c (rows, columns) float [grey levels]    first instant
     mesh : TriangleMesh
     choice : "auto", "given" or "register"      "auto" registers only where the stereo points of the
@@ -89,7 +89,7 @@ def posed_rig(
 
 
 def _free_note(free: str) -> str:
-    """What becomes of the motions that the shape does not fix."""
+    """A note on the motions that the object's shape does not determine."""
     if "sliding" in free:
         return f"the shape does not fix {free}, which is kept as given"
     axes = free.replace("turning about ", "")
@@ -97,9 +97,9 @@ def _free_note(free: str) -> str:
 
 
 def _agrees(found: Registration, distance: float) -> bool:
-    """True where the given pose explains the stereo points as well as the registered one.
+    """Whether the given pose explains the stereo points as well as the registered one.
 
-    `distance` [m] is the points' median from the mesh in the given pose.
+    `distance` [m] is the median distance of the points from the mesh in the given pose.
     """
     if not found.converged:
         return distance < _MAX_MEDIAN_RESIDUAL * found.residual
@@ -115,7 +115,7 @@ def _turn(pose: Float[np.ndarray, "4 4"]) -> float:
 
 
 def _registered(rig: Rig, found: Registration) -> tuple[Rig, str]:
-    """The rig with the object where the stereo points have it, and what was done."""
+    """The rig with the registered pose of the object, and a note on it."""
     try:
         check_registration(found)
     except CalibrationError as error:
@@ -134,7 +134,7 @@ def _registered(rig: Rig, found: Registration) -> tuple[Rig, str]:
 
 
 def _distance(stereo: StereoPoints, mesh: TriangleMesh) -> float:
-    """Median distance from the mesh of the points that may belong to the object [m]."""
+    """Median distance of stereo points near the object from the mesh [m]."""
     near = stereo.point[near_object(stereo.point, mesh)]
     return float(np.median(closest_points(mesh, near).distance))
 

@@ -1,5 +1,5 @@
-"""A push that was never measured, on an object whose constants are known: where it moves and
-strains."""
+"""Response to a push that was not measured, on an object of known constants: displacement and
+stress."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,7 +38,7 @@ from palpate.shapes import Points, Vector3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PokedState:
-    """What an object does under a tool; gravity is not part of it.
+    """Response of an object to a tool, without that to gravity.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class PokedState:
     largest_point : (3,) float [m]          that vertex
     reaction : (3,) float [N]               force of the support on the object
     interior : InteriorState or None        displacement and stress at interior points; None: no
-                                            points were asked for
+                                            points were requested
     """
 
     contact: Contact
@@ -76,7 +76,7 @@ def poke_session(
     cache: Path | None = None,
     progress: Progress | None = None,
 ) -> PokedState:
-    """Press a tool on a session's object.
+    """Response of a session's object to a tool that presses on it.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ def poke_session(
     poisson_ratio : float [-]           -1 < nu <= 0.5
     interior : (n, 3) float [m]         points inside the object, at least 5 % of a triangle's
                                         radius from its surface
-    surface : SurfaceSettings           how the surface between the vertices is understood
-    cache : Path                        folder that keeps the surface integrals; None: none
-    progress : callable                 called with what is done (text) and how far it is (0 to 1)
+    surface : SurfaceSettings           interpolation of the surface between the vertices
+    cache : Path or None                folder in which the surface integrals are kept
+    progress : callable                 called with the current step (text) and the fraction done
 
     Returns
     -------
@@ -144,13 +144,13 @@ def held_object(
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings           how the surface between the vertices is understood
-    cache : Path or None                folder that keeps the surface integrals
-    dense : bool                        True: with dense matrices whatever the size
+    surface : SurfaceSettings           interpolation of the surface between the vertices
+    cache : Path or None                folder in which the surface integrals are kept
+    dense : bool                        True: dense matrices for a mesh of any size
 
     Returns
     -------
-    Session                             the same on a mesh that is finer at the rims of its supports
+    Session                             the same on a mesh graded at the rims of its supports
     BoundarySystem                      of that mesh
 
     Raises
@@ -167,13 +167,13 @@ def held_object(
 
 
 def tool_contact(session: Session, point: Vector3, radius: float | None) -> Contact:
-    """The contact of a tool like that of a session's first probing at another point.
+    """The contact of a session's first probing, moved to another point.
 
     Parameters
     ----------
     session : Session                   with probings
     point : (3,) float [m]
-    radius : float or None [m]          None: that of the probing
+    radius : float or None [m]          None: that of the first probing
 
     Returns
     -------
@@ -181,8 +181,8 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
 
     Raises
     ------
-    InputError                          no probings; no radius is given, and the session's probings
-                                        have none; a bad one
+    InputError                          no probings; a radius that is not positive or exceeds half
+                                        the object's size; no radius, and the first probing has none
     """
     require_probings(session)
     first, size = session.probings[0].contact, bounding_diagonal(session.mesh)
@@ -203,7 +203,7 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
 
 
 def von_mises_stress(stress: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Equivalent stress: the uniaxial tension that distorts the material as much.
+    """Von Mises equivalent stress: the uniaxial stress of equal distortion energy.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which points of a surface its pictures could not follow, and whether that is as usual."""
+"""Which vertices could not be tracked in the pictures, and whether their number is usual."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,26 +10,26 @@ from palpate.geometry import unit_normals
 from palpate.records import Probing, Rig, Session, camera_centre, observed_rows, read_rig
 from palpate.shapes import Flags, Points
 
-# What the tool and its shadow cover, in contact radii. In the pictures of the virtual bench half of
-# the vertices so near are lost.
+# Distance within which the tool and its shadow hide the surface, in contact radii. On the virtual
+# bench half of the vertices within it are lost.
 TOOL_RADII = 6.0
-# Cosine between the surface's normal and the line of sight: beyond 60 degrees a window is twice as
-# long on the surface as it is in the picture. On the bench nearly all that is lost elsewhere is so
-# turned for all cameras but one.
+# Cosine between the surface normal and the line of sight: beyond 60 degrees a window is twice as
+# long on the surface as in the picture. On the bench nearly all vertices lost elsewhere are so
+# inclined to all cameras but one.
 OBLIQUE = 0.5
-# Share of the vertices in full view that may be lost before the pictures are to blame. On the bench
-# 0 to 3 %.
+# Fraction of the vertices in full view that may be lost before the pictures are to blame; 0 to 3 %
+# on the bench.
 _USUAL = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Rejections:
-    """Vertices of one probing that a camera saw: how many, and where the lost ones lie.
+    """Counts of one probing's observed vertices, and of the lost ones by location.
 
     Attributes
     ----------
     name : str                      of the probing
-    seen : int                      vertices that were looked at
+    seen : int                      vertices that were observed, measured or not
     near_tool : int                 lost within six contact radii of the contact
     oblique : int                   lost elsewhere, where fewer than two cameras look at the surface
                                     within 60 degrees of its normal
@@ -44,12 +44,12 @@ class Rejections:
 
     @property
     def lost(self) -> int:
-        """All that were not measured."""
+        """Number of all vertices that were not measured."""
         return self.near_tool + self.oblique + self.in_view
 
 
 def rejections(session: Session) -> tuple[Rejections, ...]:
-    """Where the vertices lie that pictures could not follow.
+    """Count the vertices that could not be tracked in the pictures, by location.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def rejections(session: Session) -> tuple[Rejections, ...]:
 
 
 def rejection_note(found: Sequence[Rejections]) -> str:
-    """Whether so many lost vertices are usual, and where they lie, in a sentence or two.
+    """Note on the number and location of lost vertices, and whether that is usual.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def _rejections(probing: Probing, rig: Rig, normals: Points) -> Rejections:
     if field is None:
         return Rejections(probing.name, 0, 0, 0, 0)
     lost = ~observed_rows(field)
-    # A patch without a radius has no size to compare with.
+    # A contact without a radius hides nothing.
     reach = TOOL_RADII * (probing.contact.radius or 0.0)
     near = np.linalg.norm(field.points - probing.contact.point, axis=1) < reach
     turned = ~near & ~_faced(field.points, normals, rig)
@@ -112,7 +112,7 @@ def _rejections(probing: Probing, rig: Rig, normals: Points) -> Rejections:
 
 
 def _faced(points: Points, normals: Points, rig: Rig) -> Flags:
-    """Whether two cameras or more look at points from near enough to their normals."""
+    """Whether at least two cameras see each point within 60 degrees of its normal."""
     cosines: list[Float[np.ndarray, " n"]] = []
     for camera in rig.cameras:
         sight = camera_centre(camera) - points

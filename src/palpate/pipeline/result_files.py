@@ -35,11 +35,11 @@ _RESIDUALS = "x,y,z,ux,uy,uz,predicted_ux,predicted_uy,predicted_uz,weight_x,wei
 def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
     """Write residuals/NAME.csv for every probing, in metres; NaN where nothing was measured.
 
-    Weights are the shares of the components that the robust estimate kept, 0 to 1.
+    Weights are the robust weights of the components, 0 to 1.
 
     Parameters
     ----------
-    folder : Path                   of the result; gets `residuals`
+    folder : Path                   of the result; `residuals` is made in it
     session : Session               that was fitted
     result : FitResult
 
@@ -62,15 +62,15 @@ def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrittenMotion:
-    """A measured motion whose files are written, pictures apart.
+    """A measured motion whose files, except pictures, have been written.
 
     Attributes
     ----------
     motion : MeasuredMotion
-    surface : SurfaceMap            what the reference camera sees of the object at rest
+    surface : SurfaceMap            surface of the object at rest as the reference camera sees it
     figures : MotionFigures
     stem : str                      of its files' names
-    files : dict of str to str      names of its files by what they are; empty without a flow
+    files : dict of str to str      kind to file name; empty without a flow
     """
 
     motion: MeasuredMotion
@@ -124,7 +124,7 @@ def write_motions(folder: Path, session: Session, found: SessionFlow) -> Iterato
 
 
 def seen_vertices(surface: SurfaceMap, mesh: TriangleMesh) -> Flags:
-    """Vertices of triangles that a camera sees anything of.
+    """Vertices of triangles that a camera sees at least in part.
 
     Parameters
     ----------
@@ -149,9 +149,9 @@ def write_vertices(
     seen: Flags,
     metres_per_unit: float = 1.0,
 ) -> None:
-    """Displacement of the vertices as CSV, as `palpate fit` takes it.
+    """Write the displacement of the vertices as CSV, as `palpate fit` reads it.
 
-    Vertices that were neither seen nor measured are left out: nobody looked at them.
+    Vertices that were neither seen nor measured are left out.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def write_vertices(
 
 
 def write_flow_npz(path: Path, flow: RangeFlow, *, name: str, cameras: Sequence[str]) -> None:
-    """Range flow as compressed NPZ; lengths in metres, object frame.
+    """Write a range flow as compressed NPZ; lengths in metres, object frame.
 
     Keys: the attributes of `RangeFlow`; `format`, `name`, `camera_names` (c,); `outcome_names`, so
     that `outcome_names[outcome]` is the cause in words; and `dense_displacement` (rows, columns, 3)
@@ -203,9 +203,9 @@ def write_flow_npz(path: Path, flow: RangeFlow, *, name: str, cameras: Sequence[
 
 
 def write_flow_vtp(path: Path, flow: RangeFlow, camera: Camera) -> None:
-    """Range flow as VTK points with vectors and scalars, for ParaView; metres, object frame.
+    """Write a range flow as VTK points with vectors and scalars for ParaView; metres, object frame.
 
-    Rejected points are there with a displacement of zero, since a NaN in a vector spoils arrows;
+    Rejected points have a displacement of zero, since NaN in a vector breaks the display of arrows;
     their `magnitude` and sigmas are NaN and their `outcome` is not 0.
 
     Parameters
@@ -237,7 +237,7 @@ def write_flow_vtp(path: Path, flow: RangeFlow, camera: Camera) -> None:
 
 
 def _polydata(points: Float[np.ndarray, "n 3"], arrays: Mapping[str, np.ndarray]) -> str:
-    """A .vtp document with one vertex cell a point, so that the points are drawn at once.
+    """A .vtp document with one vertex cell for each point, so that points are shown by default.
 
     Source
     ------
@@ -261,12 +261,12 @@ def _polydata(points: Float[np.ndarray, "n 3"], arrays: Mapping[str, np.ndarray]
 
 
 def _data_array(name: str, values: np.ndarray) -> str:
-    """One array in base64, zipped as a single block behind a header of its sizes."""
+    """One array in base64, compressed as a single block after a header of its sizes."""
     kind = {"f": "Float", "i": "Int"}[values.dtype.kind] + str(8 * values.dtype.itemsize)
     components = values.shape[1] if values.ndim == 2 else 1
     raw = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"))).tobytes()
     zipped = zlib.compress(raw, 6)
-    # Blocks, size of a block, size of a last smaller block (0: there is none), sizes zipped.
+    # Number of blocks, block size, size of a last partial block (0: none), compressed sizes.
     sizes = [1, len(raw), 0, len(zipped)] if raw else [0, 0, 0]
     header = base64.b64encode(np.array(sizes, dtype="<u8").tobytes()).decode()
     body = base64.b64encode(zipped).decode() if raw else ""

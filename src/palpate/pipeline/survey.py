@@ -1,4 +1,4 @@
-"""What can be said about a session before any fit, by counting."""
+"""Survey of a session before any fit: counts, signal to noise, and what to expect."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,24 +11,24 @@ from palpate.geometry import triangle_distances, unit_normals
 from palpate.pipeline.model import giving_supports
 from palpate.records import DisplacementField, Probing, Session, observed_rows
 
-# Within this many contact radii a push shows as an imprint, farther away only as bending.
+# Within this many contact radii a push shows as an indentation, farther away only as bending.
 NEAR_RADII = 8.0
 _MIN_NEAR_POINTS = 20
 _CLEAR_SIGNAL = 3.0
-# Most objects need no more vertices than these, and are offered so many.
+# Meshes with more vertices than the first get a note; the second is the number it suggests.
 _LARGE, _USUAL = 3000, 2000
-# What a fit of a few probings takes a minute for on two cores: matrices grow with the square of
-# the vertices, the compressed operator with their number (docs/theory/compressed_operator.md).
+# Number of vertices that a fit of a few probings takes a minute for on two cores: dense matrices
+# grow with its square, the compressed operator in proportion (docs/theory/compressed_operator.md).
 _DENSE_MINUTE, _COMPRESSED_MINUTE = 2500, 1100
 
 
 @dataclass(frozen=True, slots=True)
 class FieldSurvey:
-    """What a displacement field amounts to.
+    """Counts and medians of a displacement field.
 
     Attributes
     ----------
-    observed, missing : int             points with a displacement, and without
+    observed, missing : int             points with and without a measured displacement
     median_displacement : float [m]     of |u| over the measured points; NaN: none
     median_sigma : float [m]            of the standard deviations of all components; NaN: none
     """
@@ -41,18 +41,20 @@ class FieldSurvey:
 
 @dataclass(frozen=True, slots=True)
 class ProbingSurvey:
-    """What can be said about one probing before any fit.
+    """Contact, counts and signal of one probing before any fit.
 
     Attributes
     ----------
     name : str
     patch_triangles : int           triangles that the contact patch touches
-    elements_per_radius : float     contact radius over mean edge length in the patch; NaN: vertex
+    elements_per_radius : float     contact radius over mean edge length in the patch; NaN without a
+                                    radius
     observed, missing : int
     median_displacement : float [m] of |u| over the measured points; NaN: none
     signal_to_noise : float         median |u| / sigma of a component; NaN where no sigma is given
     tangential_signal : float       the same for the part of u along the surface
-    near : int                      measured points within eight contact radii
+    near : int                      measured points within eight contact radii; without a radius,
+                                    within eight edge lengths
     """
 
     name: str
@@ -94,7 +96,7 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
     Parameters
     ----------
     session : Session
-    probing : Probing               of that session; without a displacement field nothing is seen
+    probing : Probing               of that session; without a displacement field counts are zero
 
     Returns
     -------
@@ -130,7 +132,7 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
 
 
 def size_notes(session: Session) -> list[str]:
-    """What a fit of a large mesh will take, and what is quicker.
+    """Note on the time and memory that a fit of a large mesh needs, and on a faster alternative.
 
     Parameters
     ----------
@@ -158,9 +160,9 @@ def size_notes(session: Session) -> list[str]:
 
 
 def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
-    """What the data promise, or how displacements are still to be measured, in words.
+    """What to expect of the data, or how displacements are still to be measured, in words.
 
-    A guess by counting, not a computation.
+    A guess from counts, not a computation.
 
     Parameters
     ----------
@@ -202,7 +204,7 @@ def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
 
 
 def _expectation(near: int) -> str:
-    """What so many measured points near the contacts promise."""
+    """What to expect from the number of measured points near the contacts."""
     if near < _MIN_NEAR_POINTS:
         return (
             f"Only {near} measured points lie within {NEAR_RADII:g} contact radii of a contact:"

@@ -1,6 +1,6 @@
 """What the probings say about the constants beyond their best values.
 
-Purpose    : intervals, what is identifiable, the likelihood's map, how probings are predicted.
+Purpose    : intervals, identifiability, the likelihood map, and predictions of the probings.
 Takes      : a `Misfit` and its `Minimum`.
 Gives      : `IntervalSet`, the uncertainty budget, `LikelihoodMap`, `ProbeFit`, `Information`, the
              Cramer-Rao bound.

@@ -1,9 +1,8 @@
-"""Where the uncertainty of the constants comes from: their variance, source by source.
+"""Uncertainty budget: the variance of the constants, source by source.
 
-The estimate is linear in everything that is uncertain: in the noise of the points, in the shifts of
-each probing (its force, motions of supports, errors of its own), in the errors that probings share
-and in those that are considered only. All of these are independent, so the variance is the sum of
-what each of them adds.
+To first order the estimate is linear in every uncertain quantity: the noise of the points, the
+shifts of each probing (its force, motions of supports, its own errors), the shared errors and the
+considered ones. All of these are independent, so their contributions to the variance add up.
 """
 
 from collections import defaultdict
@@ -24,7 +23,7 @@ from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 POINTS, FORCES, MOTIONS = "noise of the points", "measured forces", "motions of supports"
 SCATTER = "disagreement of the probings"
-# What one standard deviation of something adds to the scores, (d,), beside what that belongs to.
+# Source of a quantity, and the change of the scores, (d,), per standard deviation of it.
 _Pulls = list[tuple[str, np.ndarray]]
 
 
@@ -37,7 +36,7 @@ def uncertainty_budget(
     poisson_ratio: float,
     factors: Mapping[str, float],
 ) -> tuple[BudgetEntry, ...]:
-    """What each source adds to the standard deviations of the constants.
+    """Contribution of each source to the standard deviations of nu, log G and log E.
 
     Parameters
     ----------
@@ -45,17 +44,17 @@ def uncertainty_budget(
     local : sequence of LocalProbe      of its probings, at a minimum
     scores : Scores                     of these, with their noise
     noise : ScoreNoise
-    poisson_ratio : float [-]           there
-    factors : mapping                   constant's name -> by how much probings scatter over what is
-                                        claimed of them (`Scatter.factor`); only constants that are
-                                        determined
+    poisson_ratio : float [-]           at the minimum
+    factors : mapping                   constant's name -> factor on the claimed variance from the
+                                        disagreement of the probings (`Scatter.factor`); only
+                                        constants that are identifiable
 
     Returns
     -------
-    tuple of BudgetEntry            the largest part of Young's modulus's first; the root of the sum
-                                    of their squares is the standard deviation of each constant
-                                    (`Scores.variance`); empty where Poisson's ratio is not
-                                    determined: moduli are then given for all of its range
+    tuple of BudgetEntry            sorted by the contribution to Young's modulus, largest first;
+                                    their root sum of squares is the standard deviation of each
+                                    constant (`Scores.variance`); empty where Poisson's ratio is not
+                                    identifiable: moduli are then given for all of its range
 
     Source
     ------
@@ -84,7 +83,7 @@ def uncertainty_budget(
 
 
 def _size(entry: BudgetEntry) -> float:
-    """Of the first constant that the data determine, Young's modulus before all."""
+    """Contribution to the first identifiable constant, in the order E, G, nu."""
     values = (entry.young_modulus, entry.shear_modulus, entry.poisson_ratio)
     return next(value for value in values if not np.isnan(value))
 
@@ -92,10 +91,10 @@ def _size(entry: BudgetEntry) -> float:
 def _variances(
     misfit: Misfit, scores: Scores, own: _Pulls, considered: _Pulls, turn: np.ndarray, factor: float
 ) -> dict[str, float]:
-    """Variance of nu, log G or log E that each source adds."""
+    """Contribution of each source to the variance of nu, log G or log E."""
     influence = scores.influence(turn)
     alone, known = _added(own, influence), _added(considered, influence)
-    # What is left of what is common to probings is the noise of their pictures at rest.
+    # Common noise that is not from considered errors is from shared reference pictures.
     common = 0.0 if scores.common is None else influence @ scores.common.sum((0, 1)) @ influence
     at_rest = float(common) - sum(known.values())
     for parameter, moved in zip(misfit.shared, influence[2:], strict=True):
@@ -103,7 +102,7 @@ def _variances(
     claimed = float(turn @ scores.covariance()[:2, :2] @ turn)
     claimed -= at_rest + sum(known.values())
     alone[POINTS] += claimed - sum(alone.values())
-    # Probings that agree better than claimed make all of it smaller.
+    # Where probings agree better than claimed, all independent contributions shrink.
     for source, value in alone.items():
         known[source] += min(factor, 1.0) * value
     known[POINTS] += at_rest
@@ -113,7 +112,7 @@ def _variances(
 
 
 def _added(pulls: _Pulls, influence: Float[np.ndarray, " d"]) -> defaultdict[str, float]:
-    """Variance that some pulls add, source by source."""
+    """Contributions of some pulls to the variance, by source."""
     found = defaultdict[str, float](float)
     for source, pull in pulls:
         found[source] += float(pull @ influence) ** 2
@@ -123,8 +122,8 @@ def _added(pulls: _Pulls, influence: Float[np.ndarray, " d"]) -> defaultdict[str
 def _of_probings(
     misfit: Misfit, local: Sequence[LocalProbe], noise: ScoreNoise
 ) -> tuple[_Pulls, _Pulls]:
-    """What one standard deviation of each shift of a single probing adds to the scores, and of each
-    error that is considered only."""
+    """Change of the scores per standard deviation of each shift of a single probing, and of each
+    considered error."""
     forces = force_moments(misfit, local)
     turns = shift_projections(local, noise, forces)
     own: _Pulls = []
@@ -136,6 +135,6 @@ def _of_probings(
 
 
 def _sources(misfit: Misfit, probe: LocalProbe) -> list[str]:
-    """What each shift of a probing belongs to."""
+    """Source in the budget of each shift of a probing."""
     motions = [MOTIONS] * len(probe.rows.motion)
     return [FORCES] * 3 + motions + [one.source for one in misfit.own(probe.rows)]

@@ -1,11 +1,11 @@
-"""Whether residuals contradict the model: motion that is left over, and ordered as no noise is.
+"""Whether residuals contradict the model: unexplained motion with a spatial pattern unlike noise.
 
-Noise levels are estimated from the residuals themselves, so their size proves nothing. Their order
-in space does. Noise is independent from point to point, or shared by neighbours whose windows
-overlap; a model that does not fit leaves residuals that agree across the body (a wrong support,
-other material), or that stand together at one place (a wrong contact). Neither counts unless it is
-a share of the motion that no ordinary mesh leaves. Rates of false alarm and of detection:
-benchmarks/model_contradicted.py.
+Noise levels are estimated from the residuals themselves, so the size of these proves nothing; their
+spatial pattern does. Noise is independent from point to point, or shared by neighbours whose
+windows overlap; a wrong model leaves residuals that are correlated across the body (a wrong
+support, other material) or concentrated at one place (a wrong contact). Neither counts unless it
+exceeds the share of the motion that an ordinary mesh leaves unexplained. Rates of false alarm and
+of detection: benchmarks/model_contradicted.py.
 """
 
 from dataclasses import dataclass
@@ -19,32 +19,32 @@ from palpate.estimation.observations import ProbeObservations
 from palpate.geometry import morton_order
 from palpate.shapes import Points, PointScalars, Vector3
 
-# Fewer points show no order; more cost time and show no more.
+# Fewer points show no pattern; more cost time and add no information.
 _MIN_POINTS, _MAX_POINTS = 30, 1000
-# Lengths below are shares of the largest extent of the points.
+# Lengths below are fractions of the diagonal of the points' bounding box.
 _BLOCK = 0.1
 _APART = (0.2, 0.4)
 _NEAR = 0.15
-# Agreement across the body: standard errors, and share of the motion.
+# Correlation across the body: standard errors, and share of the motion.
 _SIGNIFICANT, _LEAST_SHARED = 10.0, 0.02
-# Residuals that stand together: energy over that of evenly spread noise, and share of the motion.
+# Concentrated residuals: energy over that of evenly spread noise, and share of the motion.
 _CONCENTRATED, _LEAST_LOCAL = 4.0, 0.03
-# Of a three-component Gaussian: mean over median of the squared length.
+# Mean over median of the squared length of a three-component Gaussian vector.
 _MEAN_OVER_MEDIAN = 1.27
-# A median over so many neighbours bears three outliers.
+# A median over so many neighbours tolerates three outliers.
 _NEIGHBOURS, _NEIGHBOUR_SHARE = 7, 30
 _LONGEST = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contradiction:
-    """What the model leaves unexplained of one probing.
+    """Motion of one probing that the model leaves unexplained.
 
     Attributes
     ----------
     name : str                      of the probing
-    share : float [-]               root mean square of the residuals, their noise smoothed away,
-                                    over that of the motion; points count by what they claim
+    share : float [-]               root mean square of the smoothed residuals over that of the
+                                    displacements; points are weighted by their claimed precision
     place : (3,) float [m]          where they are largest
     landmark : str                  the probing's landmark near that place, empty where none is
     """
@@ -56,7 +56,7 @@ class Contradiction:
 
 
 def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | None:
-    """What contradicts the model in one probing, if anything does.
+    """Test whether one probing contradicts the model.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | No
 
     Returns
     -------
-    Contradiction or None           None, too, with fewer than 30 points: they show no order
+    Contradiction or None           None if it does not, or with fewer than 30 points, which do not
+                                    suffice to tell
     """
     known = np.flatnonzero(np.isfinite(fit.residual).all(axis=1))
     if len(known) < _MIN_POINTS or not probe.displacement[known].any():
@@ -90,10 +91,10 @@ def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | No
 
 
 def _doubt(probe: ProbeObservations) -> PointScalars:
-    """Claimed standard deviation of every point over the median one; 1 where none is claimed.
+    """Claimed standard deviation of every point over their median; 1 where none is claimed.
 
-    Where a surface turns away from the cameras its displacement is ten times as uncertain, and
-    windows that overlap err together.
+    Where the surface turns away from the cameras, displacements are ten times as uncertain, and
+    errors of overlapping windows are correlated.
     """
     if probe.std is None:
         return np.ones(len(probe.position))
@@ -102,11 +103,11 @@ def _doubt(probe: ProbeObservations) -> PointScalars:
 
 
 def _agreement(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
-    """How far residuals agree that lie apart: in standard errors, and as a length [m].
+    """Correlation of residuals of distant blocks: in standard errors, and as a length [m].
 
-    Residuals of a block are summed; under the hypothesis of noise every block's sum may as well
-    have the other sign, which gives the variance of the sum over all pairs of blocks exactly.
-    Single residuals are cut to three times the median length.
+    Residuals are summed over blocks; under the null hypothesis of noise the signs of the blocks'
+    sums are random, which gives the variance of the sum over all pairs of blocks exactly. Single
+    residuals are truncated to three times the median length.
     """
     length = np.linalg.norm(residual, axis=1)
     longest = _LONGEST * float(np.median(length))

@@ -1,4 +1,4 @@
-"""Which constants the data identify, and what to say where they do not."""
+"""Which constants are identifiable, and what is reported for those that are not."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,7 +11,7 @@ from palpate.records import Constant
 
 # nu is identifiable where its interval leaves out at least a fifth of its prior range.
 _MAX_SHARE_OF_RANGE = 0.8
-# A modulus is identifiable without nu where all nu change it by less than this factor.
+# Without nu, a modulus is identifiable where it changes by less than this factor along the valley.
 _MAX_VALLEY_FACTOR = 1.25
 _VALLEY_POINTS = 33
 
@@ -46,10 +46,10 @@ def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dic
 
 
 def with_open_ratio(intervals: IntervalSet, weights: FixedWeights) -> IntervalSet:
-    """Intervals where the data lead beyond the range of nu: as if they said nothing about it.
+    """Intervals where the data point beyond the range of nu, which then counts as undetermined.
 
-    The end of the range is no measurement. The moduli may be whatever the valley of the misfit has
-    over the whole range.
+    An estimate at the end of the range is no measurement. The intervals of the moduli are extended
+    to hold the valley of the misfit over the whole range.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def with_open_ratio(intervals: IntervalSet, weights: FixedWeights) -> IntervalSe
 
 
 def _stretched(constant: Constant, line: np.ndarray) -> Constant:
-    """The same value in an interval that holds a whole line of values, too."""
+    """The same value, its interval extended to hold a whole line of values."""
     low, high = constant.ci95
     return replace(constant, ci95=(min(low, float(line.min())), max(high, float(line.max()))))
 
@@ -82,11 +82,11 @@ def _stretched(constant: Constant, line: np.ndarray) -> Constant:
 def with_prior_ranges(
     intervals: IntervalSet, identifiable: Mapping[str, bool], weights: FixedWeights
 ) -> IntervalSet:
-    """Intervals as wide as the prior range for what the data cannot identify.
+    """Intervals with the prior range for constants that the data do not identify.
 
-    Where nu is not identifiable, its best value is an accident of the noise: the middle of its
-    range is given, and the moduli that the valley of the misfit has there. A modulus that is
-    bounded only through the range of nu keeps its interval; without any signal it is (0, infinity).
+    Where nu is not identifiable, its best value depends on the noise alone: the middle of its range
+    is reported instead, with the moduli in the valley of the misfit there. A modulus bounded only
+    through the range of nu keeps its interval; without any signal it is (0, infinity).
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def with_prior_ranges(
 
 
 def _moved(constant: Constant, value: float) -> Constant:
-    """The same interval about another value inside it."""
+    """The same interval with another value, clipped to it."""
     return replace(constant, value=float(np.clip(value, *constant.ci95)))
 
 

@@ -1,4 +1,4 @@
-"""What probings tell before they are made: Fisher's information, and the bound that it sets."""
+"""Fisher information of probings before they are made, and the Cramer-Rao bound from it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,16 +21,16 @@ from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
-    """Fisher's information of each of some probings, for Gaussian noise of the claimed size.
+    """Fisher information of each probing, for Gaussian noise of the claimed standard deviations.
 
-    Uncertain forces and the errors of one probing alone are eliminated, known to their claimed
-    uncertainty.
+    Uncertain forces and each probing's own errors are eliminated, with their claimed uncertainties
+    as priors.
 
     Attributes
     ----------
-    scores : Scores                 of nu, log G and the d - 2 errors that probings share, these in
-                                    prior standard deviations
-    budget : tuple of BudgetEntry   what each source adds to the bound of all of them together
+    scores : Scores                 of nu, log G and the d - 2 shared errors, these in prior
+                                    standard deviations
+    budget : tuple of BudgetEntry   contributions of the sources to the bound of all probings
     poisson_ratio : float [-]       at which it is taken
     shear_modulus : float [Pa]
     """
@@ -41,7 +41,7 @@ class Information:
     shear_modulus: float
 
     def of(self, probings: Sequence[int]) -> Float[np.ndarray, "2 2"]:
-        """What some of the probings tell together of nu and log G, the shared errors eliminated."""
+        """Information of some probings together about (nu, log G), shared errors eliminated."""
         whole = self.scores.information[list(probings)].sum(axis=0)
         whole[2:, 2:] += np.eye(len(whole) - 2)
         return whole[:2, :2] - whole[:2, 2:] @ np.linalg.solve(whole[2:, 2:], whole[2:, :2])
@@ -49,12 +49,13 @@ class Information:
     def bound(self, probings: Sequence[int]) -> dict[str, float]:
         """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
 
-        Where neighbouring points err together, or probings by the noise of one picture at rest:
-        the standard deviations of an estimate that takes points for independent, as the fit does.
+        Where errors of neighbouring points are correlated, or probings share the noise of a
+        reference picture: the standard deviations of an estimate that treats points as independent,
+        as the fit does.
 
         Parameters
         ----------
-        probings : sequence of int      numbers of those that are made
+        probings : sequence of int      indices of those that are made
 
         Returns
         -------
@@ -80,8 +81,8 @@ def fisher_information(
 
     Parameters
     ----------
-    probes : sequence of ProbeObservations  all with standard deviations; what they measured tells
-                                            how much neighbouring points err together
+    probes : sequence of ProbeObservations  all with standard deviations; their residuals determine
+                                            the correlation of neighbouring points
     poisson_ratio : float [-]
     shear_modulus : float [Pa]              > 0
 
@@ -117,7 +118,7 @@ def fisher_information(
 def cramer_rao_bound(
     probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
 ) -> dict[str, float]:
-    """The smallest standard deviations that all of some probings together allow.
+    """Cramer-Rao bound of all given probings together.
 
     Parameters
     ----------

@@ -10,9 +10,9 @@ from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.search import best_compliance, deviance_of
 
 _SIZE = 51
-# Share of the intervals' width that is added on either side.
+# Fraction of the intervals' width that is added on either side.
 _MARGIN = 0.75
-# Of the best modulus, where an interval has no end.
+# Largest factor on the best modulus that the map covers, where an interval is unbounded.
 _LARGEST_FACTOR = 30.0
 
 
@@ -24,8 +24,8 @@ class LikelihoodMap:
 
     Parameters
     ----------
-    poisson_ratio : (k,) float [-]      rising
-    shear_modulus : (l,) float [Pa]     rising, evenly spaced in the logarithm
+    poisson_ratio : (k,) float [-]      ascending
+    shear_modulus : (l,) float [Pa]     ascending, evenly spaced in the logarithm
     deviance : (k, l) float
     """
 
@@ -35,7 +35,7 @@ class LikelihoodMap:
 
     @staticmethod
     def height(share: float) -> float:
-        """Deviance at the edge of the joint region that holds a share of the probability.
+        """Deviance at the edge of the joint confidence region of a given probability.
 
         Parameters
         ----------

@@ -1,9 +1,9 @@
-"""Intervals from the profile of the misfit: honest where Poisson's ratio ends at a bound.
+"""Intervals from the profile likelihood, which stay valid where Poisson's ratio is at a bound.
 
 The profile is that of the misfit with the final weights held fixed, for which the shear modulus and
 the forces are eliminated in closed form. Its height is calibrated: a constant's interval is where
-the profile stays below quantile^2 times (variance of the constant / variance that the bare
-curvature claims).
+the profile stays below quantile^2 times (variance of the constant / variance from the curvature of
+the misfit alone).
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from palpate.estimation.search import (
 
 _NEAR_POINTS, _FAR_POINTS = 65, 161
 _EDGE_STEPS = 4
-# Logarithm of 1 / G: the first step from the valley, the longest correction, the farthest edge.
+# In log(1 / G): longest first step from the valley, longest correction, farthest edge.
 _FIRST_REACH, _LONGEST_STEP, _FARTHEST_EDGE = 3.0, 0.5, 20.0
 
 
@@ -49,7 +49,7 @@ class ProfileCurve:
 def profile_curve(
     weights: FixedWeights, *, centre: float, half_width: float, enough: float
 ) -> ProfileCurve:
-    """The valley about a minimum, over the whole range where the near part does not suffice.
+    """The valley near a minimum, or over the whole range if the near part does not suffice.
 
     Parameters
     ----------
@@ -80,7 +80,8 @@ def profile_intervals(
 
     Returns
     -------
-    constant's name -> (low, high)      moduli in Pa; infinite where no signal is allowed
+    constant's name -> (low, high)      moduli in Pa; high is infinite where the data do not exclude
+                                        1 / G = 0
     """
     nu = curve.poisson_ratio
     intervals = {"poisson_ratio": crossings(nu, curve.height, allowed["poisson_ratio"])}
@@ -108,18 +109,18 @@ def _curve(weights: FixedWeights, grid: np.ndarray) -> ProfileCurve:
 def crossings(
     place: Float[np.ndarray, " g"], height: Float[np.ndarray, " g"], allowed: float
 ) -> tuple[float, float]:
-    """First and last place where a curve crosses a height, linear in the root of the height.
+    """First and last crossing of a curve and a height, interpolated linearly in its square root.
 
     Parameters
     ----------
-    place : (g,) float          rising
+    place : (g,) float          ascending
     height : (g,) float         >= 0
     allowed : float             >= 0
 
     Returns
     -------
-    (float, float)              ends of the table where the curve does not rise so high; the lowest
-                                place twice where it is nowhere below
+    (float, float)              an end of the table where the curve does not rise so high; the place
+                                of the minimum, twice, if the curve is nowhere below
     """
     root, level = np.sqrt(height), np.sqrt(allowed)
     inside = np.flatnonzero(root <= level)

@@ -1,10 +1,10 @@
 """Covariance of (nu, log G): information, noise of the scores, shared errors, and disagreement.
 
-Model-based first: Fisher information of the robust loss, with the noise as the residuals show it
-(never below the claim), the spatial correlation of residuals, and the priors of the errors that
-points share. Then the probings are asked: what they disagree by is a random effect of its own. The
-variance of what is independent between them is the claim, taken as one observation of it, and their
-scatter as the others; the quantile is Student's for both together.
+First a model-based covariance: Fisher information of the robust loss, with the noise level of the
+residuals (never below the claim), their spatial correlation, and the priors of shared errors. Then
+the disagreement of the probings enters as a random effect. The variance of what is independent
+between them is the mean of the claim, counted as one observation of it, and of their scatter,
+weighted by its degrees of freedom; the quantile is that of Student's t for both together.
 """
 
 from collections.abc import Sequence
@@ -37,12 +37,11 @@ class Scores:
     ----------
     score : (k, d)
     information : (k, d, d)     expected slope of the score
-    noise : (k, d, d)           model-based covariance of the score, of what differs from probing to
-                                probing
+    noise : (k, d, d)           model-based covariance of the part of the score that is independent
+                                between probings
     curvature : (k, 2, 2)       second derivative of half the misfit at fixed weights and errors
-    common : (k, k, d, d) or None    covariance of each score with each from the noise that probings
-                                share, and from errors that are not fitted along; None: there is
-                                none
+    common : (k, k, d, d) or None    covariance between the scores of all pairs of probings, from
+                                noise that they share and from considered errors; None: zero
     """
 
     score: Float[np.ndarray, "k d"]
@@ -58,16 +57,16 @@ class Scores:
 
     @property
     def _shared(self) -> Float[np.ndarray, "d d"]:
-        """Covariance of the sum of the scores from what probings share."""
+        """Covariance of the sum of the scores from shared errors and common noise."""
         return np.asarray(self._prior + self._common.sum(axis=(0, 1)))
 
     @property
     def _prior(self) -> Float[np.ndarray, "d d"]:
-        """Information, and covariance of the score, of what was known before."""
+        """Prior information on the shared errors, which is also the covariance of its score."""
         return np.diag(np.append(np.zeros(2), np.ones(self.score.shape[1] - 2)))
 
     def among(self, probings: Sequence[int]) -> "Scores":
-        """Those of some of the probings, by their numbers."""
+        """Scores of some of the probings, by their indices."""
         some = list(probings)
         return Scores(
             self.score[some],
@@ -78,8 +77,8 @@ class Scores:
         )
 
     def covariance(self) -> Float[np.ndarray, "d d"]:
-        """Model-based covariance, A^-1 B A^-1 with A the information and B the noise; huge, not
-        infinite, along a combination without information.
+        """Model-based covariance, A^-1 B A^-1 with A the information and B the noise; very large
+        but finite along a combination without information.
 
         Source
         ------
@@ -90,7 +89,7 @@ class Scores:
         return inverse @ (self.noise.sum(0) + self._shared + ridge) @ inverse
 
     def curvature_variance(self, direction: Float[np.ndarray, " 2"]) -> float:
-        """Variance of a combination that the curvature of the misfit alone would claim.
+        """Variance of a combination that follows from the curvature of the misfit alone.
 
         Parameters
         ----------
@@ -103,7 +102,8 @@ class Scores:
         return float(direction @ _inverse(self.curvature.sum(0))[0] @ direction)
 
     def influence(self, direction: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " d"]:
-        """What a unit of each score, or of a shared error, does to a combination of the constants.
+        """Change of a combination of the constants per unit of each score; from the third entry on
+        also per prior standard deviation of each shared error.
 
         Parameters
         ----------
@@ -116,8 +116,8 @@ class Scores:
         return np.asarray(self._inverse()[0][:, :2] @ direction)
 
     def step(self) -> Float[np.ndarray, " d"]:
-        """Where the misfit's unbounded minimum lies, from the present one."""
-        # At a minimum all but the score of a Poisson's ratio at the end of its range vanish.
+        """Step from the minimum to that without bounds on Poisson's ratio."""
+        # At a minimum all scores vanish, except that of a Poisson's ratio at the end of its range.
         gradient = np.append(self.score.sum(0)[:2], np.zeros(self.score.shape[1] - 2))
         return np.asarray(
             np.linalg.lstsq(self.information.sum(0) + self._prior, gradient, rcond=1e-11)[0]
@@ -144,8 +144,8 @@ class Scores:
     def scatter(self, direction: Float[np.ndarray, " 2"]) -> "Scatter":
         """Disagreement of the probings about one combination of (nu, log G).
 
-        The covariance of their pulls on it, each less its expected share of the sum, gives the mean
-        and the degrees of freedom of their sum of squares.
+        The covariance of their contributions to it, each less its expected share of the sum, gives
+        the mean and the degrees of freedom of their sum of squares (Satterthwaite).
 
         Parameters
         ----------
@@ -177,7 +177,7 @@ class Scores:
 
 
 def directions(poisson_ratio: float) -> dict[str, Float[np.ndarray, " 2"]]:
-    """Slopes of nu, log G and log E with respect to (nu, log G).
+    """Gradients of nu, log G and log E with respect to (nu, log G).
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def scores_of(
     ----------
     misfit : Misfit
     local : sequence of LocalProbe      at the minimum
-    noise : ScoreNoise or None          known from a joint fit, or to be measured here
+    noise : ScoreNoise or None          from a joint fit; None: estimated from these probings
 
     Returns
     -------
@@ -241,7 +241,7 @@ def _scores(
     spread = noise.power * noise.excess * (clean.T @ probe.rows.correlated(clean, noise.sharing))
     spread += (turn[d:].T * probe.prior(force_power)) @ turn[d:]
     weighted = probe.weighted_products()
-    # Errors stay where they are, those of this probing alone, too: as in the misfit's profile.
+    # Only force and motions are eliminated: in the misfit's profile all errors are held fixed.
     own = slice(d, d + 3 + len(probe.rows.motion))
     inner = weighted[own, own] + np.diag(probe.prior()[: own.stop - d])
     curvature = weighted[:2, :2] - weighted[:2, own] @ np.linalg.solve(inner, weighted[own, :2])
@@ -249,8 +249,8 @@ def _scores(
 
 
 def force_moments(misfit: Misfit, local: Sequence[LocalProbe]) -> list[tuple[float, float]]:
-    """Mean square and mean slope of the score of each probing's force, by its uncertain components,
-    for forces as uncertain as claimed.
+    """Mean square and mean slope of the score of each probing's force, for its number of uncertain
+    components and Gaussian errors of the claimed size.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def force_moments(misfit: Misfit, local: Sequence[LocalProbe]) -> list[tuple[flo
 def shift_projections(
     local: Sequence[LocalProbe], noise: ScoreNoise, forces: Sequence[tuple[float, float]]
 ) -> list[Float[np.ndarray, "_ d"]]:
-    """What takes the shifts of each probing out of its design.
+    """Matrices that project the shifts of each probing out of its design matrix.
 
     Parameters
     ----------
@@ -278,8 +278,8 @@ def shift_projections(
 
     Returns
     -------
-    list of (d + n, d) float            a row each of the d parameters of all probings, which stay,
-                                        and of the n shifts
+    list of (d + n, d) float            rows of the d common parameters (the identity), then of the
+                                        n shifts
     """
     return [
         _projection(probe, noise.slope, slope)
@@ -288,7 +288,7 @@ def shift_projections(
 
 
 def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:
-    """(d + n, d) matrix that takes the n shifts out of the design of the d common parameters."""
+    """(d + n, d) matrix that projects the n shifts out of the design of the d common parameters."""
     d = probe.common
     gram = slope * (probe.design.T @ probe.design)
     own = gram[d:, d:] + np.diag(probe.prior(force_slope))
@@ -296,7 +296,7 @@ def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarr
 
 
 def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse with a ridge far below any information that counts, and the ridge."""
+    """Inverse with a ridge far below any relevant information, and the ridge."""
     scale = diagonal_root(matrix)
     unit = matrix / np.outer(scale, scale) + _RIDGE * np.eye(len(matrix))
     return np.linalg.inv(unit) / np.outer(scale, scale), _RIDGE * np.diag(scale**2)

@@ -1,13 +1,13 @@
-"""Variances that are partly claimed and partly seen, and the quantiles that go with them."""
+"""Variances that combine a claimed and an observed part, and the quantiles that go with them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-# Degrees of freedom that a claimed uncertainty is worth beside what is seen: the fewest with which
-# intervals hold where the claim is half of the truth (93 % of two to five probings, by simulation;
-# 2 give 91 %, 3 give 88 %).
+# Degrees of freedom that a claimed variance counts for in the mean with the observed scatter. Where
+# the claimed uncertainty is half the true one, intervals from two to five probings hold in 93 % (by
+# simulation); 2 give 91 %, 3 give 88 %.
 _CLAIM_DEGREES = 1.0
 _UPPER_TAIL = 0.975
 
@@ -18,8 +18,8 @@ class Variance:
 
     Parameters
     ----------
-    independent : float         of what differs from probing to probing
-    shared : float              of what all probings have in common
+    independent : float         from errors that differ between probings
+    shared : float              from errors that all probings have in common
     degrees : float             degrees of freedom of `independent`
     """
 
@@ -29,13 +29,13 @@ class Variance:
 
     @property
     def total(self) -> float:
-        """Both together."""
+        """Sum of the independent and the shared variance."""
         return self.independent + self.shared
 
     @property
     def quantile(self) -> float:
-        """Half-width of a 95 % interval in standard deviations: Student's, 1.96 where the variance
-        is known.
+        """Half-width of a 95 % interval in standard deviations: that of Student's t, 1.96 where the
+        variance is known.
 
         Source
         ------
@@ -51,13 +51,13 @@ class Variance:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Scatter of probings, or of parts of them, over what their claimed uncertainties explain.
+    """Observed scatter of probings, or of blocks of points, relative to the claimed variance.
 
     Parameters
     ----------
-    ratio : float [-]           of variances, >= 0
-    degrees : float             degrees of freedom; of probings, one less than there are, where all
-                                say as much
+    ratio : float [-]           observed over claimed variance, >= 0
+    degrees : float             degrees of freedom; for equally informative probings one less than
+                                their number
     """
 
     ratio: float
@@ -65,13 +65,13 @@ class Scatter:
 
     @property
     def factor(self) -> float:
-        """Factor on the claimed variance: the mean of the claim and of the scatter, each by its
-        degrees of freedom."""
+        """Factor on the claimed variance: the mean of 1 (the claim) and `ratio` (the scatter), each
+        weighted by its degrees of freedom."""
         return (_CLAIM_DEGREES + self.degrees * self.ratio) / (_CLAIM_DEGREES + self.degrees)
 
     @property
     def total_degrees(self) -> float:
-        """Degrees of freedom of that mean; infinite where only the claim speaks."""
+        """Degrees of freedom of `factor`; infinite where there is only the claim."""
         return _CLAIM_DEGREES + self.degrees if self.degrees > 0.0 else np.inf
 
 

@@ -1,4 +1,5 @@
-"""Noise of the robust scores: its size, and what points and probings share of it and beside it."""
+"""Noise of the robust scores: its size, its correlation between points and between probings, and
+the contribution of considered errors."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from palpate.estimation.noise import gaussian_moments, score_moments
 from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.search import LocalProbe, Misfit
 
-# Share of the variance of a match that is the first picture's noise, the same for every later one.
+# Share of a match's variance that is due to the reference picture, and common to all later ones.
 _REFERENCE_SHARE = 0.5
 
 
@@ -25,8 +26,8 @@ class ScoreNoise:
     ----------
     power, slope : float        mean square and mean slope of the score per component
     degrees : float             degrees of freedom of the noise, infinite where it was claimed
-    sharing : float             part of the correlation of neighbours that there is, 0 to 1
-    blocks : Scatter            of parts of the surface over what all of that explains
+    sharing : float             factor on the nominal correlation of neighbours, 0 to 1
+    blocks : Scatter            of blocks of points, relative to what all of the above explains
     """
 
     power: float
@@ -37,12 +38,12 @@ class ScoreNoise:
 
     @property
     def excess(self) -> float:
-        """Factor on the variance for what else neighbouring points share."""
+        """Factor on the variance for further correlation of neighbouring points, at least 1."""
         return max(1.0, self.blocks.factor)
 
 
 def noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
-    """Moments of the robust score, as the residuals show them and never below a claim.
+    """Moments of the robust score from the residuals, never more optimistic than a claim.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
 
     Returns
     -------
-    ScoreNoise                          of independent blocks
+    ScoreNoise                          without scatter of blocks
     """
     squared = np.concatenate([probe.squared for probe in local])
     components = np.concatenate([probe.rows.components for probe in local])
@@ -78,7 +79,7 @@ def noise_of(misfit: Misfit, local: Sequence[LocalProbe]) -> ScoreNoise:
 
 
 def _absorbed(local: Sequence[LocalProbe]) -> float:
-    """Degrees of freedom of the displacements that the shifts of single probings take up."""
+    """Effective degrees of freedom that the shifts of single probings absorb."""
     total = 0.0
     for probe in local:
         own = probe.design[:, probe.common :]
@@ -90,13 +91,13 @@ def _absorbed(local: Sequence[LocalProbe]) -> float:
 def common_noise(
     local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
 ) -> Float[np.ndarray, "k k d d"]:
-    """Covariance of the scores of probings, each with each, from the noise of pictures at rest that
-    several of them were measured from: half of the noise of each point that more than one has.
+    """Covariance between the scores of all pairs of probings from the noise of reference pictures
+    that they share: half of the noise of each point that several probings have.
 
     Parameters
     ----------
     local : sequence of k LocalProbe    at a minimum
-    turns : (d + n, d) for each         takes the shifts out of its design
+    turns : (d + n, d) for each         `shift_projections`
     noise : ScoreNoise
 
     Returns
@@ -127,8 +128,8 @@ def common_noise(
 def considered_errors(
     local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
 ) -> Float[np.ndarray, "k k d d"]:
-    """Covariance of the scores of probings, each with each, from errors that are not fitted along:
-    the model is not told by the data how large they are, so they move the estimate by their priors.
+    """Covariance between the scores of all pairs of probings from considered errors: these are not
+    fitted, so that they contribute with their whole prior variance.
 
     Parameters
     ----------
@@ -141,7 +142,7 @@ def considered_errors(
     Source
     ------
     Schmidt, Application of state-space methods to navigation problems, Advances in Control Systems
-    3 (1966): parameters that are considered
+    3 (1966): consider parameters
     """
     count, d = len(local), local[0].common
     found = np.zeros((count, count, d, d))
@@ -153,8 +154,7 @@ def considered_errors(
 def considered_pulls(
     local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
 ) -> dict[NuisanceParameter, Float[np.ndarray, "k d"]]:
-    """What one prior standard deviation of each error that is not fitted along adds to the score of
-    each probing.
+    """Change of each probing's score per prior standard deviation of each considered error.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def considered_pulls(
 
 
 def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:
-    """First row of each point measured whole from pictures at rest, by these and by its place."""
+    """First row of each point with all components and a reference, by reference and position."""
     rows = probe.rows
     if rows.reference is None:
         return {}

@@ -1,9 +1,9 @@
-"""What errors of neighbouring points have in common, as the residuals show it.
+"""Correlation of the errors of neighbouring points, estimated from the residuals.
 
-Windows of the pictures overlap: points that share one err together by a part of what they share of
-it, the same part everywhere (`neighbours_sharing`). What is beyond that, and all of it where the
-windows are unknown, shows in blocks of neighbouring points: points are cut along a Morton curve,
-and scores of blocks scatter by more than their noise explains (`block_scatter`).
+Matching windows overlap, so errors of neighbouring points are correlated in proportion to the
+overlap, with one common factor (`neighbours_sharing`). Further correlation, and all of it where the
+windows are unknown, shows in blocks of neighbouring points along a Morton curve: scores of blocks
+scatter by more than their noise explains (`block_scatter`).
 """
 
 from collections.abc import Sequence
@@ -17,15 +17,15 @@ from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter
 from palpate.estimation.search import LocalProbe
 from palpate.geometry import morton_order
 
-# Of a probing. Where a single probing's errors agree over a seventh of the surface, intervals hold
-# in 93 % with eight blocks and in 78 % with 32, by simulation; where points err independently they
-# are an eighth wider for it.
+# Per probing. With errors of a single probing correlated over a seventh of the surface, intervals
+# hold in 93 % with eight blocks and in 78 % with 32, by simulation; with independent errors eight
+# blocks make them an eighth wider.
 _BLOCKS = 8
 _MIN_POINTS_PER_BLOCK = 6
 
 
 def neighbours_sharing(local: Sequence[LocalProbe], score_variance: float) -> float:
-    """Part of the correlation of neighbours that their residuals show, pooled over all probings.
+    """Factor on the nominal correlation of neighbours, from the residuals of all probings.
 
     Parameters
     ----------
@@ -34,11 +34,11 @@ def neighbours_sharing(local: Sequence[LocalProbe], score_variance: float) -> fl
 
     Returns
     -------
-    float [-]                           0 to 1; 0 where no correlation is known of
+    float [-]                           0 to 1; 0 without a nominal correlation
 
     Source
     ------
-    Least squares over all pairs of rows, of the product of their scores against its mean.
+    Least squares over all pairs of rows: products of their scores against their expected values.
     """
     seen = expected = 0.0
     for probe in local:
@@ -62,14 +62,13 @@ def block_scatter(
     Parameters
     ----------
     local : sequence of LocalProbe      at the joint minimum
-    projection : (d + n, 2) for each    takes the shifts out of the design of (nu, log G)
+    projection : (d + n, 2) for each    projects the shifts out of the design of (nu, log G)
     score_variance : float              mean square of the robust score
     sharing : float                     see `neighbours_sharing`
 
     Returns
     -------
-    Scatter                             without degrees of freedom where no probing has eight blocks
-                                        of six points
+    Scatter                             `NO_SCATTER` where no probing has eight blocks of six points
     """
     parts = [
         _block_sums(probe, turn, sharing)
@@ -101,7 +100,7 @@ class _BlockSums:
     def expected(
         self, metric: np.ndarray
     ) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
-        """Mean of score' metric score of each block, leverage taken off, and half its variance."""
+        """Mean of score' metric score of each block, less its leverage, and half its variance."""
         plain = np.einsum("bij,ij->b", self.information, metric)
         constants = np.einsum(
             "bij,jk,bkl,li->b", self.information, metric, self.information, metric
@@ -113,7 +112,7 @@ class _BlockSums:
 
 
 def _block_sums(probe: LocalProbe, projection: np.ndarray, sharing: float) -> _BlockSums:
-    """Sums over the blocks of one probing, the tip left out."""
+    """Sums over the blocks of one probing, without the tip."""
     rows = probe.rows
     block = np.repeat(_blocks(probe), rows.components.astype(np.int64))
     clean, shifts = probe.design @ projection, probe.design[:, probe.common :]
@@ -145,12 +144,12 @@ def _blocks(probe: LocalProbe) -> Int[np.ndarray, " p"]:
 
 
 def _located(probe: LocalProbe) -> int:
-    """How many points it has, the tip left out."""
+    """Number of points, not counting the tip."""
     return int(np.isfinite(probe.rows.position[:, 0]).sum())
 
 
 def _within(neighbours: csr_array, block: Int[np.ndarray, " r"]) -> csr_array:
-    """Correlations of the rows of one block."""
+    """Correlations between rows of the same block only."""
     pairs = neighbours.tocoo()
     first, second = pairs.coords
     same = block[first] == block[second]

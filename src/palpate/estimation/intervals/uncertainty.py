@@ -1,7 +1,7 @@
 """Intervals of the constants: the calibrated profile of the misfit.
 
-Coverage in seeded repeats (benchmarks/coverage.py) and on bodies that nobody tuned for
-(benchmarks/coverage_of_bodies.py) decides. Far from the bounds of Poisson's ratio the profile is a
+Coverage is measured in seeded repeats (benchmarks/coverage.py) and on bodies that were not used for
+tuning (benchmarks/coverage_of_bodies.py). Far from the bounds of Poisson's ratio the profile is a
 parabola, and the interval follows from the variance alone.
 """
 
@@ -23,7 +23,7 @@ from palpate.estimation.intervals.score_noise import ScoreNoise
 from palpate.estimation.search import FixedWeights, Minimum, Misfit
 from palpate.records import BudgetEntry, Constant
 
-# Below this standard error of nu, and this far from the bounds, the profile is a parabola.
+# Below this standard error of nu, and this many of them from the bounds, the profile is a parabola.
 _SMALL_ERROR = 1e-3
 _FAR_FROM_BOUND = 8.0
 # Standard errors: chance alone leads farther beyond the range in one session of forty.
@@ -50,7 +50,7 @@ class IntervalSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """What a set of probings says about the constants near its minimum.
+    """Uncertainty of the constants from a set of probings, at its minimum.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Uncertainty:
     scores : Scores                 at the minimum
     noise : ScoreNoise
     scatters : constant's name -> Scatter    disagreement of all probings of the session
-    weights : FixedWeights          of the same probings, less what the errors explain
+    weights : FixedWeights          of the same probings, less the displacement that errors explain
     """
 
     minimum: Minimum
@@ -79,7 +79,7 @@ class Uncertainty:
         return float(np.sqrt(self.variance(name).total))
 
     def budget(self, misfit: Misfit, identifiable: Mapping[str, bool]) -> tuple[BudgetEntry, ...]:
-        """What each source adds to the standard errors of the constants that are identifiable
+        """Contribution of each source to the standard errors of the identifiable constants
         (`uncertainty_budget`)."""
         factors = {name: s.factor for name, s in self.scatters.items() if identifiable[name]}
         return uncertainty_budget(
@@ -92,13 +92,13 @@ class Uncertainty:
         return bool(abs(self.scores.step()[0]) > _CLEARLY * self.error("poisson_ratio"))
 
     def calibration(self, name: str) -> float:
-        """That variance over the one that the bare curvature of the misfit claims."""
+        """Variance of nu, log G or log E over that from the curvature of the misfit alone."""
         turn = directions(self.minimum.poisson_ratio)[name]
         return self.variance(name).total / self.scores.curvature_variance(turn)
 
 
 def uncertainty_of(misfit: Misfit, minimum: Minimum, weights: FixedWeights) -> Uncertainty:
-    """What all probings of a session say together.
+    """Uncertainty of the joint estimate from all probings of a session.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def interval_set(uncertainty: Uncertainty) -> IntervalSet:
 
     Returns
     -------
-    IntervalSet                     std is the half-width over the quantile; every interval holds
+    IntervalSet                     std is the half-width over the quantile; every interval contains
                                     its estimate
     """
     minimum = uncertainty.minimum

@@ -1,4 +1,4 @@
-"""How well the model explains each probing, and predicts one that it has not seen."""
+"""Quality of the fit to each probing, and of its prediction from all other probings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from palpate.estimation.search import LocalProbe, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices
 
-# One scoring step is the refit itself to second order; beyond this the table is searched.
+# One scoring step equals the refit to second order; beyond this step length the table is searched.
 _SMALL_MOVE = 0.01
 # A point of smaller robust weight counts as rejected: 4.9 sigma for three components.
 _MIN_WEIGHT = 0.25
@@ -22,7 +22,7 @@ _MIN_WEIGHT = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbeFit:
-    """Measured against predicted displacement of one probing, joint constants.
+    """Measured and predicted displacement of one probing, at the joint constants.
 
     Parameters
     ----------
@@ -34,10 +34,10 @@ class ProbeFit:
         from the constants of all other probings and the measured force; motions as fitted
     motion, motion_std : (q,) float         of supports, as fitted (`ProbeObservations`)
     errors : tuple of ErrorEstimate         those that belong to this probing alone
-    sigma : (n, 3) float [m]                1 sigma of the noise as the estimate took it, NaN where
+    sigma : (n, 3) float [m]                1 sigma of the noise at the estimated levels, NaN where
                                             not measured
     surface : (v, 3) float [m] or None      displacement of all vertices of the mesh under the best
-                                            true force; None: not asked for
+                                            true force; None: not requested
     """
 
     name: str
@@ -109,7 +109,7 @@ def probe_fits(
         weight = np.where(np.isfinite(probe.displacement), factor[:n, None], 0.0)
         left = None
         if left_out is not None:
-            # The motion of its support cannot come from the others.
+            # Other probings cannot predict the motions of its supports: these stay as fitted.
             shift = np.where(np.arange(len(local.shift)) < 3, 0.0, local.shift)
             nu, modulus = left_out[k].tolist()
             left = predicted_points(probe, (nu, modulus), local, shift, shared)
@@ -135,7 +135,7 @@ def probe_fits(
 
 
 def _sigma(local: LocalProbe, misfit: Misfit, count: int) -> Points:
-    """1 sigma of every component of every point, at the noise levels that were found."""
+    """1 sigma of every component of every point, at the estimated noise levels."""
     sigma = np.full(3 * count + 3, np.nan)
     sigma[local.rows.rows] = local.rows.component_sigma(misfit.level)
     return sigma[: 3 * count].reshape(-1, 3)
@@ -144,17 +144,17 @@ def _sigma(local: LocalProbe, misfit: Misfit, count: int) -> Points:
 def found_errors(
     misfit: Misfit, local: LocalProbe, errors: Float[np.ndarray, " m"]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Errors by their names, in sigmas: those that probings share, and with a probing's own.
+    """Fitted errors of a probing by name, in prior standard deviations.
 
     Parameters
     ----------
     misfit : Misfit
     local : LocalProbe              of this misfit
-    errors : (m,) float             that probings share
+    errors : (m,) float             shared errors
 
     Returns
     -------
-    two dict
+    two dict                        the shared errors; these and the probing's own
     """
     shared = dict(zip((one.name for one in misfit.shared), errors.tolist(), strict=True))
     own = [one.name for one in misfit.own(local.rows)]
@@ -180,7 +180,7 @@ def predicted_surface(
     if probe.vertices is None:
         return None
     response = probe.vertices.value(poisson_ratio)
-    # Behind the vertices stands the contact point, where it was measured.
+    # Rows of a measured contact point follow those of the vertices.
     response = response if probe.tip_displacement is None else response[:-3]
     return np.asarray(response @ load).reshape(-1, 3)
 
@@ -190,7 +190,7 @@ def error_estimates(
     value: Float[np.ndarray, " p"],
     std: Float[np.ndarray, " p"],
 ) -> tuple[ErrorEstimate, ...]:
-    """What the data say about errors that have a prior.
+    """Estimates of nuisance parameters, in their own units.
 
     Parameters
     ----------
@@ -208,14 +208,14 @@ def error_estimates(
 
 
 def _shift_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray, " n"]:
-    """Standard deviations of a probing's shifts, those of the common parameters included."""
+    """Standard deviations of a probing's shifts, including that of the common parameters."""
     noise, products, d = uncertainty.noise, probe.weighted_products(), probe.common
     inverse = np.linalg.inv(products[d:-1, d:-1] + np.diag(probe.prior()))
     turn = inverse @ products[d:-1, :d]
-    # As in the sandwich: the curvature holds the slope of the score, its noise has this power.
+    # As in the sandwich: the curvature contains the mean slope of the score, its noise the power.
     own = noise.power / noise.slope * noise.excess * np.diag(inverse)
     shared = np.einsum("ni,ij,nj->n", turn, uncertainty.scores.covariance(), turn)
-    # A share of the prior is left over: no noise of the displacements makes it larger.
+    # Noise of the displacements cannot make it exceed the prior.
     return np.sqrt(np.minimum(own, np.maximum(np.diag(inverse), 1.0)) + shared)
 
 
@@ -255,7 +255,7 @@ def predicted_points(
 def probe_estimate(
     constants: IntervalSet, identifiable: Mapping[str, bool], fit: ProbeFit
 ) -> ProbeEstimate:
-    """What one probing says alone, and how well all together explain it.
+    """Constants from one probing alone, and how well the joint fit explains it.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """How measured displacements and forces scatter about the truth.
 
-Purpose    : noise models by their loss and weights, and the noise levels of a session's residuals.
-Takes      : squared residuals in sigmas and their numbers of components; residuals of probings.
+Purpose    : loss and robust weights of each noise model, and noise levels from the residuals.
+Takes      : squared residuals in sigmas with their numbers of components; residuals of probings.
 Gives      : `NoiseModel` (a protocol), `StudentT`, `Gaussian`, moments of their scores, levels.
 Depends on : nothing but the ground floor; the observations of its room.
 Read first : `noise_model.py`, then `levels.py`.

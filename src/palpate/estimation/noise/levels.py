@@ -11,9 +11,9 @@ _MAD_TO_SIGMA = 1.482602218505602
 # Relative standard error of a sigma from the median absolute deviation of n Gaussian values.
 _MAD_ERROR = 1.166
 _SIGNIFICANT = 2.5
-# Gross outliers on a tenth of the points lift the median by about this much.
+# Gross outliers at a tenth of the points raise the median by about this fraction.
 _OUTLIER_LIFT = 0.12
-# No field is measured better than this; it keeps exact data apart from the force's claim.
+# Of the largest displacement: no field is measured better, and exact data need a level above zero.
 _FLOOR_OVER_SIGNAL = 1e-5
 _TIP_PRIOR_ROWS = 3.0
 
@@ -24,17 +24,17 @@ def noise_levels(
     *,
     parameters: int,
 ) -> Float[np.ndarray, " 8"]:
-    """Noise level of each group, from all probings together, insensitive to outliers.
+    """Robust noise level of each group, pooled over all probings.
 
-    Where no standard deviation was claimed: the median absolute residual of the component [m]. With
-    a claim: 1, or by how much the residuals exceed the claim where they do so significantly;
-    never less than 1.
+    Where no standard deviation was claimed: the scaled median absolute residual of the component
+    [m]. With a claim: 1, or the factor by which the residuals exceed the claim where the excess is
+    significant; never less than 1.
 
     Parameters
     ----------
     probes : sequence of ObservedRows
     residuals : one (r,) float [m] for each     measured minus predicted
-    parameters : int                            fitted numbers, for the lost degrees of freedom
+    parameters : int                            number of fitted parameters: lost degrees of freedom
 
     Returns
     -------
@@ -59,7 +59,7 @@ def noise_levels(
 
 
 def _settle_tip(level: np.ndarray, count: np.ndarray) -> None:
-    """Lean an unclaimed tip's level on the field's where the tip has few rows."""
+    """Shrink the estimated level of the tip, which has few rows, towards that of the field."""
     field = count[:TIP_GROUP] > 0
     if count[TIP_GROUP] and field.any():
         prior = np.mean(level[:TIP_GROUP][field] ** 2) * _TIP_PRIOR_ROWS
@@ -68,7 +68,7 @@ def _settle_tip(level: np.ndarray, count: np.ndarray) -> None:
 
 
 def _settle_claims(level: np.ndarray, count: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Claims hold unless residuals exceed them by more than chance allows."""
+    """Keep claimed levels unless residuals exceed them by more than chance allows."""
     limit = 1 + _OUTLIER_LIFT + _SIGNIFICANT * _MAD_ERROR / np.sqrt(np.maximum(count, 1.0))
     claimed = np.zeros(GROUP_COUNT, dtype=bool)
     claimed[CLAIMED_GROUPS] = True

@@ -1,4 +1,4 @@
-"""How measured vectors scatter about the truth: what every noise model gives, and what follows.
+"""Noise models: their interface, and the moments of the robust score.
 
 A model is a distribution of the vector of a point's scaled residuals (one to three components, each
 in units of its sigma), or of a probing's force. It depends on the squared length of that vector
@@ -30,19 +30,19 @@ class NoiseModel(Protocol):
         ...
 
     def weight(self, squared: Values, components: Values) -> Values:
-        """Slope of the loss along the squared length, > 0: the weight in reweighted least
-        squares."""
+        """Derivative of the loss with respect to the squared length, > 0: the weight in iteratively
+        reweighted least squares."""
         ...
 
     def weight_slope(self, squared: Values, components: Values) -> Values:
-        """Slope of the weight along the squared length, <= 0 where outliers are held back."""
+        """Derivative of the weight with respect to the squared length, <= 0."""
         ...
 
 
 def relative_weight(
     noise: NoiseModel, squared: Float[np.ndarray, " p"], components: Float[np.ndarray, " p"]
 ) -> Float[np.ndarray, " p"]:
-    """What is left of a point's influence, in (0, 1]: its weight over that of a zero residual.
+    """Robust weight of each point relative to that of a zero residual, in (0, 1].
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def score_moments(
 
 
 def gaussian_moments(noise: NoiseModel, components: int) -> tuple[float, float]:
-    """What `score_moments` gives for pure Gaussian noise of the claimed size.
+    """Expected `score_moments` for Gaussian noise of the claimed standard deviation.
 
     Parameters
     ----------

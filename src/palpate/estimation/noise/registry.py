@@ -1,4 +1,4 @@
-"""Noise models by the name that settings use; a new one is one new file and its line here."""
+"""Noise models by their name in the settings; a new one needs its own file and a line here."""
 
 from palpate.estimation.noise.gaussian import Gaussian
 from palpate.estimation.noise.noise_model import NoiseModel

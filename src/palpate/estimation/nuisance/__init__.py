@@ -1,7 +1,7 @@
 """Errors that points share, as parameters with a prior; each kind has its own file.
 
-Purpose    : what a wrong gain, direction, contact, pose or scale does to the displacements.
-Takes      : the response of a probing and what it is multiplied with.
+Purpose    : effect of a wrong gain, direction, contact, pose or scale on the displacements.
+Takes      : the response of a probing and the load vector that multiplies it.
 Gives      : `Nuisance` and `CurvedNuisance` (protocols); `ForceGain`, `ForceDirection`,
              `LengthScale`, `SpaceStretch`, `ContactError`, `Pose`, `Discretisation`,
              `ModelStep`, `SupportCompliance`, `CorrectionError`; `contact_error`.

@@ -1,4 +1,4 @@
-"""A tool that pressed beside the point that the session names, on a smaller or larger patch."""
+"""Contact error: the tool pressed off the stated point, or on a smaller or larger patch."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,22 +12,23 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactError:
-    """Place and radius of one probing's contact (`CurvedNuisance`).
+    """Error in position and radius of one probing's contact (`CurvedNuisance`).
 
-    A place is known to a tenth of the tool or less, and two or three standard deviations happen:
-    what a tool does to the points beside it is then as much its square as itself.
+    Its standard deviation is about a tenth of the tool's size, and errors of two or three standard
+    deviations occur: at points close to the tool the second-order effect is then as large as the
+    first-order one.
 
     Parameters
     ----------
     parameters : tuple of p NuisanceParameter
     change : function               Poisson's ratio -> (n_rows, m) float [m Pa]: displacement times
-                                    shear modulus under each of m other contacts, less that under
+                                    shear modulus for each of m perturbed contacts, minus that for
                                     the stated one, under the measured force
-    first : (m, p) float            which combinations of these are the derivatives by one standard
-                                    deviation of each parameter
-    second : (m, p, p) float        and which are the second derivatives
-    count : int                     of the points; rows behind theirs are of the tool, which the
-                                    contact moves along with
+    first : (m, p) float            combinations of these changes that give the derivative per
+                                    standard deviation of each parameter
+    second : (m, p, p) float        combinations that give the second derivatives
+    count : int                     number of points; rows after theirs belong to the tip, which
+                                    moves with the contact
     """
 
     parameters: tuple[NuisanceParameter, ...]
@@ -43,7 +44,7 @@ class ContactError:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """The model's own derivative, over the shear modulus (`Nuisance.columns`)."""
+        """First derivatives from the perturbed contacts (`Nuisance.columns`)."""
         return self.change(poisson_ratio)[rows] @ (load[3] * self.first)
 
     def curvature(
@@ -52,8 +53,8 @@ class ContactError:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p p"]:
-        """The model's own second derivative, over the shear modulus (`CurvedNuisance.curvature`);
-        none where the contacts show none."""
+        """Second derivatives from the perturbed contacts (`CurvedNuisance.curvature`); zero in the
+        rows of the tip."""
         found = np.tensordot(self.change(poisson_ratio)[rows], load[3] * self.second, axes=1)
         found[rows >= 3 * self.count] = 0.0
         return found
@@ -65,16 +66,16 @@ def contact_error(
     change: Callable[[float], Float[np.ndarray, "n_rows m"]],
     count: int,
 ) -> ContactError:
-    """The error of a contact, from what other contacts than the stated one change.
+    """Make the error of a contact from the changes that perturbed contacts cause.
 
-    Its derivatives are those of the polynomial that goes through all of them, with as many terms as
-    there are changes.
+    Its derivatives are those of the interpolating polynomial, which has as many terms as there are
+    perturbed contacts.
 
     Parameters
     ----------
     parameters : tuple of p NuisanceParameter
-    steps : (m, p) float            how many standard deviations of each parameter the m other
-                                    contacts differ from the stated one
+    steps : (m, p) float            offset of each of m perturbed contacts from the stated one, in
+                                    standard deviations of each parameter
     change, count                   as `ContactError`
 
     Returns
@@ -92,7 +93,7 @@ def contact_error(
 
 
 def _shown(steps: Float[np.ndarray, "m p"], i: int, j: int) -> bool:
-    """Whether the contacts lie so that the product of two parameters can be told apart."""
+    """Whether the perturbed contacts determine the second-order term of two parameters."""
     if i == j:
         return bool(np.unique(steps[np.flatnonzero(steps[:, i]), i]).size > 1)
     return bool((steps[:, i] * steps[:, j]).any())

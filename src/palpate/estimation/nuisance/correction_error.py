@@ -1,4 +1,4 @@
-"""What a correction of the measurements may itself be off by."""
+"""Error of a correction that was applied to the measurements."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrectionError:
-    """Steps by which a correction may differ, whatever the constants (`Nuisance`).
+    """Error of a correction, independent of the constants (`Nuisance`).
 
     Parameters
     ----------
     parameters : tuple of p NuisanceParameter
-    steps : (n_rows, p) float [m]   what one standard deviation of each adds to the correction
+    steps : (n_rows, p) float [m]   change of the correction per standard deviation of each
     """
 
     parameters: tuple[NuisanceParameter, ...]
@@ -28,5 +28,5 @@ class CorrectionError:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """The steps themselves (`Nuisance.columns`)."""
+        """The measured rows of `steps` (`Nuisance.columns`)."""
         return self.steps[rows]

@@ -1,5 +1,5 @@
-"""What a finer mesh at rims of supports and in hollow edges has changed, and what a still finer one
-would."""
+"""Discretisation error that is left after refining the mesh at support rims and re-entrant
+(hollow) edges."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Discretisation:
-    """Error of the model's mesh, measured on a coarser mesh of the same object (`Nuisance`).
+    """Discretisation error, from the change on a coarser mesh of the same object (`Nuisance`).
 
     Parameters
     ----------
-    std : float [-]                 standard deviation of what is left, over the step from the
-                                    coarser mesh to the finer one, > 0
+    std : float [-]                 standard deviation of the remaining error as a fraction of the
+                                    change from the coarser mesh to the finer one, > 0
     coarser : function              Poisson's ratio, shear modulus [Pa] -> (n_rows, c) float:
                                     response on the coarser mesh (`ResponseModel`)
     """
@@ -27,7 +27,7 @@ class Discretisation:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """One for all probings."""
+        """One, shared by all probings."""
         name = "mesh (in steps from the given to the graded one)"
         return (NuisanceParameter(name, self.std, of="mesh"),)
 
@@ -38,6 +38,6 @@ class Discretisation:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """Some of the same step again (`Nuisance.columns`)."""
+        """`std` times the change from the coarser mesh to the finer one (`Nuisance.columns`)."""
         step = (response - self.coarser(poisson_ratio, 1.0 / load[3])[rows]) @ load
         return self.std * step[:, None]

@@ -1,4 +1,4 @@
-"""A force sensor whose axes are turned against the object's frame."""
+"""A force sensor whose axes are rotated relative to the object's frame."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True)
 class ForceDirection:
-    """Turn of the force sensor's axes (`Nuisance`).
+    """Misalignment of the force sensor's axes (`Nuisance`).
 
     Parameters
     ----------
-    std : float [rad]               about each axis of the object's frame, > 0
-    measured : (3,) bool            components that the sensor measured; the others are free by
-                                    themselves, and a turn of what was not measured is none
+    std : float [rad]               rotation about each axis of the object's frame, > 0
+    measured : (3,) bool            components that the sensor measured; the others are free
+                                    unknowns, which a rotation of the sensor does not change
     """
 
     std: float
@@ -24,7 +24,7 @@ class ForceDirection:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """Three for all probings."""
+        """Three, shared by all probings."""
         turn = "turn of the force sensor"
         names = (f"{turn} about {axis}" for axis in "xyz")
         return tuple(NuisanceParameter(name, self.std, "rad", turn) for name in names)
@@ -36,6 +36,6 @@ class ForceDirection:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """What a small turn of the force moves (`Nuisance.columns`)."""
+        """Displacement due to a small rotation of the force (`Nuisance.columns`)."""
         turned = self.std * np.cross(np.eye(3), load[:3]) * np.array(self.measured)
         return response[:, :3] @ turned.T

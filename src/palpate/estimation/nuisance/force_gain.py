@@ -1,4 +1,4 @@
-"""A force sensor whose every reading is too large or too small by the same share."""
+"""A force sensor whose readings are all too large or too small by the same factor."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ class ForceGain:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """One for all probings."""
+        """One, shared by all probings."""
         return (NuisanceParameter("gain of the force sensor", self.std),)
 
     def columns(
@@ -31,5 +31,5 @@ class ForceGain:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """What the force moves, times the standard deviation (`Nuisance.columns`)."""
+        """Displacement due to the force, times `std` (`Nuisance.columns`)."""
         return self.std * (response[:, :3] @ load[:3])[:, None]

@@ -1,4 +1,4 @@
-"""Displacements that are too long or too short as a whole, differently along each axis."""
+"""Scale error of the measured displacements, independent along each axis."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ class LengthScale:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """Three for all probings."""
+        """Three, shared by all probings."""
         names = (f"scale of measured displacements along {axis}" for axis in "xyz")
         return tuple(NuisanceParameter(name, self.std, of="scale of lengths") for name in names)
 
@@ -32,6 +32,6 @@ class LengthScale:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """Each displacement in the column of its axis (`Nuisance.columns`)."""
+        """Displacement times `std`, in the column of its axis (`Nuisance.columns`)."""
         along = rows[:, None] % 3 == np.arange(3)
         return np.where(along, self.std * (response @ load)[:, None], 0.0)

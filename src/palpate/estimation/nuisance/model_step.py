@@ -1,4 +1,4 @@
-"""What a model may be off by, measured by another model of the same body."""
+"""Model error, estimated from a second model of the same body."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelStep:
-    """The step from one model to another as the standard deviation of an error (`Nuisance`).
+    """An error with the difference of two models as its standard deviation (`Nuisance`).
 
     Parameters
     ----------
-    name : str                      of the error, in words that end a sentence
+    name : str                      of the error, worded so that it can end a sentence
     one, other : function           Poisson's ratio, shear modulus [Pa] -> (n_rows, c) float:
                                     responses of both (`ResponseModel`)
     """
@@ -26,7 +26,7 @@ class ModelStep:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """One for all probings."""
+        """One, shared by all probings."""
         return (NuisanceParameter(self.name, 1.0, of="mesh"),)
 
     def columns(
@@ -36,7 +36,7 @@ class ModelStep:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """The step from one to the other (`Nuisance.columns`)."""
+        """Displacement under `other` minus that under `one` (`Nuisance.columns`)."""
         constants = poisson_ratio, 1.0 / load[3]
         step = self.other(*constants)[rows] - self.one(*constants)[rows]
         return (step @ load)[:, None]

@@ -1,10 +1,10 @@
-"""Errors of a measurement that are parameters with a prior: what every kind of them gives.
+"""Systematic errors as nuisance parameters with a prior: the interface of every kind.
 
-A force gauge that reads 1 % too much, a tool that pressed half a millimetre beside the point that
-the session names, an object that lies a little turned: such errors move all points of a probing
-together, or all probings. No number of points averages them away. Each is a parameter b with a
-prior of mean 0, eliminated along with the true forces. The prediction is linear in b but for the
-kinds that say otherwise (`CurvedNuisance`): about the estimate it is linear in these as well.
+A force gauge that reads 1 % too much, a tool that pressed half a millimetre off the stated point,
+an object that lies slightly rotated: such errors affect all points of a probing, or all probings,
+together. No number of points averages them out. Each is a parameter b with a prior of zero mean,
+eliminated together with the true forces. The prediction is linear in b except for kinds of
+`CurvedNuisance`, which are linearised about the estimate.
 """
 
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from jaxtyping import Float, Int
 
 @dataclass(frozen=True, slots=True)
 class NuisanceParameter:
-    """One such error; parameters of the same name in several probings are one and the same.
+    """One nuisance parameter; those of the same name in several probings are one parameter.
 
     Parameters
     ----------
-    name : str                      in words that end a sentence: "force gain of the sensor"
+    name : str                      worded so that it can end a sentence: "gain of the force sensor"
     std : float                     of the prior, > 0
-    unit : str                      of `std`: "m", "rad", or empty for a share
-    of : str                        what the uncertainty budget counts it to, such as "pose of the
-                                    object"; empty: it is a source of its own
+    unit : str                      of `std`: "m", "rad", "m/Pa", or empty for a relative error
+    of : str                        source in the uncertainty budget that it is part of, such as
+                                    "pose of the object"; empty: it is a source of its own
     """
 
     name: str
@@ -34,13 +34,13 @@ class NuisanceParameter:
 
     @property
     def source(self) -> str:
-        """What the uncertainty budget counts it to."""
+        """Source in the uncertainty budget that it is part of."""
         return self.of or self.name
 
 
 @runtime_checkable
 class Nuisance(Protocol):
-    """A kind of error, as it shows in one probing."""
+    """A kind of error and its effect on one probing."""
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -54,15 +54,15 @@ class Nuisance(Protocol):
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """Change of the displacements for one prior standard deviation of each parameter.
+        """Change in displacement per prior standard deviation of each parameter.
 
         Parameters
         ----------
         rows : (r,) int             measured rows of the probing (`ResponseModel`)
         response : (r, c) float     of these rows
-        load : (c,) float           what the response is multiplied with: force [N] and 1, over the
-                                    shear modulus [Pa], then motions
-        poisson_ratio : float [-]   of the response
+        load : (c,) float           vector that multiplies the response: force [N] and 1, both over
+                                    the shear modulus [Pa], then motions
+        poisson_ratio : float [-]   at which the response was taken
 
         Returns
         -------
@@ -73,7 +73,7 @@ class Nuisance(Protocol):
 
 @runtime_checkable
 class CurvedNuisance(Nuisance, Protocol):
-    """A kind of error that may be so large that its square counts; it belongs to one probing."""
+    """A kind of error so large that second order matters; it belongs to one probing."""
 
     def curvature(
         self,

@@ -1,4 +1,4 @@
-"""A mesh that lies a little beside the object on which the displacements were measured."""
+"""Misregistration of the mesh with the object on which the displacements were measured."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ _POSE = "pose of the object"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Place of the mesh against the measured points: three shifts, three turns (`Nuisance`).
+    """Pose of the mesh relative to the measured points: translation and rotation (`Nuisance`).
 
     Parameters
     ----------
     translation, rotation : float [m], [rad]    standard deviation along and about each axis; 0 =
                                                 exact
-    change : sparse arrays (3 n, 3 v)           change of the displacement at the n points, from
-                                                that of the mesh's vertices, for one standard
-                                                deviation of each that is not exact
+    change : sparse arrays (3 n, 3 v)           one for each parameter: takes the displacement of
+                                                the v vertices to its change at the n points, per
+                                                standard deviation
     vertices : function                         Poisson's ratio -> (rows, c) float: response of all
                                                 vertices, three rows each (`ResponseModel`)
     """
@@ -34,7 +34,7 @@ class Pose:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """Six for all probings, fewer where one of the standard deviations is zero."""
+        """Six, shared by all probings; three where one of the standard deviations is zero."""
         shifts = (
             NuisanceParameter(f"shift of the object along {axis}", self.translation, "m", _POSE)
             for axis in "xyz"
@@ -52,10 +52,10 @@ class Pose:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """What the points see of the field when they lie elsewhere in it (`Nuisance.columns`)."""
-        # A measured contact point has rows of its own behind those of the vertices.
+        """Change in displacement as the points move within the field (`Nuisance.columns`)."""
+        # Rows of a measured contact point follow those of the vertices.
         field = (self.vertices(poisson_ratio) @ load)[: self.change[0].shape[1]]
         moved = np.stack([change @ field for change in self.change], axis=1)
-        # It moves with the tool, not with the mesh.
+        # The contact point moves with the tool, not with the mesh.
         tip = np.zeros((3, len(self.change)))
         return np.concatenate([moved, tip])[rows]

@@ -1,4 +1,4 @@
-"""Space as calibrated cameras see it: stretched and sheared a little where the object stands."""
+"""Errors of the camera calibration: measured space is slightly stretched and sheared."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpaceStretch:
-    """Errors of a calibration as they show in measured displacements (`Nuisance`).
+    """Effect of calibration errors on measured displacements (`Nuisance`).
 
     Parameters
     ----------
-    strains : (p, 3, 3) float [-]   symmetric; for one standard deviation of each of p errors that
-                                    do not depend on each other
-    points : int                    n: rows of the response beyond 3 n are not of the cameras
+    strains : (p, 3, 3) float [-]   symmetric strain per standard deviation of each of p independent
+                                    errors
+    points : int                    n; rows from 3 n on were not measured by the cameras
     """
 
     strains: Float[np.ndarray, "p 3 3"]
@@ -24,7 +24,7 @@ class SpaceStretch:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """One for each error, for all probings; its size is that of its strain."""
+        """One for each strain, shared by all probings; its std is the strain's Frobenius norm."""
         sizes = np.linalg.norm(self.strains, axis=(1, 2)).tolist()
         return tuple(
             NuisanceParameter(
@@ -40,7 +40,7 @@ class SpaceStretch:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """Each displacement stretched; a component that was not measured adds nothing to the others
+        """Strains times displacement, with components that were not measured taken as zero
         (`Nuisance.columns`)."""
         moved = np.zeros(3 * self.points + 3)
         moved[rows] = response @ load

@@ -1,4 +1,4 @@
-"""A support that gives under the object as a bed of springs would, where the model has it rigid."""
+"""Elastic compliance of a support in excess of the model's: a bed of springs (Winkler)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SupportCompliance:
-    """How much further than the model says some supports give (`Nuisance`).
+    """Compliance of some supports in excess of the model's (`Nuisance`).
 
-    Less than nothing is no compliance, but a prior that is as wide on that side keeps the estimate
-    from being drawn to soft supports by noise alone.
+    Negative compliance is unphysical, but a symmetric prior keeps noise alone from biasing the
+    estimate towards soft supports.
 
     Parameters
     ----------
-    supports : tuple of s int       their numbers, from 1
+    supports : tuple of s int       numbers of the supports, from 1
     std : float [m/Pa]              of each: displacement over traction, > 0
-    derivative : function           Poisson's ratio, place of a support -> (n_rows, c) float [1/m
-                                    times the response's]: of the response with respect to shear
-                                    modulus times compliance
+    derivative : function           Poisson's ratio, index in `supports` -> (n_rows, c) float [unit
+                                    of the response, per m]: derivative of the response with respect
+                                    to shear modulus times compliance
     """
 
     supports: tuple[int, ...]
@@ -31,7 +31,7 @@ class SupportCompliance:
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """One for each support."""
+        """One for each support, shared by all probings."""
         return tuple(
             NuisanceParameter(
                 f"compliance of support {number}", self.std, "m/Pa", "compliance of supports"
@@ -46,7 +46,7 @@ class SupportCompliance:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """What springs under the support let the points move (`Nuisance.columns`)."""
+        """Displacement due to springs under each support (`Nuisance.columns`)."""
         modulus = 1.0 / load[3]
         moved = [self.derivative(poisson_ratio, k)[rows] @ load for k in range(len(self.supports))]
         return self.std * modulus * np.stack(moved, axis=1)

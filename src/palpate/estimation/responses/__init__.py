@@ -1,7 +1,7 @@
 """What the boundary element model says that each probing should have seen.
 
 Purpose    : displacements of observed points at every Poisson's ratio, from one factorisation.
-Takes      : a `bem` system with its right-hand sides, and which displacements a probing sees.
+Takes      : a `bem` system with its right-hand sides, and the displacements each probing observes.
 Gives      : `ProbeResponse` (a `ResponseModel`), `ReducedModel`, `ResponseTable`.
 Depends on : `bem`; the observations of its room.
 Read first : `responses.py`, then `reduced_model.py`.

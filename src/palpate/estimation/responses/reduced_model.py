@@ -6,8 +6,8 @@ centre. The first two terms of the power series of x are x_0 and d x_1; the rest
     (1 + d M) y = d^2 x_2,        M = K^-1 K',
 
 a shifted system: the Krylov space of M and x_2 is the same for all d, and in its orthonormal basis
-the least-squares solution at any nu is that of a Hessenberg matrix of a few rows (GMRES), far
-outside the radius of convergence of the series itself. The residual is known exactly.
+the least-squares solution at any nu follows from a small Hessenberg matrix (GMRES), even far
+outside the radius of convergence of the series. The residual is known exactly.
 
 Source
 ------
@@ -39,28 +39,28 @@ from palpate.errors import NotConvergedError
 
 CENTRE = 0.3
 MOST_DIRECTIONS = 80
-# Relative residual at both ends of the range.
+# Largest relative residual allowed at both ends of the range.
 DENSE_RESIDUAL = 1e-8
-# Relative residual that a compressed system's model leaves over the range.
+# Largest relative residual allowed over the range for a compressed system.
 SNAPSHOT_RESIDUAL = 5e-7
 _TINY = np.finfo(float).tiny
 
 
 @runtime_checkable
 class SolutionModel(Protocol):
-    """Directions in which the solutions for all Poisson's ratios lie, for each of c right-hand
-    sides its own: `ReducedModel` from one factorisation, `SnapshotModel` from a few solutions."""
+    """Reduced basis of the solutions at all Poisson's ratios, one for each of c right-hand sides:
+    `ReducedModel` from one factorisation, `SnapshotModel` from a few solutions."""
 
     @property
     def directions(self) -> tuple[Float[np.ndarray, "k c"], ...]:
-        """j directions of k unknowns."""
+        """j basis vectors of k unknowns, for each right-hand side."""
         ...
 
     def coefficients(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
     ) -> tuple[Float[np.ndarray, "j c"], float]:
-        """Weights of the directions at one Poisson's ratio, for all or some right-hand sides, and
-        the largest relative residual that they leave."""
+        """Coefficients of the basis at one Poisson's ratio, for all or some right-hand sides, and
+        the largest relative residual."""
         ...
 
 
@@ -72,10 +72,10 @@ class ReducedModel:
     ----------
     centre : float                    Poisson's ratio of the factorisation
     directions : tuple of j (k, c) float    for each of c right-hand sides: x_0, x_1, then an
-                                      orthonormal basis of the Krylov space, zero from where a
-                                      right-hand side needs no more
-    identity, hessenberg : (c, j - 1, j - 2) float    1 and M from that basis into it and one
-                                      direction more, into which all leads that leaves it
+                                      orthonormal basis of the Krylov space, padded with zeros where
+                                      a right-hand side needs fewer vectors
+    identity, hessenberg : (c, j - 1, j - 2) float    1 and M as maps from that basis to the basis
+                                      extended by one vector (Arnoldi relation)
     start : (c,) float                norm of x_2
     scale : (c,) float                norm of x_0, the solution at the centre
     """
@@ -90,12 +90,12 @@ class ReducedModel:
     def coefficients(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
     ) -> tuple[Float[np.ndarray, "j c"], float]:
-        """Weights of the directions that give the solution at one Poisson's ratio.
+        """Coefficients of the basis that give the solution at one Poisson's ratio.
 
         Parameters
         ----------
-        poisson_ratio : float
-        columns : (c,) int        right-hand sides asked for, all by default
+        poisson_ratio : float [-]
+        columns : (c,) int        right-hand sides wanted, all by default
 
         Returns
         -------
@@ -109,7 +109,7 @@ class ReducedModel:
     def weights(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
     ) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, " c"]]:
-        """The same by right-hand side, and the residual of each."""
+        """As `coefficients`, transposed, with the relative residual of each right-hand side."""
         distance = poisson_ratio - self.centre
         matrix = self.identity[columns] + distance * self.hessenberg[columns]
         right = np.zeros(matrix.shape[:2])
@@ -130,17 +130,18 @@ def make_reduced_model(
     tolerance: float | Float[np.ndarray, " c"] = DENSE_RESIDUAL,
     snapshot_residual: float = SNAPSHOT_RESIDUAL,
 ) -> SolutionModel:
-    """Factorise once and gather directions until they serve the whole range.
+    """Factorise once and extend the Krylov basis until it covers the whole range.
 
-    A compressed system is not factorised: it is solved at a few Poisson's ratios.
+    A compressed system is not factorised: it is solved at a few Poisson's ratios instead.
 
     Parameters
     ----------
     system : BoundarySystem
     right : RightHand                 c columns
-    poisson_range : (float, float)    Poisson's ratios that will be asked for
-    tolerance : float or (c,) float   largest relative residual at both ends, where it is largest;
-                                      thin bodies make up to 1000 times as large an error of it
+    poisson_range : (float, float)    range of Poisson's ratio that the model must cover
+    tolerance : float or (c,) float   largest relative residual allowed at both ends of the range,
+                                      where it peaks; in thin bodies the relative error of the
+                                      solution may be 1000 times as large
     snapshot_residual : float         the same for a compressed system, over the whole range
 
     Returns
@@ -174,17 +175,17 @@ def make_spring_model(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = DENSE_RESIDUAL,
 ) -> ReducedModel:
-    """The same for an object on springs, with the derivatives of its solutions (`SpringSystem`).
+    """The same for an object on springs, with derivatives of its solutions (`SpringSystem`).
 
     Parameters
     ----------
     system : BoundarySystem
     factors : SpringFactors           at the Poisson's ratio `CENTRE`
-    right : RightHand                 c columns, of the object on a rigid support
-    give : (e,) float
-    changes : (d, e) float            of the give
-    known : (e, c) float or None      traction on each spring beside the unknown one, times
-                                      `traction_length`; None: none
+    right : RightHand                 c columns, for the object on a rigid support
+    give : (e,) float                 dimensionless compliance of each spring (`bem.SpringFactors`)
+    changes : (d, e) float            directions in `give` to differentiate the solutions along
+    known : (e, c) float or None      known part of the traction on each spring, times
+                                      `traction_length`; None: there is none
     poisson_range : (float, float)
     tolerance : float
 
@@ -206,7 +207,7 @@ def make_spring_model(
 def _placed(
     columns: Float[np.ndarray, "k o"], where: Bool[np.ndarray, " c"]
 ) -> Float[np.ndarray, "k c"]:
-    """Columns at their places among others, which are zero."""
+    """Columns placed where `where` is true, among columns of zeros."""
     placed = np.zeros((len(columns), len(where)))
     placed[:, where] = columns
     return placed
@@ -219,8 +220,8 @@ def _gathered(
     poisson_range: tuple[float, float],
     tolerance: float | Float[np.ndarray, " c"],
 ) -> ReducedModel:
-    """Directions by the inverse of the matrix at the centre, and by its derivative: of every
-    right-hand side as many as it needs."""
+    """Krylov basis from the inverse of the matrix at the centre and the matrix's derivative, with
+    as many vectors for each right-hand side as it needs."""
     _, slope, curvature = right.terms
     slope = slope + 2 * CENTRE * curvature
     first = solved(right.at(CENTRE))
@@ -229,12 +230,12 @@ def _gathered(
     scale, start = (np.linalg.norm(term, axis=0) + _TINY for term in (first, third))
     identity, hessenberg = np.zeros((2, len(start), MOST_DIRECTIONS + 1, MOST_DIRECTIONS))
     directions = [first, second, third / start]
-    # Of those right-hand sides only that need more.
+    # Basis of only those right-hand sides that need more vectors.
     basis, open_ = directions[2:], np.ones(len(start), dtype=bool)
     for rank in range(1, MOST_DIRECTIONS + 1):
         direction, step = orthogonalised(solved(sloped(basis[-1])), basis)
         hessenberg[open_, : rank + 1, rank - 1] = step.T
-        # Where a basis has ended, what would come leads to nothing but itself.
+        # Where a basis is complete, rows of the identity make all further coefficients zero.
         identity[open_, rank - 1, rank - 1] = identity[~open_, rank, rank - 1] = 1.0
         known = identity[:, : rank + 1, :rank].copy(), hessenberg[:, : rank + 1, :rank].copy()
         model = ReducedModel(CENTRE, tuple(directions), *known, start, scale)

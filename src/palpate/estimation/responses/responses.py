@@ -1,9 +1,9 @@
-"""What a boundary element model says that each probing should have seen, as a function of Poisson's
+"""Displacements that a boundary element model predicts for each probing, as a function of Poisson's
 ratio.
 
 The rows of a probing are those of `observations.ResponseModel`: its observed points, then its
-contact point. Two makers give them: `reduced_response` from one factorisation for all Poisson's
-ratios, `full_responses` from a new factorisation at each, the plain way and the reference.
+contact point. Two functions make them: `reduced_response` from one factorisation for all Poisson's
+ratios, `full_responses` (the plain reference) from a new factorisation at each.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,15 +31,15 @@ _TINY = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointRows:
-    """How the displacement of a contact point follows from the unknowns (`bem.PointEquations`),
-    with its loads.
+    """Equations for the displacement of a contact point from the unknowns and loads
+    (`bem.PointEquations`).
 
     Attributes
     ----------
-    matrix : (2, 3, k) float          constant and slope
+    matrix : (2, 3, k) float          constant and slope in Poisson's ratio
     own : (2, 3, 3) float             constant and slope
     right : (3, 3, c) float           constant, slope and curvature
-    particular : (3,) float [m Pa]    particular displacement under a body force, over its factor
+    particular : (3,) float [m Pa]    particular solution for a body force, over `dilation_factor`
     """
 
     matrix: Float[np.ndarray, "2 3 k"]
@@ -50,18 +50,18 @@ class PointRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbeMotions:
-    """How supports of a probing may move.
+    """Motions of a probing's supports.
 
     Attributes
     ----------
-    own : (n_rows, q) float           displacement of what is held per unit of each motion, at the
-                                      rows of the probing; what is not held follows it
-    grip : (3, k) sparse or None      force on a support that is pulled as a whole, from the
-                                      unknowns of the system, for a shear modulus of one pascal
-    lifts : (3,) int                  which of the motions are the shifts of that support along x, y
-                                      and z: its force takes their place
-    holding : (3, 3) float            projector onto the directions in which it is pulled: those
-                                      that it holds
+    own : (n_rows, q) float           prescribed displacement per unit of each motion, at the rows
+                                      of the probing; the solution adds that of the free surface
+    grip : (3, k) sparse or None      takes the unknowns to the resultant force on the support that
+                                      is pulled, for a shear modulus of one pascal
+    lifts : (3,) int                  indices of the motions that are that support's translations
+                                      along x, y and z: its force replaces them
+    holding : (3, 3) float            projector onto the directions in which the support holds the
+                                      object and is pulled
     """
 
     own: Float[np.ndarray, "n_rows q"]
@@ -72,8 +72,8 @@ class ProbeMotions:
     def split(
         self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
     ) -> tuple[Float[np.ndarray, "n_rows 3"], Float[np.ndarray, "n_rows r"]]:
-        """Displacement per newton on the support that is pulled, and per unit of the motions that
-        remain, that force being held.
+        """Displacement per newton on the support that is pulled, and per unit of the remaining
+        motions at constant force on it.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class ProbeMotions:
         """
         lifts = list(self.lifts)
         others = np.setdiff1d(np.arange(moved.shape[1]), lifts)
-        # A roller takes and gives a force along its own directions only.
+        # A roller transmits force along the directions that it holds only.
         value, vector = np.linalg.eigh(self.holding)
         along = vector[:, value > 0.5]
         compliance = along @ np.linalg.solve(along.T @ force[:, lifts] @ along, along.T)
@@ -96,21 +96,21 @@ class ProbeMotions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbeRows:
-    """Which displacements a probing sees.
+    """Observations of a probing as linear functions of the solutions.
 
     Attributes
     ----------
     columns : (c,) int                right-hand sides: the force along x, y, z, unless it acts on a
-                                      support; known loads; the two of a body force, if any; the
-                                      motions of supports that are solved for
-    surface : (3 n, k) sparse         observed displacements from the unknowns of the system
-    particular : (3 n,) float [m Pa]  particular displacement there under a body force, over its
-                                      factor
-    tip : PointRows or None           where the contact point's displacement was measured
-    known : (l,) float                how much there is of each known load
-    weighs : bool                     whether there is a body force
-    motions : ProbeMotions or None    None: nothing that is held moves
-    changes : int                     how many columns follow, of contacts that differ a little
+                                      support; known loads; the two of a body force, if any; motions
+                                      of supports; perturbed contacts
+    surface : (3 n, k) sparse         takes the unknowns to the observed displacements
+    particular : (3 n,) float [m Pa]  particular solution there for a body force, over
+                                      `dilation_factor`
+    tip : PointRows or None           None: the contact point's displacement was not measured
+    known : (l,) float                multiplier of each known load
+    weighs : bool                     whether a body force acts
+    motions : ProbeMotions or None    None: no support moves
+    changes : int                     number of columns for perturbed contacts, the last ones
     """
 
     columns: Int[np.ndarray, " c"]
@@ -129,7 +129,7 @@ class ProbeRows:
 
     def seen(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
         """Observed displacements, then the six equations (constant, slope) of the contact point and
-        the force on a support, zero where these are not asked for."""
+        the force on a support; zero where these are not needed."""
         tip, grip = np.zeros((6, solution.shape[1])), np.zeros((3, solution.shape[1]))
         if self.tip is not None:
             tip = self.tip.matrix.reshape(6, -1) @ solution
@@ -144,11 +144,11 @@ class ProbeRows:
         particular: Float[np.ndarray, " n_rows"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "n_rows t"]:
-        """What the solutions of the columns make of the response's columns (`ResponseModel`).
+        """Assemble the response (`ResponseModel`) from the solutions for the columns.
 
         Parameters
         ----------
-        moved : (n_rows, c) float             displacement that each solution gives
+        moved : (n_rows, c) float             displacement of each solution, for G = 1 Pa
         grip : (3, c) float                   force on the support that is pulled
         particular : (n_rows,) float          as the attribute, the tip included
         poisson_ratio : float
@@ -170,7 +170,7 @@ class ProbeRows:
         motion = self.motions.own + moved[:, moved.shape[1] - count :]
         if self.grip is not None:
             pushed, motion = self.motions.split(motion, grip[:, -count:])
-            # The force on the support is given: what other loads push there, it gives way to.
+            # The force on the support is prescribed, so the support yields to the other loads.
             pushing[:, 3] -= pushed @ (grip @ mix[:, 3])
             pushing[:, :3] = pushed
         return np.concatenate([pushing, motion], axis=1)
@@ -200,7 +200,7 @@ class ProbeResponse:
         return self.rows.response(moved[:, :kept], grip[:, :kept], particular, poisson_ratio)
 
     def change(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows p"]:
-        """Displacement times shear modulus that the columns of changed contacts give [m Pa].
+        """Displacement times shear modulus for the columns of perturbed contacts [m Pa].
 
         Parameters
         ----------
@@ -212,7 +212,7 @@ class ProbeResponse:
     def _moved(
         self, poisson_ratio: float
     ) -> tuple[Float[np.ndarray, "n_rows c"], Float[np.ndarray, "3 c"]]:
-        """Displacement of the rows for every column, and the force on a support that is pulled."""
+        """Displacement of the rows for every column, and the force on the pulled support."""
         seen = self.seen(poisson_ratio)
         observed, equations, grip = seen[:-9], seen[-9:-3], seen[-3:]
         tip = self.rows.tip
@@ -232,14 +232,14 @@ class ProbeResponse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpringResponse:
-    """Response of one probing of an object whose supports give (`ResponseModel`).
+    """Response of one probing of an object on compliant supports (`ResponseModel`).
 
     Attributes
     ----------
     rows : ProbeRows
     seen : callable                   Poisson's ratio -> (1 + d, rows, c): `ProbeRows.seen` of the
-                                      solution there, and what one more unit of the give of each of
-                                      d supports changes about it
+                                      solution there, and its derivatives with respect to the
+                                      compliance (give) of each of d supports
     """
 
     rows: ProbeRows
@@ -258,16 +258,16 @@ class SpringResponse:
         return self._plain().change(poisson_ratio)
 
     def softening(self, poisson_ratio: float, support: int) -> Float[np.ndarray, "n_rows c"]:
-        """Derivative of `value` with respect to the give of one of the supports.
+        """Derivative of `value` with respect to the compliance (give) of one of the supports.
 
         Parameters
         ----------
         poisson_ratio : float
-        support : int                 its place among the d
+        support : int                 index among the d supports
         """
         both = self.seen(poisson_ratio)
         value, change = both[0], both[1 + support]
-        # Linear but for a support that is pulled: its force takes the place of its shifts.
+        # Nonlinear only for a support that is pulled: its force replaces its translations.
         size = max(float(np.linalg.norm(change)), _TINY)
         step = _SLOPE_STEP * float(np.linalg.norm(value)) / size
         higher, lower = (
@@ -276,7 +276,7 @@ class SpringResponse:
         return (higher - lower) / (2 * step)
 
     def _from(self, seen: Float[np.ndarray, "rows c"]) -> ProbeResponse:
-        """The response that a solution gives of which so much is seen."""
+        """The response of a solution from its observations (`ProbeRows.seen`)."""
         return ProbeResponse(self.rows, lambda _: seen)
 
     def _plain(self) -> ProbeResponse:
@@ -296,7 +296,7 @@ def full_responses(
 
     Returns
     -------
-    list of ProbeResponse             the latest solution is kept: all probings ask for the same one
+    list of ProbeResponse             these share a cache of the latest solution
 
     Raises
     ------
@@ -322,14 +322,14 @@ def full_responses(
 def full_spring_responses(
     solution: Callable[[float], Float[np.ndarray, "k c"]], rows: Sequence[ProbeRows], blocks: int
 ) -> list[SpringResponse]:
-    """The same of an object on springs.
+    """As `full_responses`, for an object on springs.
 
     Parameters
     ----------
-    solution : function               Poisson's ratio -> (k, c) float: solutions in blocks
-                                      (`SpringSystem`)
+    solution : function               Poisson's ratio -> (k, c) float: solutions and their
+                                      derivatives in blocks (`SpringSystem`)
     rows : sequence of ProbeRows
-    blocks : int                      1 + d
+    blocks : int                      1 + d, d the number of derivatives
 
     Returns
     -------
@@ -348,7 +348,7 @@ def full_spring_responses(
 
 
 def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
-    """Response of one probing, its rows projected on the directions of the reduced model.
+    """Response of one probing, with its rows projected onto the basis of the reduced model.
 
     Parameters
     ----------
@@ -370,7 +370,7 @@ def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
 
 
 def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -> SpringResponse:
-    """The same of an object on springs.
+    """As `reduced_response`, for an object on springs.
 
     Parameters
     ----------
@@ -395,6 +395,6 @@ def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -
 def _projected(
     rows: ProbeRows, directions: Sequence[Float[np.ndarray, "k c"]]
 ) -> Float[np.ndarray, "c rows j"]:
-    """What a probing sees of each direction."""
+    """Observations (`ProbeRows.seen`) of each basis vector."""
     terms = [rows.seen(term) for term in directions]
     return np.stack(terms, axis=2).transpose(1, 0, 2).copy()

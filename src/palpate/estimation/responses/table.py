@@ -1,6 +1,6 @@
-"""Responses tabulated once over Poisson's ratio: the whole likelihood costs next to nothing.
+"""Responses tabulated once over Poisson's ratio: evaluating the likelihood then costs little.
 
-The response is smooth in Poisson's ratio, so its values at Chebyshev nodes give it everywhere.
+The response is smooth in Poisson's ratio, so interpolation between Chebyshev nodes suffices.
 """
 
 from collections.abc import Sequence
@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from palpate.estimation.observed_rows import ObservedRows
 
-# Nodes for a range of 0.5, more in proportion. Nearest pole of an elastic response at nu about 1
-# or 0.6 at worst: error below 1e-4 of the response; the final estimate uses exact responses.
+# Nodes for a range of up to 0.5, more in proportion. With the nearest pole of the response at nu
+# about 1, or 0.6 at worst, the relative error is below 1e-4; the final estimate is exact.
 _NODES_PER_HALF = 9
 
 
@@ -23,8 +23,9 @@ class ResponseTable:
     Parameters
     ----------
     poisson_range : (float, float) [-]              ends, lower one first
-    poisson_ratio : (m,) float [-]                  nodes, rising
-    response : tuple of (m, c, r) float             one for each probing, column-major
+    poisson_ratio : (m,) float [-]                  nodes, ascending
+    response : tuple of (m, c, r) float             one for each probing: `ObservedRows.value`,
+                                                    transposed
     """
 
     poisson_range: tuple[float, float]
@@ -40,7 +41,7 @@ class ResponseTable:
 
         Returns
         -------
-        tuple of (c, r) float           `ResponseModel.value`, transposed
+        tuple of (c, r) float           `ObservedRows.value`, transposed
         """
         weight = interpolation_weights(self.poisson_ratio, np.array([poisson_ratio]))[0]
         return tuple(np.einsum("m,mir->ir", weight, response) for response in self.response)
@@ -78,16 +79,16 @@ def response_table(
 def interpolation_weights(
     node: Float[np.ndarray, " m"], target: Float[np.ndarray, " g"]
 ) -> Float[np.ndarray, "g m"]:
-    """Barycentric interpolation from Chebyshev nodes of the first kind to other places.
+    """Barycentric interpolation from Chebyshev nodes of the first kind to other points.
 
     Parameters
     ----------
-    node : (m,) float               Chebyshev nodes of some interval, rising
-    target : (g,) float             places in that interval
+    node : (m,) float               Chebyshev nodes of some interval, ascending
+    target : (g,) float             points in that interval
 
     Returns
     -------
-    (g, m) float                    takes values at the nodes to values at the places
+    (g, m) float                    takes values at the nodes to values at the targets
 
     Source
     ------

@@ -1,6 +1,6 @@
 """The search for the minimum of the misfit over Poisson's ratio and shear modulus.
 
-Purpose    : a robust start over the whole range, then the exact minimum; a simplex to check it.
+Purpose    : a robust start over the whole range, then the exact minimum; a simplex as a check.
 Takes      : `ObservedRows`, a `ResponseTable`, a `NoiseModel`.
 Gives      : `Misfit`, `Minimum` with the probings linearised there, `FixedWeights`.
 Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.responses`; the observations of

@@ -1,8 +1,8 @@
 """Robust start: noise levels, weights and the global minimum over all of Poisson's ratio.
 
-Redescending weights have local minima, so nothing is trusted before the outliers are known: first
-every probing is fitted with a free force and a convex loss at the middle of the range, where even a
-wrong Poisson's ratio explains most of the field; only then the noise model and the global search.
+A redescending loss has local minima, so the outliers are identified first: every probing is fitted
+with a free force and a convex loss at the middle of the range, since even a wrong Poisson's ratio
+explains most of the field. Only then follow the noise model and the global search.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class GlobalStart:
 
 
 def fitted_parameters(probes: Sequence[ObservedRows]) -> int:
-    """Numbers that the residuals were fitted with: two constants, uncertain forces and motions.
+    """Number of fitted parameters: two constants, uncertain forces and motions.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One probing in units of the noise, and linearised at some constants, forces and errors."""
+"""One probing in units of the noise, linearised at given constants, forces and errors."""
 
 from dataclasses import dataclass
 
@@ -18,20 +18,21 @@ class ScaledRows:
     probe : ObservedRows
     measured : (r,) float [-]
     base : (r, c) float             response at a reference Poisson's ratio, over the noise
-    slope : (r, c) float            its derivative with respect to Poisson's ratio, zero where not
-                                    asked for
-    effects : (r, m + e) float      change for one prior standard deviation of each error, at the
-                                    reference: of the m that probings share, then of its own
-    curvature : (r, o, o) float or None     second derivative in the o errors of its own; None: the
-                                    effects are linear
-    drift : (r, 3) float            derivative of what the errors at the reference explain, by a
-                                    sigma of each component of the force
+    slope : (r, c) float            its derivative with respect to Poisson's ratio; zero if not
+                                    requested
+    effects : (r, m + o) float      change in displacement per prior standard deviation of each
+                                    error, at the reference: the m shared errors, then the o of its
+                                    own
+    curvature : (r, o, o) float or None     second derivatives in its own errors; None: the effects
+                                    are linear
+    drift : (r, 3) float            derivative of the displacement explained by the errors at the
+                                    reference, per standard deviation of each force component
     force : (3,) float              shift of the force at the reference, in sigmas
-    shear_modulus : float [Pa]      at which effects were taken; they are inverse to it
-    considered : (r, q) float       change for one prior standard deviation of each error that is
-                                    not fitted along; without columns where not asked for
+    shear_modulus : float [Pa]      at which `effects` were taken; they scale as 1 / G
+    considered : (r, q) float       change per prior standard deviation of each error that is
+                                    considered, not fitted; no columns if not requested
     settling : (r, c) float or None derivative of the response with respect to log G there, over the
-                                    noise; None: there is none
+                                    noise; None: the response does not depend on G
     """
 
     probe: ObservedRows
@@ -62,18 +63,18 @@ class LocalProbe:
     Parameters
     ----------
     rows : ObservedRows
-    table : (r, d + n + 1) float    slope of the prediction in d parameters of all probings (nu, log
-                                    G, errors that probings share) and in the n shifts, and last the
+    table : (r, d + n + 1) float    Jacobian of the prediction in the d common parameters (nu, log
+                                    G, shared errors) and in the n shifts; last column: the
                                     residual, measured minus predicted
-    squared : (p,) float            squared residual of every point
-    explained : (r,) float          what the errors explain of the displacements
+    squared : (p,) float            squared length of every point's residual
+    explained : (r,) float          displacement explained by the errors
     weight : (p,) float             robust weight of every point
-    shift : (n,) float              true minus measured force, then the same of the motions of
-                                    supports, then errors of this probing alone, in sigmas
+    shift : (n,) float              true minus measured force, likewise for the motions of supports,
+                                    then the probing's own errors, in sigmas
     force_weight : float            robust weight of the measured force
     loss : float                    contribution to the misfit
-    considered : (r, q) float       change for one prior standard deviation of each error that is
-                                    not fitted along
+    considered : (r, q) float       change per prior standard deviation of each error that is
+                                    considered, not fitted
     """
 
     rows: ObservedRows
@@ -88,12 +89,12 @@ class LocalProbe:
 
     @property
     def common(self) -> int:
-        """How many parameters it has in common with the other probings, d."""
+        """Number d of parameters in common with the other probings."""
         return self.table.shape[1] - len(self.shift) - 1
 
     @property
     def design(self) -> Float[np.ndarray, "r d"]:
-        """Slope of the prediction."""
+        """Jacobian of the prediction (design matrix)."""
         return self.table[:, :-1]
 
     @property
@@ -102,14 +103,13 @@ class LocalProbe:
         return self.table[:, -1]
 
     def prior(self, force_weight: float | None = None) -> Float[np.ndarray, " n"]:
-        """Weight of what was known before about each shift; of the force as it turned out to be,
-        or as given."""
+        """Prior weight of each shift; that of the force as given, by default its robust weight."""
         weight = self.force_weight if force_weight is None else force_weight
         known = self.rows.prior(weight)
         return np.append(known, np.ones(len(self.shift) - len(known)))
 
     def weighted_products(self) -> Float[np.ndarray, "t t"]:
-        """Products of the table's columns under the robust weights, table' W table."""
+        """Weighted Gram matrix of the table, table' W table, with the robust weights W."""
         return weighted_square(self.table.T, self.rows.per_row(self.weight))
 
 
@@ -121,7 +121,7 @@ def linearised_probe(
     shift: Float[np.ndarray, " n"],
     errors: Float[np.ndarray, " m"],
 ) -> LocalProbe:
-    """One probing at nu = reference + offset, a shear modulus, a true force and errors.
+    """Linearise one probing at nu = reference + offset, a shear modulus, a true force and errors.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def linearised_probe(
     offset : float [-]              in Poisson's ratio
     shear_modulus : float [Pa]      > 0
     shift : (n,) float              see `LocalProbe.shift`
-    errors : (m,) float             that probings share, in sigmas
+    errors : (m,) float             shared errors, in sigmas
     """
     probe = rows.probe
     response = rows.response(offset, shear_modulus)

@@ -2,9 +2,10 @@
 
 A measured force is an observation like any other: F_measured = F + noise, with the true force F
 unknown. For given constants the true forces are eliminated probing by probing (profile likelihood
-of a functional errors-in-variables model), and with them the motions of supports that are not
-known, and every error that points share (`nuisance`). No normaliser of an integral over F enters:
-it would favour large moduli by three force variances over the squared force for every probing.
+of a functional errors-in-variables model), and with them unknown motions of supports and every
+nuisance parameter (`nuisance`). They are profiled out, not integrated out: the normaliser of an
+integral over F would favour large moduli, by three force variances over the squared force for
+every probing.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ _FORCE_TOLERANCE = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """Minus twice the log likelihood of the constants, true forces and errors eliminated.
+    """Minus twice the profile log likelihood of the constants: true forces and errors eliminated.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ class Misfit:
     level : (8,) float                      noise level of each group, see `noise_levels`
     noise : NoiseModel                      of a point's displacement and of a probing's force
     shared : tuple of NuisanceParameter     the m errors that probings of the session share; by
-                                            default those of more than one of these
+                                            default those that occur in several of `probes`
     """
 
     probes: tuple[ObservedRows, ...]
@@ -51,11 +52,11 @@ class Misfit:
         return tuple(one for one in probe.parameters if one.name not in shared)
 
     def no_shifts(self) -> list[Float[np.ndarray, " _"]]:
-        """Shifts of every probing where all is as measured."""
+        """Zero shifts of every probing: forces and motions as measured, no errors."""
         return [np.zeros(3 + len(one.motion) + len(self.own(one))) for one in self.probes]
 
     def __call__(self, poisson_ratio: float, shear_modulus: float) -> float:
-        """Misfit at given constants, the best true force taken for every probing.
+        """Misfit at given constants, at its minimum over true forces, motions and errors.
 
         Parameters
         ----------
@@ -68,7 +69,7 @@ class Misfit:
 
         Raises
         ------
-        NotConvergedError                   the force of a probing did not settle
+        NotConvergedError                   the true force of a probing did not converge
         """
         errors, local = self.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
         return total_loss(local, errors)
@@ -83,7 +84,8 @@ class Misfit:
         ----------
         poisson_ratio : float [-]
         shear_modulus : float [Pa]      > 0
-        with_slope : bool               False: without the derivative in Poisson's ratio
+        with_slope : bool               False: without derivatives in Poisson's ratio, and without
+                                        considered errors
 
         Returns
         -------
@@ -91,7 +93,7 @@ class Misfit:
 
         Raises
         ------
-        NotConvergedError                   the force of a probing did not settle
+        NotConvergedError                   the true force of a probing did not converge
         """
         shifts, errors = self.no_shifts(), np.zeros(len(self.shared))
         rows = self.scaled(poisson_ratio, shear_modulus, shifts, with_slope=with_slope)
@@ -106,7 +108,7 @@ class Misfit:
             largest = np.abs(np.concatenate([step, *moves])).max()
             if largest < _FORCE_TOLERANCE * (1 + np.abs(np.concatenate([errors, *shifts])).max()):
                 if with_slope:
-                    # What errors explain has slopes of its own where they are not zero.
+                    # What non-zero errors explain depends on the force, too: linearise again.
                     rows = self.scaled(poisson_ratio, shear_modulus, shifts, errors)
                     local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
                 return errors, local
@@ -125,15 +127,16 @@ class Misfit:
         *,
         with_slope: bool = True,
     ) -> list[ScaledRows]:
-        """Rows of every probing in units of the noise, about one point of the constants.
+        """Rows of every probing in units of the noise, for linearisation about given constants.
 
         Parameters
         ----------
         poisson_ratio : float [-]
         shear_modulus : float [Pa]                  > 0
         shifts : one (n,) float for each probing    see `LocalProbe.shift`
-        errors : (m,) float or None                 that probings share, in sigmas; None: none yet
-        with_slope : bool                           False: derivatives are left at zero
+        errors : (m,) float or None                 shared errors, in sigmas; None: all zero
+        with_slope : bool                           False: slope and drift are zero, and considered
+                                                    errors are left out
 
         Returns
         -------
@@ -143,7 +146,7 @@ class Misfit:
         scaled = []
         for probe, shift in zip(self.probes, shifts, strict=True):
             sigma = probe.sigma(self.level)[:, None]
-            # First: all that follows asks at the ratio itself, and a response keeps its latest.
+            # First, as it evaluates at other ratios: a response caches its latest solution only.
             slope = probe.slope(poisson_ratio) if with_slope else 0.0
             response = probe.value(poisson_ratio)
             settling = probe.settling(poisson_ratio, shear_modulus)
@@ -186,8 +189,8 @@ class Misfit:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r e"]:
-        """Change for one prior standard deviation of each error [m]: of those that probings share,
-        then of the probing's own."""
+        """Change in displacement per prior standard deviation of each error [m]: the shared errors,
+        then the probing's own."""
         names = [one.name for one in self.shared]
         found = probe.nuisance_columns(response, load, poisson_ratio)
         effects = np.zeros((len(found), len(names) + len(self.own(probe))))
@@ -201,7 +204,7 @@ class Misfit:
     def _curvature(
         self, probe: ObservedRows, load: Float[np.ndarray, " c"], poisson_ratio: float
     ) -> Float[np.ndarray, "r o o"] | None:
-        """Second derivative in the errors of one probing alone [m]."""
+        """Second derivatives in the probing's own errors [m]; None: effects are linear."""
         curved = probe.nuisance_curvature(load, poisson_ratio)
         if not curved:
             return None
@@ -221,12 +224,12 @@ class Misfit:
         errors: Float[np.ndarray, " e"],
         start: Float[np.ndarray, " r"],
     ) -> Float[np.ndarray, "r 3"]:
-        """Derivative of what errors explain, `start`, by a sigma of each component of the force
-        [m]."""
+        """Derivative of the displacement explained by the errors, `start`, per standard deviation
+        of each force component [m]."""
         columns = []
         for i, std in enumerate(probe.force_std):
             pushed = load.copy()
-            # Load 3 is one over the modulus.
+            # load[3] is 1 / G.
             pushed[i] += std * load[3]
             changed = start
             if std > 0.0:
@@ -252,7 +255,7 @@ class Misfit:
         offset : float [-]              in Poisson's ratio
         shear_modulus : float [Pa]      > 0
         shifts : one (n,) float for each probing    see `LocalProbe.shift`
-        errors : (m,) float             that probings share, in sigmas
+        errors : (m,) float             shared errors, in sigmas
         """
         return tuple(
             linearised_probe(self.noise, row, offset, shear_modulus, shift, errors)
@@ -265,7 +268,7 @@ def _explained(
     curvature: Float[np.ndarray, "r o o"] | None,
     errors: Float[np.ndarray, " e"],
 ) -> Float[np.ndarray, " r"]:
-    """What errors change; the last o of them with their squares."""
+    """Displacement explained by the errors, to second order in the last o of them."""
     found = effects @ errors
     if curvature is None:
         return found
@@ -274,7 +277,7 @@ def _explained(
 
 
 def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParameter, ...]:
-    """Parameters of more than one probing."""
+    """Parameters that occur in more than one probing."""
     seen: dict[str, NuisanceParameter] = {}
     shared: dict[str, NuisanceParameter] = {}
     for probe in probes:
@@ -284,12 +287,12 @@ def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParamete
 
 
 def total_loss(local: Sequence[LocalProbe], errors: Float[np.ndarray, " m"]) -> float:
-    """The misfit of probings that are linearised already.
+    """The misfit from linearised probings.
 
     Parameters
     ----------
     local : sequence of LocalProbe
-    errors : (m,) float             that probings share, in sigmas
+    errors : (m,) float             shared errors, in sigmas
 
     Returns
     -------
@@ -303,20 +306,20 @@ def common_equations(
     errors: Float[np.ndarray, " m"],
     factors: Sequence[float] | None = None,
 ) -> tuple[Float[np.ndarray, "d d"], Float[np.ndarray, " d"], list[Float[np.ndarray, "_ _"]]]:
-    """Normal equations of what probings have in common, the shifts of each eliminated.
+    """Normal equations of the common parameters, with the shifts of each probing eliminated.
 
     Parameters
     ----------
     local : sequence of LocalProbe
-    errors : (m,) float             that probings share, in sigmas; d = 2 + m
-    factors : one for each probing  on the products of the displacements, by default 1
+    errors : (m,) float             shared errors, in sigmas; d = 2 + m
+    factors : one for each probing  on the products of its Jacobian, 1 by default
 
     Returns
     -------
     normal : (d, d) float
     gradient : (d,) float
-    solved : one (n, d + 1) float for each probing     shifts of it per unit of each common
-                                    parameter, with the other sign, and last where those stay
+    solved : one (n, d + 1) float for each probing     minus the change of its shifts per unit of
+                                    each common parameter; last column: their step with these fixed
     """
     d = 2 + len(errors)
     normal, gradient = np.diag(np.append(np.zeros(2), np.ones(d - 2))), np.zeros(d)

@@ -1,6 +1,6 @@
 """The paper's baseline: a Nelder-Mead simplex over (nu, G) on the full misfit.
 
-Slow and simple; it uses exact responses and the same misfit, and so checks the fast path.
+Slow and simple: it uses exact responses and the same misfit, so it serves to check the fast path.
 
 Source
 ------
@@ -38,11 +38,11 @@ def nelder_mead_minimum(
     Returns
     -------
     Minimum                         nu and log G to about 1e-8, probings linearised there;
-                                    `converged` is false where the evaluations ran out
+                                    `converged` is false if the limit of evaluations was reached
 
     Raises
     ------
-    NotConvergedError               the force of a probing did not settle
+    NotConvergedError               the true force of a probing did not converge
     """
     low, high = poisson_range
     start = np.array([np.clip(poisson_ratio, low, high), 0.0])

@@ -1,7 +1,7 @@
 """Fisher scoring: the exact minimum of the misfit in (nu, G) and all true forces together.
 
-Starts from the tabulated minimum. Inside, responses are linear in Poisson's ratio and the robust
-weights are updated at every step; outside, the exact responses are taken again.
+Starts from the tabulated minimum. In the inner loop responses are linear in Poisson's ratio and the
+robust weights are updated at every step; the outer loop evaluates the exact responses again.
 """
 
 from collections.abc import Sequence
@@ -15,30 +15,30 @@ from palpate.estimation.search.local_probe import LocalProbe, ScaledRows
 from palpate.estimation.search.misfit import Misfit, common_equations, total_loss
 
 _MAX_LINEARISATIONS = 20
-# Of a change, where changes swing about their end by up to twenty times the distance to it.
+# Smallest relaxation factor: changes may overshoot their limit up to twentyfold.
 _SMALLEST_SHARE = 0.05
 _MAX_STEPS = 12
 _MAX_HALVINGS = 12
 _LONGEST_STEP = 2.0
-# The mean slope of the score relative to the mean weight, never below this: far from the minimum it
-# may be negative, and a step against it would lead uphill.
+# Lower bound of the mean slope of the score over the mean weight: far from the minimum the slope
+# may be negative, and the step would lead uphill.
 _SMALLEST_SLOPE = 0.3
 _LINEARISATION_TOLERANCE = 1e-10
 _STEP_TOLERANCE = 1e-11
-# A step this small against the standard error changes nothing that data could show.
+# A step this small compared with the standard error is irrelevant.
 _STEP_OVER_ERROR = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum:
-    """Minimum of the misfit with everything that intervals need.
+    """Minimum of the misfit, with what the intervals need.
 
     Parameters
     ----------
     poisson_ratio : float [-]
     shear_modulus : float [Pa]
     probes : tuple of LocalProbe    linearised at the minimum
-    errors : (m,) float             that probings share, in prior standard deviations
+    errors : (m,) float             shared errors, in prior standard deviations
     converged : bool
     """
 
@@ -58,7 +58,7 @@ def scored_minimum(
     shifts: Sequence[Float[np.ndarray, " _"]] | None = None,
     errors: Float[np.ndarray, " m"] | None = None,
 ) -> Minimum:
-    """Minimum of the misfit near a start.
+    """Minimum of the misfit near a starting point.
 
     Parameters
     ----------
@@ -66,13 +66,12 @@ def scored_minimum(
     poisson_ratio : float [-]       start
     shear_modulus : float [Pa]      start, > 0
     poisson_range : (float, float)  Poisson's ratio stays inside
-    shifts : one (n,) float for each probing, or None   start of forces, motions and errors, in
-                                    sigmas
-    errors : (m,) float or None     start of what probings share, in sigmas
+    shifts : one (n,) float for each probing, or None   start of `LocalProbe.shift`; None: zero
+    errors : (m,) float or None     start of the shared errors, in sigmas; None: zero
 
     Returns
     -------
-    Minimum                         `converged` is false where the steps did not die out
+    Minimum                         `converged` is false if the iteration did not converge
     """
     nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
     shifts = list(misfit.no_shifts() if shifts is None else shifts)
@@ -82,7 +81,7 @@ def scored_minimum(
         rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, shifts, start.errors)
         found, error = _linear_minimum(misfit, rows, start, shifts, poisson_range)
         change = _joined(found, [probe.shift for probe in found.probes]) - _joined(start, shifts)
-        # Responses and effects are taken linear over a move; what that leaves is of its square.
+        # Responses and effects are linearised over a move; the error left is of second order in it.
         moved = float(np.abs(change[:2]).max())
         if moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error:
             return replace(found, converged=True)
@@ -94,16 +93,16 @@ def scored_minimum(
 def taken_share(
     change: Float[np.ndarray, " n"], before: Float[np.ndarray, " b"], share: float
 ) -> float:
-    """How much of a change leads to where the changes end, if they go on as since the last one.
+    """Relaxation factor for a fixed-point change, by Aitken's method.
 
     Parameters
     ----------
-    change, before : (n,) float     this change and the whole one before; empty at first
-    share : float                   how much was taken of the one before
+    change, before : (n,) float     this change and the previous one, unrelaxed; empty at first
+    share : float                   relaxation factor of the previous change
 
     Returns
     -------
-    float                           0.05 to 1; 1 where changes do not swing
+    float                           0.05 to 1; 1 where changes do not overshoot
 
     Source
     ------
@@ -117,14 +116,14 @@ def taken_share(
 
 
 def _joined(here: Minimum, shifts: Sequence[np.ndarray]) -> Float[np.ndarray, " n"]:
-    """Everything that is estimated as one vector: nu, log G, shared errors, each probing's own."""
+    """All estimated parameters as one vector: nu, log G, shared errors, shifts of each probing."""
     return np.concatenate([[here.poisson_ratio, np.log(here.shear_modulus)], here.errors, *shifts])
 
 
 def _moved(
     start: Minimum, shifts: Sequence[np.ndarray], change: Float[np.ndarray, " n"]
 ) -> tuple[Minimum, list[np.ndarray]]:
-    """A start and its shifts, moved on."""
+    """A start and its shifts after a change of all parameters."""
     ends = np.cumsum([2, len(start.errors), *map(len, shifts)])
     _, errors, *own, _ = np.split(change, ends)
     there = Minimum(
@@ -144,8 +143,8 @@ def _linear_minimum(
     shifts: Sequence[np.ndarray],
     poisson_range: tuple[float, float],
 ) -> tuple[Minimum, float]:
-    """Minimum and a standard error after scoring steps with the response linear in Poisson's ratio
-    about the start."""
+    """Minimum, and a standard error as in `_step`, after scoring steps with the response linear in
+    Poisson's ratio about the start."""
     reference = start.poisson_ratio
     local = misfit.linearised(rows, 0.0, start.shear_modulus, shifts, start.errors)
     best, loss = replace(start, probes=local), total_loss(local, start.errors)
@@ -163,7 +162,7 @@ def _linear_minimum(
             if new_loss <= loss + 1e-12 * (1 + abs(loss)):
                 break
         else:
-            # No step of this direction lowers the misfit: rounding is all that is left.
+            # No step in this direction lowers the misfit: only rounding error is left.
             break
         moved = max(abs(nu - best.poisson_ratio), abs(factor * step[1]))
         best, loss = Minimum(nu, modulus, trial, errors, False), new_loss
@@ -175,7 +174,8 @@ def _linear_minimum(
 def _step(
     noise: NoiseModel, here: Minimum, poisson_range: tuple[float, float]
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Scoring step of (nu, log G) and shared errors, of the shifts, and a standard error."""
+    """Scoring step of (nu, log G) and shared errors, steps of the shifts, and the smaller of the
+    conditional standard errors of nu and log G."""
     factors = []
     for probe in here.probes:
         _, slope = score_moments(noise, probe.squared, probe.rows.components)
@@ -190,10 +190,9 @@ def _step(
 def _bounded(
     normal: np.ndarray, gradient: np.ndarray, nu: float, poisson_range: tuple[float, float]
 ) -> np.ndarray:
-    """Step of all common parameters; at an end of the range nu is held where the step leads
-    outwards."""
-    # Scaled to a unit diagonal, least squares: nothing breaks where only one combination is
-    # identifiable.
+    """Step of all common parameters; where it would leave the range of nu it ends at the bound, and
+    the other parameters follow."""
+    # Least squares on a unit diagonal: well defined even if only one combination is identifiable.
     scale = diagonal_root(normal)
     unit = normal / np.outer(scale, scale)
     step = np.linalg.lstsq(unit, gradient / scale, rcond=1e-11)[0] / scale
@@ -207,7 +206,7 @@ def _bounded(
 
 
 def diagonal_root(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " n"]:
-    """Root of an information matrix's diagonal, to scale it to a diagonal of ones.
+    """Square root of an information matrix's diagonal, to scale it to a unit diagonal.
 
     Parameters
     ----------
@@ -215,7 +214,7 @@ def diagonal_root(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " n"]:
 
     Returns
     -------
-    (n,) float                      > 0, with a floor far below any information that counts
+    (n,) float                      > 0, with a floor far below any relevant information
     """
     size = np.diag(matrix)
     return np.sqrt(np.maximum(size, max(1e-15 * float(size.max()), 1e-200)))

@@ -1,8 +1,8 @@
-"""What objects sink into springs, apart from the rest: it does not depend on their own modulus.
+"""Settlement into spring supports, separated because it does not depend on the object's modulus.
 
-Variable projection needs displacements in proportion to 1 / G. About a minimum the response of an
+Variable projection needs displacements proportional to 1 / G. Near a minimum the response of an
 object on springs of known stiffness is affine in G, R = A + C G, so its displacement R F / G is A
-times F / G and, as a known motion beside it, C F.
+F / G plus C F, and the latter is treated as a known motion.
 """
 
 from collections.abc import Sequence
@@ -18,17 +18,17 @@ from palpate.estimation.search.scoring import Minimum
 def without_settlement(
     rows: Sequence[ObservedRows], table: ResponseTable, minimum: Minimum
 ) -> tuple[tuple[ObservedRows, ...], ResponseTable]:
-    """Probings and their responses with what they sink as one more known motion.
+    """Probings and their responses, with the settlement as one more known motion.
 
     Parameters
     ----------
     rows : sequence of ObservedRows
     table : ResponseTable               of these
-    minimum : Minimum                   at whose modulus and forces they sink
+    minimum : Minimum                   supplies the modulus and forces of the settlement
 
     Returns
     -------
-    (tuple of ObservedRows, ResponseTable)      the same where nothing gives
+    (tuple of ObservedRows, ResponseTable)      unchanged where no support is a spring
     """
     if all(row.settlement is None for row in rows):
         return tuple(rows), table

@@ -1,13 +1,13 @@
-"""Variable projection: the best shear modulus for every Poisson's ratio, without a search in two.
+"""Variable projection: the best shear modulus for each Poisson's ratio; only nu is searched for.
 
-With weights held fixed, displacement is linear in beta = 1 / G, and the unknown true forces drop
-out in closed form in the eigenbasis of their 3 x 3 information. What is left of a probing is
+With weights held fixed, displacement is linear in beta = 1 / G, and the unknown true forces are
+eliminated in closed form in the eigenbasis of their 3 x 3 information. The misfit of a probing is
 
     Q(beta) = yy - 2 beta yq + beta^2 qq - sum_j (beta c_j - beta^2 d_j)^2 / (1 + beta^2 lambda_j)
 
-with q the displacement times G under the measured force. Motions of supports do not depend on beta;
-what they leave is formed first. With exact forces the sum is empty and the
-best beta is yq / qq; otherwise a few Newton steps from there, for all Poisson's ratios at once.
+with q the displacement times G under the measured force and y the measurement. Motions of supports
+do not depend on beta and are eliminated first. With exact forces the sum is empty and the best beta
+is yq / qq; otherwise a few Newton steps follow from there, for all Poisson's ratios at once.
 
 Source
 ------
@@ -33,13 +33,13 @@ _GRID = 49
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectedProbes:
-    """What is left of every probing at every Poisson's ratio, forces eliminated.
+    """Coefficients of Q(beta) for every probing and Poisson's ratio, with forces eliminated.
 
     Parameters
     ----------
-    yy : (k, g) float                   see the file's head
+    yy : (k, g) float                   see the module's docstring
     yq, qq : (k, g) float
-    c, d, information : (k, g, 3) float  parts of the sum; information is lambda
+    c, d, information : (k, g, 3) float  terms of the sum; information is lambda
     """
 
     yy: Float[np.ndarray, "k g"]
@@ -55,8 +55,8 @@ class FixedWeights:
     """A misfit with its robust weights held fixed, for any set of probings.
 
     A probing enters only through the products of its responses R at all pairs of nodes. With all
-    pairs the products elsewhere are exactly those of interpolated responses; interpolating the
-    products themselves would leave an error that no noise hides where the signal is strong.
+    pairs the products at any ratio are exactly those of interpolated responses; interpolating the
+    products themselves would leave an error above the noise where the signal is strong.
 
     Parameters
     ----------
@@ -81,11 +81,11 @@ class FixedWeights:
     motion_std: Float[np.ndarray, "k q"]
 
     def only(self, chosen: int | Int[np.ndarray, " j"]) -> "FixedWeights":
-        """Some of the probings as a set of their own.
+        """The same for a subset of the probings.
 
         Parameters
         ----------
-        chosen : int or (j,) int    their numbers
+        chosen : int or (j,) int    their indices
 
         Returns
         -------
@@ -100,7 +100,7 @@ class FixedWeights:
         return replace(self, **by_probe)
 
     def at(self, poisson_ratio: Float[np.ndarray, " g"]) -> ProjectedProbes:
-        """Probings with their true forces eliminated.
+        """Eliminate the true forces of all probings.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class FixedWeights:
 
         Returns
         -------
-        ProjectedProbes                 at every one of them
+        ProjectedProbes                 at each of these ratios
         """
         weight = interpolation_weights(self.poisson_ratio, poisson_ratio)
         half = np.einsum("kaibj,gb->kgiaj", self.response_response, weight, optimize=True)
@@ -133,8 +133,8 @@ class FixedWeights:
     def _without_motions(
         self, mixed: Float[np.ndarray, "k g c"], square: Float[np.ndarray, "k g c c"]
     ) -> tuple[Float[np.ndarray, "k g"], Float[np.ndarray, "k g 4"], Float[np.ndarray, "k g 4 4"]]:
-        """Products of what is left of the measurement and of the four pushing columns where known
-        motions are taken off and unknown ones are at their best."""
+        """Products of the measurement and of the four load columns, with known motions subtracted
+        and uncertain ones eliminated."""
         yy = np.repeat(self.measured_measured[:, None], mixed.shape[1], axis=1)
         known = np.einsum("kgij,kj->kgi", square[..., 4:], self.motion)
         yy = yy - np.einsum("kgi,ki->kg", 2 * mixed[..., 4:] - known[..., 4:], self.motion)
@@ -171,8 +171,8 @@ def fixed_weights(
     level : (8,) float                      see `noise_levels`
     weights : one (p,) float for each       of the points
     force_weights : (k,) float              of the measured forces
-    explained : one (r,) float [m] for each probing, or None    what errors with a prior explain of
-                                            the displacements; none by default
+    explained : one (r,) float [m] for each probing, or None    displacement explained by the
+                                            nuisance parameters; None: zero
 
     Returns
     -------
@@ -284,16 +284,16 @@ def best_constants(weights: FixedWeights) -> tuple[float, float]:
 def sharpened_minimum(
     place: Float[np.ndarray, " g"], height: Float[np.ndarray, " g"]
 ) -> tuple[float, float]:
-    """Place and height of the lowest point of a tabulated curve, sharpened by a parabola.
+    """Position and value of the minimum of a tabulated curve, refined by a parabola.
 
     Parameters
     ----------
-    place : (g,) float          evenly spaced, rising
+    place : (g,) float          evenly spaced, ascending
     height : (g,) float
 
     Returns
     -------
-    (float, float)              an end of the table where the lowest value is there
+    (float, float)              an end of the table if the lowest value lies there
     """
     best = int(np.argmin(height))
     if best in (0, len(place) - 1):

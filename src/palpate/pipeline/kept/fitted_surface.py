@@ -1,4 +1,4 @@
-"""The surface of a fitted object, measured and predicted, as a file that any program reads."""
+"""Measured and predicted surface of a fitted object, in a file that other programs can read."""
 
 import io
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from palpate.shapes import Indices, Points, Vector3
 
 SURFACE_FILE = "surface.npz"
 SURFACE_FORMAT = "palpate-fitted-surface/1"
-# What it was called while the mesh of a scan bore the same name.
+# Earlier name of the format, which files of scanned meshes had as well.
 _EARLIER_FORMAT = "palpate-surface/1"
-# A hundred probings of fifty thousand vertices.
+# Enough for a hundred probings of fifty thousand vertices.
 _MOST_BYTES = 2**30
-# Fields of a probing: names of its arrays, behind `NUMBER/`.
+# Arrays of a probing with one row for each point; their names follow `NUMBER/`.
 _POINTS = ("points", "displacement", "predicted", "left_out", "sigma", "weight")
 
 
@@ -37,8 +37,8 @@ class FittedProbing:
     points : (n, 3) float [m]       at rest
     displacement : (n, 3) float [m] measured
     predicted : (n, 3) float [m]    by the fitted model
-    left_out : (n, 3) float [m] or None     by the model that this probing had no part in
-    sigma : (n, 3) float [m]        1 sigma of the measured displacement, as the estimate took it
+    left_out : (n, 3) float [m] or None     by the model fitted to all other probings
+    sigma : (n, 3) float [m]        1 sigma of the measured displacement used in the estimate
     weight : (n, 3) float           robust weight, 0 to 1
     surface : (v, 3) float [m] or None      predicted displacement of every vertex
     """
@@ -137,8 +137,8 @@ def read_fitted_surface(folder: Path) -> FittedSurface:
 
     Raises
     ------
-    RecordError                     it is not there, cannot be read, is of another version or
-                                    contradicts itself
+    RecordError                     the file is missing, unreadable, of another version or
+                                    inconsistent
     """
     path = folder / SURFACE_FILE
     if not path.is_file():

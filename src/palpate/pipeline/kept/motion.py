@@ -1,4 +1,4 @@
-"""The motion that was measured in a session's pictures, kept in a result for the next fit."""
+"""The motion measured in a session's pictures, kept in the result folder for the next fit."""
 
 import io
 from dataclasses import replace
@@ -25,18 +25,18 @@ from palpate.vision import JointFlow
 
 MOTION_FILE = "motion.npz"
 MOTION_FORMAT = "palpate-motion/3"
-# How `palpate fit` measures.
+# Flow method and pose that `palpate fit` uses.
 _HOW: tuple[JointFlow, PoseChoice] = JointFlow(), "auto"
 
 
 def keep_motion(folder: Path, given: Session, measured: Session) -> None:
-    """Write the displacements that pictures gave, with all that they rest on as one digest.
+    """Write the displacements measured in pictures, with a digest of everything they depend on.
 
     Parameters
     ----------
     folder : Path                   of the result
     given : Session                 as it was read
-    measured : Session              the same, with the displacements
+    measured : Session              the same, with the measured displacements
 
     Raises
     ------
@@ -66,17 +66,17 @@ def keep_motion(folder: Path, given: Session, measured: Session) -> None:
 
 
 def with_kept_motion(session: Session, folder: Path) -> Session | None:
-    """The session with the displacements that an earlier result keeps of its pictures.
+    """The session with the displacements of its pictures from an earlier result.
 
     Parameters
     ----------
     session : Session               as it was read
-    folder : Path                   of the earlier result; maybe not there
+    folder : Path                   of the earlier result; it need not exist
 
     Returns
     -------
-    Session or None                 None: nothing is kept, it was changed since, or the session's
-                                    files, its probings or Palpate itself are others now
+    Session or None                 None: nothing was kept, it was altered, or the session's files,
+                                    its probings or Palpate itself have changed since
     """
     path = folder / MOTION_FILE
     try:
@@ -89,12 +89,12 @@ def with_kept_motion(session: Session, folder: Path) -> Session | None:
                 return None
             return _with_fields(session, kept)
     except InputError:
-        # What cannot be read is measured again.
+        # A file that cannot be read means that the motion is measured again.
         return None
 
 
 def _average_parts(average: SurfaceAverage, name: str) -> dict[str, np.ndarray]:
-    """Arrays of an average, its weights by blocks."""
+    """Arrays of a window average, with its weights in 3 x 3 blocks."""
     blocks = bsr_array(average.weights, blocksize=(3, 3))
     return {
         f"average points {name}": average.points,
@@ -105,7 +105,7 @@ def _average_parts(average: SurfaceAverage, name: str) -> dict[str, np.ndarray]:
 
 
 def _kept_average(kept: dict[str, np.ndarray], name: str) -> SurfaceAverage | None:
-    """What `_average_parts` has kept, if anything."""
+    """The window average from the arrays of `_average_parts`, if there are any."""
     if f"average points {name}" not in kept:
         return None
     points, blocks, columns, rows = (

@@ -1,8 +1,8 @@
 """The boundary element model of a session: its object, its supports, what they may be off by.
 
-Purpose    : one model for all probings, and what each of them sees of it.
+Purpose    : one model for all probings, and the observations of each as functions of its solutions.
 Takes      : a `Session`.
-Gives      : `ObjectModel`, the rows of a probing, motions of supports, nuisances of the estimation.
+Gives      : `ObjectModel`, the rows of a probing, motions of supports, nuisance parameters.
 Depends on : `pipeline.model.contacts`, `lab`, `bem`, `estimation`, `probe`, `records`,
              `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.

@@ -1,11 +1,11 @@
-"""What a linear model leaves out of a session whose object was pressed far.
+"""Finite-strain corrections for a session whose object was pressed far.
 
-The estimate is made with a linear model of measurements from which the difference between two
-solutions in finite elements was taken, one at finite strain and one linear, both under the same
-loads and with the constants found last (defect correction). What the elements themselves are off
-by cancels in the difference. Where a probing names a ball that slides, the linear solution is that
-of the circle which the linear model takes it to touch, and the other one that of the ball itself,
-pressed in by the same force.
+The constants are estimated with a linear model from corrected measurements: the difference between
+two finite element solutions, one at finite strain and one linear, both under the same loads and
+with the latest constants, is subtracted first (defect correction). The discretisation error of the
+elements cancels in the difference. Where a probing names a ball that slides, the linear solution is
+that for the contact circle of the linear model, and the finite-strain solution that for the ball
+itself, pressed in by the same force.
 """
 
 from collections.abc import Sequence
@@ -39,26 +39,27 @@ from palpate.progress import Progress, silent
 from palpate.records import FIXED, PRESSURES, SPHERE, Probing, Session
 from palpate.shapes import Points
 
-# Elements away from the tools over the mean edge of the mesh, and under a tool over its radius.
+# Element size away from the tools over the mean edge of the mesh; element size under a tool and the
+# radius of that region, over the contact radius.
 _COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
-# The same under a ball, whose own shape says where it touches.
+# The same under a ball, whose own shape determines where it touches.
 _UNDER_BALL, _BALL_REACH = 0.6, 1.0
-# Neo-Hookean elements of a nearly incompressible material balance up to here.
+# Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
 _LARGEST_RATIO = 0.495
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FiniteBody:
-    """A session's object in finite elements, with what loads it and where it was seen.
+    """A session's object in finite elements, with its loads and observed points.
 
     Attributes
     ----------
     solid : Solid
-    held : (n,) bool
-    loads : tuple of (n, 3) float [N]    one a probing, as the linear model has it
-    tips : tuple of Tip or None          of each probing, where its contact is found at finite
+    held : (n,) bool                     nodes that are fixed
+    loads : tuple of (n, 3) float [N]    nodal forces of each probing, as in the linear model
+    tips : tuple of Tip or None          of each probing, where its contact is solved for at finite
                                          strain; None: the load stays as it is
-    seen : tuple of sparse (p, n)        of each probing, from nodes to its points and, where the
+    seen : tuple of sparse (p, n)        of each probing: takes nodes to its points and, where the
                                          tip's displacement was measured, to the contact point
     """
 
@@ -70,12 +71,12 @@ class FiniteBody:
 
 
 def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
-    """Fill a session's object with tetrahedra, smaller ones under its tools.
+    """Fill a session's object with tetrahedra, finer under its tools.
 
     Parameters
     ----------
     session : Session
-    coarser : float [-]             edges of all elements over the usual ones
+    coarser : float [-]             factor on the usual edge length of all elements
 
     Returns
     -------
@@ -83,7 +84,7 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
 
     Raises
     ------
-    InputError                      a support that moves or slides, a load that is no round patch;
+    InputError                      a support that moves or slides, a load other than a round patch;
                                     scikit-fem is not installed
     MeshError                       the surface cannot be filled
     """
@@ -125,21 +126,22 @@ def strain_corrections(
     starts: Sequence[FinitePress | None] = (),
     progress: Progress = silent,
 ) -> tuple[tuple[Points, ...], tuple[FinitePress | None, ...]]:
-    """Displacement at finite strain less that of the linear model, of every probing.
+    """Displacement at finite strain minus that of the linear elements, for every probing.
 
     Parameters
     ----------
     body : FiniteBody
     shear_modulus : float [Pa]      > 0
-    poisson_ratio : float [-]       -1 < nu < 0.5; above 0.495 that of 0.495 is given
-    law : function                  Lame's constants mu and lambda [Pa] -> `Law` of finite strain
-    starts : sequence               what was found with nearly the same constants; none: from rest
+    poisson_ratio : float [-]       -1 < nu < 0.5; above 0.495 the correction is that for 0.495
+    law : function                  Lame constants mu and lambda [Pa] -> `Law` of finite strain
+    starts : sequence               solutions for nearly the same constants to start from; empty:
+                                    from rest
     progress : callable
 
     Returns
     -------
     tuple of (p, 3) float [m]       at its points, then at its contact point where that was measured
-    tuple of FinitePress or None    the presses that were found, where there is a tip
+    tuple of FinitePress or None    solutions of the probings that have a tip
 
     Raises
     ------
@@ -168,7 +170,7 @@ def strain_corrections(
 
 
 def _tip(probing: Probing) -> Tip | None:
-    """A ball that slides, on its way along the force through the contact point; None: a patch."""
+    """A sliding ball that moves along the force through the contact point; None: a fixed patch."""
     tool = probing.contact.tool
     if tool is None or tool.shape != SPHERE or not leans_outward(probing.contact):
         return None
@@ -176,7 +178,7 @@ def _tip(probing: Probing) -> Tip | None:
 
 
 def _places(probing: Probing) -> Points:
-    """Points of a probing, and its contact point where the arm has told its displacement."""
+    """Points of a probing, and its contact point where the tip's displacement was measured."""
     field = probing.displacement
     points = np.zeros((0, 3)) if field is None else field.surface.position
     if probing.tip_displacement is None:

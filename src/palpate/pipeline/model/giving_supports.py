@@ -1,4 +1,4 @@
-"""Forces on supports, and supports that give as beds of springs: which do, and how much."""
+"""Forces on supports, and compliant supports (beds of springs): which, and how compliant."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,7 +17,7 @@ from palpate.records import Session
 
 
 def giving_supports(session: Session) -> tuple[int, ...]:
-    """Supports that have a stiffness, or all where they may give more than the session says.
+    """Compliant supports: those with a stiffness, or all where `[errors]` has a support compliance.
 
     Parameters
     ----------
@@ -25,14 +25,14 @@ def giving_supports(session: Session) -> tuple[int, ...]:
 
     Returns
     -------
-    tuple of int                    from 0
+    tuple of int                    indices of the supports, from 0
     """
     every = session.errors.support_compliance > 0.0
     return tuple(k for k, one in enumerate(session.supports) if every or one.stiffness is not None)
 
 
 def compliances(session: Session) -> Float[np.ndarray, " s"]:
-    """Displacement over traction of each of these supports.
+    """Compliance (displacement over traction) of each of the `giving_supports`.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def compliances(session: Session) -> Float[np.ndarray, " s"]:
 
 
 def session_springs(session: Session, system: BoundarySystem) -> Springs | None:
-    """Springs under the supports that give.
+    """Springs under the compliant supports.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def session_springs(session: Session, system: BoundarySystem) -> Springs | None:
 def weight_on_springs(
     system: BoundarySystem, springs: Springs, body: BodyForce
 ) -> Float[np.ndarray, " e"]:
-    """What the particular solution of a body force presses on every spring.
+    """Traction of a body force's particular solution on every spring.
 
     Parameters
     ----------
@@ -92,13 +92,13 @@ def weight_on_springs(
 def springs_at(
     equations: PointEquations, springs: Springs, point: int
 ) -> Float[np.ndarray, "2 3 e"]:
-    """What the springs do to the equations at one point, as more columns of their matrix.
+    """Further columns of the equations at one point, for the displacements of the springs.
 
     Parameters
     ----------
     equations : PointEquations
     springs : Springs               of the same object
-    point : int                     its number among theirs
+    point : int                     index among the points of the equations
 
     Returns
     -------
@@ -111,13 +111,13 @@ def springs_at(
 def support_force(
     system: BoundarySystem, triangles: Int[np.ndarray, " k"], springs: Springs | None
 ) -> csr_array:
-    """Force on some held triangles from the unknowns, for a shear modulus of one pascal.
+    """Matrix from the unknowns to the force on some held triangles, for a shear modulus of 1 Pa.
 
     Parameters
     ----------
     system : BoundarySystem
     triangles : (k,) int
-    springs : Springs or None       whose displacements are unknowns, too
+    springs : Springs or None       their displacements are further unknowns
 
     Returns
     -------

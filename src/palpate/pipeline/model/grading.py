@@ -1,15 +1,15 @@
-"""Meshes that are finer where elements of even size make the model too stiff.
+"""Meshes graded where elements of uniform size make the model too stiff.
 
-Where a held face ends, the traction behaves as a negative power of the distance, and so does the
-strain along a hollow edge, where two faces meet as the inside of a corner. Elements of even size
-there make the model too stiff as a whole, by 0.5 to 10 %, whatever happens elsewhere. Every edge
-that leaves such a line is therefore cut near it, which puts one narrow row of elements on either
-side. A model of the mesh before beside that of the graded one shows how much there was to gain.
+At the rim of a held face the traction varies as a negative power of the distance, and so does the
+strain at a hollow (re-entrant) edge. Elements of uniform size there make the whole model too stiff,
+by 0.5 to 10 %. Every edge that leaves such a line is therefore split near it, which inserts one
+narrow row of elements on either side. Comparing the model of the mesh before grading with that of
+the graded one shows how much was gained.
 
-A face that is one element wide has no vertex of its own, only those of its edges: across it every
-field is linear, and a plate whose edge is such a strip bends 10 to 20 % too little. These faces are
-cut in their middle, before anything else. So are the elements about a flat punch that is not much
-wider than they are: the surface has a kink at its rim, which no element follows. On a block of 594
+A face one element wide has no vertices of its own, only those of its edges: every field is linear
+across it, and a plate whose edge is such a strip bends 10 to 20 % too little. Edges across such
+faces are split at their middle first. So are elements about a flat punch that is hardly wider than
+they are: the surface has a kink at the punch's rim, which no element can follow. On a block of 594
 vertices, under a punch as wide as two of its edges, that moved nu by 0.001 to 0.002.
 """
 
@@ -32,13 +32,13 @@ from palpate.records import FLAT, Contact, DisplacementField, Probing, Session
 
 # Width of the row at the rim over the length of the edges there.
 ROW = 0.3
-# The error falls at least with the first power of the elements' size at the rim: of what one step
-# gains, this much is left.
+# The error falls at least with the first power of the element size at the rim, so that at most this
+# fraction of the change from one refinement step is left.
 LEFT_OF_STEP = ROW / (1.0 - ROW)
-# Edges about a flat punch that are longer than this share of its radius are cut.
+# Edges about a flat punch that are longer than this fraction of its radius are split.
 _LONG_AT_PUNCH = 0.5
-# A neighbour's centre seen from a triangle's plane, as a sine, from which the edge between both is
-# hollow: some degrees, far less than those of a crease.
+# Sine of the elevation of a neighbour's centre above a triangle's plane beyond which their common
+# edge is hollow: a few degrees, far less than at a crease.
 _HOLLOW = 0.1
 
 
@@ -49,29 +49,28 @@ def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSett
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       new vertices lie on the surface so understood
+    surface : SurfaceSettings       interpolation of the surface that new vertices lie on
 
     Returns
     -------
-    Session                         vertices of the given mesh first, in their order; all points of
-                                    its fields placed anew
+    Session                         vertices of the given mesh first, in their order; points of its
+                                    fields are located anew on the new mesh
     """
     contacts = [one.contact for one in session.probings]
     return _divided_session(session, *resolved_mesh(_boundary(session, surface), contacts))
 
 
 def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
-    """The same session on a mesh that is finer at the rims of its supports and in hollow edges.
+    """The same session on a mesh graded at the rims of its supports and at hollow edges.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       new vertices lie on the surface so understood
+    surface : SurfaceSettings       as in `resolved_session`
 
     Returns
     -------
-    Session                         vertices of the given mesh first, in their order; all points of
-                                    its fields placed anew
+    Session                         as from `resolved_session`
     """
     return _divided_session(session, *graded_mesh(_boundary(session, surface)))
 
@@ -79,18 +78,17 @@ def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettin
 def edge_refined_session(
     session: Session, *, surface: SurfaceSettings = SurfaceSettings()
 ) -> Session:
-    """The same session on a mesh whose edges are cut in their middle along its creases, those apart
-    that the graded mesh sees to.
+    """The same session on a mesh whose edges at creases are halved, except at those creases (rims,
+    hollow edges) that grading refines.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       new vertices lie on the surface so understood
+    surface : SurfaceSettings       as in `resolved_session`
 
     Returns
     -------
-    Session                         vertices of the given mesh first, in their order; all points of
-                                    its fields placed anew
+    Session                         as from `resolved_session`
     """
     boundary = _boundary(session, surface)
     ends, on_rim = _edge_ends(boundary), _at_rim(boundary)
@@ -102,17 +100,16 @@ def edge_refined_session(
 
 
 def halved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
-    """The same session on a mesh whose every edge is cut in its middle.
+    """The same session on a mesh with every edge halved.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       new vertices lie on the surface so understood
+    surface : SurfaceSettings       as in `resolved_session`
 
     Returns
     -------
-    Session                         vertices of the given mesh first, in their order; all points of
-                                    its fields placed anew
+    Session                         as from `resolved_session`
     """
     boundary = _boundary(session, surface)
     return _divided_session(session, *_divided(boundary, _edge_ends(boundary), 0.5))
@@ -121,8 +118,8 @@ def halved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettin
 def resolved_mesh(
     boundary: BoundarySurface, contacts: Sequence[Contact] = ()
 ) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
-    """Cut every edge that crosses a face between two of its creases or rims in its middle, and long
-    ones about flat punches.
+    """Halve every edge that crosses a face from one crease or rim to another, and long edges about
+    flat punches.
 
     Parameters
     ----------
@@ -148,7 +145,7 @@ def resolved_mesh(
 
 
 def graded_mesh(boundary: BoundarySurface) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
-    """Cut every edge that leaves the rim of the held triangles, or a hollow edge, near it.
+    """Split every edge that leaves the rim of the held triangles, or a hollow edge, near that line.
 
     Parameters
     ----------
@@ -175,7 +172,7 @@ def _at_rim(boundary: BoundarySurface) -> Bool[np.ndarray, " v"]:
 
 
 def _hollow_edges(boundary: BoundarySurface) -> Bool[np.ndarray, " e"]:
-    """Creases whose faces meet as the inside of a corner."""
+    """Creases that are re-entrant: the inside of a corner."""
     mesh, sides = boundary.mesh, boundary.sides
     centre, normal = mesh.vertices[mesh.triangles].mean(axis=1), unit_normals(mesh)
     away = centre[sides.twin // 3] - centre[:, None]
@@ -210,8 +207,8 @@ def _divided_session(
 
 
 def _placed_on(mesh: TriangleMesh, session: Session) -> Callable[[SurfacePoints], SurfacePoints]:
-    """Where points of a session's fields lie on another mesh; many of them are points of several
-    fields, and are looked for once."""
+    """Function that locates points of a session's fields on another mesh; points common to several
+    fields are searched for only once."""
     fields = [
         one
         for probing in session.probings
@@ -243,9 +240,9 @@ def _edge_ends(boundary: BoundarySurface) -> Int[np.ndarray, "e 2"]:
 def _divided(
     boundary: BoundarySurface, cuts: Int[np.ndarray, "e 2"], share: float
 ) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
-    """Cut edges (start, end; -1: whole) at a share of their length from their start."""
+    """Split edges (start, end; -1: not split) at a fraction of their length from their start."""
     mesh, edge = boundary.mesh, boundary.sides.edge
-    # The midpoint of a sharp edge is the mean of what its two sides say.
+    # The midside node of an edge is the mean of those of its two sides.
     between = np.zeros((len(cuts), 3))
     np.add.at(between, edge.ravel(), 0.5 * boundary.element_nodes[:, 3:].reshape(-1, 3))
     is_cut = cuts[:, 0] >= 0
@@ -263,9 +260,9 @@ def _divided(
 def _cut(
     corner: Int[np.ndarray, "m 3"], new: Int[np.ndarray, "m 3"], vertices: Float[np.ndarray, "v 3"]
 ) -> tuple[Int[np.ndarray, "t 3"], Int[np.ndarray, " t"]]:
-    """Triangles with new vertices on none to three of their edges (-1: none there), in parts."""
+    """Subdivide triangles with new vertices on none to three of their edges (-1: none there)."""
     count = (new >= 0).sum(axis=1)
-    # Turned so that the edge that is cut alone, or not alone, lies between p and q.
+    # Rotated so that the only split edge, or the only one not split, lies between p and q.
     first = np.where(count == 1, new.argmax(axis=1), new.argmin(axis=1))
     every = np.arange(len(corner))
     p, q, r = (corner[every, (first + k) % 3] for k in range(3))
@@ -292,7 +289,7 @@ def _replaced(
     placed: Callable[[SurfacePoints], SurfacePoints],
     parent: Int[np.ndarray, " t"],
 ) -> Probing:
-    """A probing whose points and triangles are those of the graded mesh."""
+    """A probing with its points and triangles on the new mesh."""
 
     def contact(one: Contact) -> Contact:
         if one.triangles is None:

@@ -1,4 +1,4 @@
-"""An estimate whose object was pressed far: the linear one, corrected until it stands still."""
+"""Estimate for an object that was pressed far: the linear one, corrected until it converges."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,16 +22,16 @@ from palpate.progress import Progress, part_of
 from palpate.records import Session
 from palpate.shapes import Points
 
-# A correction of a tenth changes by a tenth of itself for a tenth of the modulus: each round gains
-# a digit or so.
+# A correction of 10 % changes by 10 % of itself if the modulus changes by 10 %: each round gains
+# about one digit.
 _MOST_ROUNDS = 8
 _SETTLED_SHEAR, _SETTLED_RATIO = 1e-3, 5e-4
-# Soft materials of the same constants differ from each other, at finite strain, by a good part of
-# what they differ from a linear one.
+# At finite strain, soft materials of the same constants differ from each other by a good part of
+# their difference from a linear one.
 _OTHER_LAWS = 0.3
-# Elements that show what the elements are off by: an error of second order is the step from these.
+# Edge ratio of the coarser elements: the error, of second order, is about the change from these.
 _COARSER = 1.4
-# Of the work.
+# Fraction of the work that the coarser elements take.
 _ROUGH = 0.35
 
 
@@ -42,11 +42,11 @@ def fit_at_finite_strain(
     settings: FitSettings,
     progress: Progress,
 ) -> FitResult:
-    """Correct a linear estimate for what finite strain adds.
+    """Correct a linear estimate for finite strain.
 
     Parameters
     ----------
-    session : Session               that was observed
+    session : Session               of the observations
     observations : sequence of ProbeObservations
     linear : FitResult              of these
     settings : FitSettings
@@ -54,12 +54,12 @@ def fit_at_finite_strain(
 
     Returns
     -------
-    FitResult                       with a note that says how large the correction is
+    FitResult                       with a note on the size of the correction
 
     Raises
     ------
-    InputError                      supports or loads that finite strain does not serve
-    NotConvergedError               no equilibrium, or the constants do not settle
+    InputError                      supports or loads that are not supported at finite strain
+    NotConvergedError               no equilibrium, or the constants do not converge
     """
     task = _Task(observations, settings)
     rough = task.settled(
@@ -85,7 +85,7 @@ def fit_at_finite_strain(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Coarser:
-    """Of one probing: its correction in coarser elements, and what the other law adds to it."""
+    """Of one probing: its correction in coarser elements, and the change by the other law [m]."""
 
     correction: Points
     law: Points
@@ -93,7 +93,7 @@ class _Coarser:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Settled:
-    """An estimate that stands still, with the corrections that it was made with."""
+    """A converged estimate with its corrections."""
 
     body: FiniteBody
     found: FitResult
@@ -103,7 +103,7 @@ class _Settled:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """What is corrected."""
+    """Observations to be corrected, and the settings of their fits."""
 
     observations: Sequence[ProbeObservations]
     settings: FitSettings
@@ -111,7 +111,7 @@ class _Task:
     def settled(
         self, body: FiniteBody, start: FitResult, coarser: Sequence[_Coarser], progress: Progress
     ) -> _Settled:
-        """Correct in given elements until the constants stand still."""
+        """Correct with the given elements until the constants converge."""
         found = start
         presses: tuple[FinitePress | None, ...] = ()
         for turn in range(_MOST_ROUNDS):
@@ -137,7 +137,7 @@ class _Task:
     def corrected(
         self, corrections: Sequence[Points], coarser: Sequence[_Coarser]
     ) -> list[ProbeObservations]:
-        """What a linear object would have shown, with what the corrections may be off by."""
+        """Observations of an equivalent linear object, with the errors of the corrections."""
         known: Sequence[_Coarser | None] = coarser or [None] * len(corrections)
         return [
             _corrected(observed, correction, rough)
@@ -161,7 +161,7 @@ def _corrected(
 
 
 def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionError:
-    """What a correction may be off by."""
+    """Error of a correction: other laws, and the elements."""
     errors = [("finite strain", "from linear to neo-Hookean", _OTHER_LAWS, correction)]
     if rough is not None:
         mesh_step = correction - rough.correction
@@ -178,7 +178,7 @@ def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionE
 
 
 def _whole(probe: ProbeFit, correction: Points) -> ProbeFit:
-    """Predictions of the object as it is."""
+    """Predictions with the correction added back."""
     n = len(probe.predicted)
     left_out = probe.left_out_predicted
     return replace(

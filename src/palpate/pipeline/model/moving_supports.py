@@ -1,5 +1,5 @@
-"""How supports move, and what they hold: rigid motions as columns of the model, the motion that
-points show, and how an object slides that rollers hold."""
+"""Motions of supports, and the directions they hold: rigid motions as columns of the model, the
+motion fitted to measured points, and the sliding of an object on rollers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,31 +23,31 @@ from palpate.records import (
 )
 from palpate.shapes import Points, Vector3
 
-# Robust fit of a motion: rounds, and Student's degrees of freedom.
+# Robust fit of a motion: iterations, and degrees of freedom of Student's t.
 _ROUNDS, _DEGREES = 10, 8.0
-# Of the largest singular value: motions that the points show less than this are not shown at all.
+# Fraction of the largest singular value below which the points do not determine a motion.
 _UNSEEN = 1e-3
 # Normal distribution: standard deviation over the median absolute value.
 _SIGMA_OVER_MEDIAN = 1.4826
-# Of a force: what may push along directions that nothing holds. A true roller has friction, and no
-# tool is at right angles.
+# Fraction of a force that may act along directions that no support holds: real rollers have
+# friction, and no tool is exactly at a right angle.
 _UNANSWERED = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingSupport:
-    """A support that moves, or the object that slides along its rollers.
+    """A support that moves, or the object itself where it slides along its rollers.
 
     Attributes
     ----------
-    number : int                    from 1, as session.toml counts
+    number : int                    from 1, as in session.toml
     triangles : (k,) int
     vertices : (h,) int
-    centre : (3,) float [m]         about which it turns
+    centre : (3,) float [m]         about which it rotates
     motion : str                    `GIVEN` or `FREE`
     holding : (3, 3) float          projector onto the directions that it holds; along the others
-                                    it takes nothing with it
-    mix : (6, 6) float              what becomes of a motion: itself, or the part of it that is free
+                                    it moves nothing
+    mix : (6, 6) float              projector of a motion onto its free part; identity by default
     """
 
     number: int
@@ -59,7 +59,7 @@ class MovingSupport:
     mix: Float[np.ndarray, "6 6"] = field(default_factory=lambda: np.eye(6))
 
     def modes(self, points: Points) -> Float[np.ndarray, "n 3 6"]:
-        """Displacement of points that are held, per unit of each motion.
+        """Displacement of held points per unit of each motion.
 
         Parameters
         ----------
@@ -74,14 +74,14 @@ class MovingSupport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenMotion:
-    """What a probing says about the motion of a support.
+    """Motion of a support as given by a probing.
 
     Attributes
     ----------
-    value : (6,) float              translation of the centre [m], turn about it [rad]
+    value : (6,) float              translation of the centre [m], rotation about it [rad]
     std : (6,) float                one standard deviation of each
-    strain : (3, 3) float [-]       gradient, from the centre on, of what is left, e.g. where a cut
-                                    end contracts
+    strain : (3, 3) float [-]       displacement gradient, about the centre, of the rest of the
+                                    motion, such as the lateral contraction of a cut end
     """
 
     value: Float[np.ndarray, "6"]
@@ -114,17 +114,17 @@ def moving_supports(session: Session) -> tuple[MovingSupport, ...]:
 
 
 def _middle(points: Points) -> Vector3:
-    """Middle of the box about some points: the same for every mesh of them."""
+    """Centre of the bounding box of some points, which does not depend on the mesh."""
     return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
 
 
 def rigid_modes(points: Points, centre: Vector3) -> Float[np.ndarray, "n 3 6"]:
-    """Displacement of points per unit of three translations [m] and three turns [rad].
+    """Displacement of points per unit of three translations [m] and three rotations [rad].
 
     Parameters
     ----------
     points : (n, 3) float [m]
-    centre : (3,) float [m]         about which is turned
+    centre : (3,) float [m]         of the rotations
 
     Returns
     -------
@@ -136,7 +136,8 @@ def rigid_modes(points: Points, centre: Vector3) -> Float[np.ndarray, "n 3 6"]:
 
 
 def free_std(mesh: TriangleMesh) -> Float[np.ndarray, "6"]:
-    """What is known before about a free motion: nothing; the size of the object, and a radian.
+    """Prior standard deviation of a free motion, wide enough to be uninformative: the diagonal of
+    the object's bounding box, and one radian.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ def free_std(mesh: TriangleMesh) -> Float[np.ndarray, "6"]:
 
 
 def given_motion(session: Session, probing: Probing, support: MovingSupport) -> GivenMotion:
-    """The motion of a support whose motion a probing gives.
+    """Motion of a support as a probing gives it, or fitted to the points measured on the support.
 
     Parameters
     ----------
@@ -164,7 +165,8 @@ def given_motion(session: Session, probing: Probing, support: MovingSupport) -> 
 
     Raises
     ------
-    InputError                      too few points on the support, or all in a line
+    InputError                      no motion is given, too few points on the support, or all of
+                                    them on a line
     """
     if probing.support_motion is not None:
         rigid = probing.support_motion
@@ -177,7 +179,7 @@ def given_motion(session: Session, probing: Probing, support: MovingSupport) -> 
 
 
 def require_given_motions(session: Session) -> None:
-    """Refuse a session whose probings do not tell how its supports move, where they should.
+    """Refuse a session whose probings lack the motion of a support that is to be given.
 
     Parameters
     ----------
@@ -194,7 +196,7 @@ def require_given_motions(session: Session) -> None:
 
 
 def _fitted_motion(field: DisplacementField, name: str, support: MovingSupport) -> GivenMotion:
-    """Robust rigid motion of the points on a support, and a uniform strain in what it leaves."""
+    """Robust rigid motion of the points on a support, and a uniform strain fitted to the rest."""
     chosen = observed_rows(field) & np.isin(field.surface.triangle, support.triangles)
     points, moved = field.points[chosen], field.displacement[chosen]
     place = f"probing '{name}': {field.source}: support {support.number}"
@@ -222,7 +224,7 @@ def _fitted_motion(field: DisplacementField, name: str, support: MovingSupport) 
 def _robust_fit(
     modes: Float[np.ndarray, "n 3 6"], moved: Points
 ) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-    """Motion by reweighted least squares, with the standard deviations that residuals show."""
+    """Motion by iteratively reweighted least squares, and its standard deviations."""
     weight = np.ones(len(moved))
     for _ in range(_ROUNDS):
         normal = np.einsum("n,nip,niq->pq", weight, modes, modes)
@@ -234,15 +236,15 @@ def _robust_fit(
 
 
 def _strain(offset: Points, left: Points) -> Float[np.ndarray, "3 3"]:
-    """Gradient of what a rigid motion leaves, zero across the plane of the points."""
+    """Gradient of the displacement left by a rigid motion; zero normal to coplanar points."""
     return np.linalg.lstsq(offset, left, rcond=_UNSEEN)[0].T
 
 
 def support_shapes(
     session: Session, supports: tuple[MovingSupport, ...]
 ) -> Float[np.ndarray, "v 3 q"]:
-    """Displacement of every vertex that is held per unit of each motion, zero elsewhere; where the
-    object slides, of every vertex.
+    """Prescribed displacement of every vertex per unit of each motion: of held vertices, and zero
+    elsewhere; where the object slides, of all vertices.
 
     Parameters
     ----------
@@ -251,8 +253,8 @@ def support_shapes(
 
     Returns
     -------
-    (v, 3, q) float                 six motions a support, then one a probing that gives a motion:
-                                    the strain of its supports
+    (v, 3, q) float                 six motions for each support; then, if any support's motion is
+                                    given, one for each probing: the strain of its supports
     """
     vertices = session.mesh.vertices
     shapes = np.zeros((len(vertices), 3, 6 * len(supports)))
@@ -289,7 +291,7 @@ def held_directions(session: Session) -> Float[np.ndarray, "k 3 3"]:
 
 
 def sliding_motion(session: Session) -> MovingSupport | None:
-    """The rigid motions of the whole object that its supports leave, as those of a support.
+    """The rigid motions of the whole object that its supports do not constrain, as a support.
 
     Parameters
     ----------
@@ -297,7 +299,7 @@ def sliding_motion(session: Session) -> MovingSupport | None:
 
     Returns
     -------
-    MovingSupport or None           by the number of the first roller; None: none are left
+    MovingSupport or None           with the number of the first roller; None: there are none
     """
     rollers = [k for k, one in enumerate(session.supports) if one.directions is not None]
     if not rollers:
@@ -310,8 +312,8 @@ def sliding_motion(session: Session) -> MovingSupport | None:
     centre = _middle(vertices[np.unique(mesh.triangles[held])])
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
     unit = np.array([1.0, 1.0, 1.0, length, length, length])
-    # In units in which a turn moves the object as far as a shift: of those that are left, the
-    # nearest to each motion.
+    # Projection of each motion onto the unconstrained ones, in units in which a rotation displaces
+    # the object as much as a translation.
     flat = (rigid_modes(vertices, centre) / unit).reshape(-1, 6)
     left = np.linalg.qr(np.linalg.lstsq(flat, loose.reshape(len(flat), -1), rcond=None)[0])[0]
     return MovingSupport(
@@ -325,7 +327,7 @@ def sliding_motion(session: Session) -> MovingSupport | None:
 
 
 def require_balance(session: Session, sliding: MovingSupport | None) -> None:
-    """Refuse forces along motions that no support holds.
+    """Refuse loads of the probings, or gravity, along motions that no support holds.
 
     Parameters
     ----------
@@ -334,7 +336,7 @@ def require_balance(session: Session, sliding: MovingSupport | None) -> None:
 
     Raises
     ------
-    InputError                      the text names the probing
+    InputError                      the message names the probing
     """
     for probing in session.probings:
         forces = [(probing.contact.point, probing.force)]
@@ -352,7 +354,7 @@ def _total_force(mesh: TriangleMesh, load: Load) -> Vector3:
     """Force of a load on the object."""
     if load.force is not None:
         return load.force
-    # A pressure acts over triangles, which are named.
+    # A pressure always acts over given triangles.
     pressed = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
     return -float(load.pressure or 0.0) * pressed
 
@@ -360,24 +362,24 @@ def _total_force(mesh: TriangleMesh, load: Load) -> Vector3:
 def check_balance(
     sliding: MovingSupport | None, forces: Sequence[tuple[Vector3, Vector3]], place: str
 ) -> None:
-    """Refuse forces that together push along a motion that no support holds.
+    """Refuse forces with a resultant along a motion that no support holds.
 
     Parameters
     ----------
     sliding : MovingSupport or None     of `sliding_motion`
     forces : sequence of (point, force)     [m], [N]
-    place : str                     for the message
+    place : str                     start of the message
 
     Raises
     ------
-    InputError
+    InputError                      more than 5 % of the forces act along such a motion
     """
     if sliding is None:
         return
     point, force = (np.stack(part) for part in zip(*forces, strict=True))
     size = float(np.linalg.norm(force, axis=1).sum())
     pushed = np.abs(np.einsum("ni,niq->q", force, sliding.modes(point)))
-    # A force that turns the object acts at a lever.
+    # Moments are divided by the longest lever arm.
     pushed[3:] /= np.linalg.norm(point - sliding.centre, axis=1).max() + np.finfo(float).tiny
     worst = int(np.argmax(pushed))
     if pushed[worst] > _UNANSWERED * size:

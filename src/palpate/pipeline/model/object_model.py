@@ -1,4 +1,4 @@
-"""Boundary element model of a session's object: its loads, its weight, its moving supports."""
+"""Boundary element model of a session's object, with its loads, weight and moving supports."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -60,12 +60,12 @@ ContactKey = tuple[object, ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPoints:
-    """Integral equations for the displacement of the contact points themselves.
+    """Integral equations for the displacement of the contact points.
 
     Attributes
     ----------
-    equations : PointEquations            of every patch
-    right : RightHand                     the same columns as those of the system
+    equations : PointEquations            for every patch
+    right : RightHand                     the same columns as for the system
     """
 
     equations: PointEquations
@@ -80,15 +80,16 @@ class ObjectModel:
     ----------
     session : Session
     system : BoundarySystem
-    patches : dict of ContactPatch        distinct contacts, by what makes them distinct
-    pressed : dict of ContactPatch        those under a pressure
-    supports : tuple of MovingSupport     the object itself last, where it slides
+    patches : dict of ContactPatch        distinct contacts under a force, by `contact_key`
+    pressed : dict of ContactPatch        distinct contacts under a pressure, likewise
+    supports : tuple of MovingSupport     moving ones; last the object itself, where it slides
     slides : bool                         whether the object slides along rollers
-    shapes : (v, 3, q) float              how they move what is held (`support_shapes`)
-    right : RightHand                     three columns a patch, one a pressure, two of gravity, if
-                                          any, q of the supports, then those of `changes`
-    changes : tuple of ContactChange      of the probings, in their order
-    springs : Springs or None             under supports that give
+    shapes : (v, 3, q) float              displacements prescribed by their motions
+                                          (`support_shapes`)
+    right : RightHand                     three columns for each patch, one for each pressure, two
+                                          for gravity, if any, q for the supports, then `changes`
+    changes : tuple of ContactChange      perturbed contacts and dips of all probings
+    springs : Springs or None             under compliant supports
     body : BodyForce or None
     tips : ContactPoints or None          None where no tip was measured
     """
@@ -113,16 +114,16 @@ class ObjectModel:
 
     @property
     def patch_of(self) -> Int[np.ndarray, " k"]:
-        """Which of the patches each probing has under its tool; -1: it pulls a support."""
+        """Index of the patch under the tool of each probing; -1: it pulls a support."""
         return _patch_numbers(self.session, self.patches)
 
     def lifts(self, probing: int) -> tuple[int, ...]:
-        """Which motions are the shifts of the support that a probing pulls; none: it pulls none."""
+        """Indices of the translations of the support that a probing pulls; empty: it pulls none."""
         pulled = self.pulled(probing)
         return () if pulled is None else tuple(6 * pulled + i for i in range(3))
 
     def pulled(self, probing: int) -> int | None:
-        """Which of the moving supports a probing pulls."""
+        """Index in `supports` of the one that a probing pulls; None: it pulls none."""
         contact = self.session.probings[probing].contact
         if contact.profile != RIGID or contact.triangles is None:
             return None
@@ -139,18 +140,19 @@ def make_object_model(
     like: ObjectModel | None = None,
     progress: Progress = silent,
 ) -> ObjectModel:
-    """Compute all integrals of a session's object, its loads, its weight and its supports.
+    """Compute all integrals for a session's object, its loads, its weight and its supports.
 
     Parameters
     ----------
     session : Session
     surface : SurfaceSettings
-    cache : Path or None              folder that keeps dense integrals for the next time
-    nominal : bool                    True: without contacts that differ a little from what is told,
-                                      and without what the mesh about them may be off by
-    like : ObjectModel or None        of the same mesh on the same supports under other contacts:
-                                      its integrals are used again
-    progress : callable               told how far the integrals are, where that takes minutes
+    cache : Path or None              folder in which dense integrals are kept for reuse
+    nominal : bool                    True: without perturbed contacts, and without the error of the
+                                      mesh about contacts
+    like : ObjectModel or None        of the same mesh on the same supports with other contacts: its
+                                      integrals are reused
+    progress : callable               called with the progress of the integrals, which may take
+                                      minutes
 
     Returns
     -------
@@ -158,7 +160,8 @@ def make_object_model(
 
     Raises
     ------
-    InputError                        the model does not fit into memory, a bad contact
+    InputError                        the model does not fit into memory, a bad contact, or a force
+                                      along a motion that no support holds
     """
     rollers = any(support.directions is not None for support in session.supports)
     gives = bool(giving_supports(session))
@@ -212,8 +215,8 @@ def _right_hand(
     changes: Sequence[ContactChange],
     dips_of_changes: Sequence[ContactShape | None],
 ) -> tuple[RightHand, BodyForce | None]:
-    """Columns of all loads, of the weight [N/m^3], if any, of what is held and moves, and of
-    contacts that differ a little."""
+    """Columns of all loads, of the weight [N/m^3], if any, of the motions of supports, and of
+    perturbed contacts."""
     parts = [
         load_right_hand(system, [surface_load(patch)])
         if patch.contact.triangles is None
@@ -239,7 +242,7 @@ def _right_hand(
 def _distinct_patches(
     session: Session,
 ) -> tuple[dict[ContactKey, ContactPatch], dict[ContactKey, ContactPatch]]:
-    """Every contact under a force once, and every one under a pressure."""
+    """Distinct contacts under a force, and distinct contacts under a pressure."""
     patches: dict[ContactKey, ContactPatch] = {}
     pressed: dict[ContactKey, ContactPatch] = {}
     for probing in session.probings:
@@ -256,13 +259,13 @@ def _distinct_patches(
 def _patch_numbers(
     session: Session, patches: dict[ContactKey, ContactPatch]
 ) -> Int[np.ndarray, " k"]:
-    """Which of the patches each probing has under its tool; -1: it pulls a support."""
+    """Index of the patch under the tool of each probing; -1: it pulls a support."""
     order = list(patches)
     keys = [contact_key(probing.contact) for probing in session.probings]
     return np.array([order.index(key) if key in patches else -1 for key in keys])
 
 
 def contact_key(contact: Contact) -> ContactKey:
-    """What makes two contacts the same patch."""
+    """Key that is equal for contacts with the same patch."""
     triangles = () if contact.triangles is None else tuple(contact.triangles.tolist())
     return (*contact.point.tolist(), contact.radius, contact.profile, triangles)

@@ -1,5 +1,5 @@
-"""What each probing sees of the model of its object: displacements of points, of its tip, of
-supports."""
+"""Observations of each probing as functions of the model's solutions: displacements of its points
+and its tip, motions of supports."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,15 +21,15 @@ def probe_rows(
     average: SurfaceAverage | None = None,
     nominal: bool = False,
 ) -> ProbeRows:
-    """Which displacements a probing sees, and which columns move them.
+    """Observations of a probing, and the right-hand sides that they depend on.
 
     Parameters
     ----------
     model : ObjectModel
     index : int                       of the probing in its session
-    place : SurfacePoints             of its observed points
-    average : SurfaceAverage or None  what is observed there; None: the displacement of the points
-    nominal : bool                    True: without the columns of changed contacts
+    place : SurfacePoints             observed points
+    average : SurfaceAverage or None  average that is observed; None: displacement at the points
+    nominal : bool                    True: without the columns of perturbed contacts
 
     Returns
     -------
@@ -60,7 +60,7 @@ def probe_rows(
 
 
 def _seen(model: ObjectModel, place: SurfacePoints, average: SurfaceAverage | None) -> csr_array:
-    """Observed displacements from those of the vertices, (3 n, 3 v)."""
+    """Matrix from the displacements of the vertices to the observed ones, (3 n, 3 v)."""
     nodes = model.system.surface.displacement
     points = interpolation_matrix(nodes, place.triangle, place.barycentric)
     if average is None:
@@ -70,12 +70,12 @@ def _seen(model: ObjectModel, place: SurfacePoints, average: SurfaceAverage | No
 
 
 def _own_changes(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
-    """Changes of one probing among those of all."""
+    """Indices of a probing's perturbed contacts in `ObjectModel.changes`."""
     return np.flatnonzero(np.array([change.probing == index for change in model.changes]))
 
 
 def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v 3"]:
-    """Particular displacement of every vertex; none where the support answers it with its own."""
+    """Particular displacement of every vertex, zero in directions that are held."""
     moved, held = body.particular.copy(), system.unknowns.held_vertices
     moved[held] -= np.einsum("hij,hj->hi", system.unknowns.vertex_directions, moved[held])
     return moved
@@ -84,8 +84,8 @@ def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v
 def _columns(
     model: ObjectModel, index: int, changes: Int[np.ndarray, " p"]
 ) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
-    """Right-hand sides of a probing in the order of `ProbeRows`, and how much of its known loads
-    there is."""
+    """Right-hand sides of a probing in the order of `ProbeRows`, and the multipliers of its known
+    loads."""
     probing = model.session.probings[index]
     patches, pressed = list(model.patches), list(model.pressed)
     columns, known = [], []
@@ -108,7 +108,7 @@ def _columns(
 
 
 def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
-    """Motions of a probing among those of all: the rigid ones, and the strain it gives."""
+    """Indices of a probing's motions in `ObjectModel.shapes`: rigid ones, and the given strain."""
     rigid = 6 * len(model.supports)
     return np.append(np.arange(rigid), [rigid + index] * model.gives_motions).astype(np.int64)
 

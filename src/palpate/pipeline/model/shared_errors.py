@@ -1,4 +1,4 @@
-"""The errors that a session's points and probings share, as nuisances of the estimation."""
+"""The errors shared by points and probings of a session, as nuisance parameters."""
 
 from collections.abc import Callable, Sequence
 
@@ -22,7 +22,7 @@ from palpate.pipeline.model.object_model import ObjectModel
 from palpate.pipeline.model.spring_responses import compliance_error
 from palpate.records import Probing
 
-# Of what a turn of the sensor does to a component: beyond it adds 0.5 % to what is open anyway.
+# A component's std over the effect of the sensor's rotation, above which that adds at most 0.5 %.
 _OPEN = 10.0
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 
@@ -35,7 +35,7 @@ def shared_errors(
     vertices: Response,
     scale_error: float,
 ) -> tuple[Nuisance, ...]:
-    """Errors of one probing.
+    """Nuisance parameters of one probing.
 
     Parameters
     ----------
@@ -44,11 +44,12 @@ def shared_errors(
     response : ProbeResponse or SpringResponse      of the probing
     change : sequence of csr_array  `pose_changes` of its points
     vertices : function             response of all vertices to its loads
-    scale_error : float [-]         of its displacements' lengths, beside the session's own prior
+    scale_error : float [-]         relative std of its displacements' lengths; the larger of this
+                                    and the session's prior is taken
 
     Returns
     -------
-    tuple of Nuisance               those whose prior is not exact
+    tuple of Nuisance               those with a prior standard deviation above zero
     """
     priors, found = model.session.errors, list[Nuisance]()
     pushed = bool(model.session.probings[index].force.any())
@@ -71,7 +72,7 @@ def shared_errors(
 def _contact_errors(
     model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
 ) -> list[Nuisance]:
-    """What the contact of one probing, and the mesh about it, may differ in."""
+    """Errors of one probing's contact, and of the mesh about it."""
     mine = [one.steps for one in model.changes if one.probing == index]
     if not mine:
         return []
@@ -82,8 +83,8 @@ def _contact_errors(
 
 
 def _measured_components(probing: Probing, turn: float) -> tuple[bool, bool, bool]:
-    """Components of a force that were measured: those that are not left so open that a turn of the
-    sensor says nothing more about them."""
+    """Components of a force that were measured: those whose standard deviation is not so large that
+    a rotation of the sensor is negligible."""
     if probing.force_std is None:
         return (True, True, True)
     open_ended = _OPEN * turn * float(np.linalg.norm(probing.force))
@@ -92,10 +93,10 @@ def _measured_components(probing: Probing, turn: float) -> tuple[bool, bool, boo
 
 
 def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
-    """How displacements at points follow from those of the vertices where the mesh lies elsewhere.
+    """Change of the displacements at points, from those of the vertices, with the pose of the mesh.
 
-    A mesh that is shifted by d against the points is seen at x - d in its own frame; one that is
-    turned turns its displacements, too.
+    Where the mesh is shifted by d relative to the points, its displacement is evaluated at x - d; a
+    rotation also rotates the displacements.
 
     Parameters
     ----------
@@ -104,8 +105,8 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
 
     Returns
     -------
-    list of (3 n, 3 v) sparse       for one standard deviation of three shifts, of three turns; none
-                                    of those that are exact
+    list of (3 n, 3 v) sparse       per standard deviation of three translations, then of three
+                                    rotations; without those whose prior is exact
     """
     mesh, priors = model.session.mesh, model.session.errors
     stds = np.array([priors.pose_translation] * 3 + [priors.pose_rotation] * 3)
@@ -115,13 +116,13 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
     nodes, count = model.system.surface.displacement, place.triangle.size
     modes = rigid_modes(place.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
     corner = mesh.vertices[mesh.triangles[place.triangle]]
-    # From a shift to the change of barycentric coordinates; what leads out of the plane is lost.
+    # From a shift to the change of barycentric coordinates; its normal component has no effect.
     inverse = np.linalg.pinv(
         np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], 2)
     )
     two = -0.5 * np.einsum("nij,njk->kni", inverse, modes)
     half = np.concatenate([-two.sum(axis=2, keepdims=True), two], axis=2)
-    # The element's own quadratic, on both sides of the point.
+    # Central difference of the element's quadratic shape functions about the point.
     sides = np.concatenate([place.barycentric + half, place.barycentric - half]).reshape(-1, 3)
     both = interpolation_matrix(nodes, np.tile(place.triangle, 2 * chosen.size), sides)
     changes = both[: chosen.size * count] - both[chosen.size * count :]

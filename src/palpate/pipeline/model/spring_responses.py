@@ -1,4 +1,4 @@
-"""What probings see of an object whose supports give, and how that depends on its modulus."""
+"""Responses of probings of an object on compliant supports, and their dependence on its modulus."""
 
 from collections.abc import Callable, Sequence
 
@@ -30,7 +30,7 @@ from palpate.pipeline.model.giving_supports import (
 )
 from palpate.pipeline.model.object_model import ObjectModel
 
-# Makes the responses of some rows for one shear modulus [Pa].
+# Function from a shear modulus [Pa] to the responses of some rows.
 SpringResponses = Callable[[float], list[SpringResponse]]
 
 
@@ -42,7 +42,7 @@ def spring_responses(
     Parameters
     ----------
     model : ObjectModel
-    springs : Springs               of it
+    springs : Springs               of this model
     rows : sequence of ProbeRows
     settings : FitSettings          method and range of Poisson's ratio
 
@@ -83,7 +83,7 @@ def spring_responses(
 
 
 def _spring_load(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "e c"] | None:
-    """What each column of the model presses on every spring beside the unknown traction [N/m]."""
+    """Known part of the traction on every spring, for each column of the model [N/m]."""
     if model.body is None:
         return None
     known = np.zeros((len(springs.share), model.right.terms.shape[2]))
@@ -96,7 +96,7 @@ def _spring_load(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "e c
 def settlement(
     model: ObjectModel, response: SpringResponse, shear_modulus: float
 ) -> Settlement | None:
-    """How a response depends on the modulus at which it was taken.
+    """Dependence of a response on the shear modulus at which it was taken.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def settlement(
 
 
 def compliance_error(model: ObjectModel, response: SpringResponse) -> SupportCompliance | None:
-    """How much further than the session says its supports give, as an error with a prior.
+    """Error of the supports' compliance stated by the session, as nuisance parameters.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def compliance_error(model: ObjectModel, response: SpringResponse) -> SupportCom
 
     Returns
     -------
-    SupportCompliance or None       None: they give as the session says
+    SupportCompliance or None       None: compliances are exact
     """
     std = model.session.errors.support_compliance
     if std == 0.0:

@@ -1,9 +1,9 @@
 """What the probings of a session saw, beside what its model says they should have seen.
 
-Purpose    : measurement and model of every probing as one object that the estimation takes, and
-             what the mesh may be off by.
+Purpose    : measurement and model of every probing as the one object that the estimation takes, and
+             the errors of the mesh.
 Takes      : a `Session`, its `ObjectModel`.
-Gives      : `ProbeObservations` of the estimation, one a probing.
+Gives      : `ProbeObservations` of the estimation, one for each probing.
 Depends on : `pipeline.model`, `estimation`, `records`, `bem`, `geometry`; errors, shapes.
 Read first : `session_observations.py`, `settled_observations.py`, then `mesh_errors.py`.
 """

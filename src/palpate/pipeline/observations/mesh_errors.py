@@ -1,4 +1,4 @@
-"""The same probings beside models of several meshes: what the mesh that is fitted may be off by."""
+"""The same probings with models of several meshes, for the discretisation error of the fit."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,10 +16,10 @@ from palpate.pipeline.observations.settled_observations import settled_observati
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, Session
 
-# Relative residual of a compressed model that shows the step to a finer mesh only: a thousandth of
-# the displacement or more, so that the step is known to a hundredth.
+# Relative residual of a compressed model used only for the change to a finer mesh: that is at least
+# a thousandth of the displacement, so it is known to a hundredth.
 _COARSER_RESIDUAL = 1e-5
-# Fraction of the work that is done when the integrals are.
+# Fraction of the work that the integrals take.
 _SOLVED = 0.5
 
 
@@ -32,18 +32,18 @@ def coarser_observations(
     like: ObjectModel | None = None,
     progress: Progress = silent,
 ) -> tuple[ObjectModel, list[ProbeObservations]]:
-    """The model of the mesh as it is, nothing else being wrong, and what was seen beside it.
+    """The model of the mesh as it is, without other errors, and the observations with it.
 
-    Beside the same on the graded mesh it shows how much the mesh is off.
+    The change from these to the graded mesh shows the discretisation error.
 
     Parameters
     ----------
     session : Session                     k probings, each with displacements
     settings : FitSettings
     surface : SurfaceSettings
-    cache : Path or None                  folder that keeps the integrals
+    cache : Path or None                  folder in which the integrals are kept
     like : ObjectModel or None            as `make_object_model`
-    progress : callable                   told what is done (text) and how far it is (0 to 1)
+    progress : callable                   called with the current step (text) and the fraction done
 
     Returns
     -------
@@ -75,23 +75,23 @@ def with_considered_errors(
     cache: Path | None = None,
     progress: Progress = silent,
 ) -> list[ProbeObservations]:
-    """What was seen beside the given mesh's model, with what that model may be off by between the
-    vertices and along sharp edges.
+    """Observations with the errors of the given mesh's model between vertices and along sharp
+    edges, as considered errors.
 
     Parameters
     ----------
     session : Session                     k probings, each with displacements
-    observations : sequence of k ProbeObservations    `coarser_observations` of it, likewise
+    observations : sequence of k ProbeObservations    `coarser_observations` of it, in this order
     settings : FitSettings
     surface : SurfaceSettings
-    cache : Path or None                  folder that keeps the integrals
-    progress : callable                   told what is done (text) and how far it is (0 to 1)
+    cache : Path or None                  folder in which the integrals are kept
+    progress : callable                   called with the current step (text) and the fraction done
 
     Returns
     -------
-    list of k ProbeObservations           as they are where elements are linear, and where the mesh
-                                          is so large that its integrals are compressed: four times
-                                          as many vertices leave a seventh of these errors or less
+    list of k ProbeObservations           unchanged where elements are linear, and where the mesh is
+                                          so large that its integrals are compressed: four times as
+                                          many vertices reduce these errors to a seventh or less
 
     Raises
     ------
@@ -128,7 +128,7 @@ def with_considered_errors(
 
 
 def graded_observations(session: Session) -> list[ProbeObservations]:
-    """What a fit would see: beside the graded mesh's model, with the error that its mesh has.
+    """Observations as a fit takes them: with the graded mesh's model and the errors of that mesh.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the probings of a session saw, beside what its model says they should have seen."""
+"""Observations of a session's probings: measured displacements with the responses of the model."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -35,10 +35,10 @@ from palpate.pipeline.model import (
 from palpate.records import GIVEN, DisplacementField, Probing, Session
 from palpate.shapes import Vertices
 
-# Poisson's ratio at which the size of small terms is taken.
+# Poisson's ratio at which small terms are evaluated.
 _MIDDLE = 0.3
-# Relative residual of what contacts change that are not as stated; thin bodies make up to 1000
-# times as large an error of it.
+# Relative residual for perturbed contacts; in thin bodies the error of the solution may be 1000
+# times as large.
 _TOLERANCE_OF_CHANGES = 1e-5
 
 
@@ -49,15 +49,15 @@ def session_observations(
     settings: FitSettings = FitSettings(),
     shear_modulus: float = 1.0,
 ) -> list[ProbeObservations]:
-    """What each probing saw, with what the model says it should have seen.
+    """Measured displacements of each probing, with the responses of the model.
 
     Parameters
     ----------
     session : Session                     k probings, each with displacements
     model : ObjectModel                   of this session
     settings : FitSettings                method and range of Poisson's ratio
-    shear_modulus : float [Pa]            about which the model is taken; it counts only where a
-                                          support has a stiffness
+    shear_modulus : float [Pa]            at which responses are taken; matters only where a support
+                                          has a stiffness
 
     Returns
     -------
@@ -67,7 +67,7 @@ def session_observations(
     ------
     InputError                            a probing without displacements
     SingularSystemError                   the support does not hold the object
-    NotConvergedError                     the reduced model does not serve the range
+    NotConvergedError                     the reduced model does not cover the range
     """
     return session_observations_at(session, model, settings=settings)(shear_modulus)
 
@@ -80,14 +80,14 @@ def session_observations_at(
     with_surface: bool = False,
     snapshot_residual: float = SNAPSHOT_RESIDUAL,
 ) -> Callable[[float], list[ProbeObservations]]:
-    """The same for any modulus, from one factorisation.
+    """As `session_observations`, for any modulus, from one factorisation.
 
     Parameters
     ----------
     session : Session
     model : ObjectModel
     settings : FitSettings
-    with_surface : bool                   with the displacement of all vertices
+    with_surface : bool                   True: with responses of all vertices
     snapshot_residual : float             as `make_reduced_model`
 
     Returns
@@ -125,7 +125,8 @@ def _all_observations(
     responses: Sequence[ProbeResponse | SpringResponse],
     shear_modulus: float,
 ) -> list[ProbeObservations]:
-    """What each probing saw; behind the responses of its points may be those of all vertices."""
+    """Observations of each probing; the first responses are those of the probings' points, further
+    ones, if any, those of all vertices."""
     own = responses[: len(session.probings)]
     vertices = responses[len(session.probings) :] or own
     support = session.mesh.vertices[np.unique(session.mesh.triangles[session.held_triangles])]
@@ -143,7 +144,7 @@ def _all_observations(
 
 
 def _pose_changes(session: Session, model: ObjectModel) -> list[list[csr_array]]:
-    """`pose_changes` of every probing's points; many of them are points of several probings."""
+    """`pose_changes` of every probing's points, computed once for points common to several."""
     surfaces = [_measured(probing).surface for probing in session.probings]
     every, numbers = distinct_points(surfaces)
     changes = pose_changes(model, every)
@@ -204,11 +205,11 @@ def _observations(
 def _contact_mesh_error(
     model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
 ) -> Float[np.ndarray, "n 1"]:
-    """What the mesh about the contact may be off by at each point, 1 sigma of a component [m].
+    """Error of the mesh about the contact at each point, 1 sigma of a component [m].
 
-    One parameter a contact (`dip_changes`) takes up what has the shape of the dip. What has not is
-    of the same size and differs from point to point; without it points beside a tool, which move
-    most, would count as if the model knew them to a thousandth.
+    One parameter for each contact (`dip_changes`) represents errors in the shape of the dip. Other
+    errors are of the same size and differ from point to point; without them points close to a tool,
+    which move most, would count as if the model were accurate to a thousandth.
     """
     probing = model.session.probings[index]
     field = _measured(probing)
@@ -218,7 +219,7 @@ def _contact_mesh_error(
     size = field.displacement.size
     moved = response.value(_MIDDLE)[:size, :3] @ probing.force
     dip = response.change(_MIDDLE)[:size, -1].reshape(-1, 3)
-    # One over the modulus, roughly, from the measured motion.
+    # Rough estimate of 1 / G from the measured displacements.
     known = np.isfinite(field.displacement).ravel()
     scale = float(moved[known] @ field.displacement.ravel()[known] / (moved[known] @ moved[known]))
     error = max(scale, 0.0) * np.linalg.norm(dip, axis=1, keepdims=True) / np.sqrt(3.0)
@@ -228,7 +229,7 @@ def _contact_mesh_error(
 def _motions(
     session: Session, model: ObjectModel, index: int
 ) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
-    """What is known before about the motions of the supports, and how well."""
+    """Prior values and standard deviations of the motions of the supports."""
     value, std = [], []
     for support in model.supports:
         if support.motion == GIVEN:
@@ -247,7 +248,7 @@ def _motions(
 
 
 def _measured(probing: Probing) -> DisplacementField:
-    """The displacements of a probing, which must be there."""
+    """The displacements of a probing; an error where there are none."""
     if probing.displacement is None:
         raise InputError(
             f"probing '{probing.name}' has no measured displacement and no images; give one of"

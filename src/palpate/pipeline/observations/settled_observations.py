@@ -1,4 +1,4 @@
-"""Observations beside a model whose supports give: about the modulus that fits them best."""
+"""Observations with a model on compliant supports, taken at the shear modulus that fits best."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,8 +18,9 @@ from palpate.pipeline.model import LEFT_OF_STEP, ObjectModel
 from palpate.pipeline.observations.session_observations import session_observations_at
 from palpate.records import Session
 
-# Where supports give: how often the modulus about which the model is taken is found anew, the
-# change of its logarithm that ends this (what it leaves is of its square), and the longest step.
+# For compliant supports: largest number of iterations for the modulus at which the model is taken,
+# the change of its logarithm that ends them (the error is of second order in it), and the longest
+# step.
 _SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
 
 
@@ -32,18 +33,17 @@ def settled_observations(
     with_surface: bool = False,
     snapshot_residual: float = SNAPSHOT_RESIDUAL,
 ) -> list[ProbeObservations]:
-    """What each probing saw, with what the model says at the modulus that fits it best, where
-    supports give and the model depends on it.
+    """Observations with the model at the best-fit shear modulus, on which it depends where supports
+    are compliant.
 
     Parameters
     ----------
     session : Session                     k probings, each with displacements
     model : ObjectModel                   of this session
     settings : FitSettings
-    coarser : sequence of k ProbeObservations, or none    the same on a coarser mesh: the error of
-                                          the mesh is added, and errors considered there are taken
-    with_surface : bool                   have the displacement of all vertices told along with the
-                                          estimate
+    coarser : sequence of k ProbeObservations, or empty    the same on a coarser mesh: adds the
+                                          error of the mesh and the errors considered there
+    with_surface : bool                   True: with responses of all vertices
     snapshot_residual : float             as `make_reduced_model`
 
     Returns
@@ -52,8 +52,8 @@ def settled_observations(
 
     Raises
     ------
-    InputError, SingularSystemError, NotConvergedError    as `session_observations`; the springs
-                                          explain the motion alone, so no modulus fits best
+    InputError, SingularSystemError, NotConvergedError    as `session_observations`; or the modulus
+                                          does not converge, as the springs alone explain the motion
     """
     make = session_observations_at(
         session, model, settings=settings, with_surface=with_surface,
@@ -83,7 +83,7 @@ def settled_observations(
 def _with_mesh_errors(
     observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
 ) -> list[ProbeObservations]:
-    """What was seen, with the error of the mesh that a coarser one shows, if there is one."""
+    """Observations with the error of the mesh from those on a coarser one, if there are any."""
     if not coarser:
         return list(observations)
     found = []

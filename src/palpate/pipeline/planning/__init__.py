@@ -1,6 +1,6 @@
 """What to measure, and what to expect of it, before it is measured.
 
-Purpose    : the precision of probings that are still to be made, and where the next ones tell most.
+Purpose    : expected precision of probings still to be made, and the most informative next places.
 Takes      : a `Session`, with a guess of its constants or with measurements.
 Gives      : `MeasurementPlan`, `NextProbings`.
 Depends on : `pipeline.model`, `pipeline.observations`, `lab`, `estimation`, `vision`, `records`,

@@ -1,9 +1,9 @@
-"""The precision to expect of a measurement before it is made.
+"""The expected precision of a measurement before it is made.
 
-The cameras' pictures are rendered as the object would move if its constants were known, with the
-tool and its shadow; they are followed as the pictures of a session are, and Fisher's information of
-the points that they give is that of the fit's own model. What hides, darkens or blurs the surface
-costs points here as it will there.
+The cameras' pictures are rendered for an object that moves according to guessed constants, with the
+tool and its shadow. They are tracked like the pictures of a session, and the Fisher information of
+the resulting points follows from the model of the fit. Whatever hides, darkens or blurs the surface
+costs points here as in the measurement.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -38,24 +38,24 @@ from palpate.records import (
 from palpate.shapes import Vector3, Vertices
 from palpate.vision import JointFlow, measured_vertices, surface_map, visible
 
-# How far a vertex may lie behind the drawn surface and still be seen, over the object's size.
+# Depth behind the rendered surface up to which a vertex counts as visible, over the object's size.
 _DEPTH_TOLERANCE = 2e-3
-# Shares of the work that are done when pictures are taken, and when their points are there.
+# Fractions of the work that are done when rendering starts, and when all points are tracked.
 _PICTURES, _POINTS = 0.1, 0.8
-# What is told of a picture: its name and its grey levels.
+# Called with the name and the grey levels of a picture.
 Show = Callable[[str, UInt[np.ndarray, "_ _"]], None]
-# Guesses that a plan takes: of the softest gel and of diamond [Pa].
+# Accepted range, from the softest gel to diamond [Pa].
 _YOUNG_RANGE = (1.0, 1.2e12)
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedProbing:
-    """The precision to expect of one probing alone.
+    """The expected precision of one probing alone.
 
     Attributes
     ----------
     name : str
-    seen : int                      vertices whose motion the cameras' pictures will give
+    seen : int                      vertices whose displacement can be measured in the pictures
     displacement : float [m]        median of |u| there
     sigma : float [m]               median standard deviation of a component there
     precision : name -> float       standard deviation of each constant; infinite where the probing
@@ -71,14 +71,14 @@ class PlannedProbing:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementPlan:
-    """The precision to expect of a session.
+    """The expected precision of a session.
 
     Attributes
     ----------
     probings : tuple of PlannedProbing
-    precision : name -> float       of all probings together
-    visible : name -> float         share of the free vertices that each camera sees
-    budget : tuple of BudgetEntry   what the standard deviations of all together come from
+    precision : name -> float       standard deviation of each constant from all probings together
+    visible : name -> float         fraction of the free vertices that each camera sees
+    budget : tuple of BudgetEntry   contributions to these standard deviations, by source
     """
 
     probings: tuple[PlannedProbing, ...]
@@ -97,20 +97,21 @@ def plan_measurement(
     show: Show | None = None,
     progress: Progress = silent,
 ) -> MeasurementPlan:
-    """The precision to expect from a session whose pictures are still to be taken.
+    """The expected precision of a session whose pictures are still to be taken.
 
-    The object is the model's own: a wrong support, a wrong mesh or another material cost more than
-    any plan can know.
+    The object is assumed to obey the model: errors from a wrong support, a wrong mesh or another
+    material are not included.
 
     Parameters
     ----------
-    session : Session               with a rig; its displacements and pictures are not looked at
-    young_modulus : float [Pa]      a guess: precision is nearly in proportion to it
-    poisson_ratio : float           a guess
+    session : Session               with a rig; its displacements and pictures are ignored
+    young_modulus : float [Pa]      a guess, 1 to 1.2e12; precision is nearly proportional to it
+    poisson_ratio : float [-]       a guess, -1 < nu < 0.5
     variant : Variant               of Mitsuba
-    pictures : Pictures             how the cameras take them
-    show : callable or None         gets every picture and its name, `rest_c0`, `n01_c0` and so on
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    pictures : Pictures             settings of the cameras and their pictures
+    show : callable or None         called with name and grey levels of every picture; names are
+                                    `rest_c0`, `n01_c0` and so on
+    progress : callable             called with the current step (text) and the fraction done
 
     Returns
     -------
@@ -119,8 +120,8 @@ def plan_measurement(
     Raises
     ------
     InputError                      a session without a rig or without probings; constants out of
-                                    range; cameras without sizes; nothing that two cameras see, or
-                                    whose motion they could follow
+                                    range; cameras without sizes; no vertex that two cameras see, or
+                                    that can be tracked
     """
     _check(session, young_modulus, poisson_ratio)
     rig = read_rig(session.rig or session.path)
@@ -182,8 +183,8 @@ def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
 
 
 def _moved(session: Session, material: Material) -> list[tuple[Vertices, Vector3 | None]]:
-    """Displacement of the mesh's vertices in every probing [m], and of the contact point where an
-    arm reads it."""
+    """Displacement of the mesh's vertices in every probing [m], and of the contact point where the
+    session has a tip displacement."""
     vertices = session.mesh.vertices
     still = DisplacementField(
         points=vertices,
@@ -214,7 +215,7 @@ def _followed(
     show: Show | None,
     progress: Progress,
 ) -> list[DisplacementField]:
-    """What the pictures of each probing give, those at rest being the first."""
+    """Displacements tracked in the pictures of each probing; the first ones taken are at rest."""
     flow, fields, state = JointFlow(), [], None
     for number, (name, pictures) in enumerate(taken):
         for camera, picture in zip(rig.cameras, pictures, strict=True):
@@ -249,7 +250,7 @@ def _measured(
 
 
 def _information(session: Session, material: Material) -> Information:
-    """What the points tell, beside the model of a fit with all its errors."""
+    """Fisher information of the points, with the model of a fit and all its errors."""
     shear, ratio = material.shear_modulus, material.poisson_ratio
     observed = graded_observations(_at_guess(session, material))
     known = [
@@ -260,7 +261,7 @@ def _information(session: Session, material: Material) -> Information:
 
 
 def _at_guess(session: Session, material: Material) -> Session:
-    """The session on a mesh that serves the model, with what its tools would touch."""
+    """The session on a mesh resolved for the model, with the contact radii of its tools."""
     return touched_session(
         resolved_session(session),
         shear_modulus=material.shear_modulus,

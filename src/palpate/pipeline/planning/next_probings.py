@@ -1,4 +1,4 @@
-"""Where to push next: the places that tell most, together with what is measured already."""
+"""Where to push next: the most informative places, given what is measured already."""
 
 from dataclasses import dataclass, replace
 
@@ -22,32 +22,32 @@ from palpate.progress import Progress, part_of, silent
 from palpate.records import DisplacementField, Probing, Session, require_probings
 from palpate.shapes import Points
 
-# Places that are compared.
+# Number of places that are compared.
 _CANDIDATES = 40
-# Radii of the contact that its centre keeps from creases and from what is held.
+# Distance of a contact's centre from creases and rims of held parts, in contact radii.
 _CLEARANCE = 1.3
-# A tool comes along the surface's normal; its shaft is so many contact radii wide, and starts so
-# many above the surface. It does not come from where the support is.
+# A tool approaches along the surface normal: radius of its shaft and height at which it begins, in
+# contact radii; and the largest cosine between that normal and the mean normal of the supports.
 _SHAFT_RADII, _SHAFT_STARTS, _FROM_BELOW = 1.5, 1.0, 0.3
-# Within so many contact radii the tool hides the surface.
+# The tool hides the surface within this distance, in contact radii.
 _HIDDEN_RADII = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NextProbings:
-    """Places for further probings, and what they promise.
+    """Places for further probings, and the precision to expect with them.
 
     Attributes
     ----------
-    session : Session               what there is
+    session : Session               with the probings measured so far
     force : float [N]               of every further probing, along the inward normal
     radius : float [m]              of its contact
     point : (c, 3) float [m]        places that a tool can reach
-    inward : (c, 3) float [-]
-    now : name -> float             standard deviations of what is measured
-    alone : tuple of name -> float  with one of the places besides
-    chosen : tuple of int           the best, in their order
-    after : tuple of name -> float  with each of these, and those before it
+    inward : (c, 3) float [-]       unit inward normals there
+    now : name -> float             standard deviations of the constants from the measured probings
+    alone : tuple of name -> float  the same with one of the c places added
+    chosen : tuple of int           indices of the best places, best first
+    after : tuple of name -> float  the same with each chosen place and those before it
     information : Information       of the session's probings, then of the places
     """
 
@@ -69,15 +69,15 @@ def plan_next(
     count: int = 3,
     progress: Progress = silent,
 ) -> NextProbings:
-    """Find the places whose probings tell most, one after the other (D-optimal, greedily).
+    """Find the most informative places for further probings, one at a time (greedy D-optimal).
 
-    A further probing is like the first: its contact, its points less those that the tool hides,
-    their standard deviations; its force is the median of the session's.
+    A further probing has the contact of the first one, its points except those that the tool hides,
+    and their standard deviations; its force is the median of the session's.
 
     Parameters
     ----------
-    session : Session               measured probings, one at least, under a round patch
-    count : int                     how many to choose, at least 1
+    session : Session               with measured probings; the first under a round patch
+    count : int                     number of places to choose, at least 1
     progress : callable
 
     Returns
@@ -86,7 +86,8 @@ def plan_next(
 
     Raises
     ------
-    InputError                      a count below 1; no round patch; no place is left
+    InputError                      a count below 1; no contact radius or displacement in the first
+                                    probing; no place that a tool can reach
 
     Source
     ------
@@ -113,7 +114,7 @@ def plan_next(
     point, inward = _reachable(session, radius)
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
-    # What is resolved about the given contacts; about every place it would be the whole surface.
+    # Resolved about the measured contacts only: about all places it would be the whole surface.
     resolved = resolved_session(replace(session, probings=tuple(given)))
     further = [
         _like(resolved.probings[0], resolved.mesh, place, force * direction, f"further {k}")
@@ -142,7 +143,7 @@ def plan_next(
 
 
 def _greedy(information: Information, made: list[int], places: int, count: int) -> list[int]:
-    """Places that raise the determinant of the information most, one after the other."""
+    """Places that increase the determinant of the information most, one at a time."""
     chosen: list[int] = []
     for _ in range(count):
         left = [k for k in range(places) if k not in chosen]
@@ -153,7 +154,7 @@ def _greedy(information: Information, made: list[int], places: int, count: int) 
 
 
 def _with_std(probing: Probing, rms: float) -> Probing:
-    """A probing whose points have a standard deviation; where none is given, its residuals'."""
+    """A probing with standard deviations; where none are given, the RMS of its residuals."""
     field = probing.displacement
     if field is None or field.std is not None:
         return probing
@@ -183,7 +184,7 @@ def _like(
 
 
 def _reachable(session: Session, radius: float) -> tuple[Points, Points]:
-    """Places, spread evenly, at which a tool can press, and the inward normals there."""
+    """Evenly spread places at which a tool can press, and the inward normals there."""
     mesh = session.mesh
     normals = vertex_normals(mesh.vertices, mesh.triangles)
     free = _far_from_edges(session, radius) & ~_from_the_support(session, normals)
@@ -213,7 +214,7 @@ def _far_from_edges(session: Session, radius: float) -> Bool[np.ndarray, " v"]:
 
 
 def _from_the_support(session: Session, normals: Points) -> Bool[np.ndarray, " v"]:
-    """Vertices that look the way the support does: what holds the object is in the tool's way."""
+    """Vertices that face the same way as the supports, where the fixture obstructs the tool."""
     outward = unit_normals(session.mesh)[session.held_triangles].mean(axis=0)
     return normals @ outward > _FROM_BELOW
 
@@ -221,7 +222,7 @@ def _from_the_support(session: Session, normals: Points) -> Bool[np.ndarray, " v
 def _shaft_is_free(
     mesh: TriangleMesh, place: np.ndarray, outward: np.ndarray, radius: float
 ) -> bool:
-    """Whether no part of the object lies where the tool's shaft would be."""
+    """Whether the tool's shaft would be clear of the object."""
     offset = mesh.vertices[mesh.triangles].mean(axis=1) - place
     along = offset @ outward
     beside = np.linalg.norm(offset - along[:, None] * outward, axis=1)
@@ -231,7 +232,7 @@ def _shaft_is_free(
 def _spread(
     vertices: Points, free: Int[np.ndarray, " f"], taken: Float[np.ndarray, "p 3"], count: int
 ) -> list[int]:
-    """Some of the vertices, each the farthest from those before it and from what is taken."""
+    """Farthest-point sample of the free vertices, starting from the points already taken."""
     if not len(free):
         return []
     gap = cKDTree(taken).query(vertices[free])[0]

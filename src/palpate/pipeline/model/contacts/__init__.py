@@ -1,9 +1,9 @@
 """Contacts of tools: as wide as they touch, with their sideways pressure, and what differs.
 
-Purpose    : what a tool does to the surface, for some elastic constants, and what its contact may
-             be off by: its place, its radius, the mesh about it.
+Purpose    : loads of a tool's contact for given elastic constants, and the errors of the contact:
+             its position, its radius, the mesh about it.
 Takes      : a `Session`, a `BoundarySystem`, `ContactPatch`.
-Gives      : sessions with touched circles, columns of right-hand sides.
+Gives      : sessions with the contact radii of their tools, columns of right-hand sides.
 Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `changes.py`, then `outward.py`.
 """

@@ -1,5 +1,5 @@
-"""Contacts that differ a little from what a session says: beside their point, wider or narrower.
-And what the mesh about them may be off by."""
+"""Perturbed contacts, for the errors of a contact's position and radius; and the error of the mesh
+about a contact."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,30 +25,30 @@ from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Contact, Probing, Session
 from palpate.shapes import Vector3
 
-# A tangent this near to an axis is called by its name.
+# Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
-# Cells of a load whose derivative is wanted: its rim is divided once more, not three times.
+# Cells for loads of perturbed contacts: the rim is subdivided once more, not three times.
 CHANGE_CELLS = LoadCells(degree=3, coarsest=2, finest_rim=3, finest=3)
-# Of what the half space's dip adds to the mesh about a contact, this much is wrong on a body that
-# is none: root mean square of the 32 contacts of twelve bodies against tetrahedra
+# Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
+# are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra
 # (benchmarks/coverage_of_bodies.py prints them).
 DIP_SHARE = 0.35
-# Where else a contact is tried, in standard deviations along two tangents: what first and second
-# derivatives take. Of all distances the root of three, where Gauss-Hermite nodes lie, leaves least
-# of a cubic, over errors that are normally distributed.
+# Positions of perturbed contacts, in standard deviations along two tangents, for first and second
+# derivatives. The distance sqrt(3), that of Gauss-Hermite nodes, minimises the error of a cubic for
+# normally distributed errors.
 _PLACES = np.sqrt(3.0) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactChange:
-    """A contact of a probing, or a mesh about it, that differs from what is taken.
+    """A perturbed contact of a probing, or a perturbed dip about it.
 
     Attributes
     ----------
-    probing : int                   its number
-    nominal : int                   which of the model's patches it has
-    steps : parameter -> float      what it differs in, in standard deviations
-    patch : ContactPatch or None    the changed contact; None: the contact as it is, the half
+    probing : int                   index of the probing
+    nominal : int                   index of its patch in the model
+    steps : parameter -> float      size of the perturbation, in standard deviations
+    patch : ContactPatch or None    the perturbed contact; None: the nominal contact, with the half
                                     space's dip changed by `DIP_SHARE`
     force : (3,) float [N]          of the probing
     """
@@ -61,18 +61,18 @@ class ContactChange:
 
 
 def contact_changes(session: Session, nominal: Int[np.ndarray, " k"]) -> tuple[ContactChange, ...]:
-    """How the contacts of a session's probings may differ.
+    """Perturbed contacts of a session's probings.
 
     Parameters
     ----------
     session : Session
-    nominal : (k,) int              which of the model's patches each probing has
+    nominal : (k,) int              index of each probing's patch in the model
 
     Returns
     -------
-    tuple of ContactChange          up to six a probing: place along two tangents, as many as its
-                                    first and second derivatives take, and radius; none where a
-                                    contact has no radius or is a part of the surface
+    tuple of ContactChange          up to six for each probing: five positions for the first and
+                                    second derivatives along two tangents, and a radius; none where
+                                    a contact has no radius or is a part of the surface
     """
     found = []
     for k, probing in enumerate(session.probings):
@@ -87,18 +87,18 @@ def contact_changes(session: Session, nominal: Int[np.ndarray, " k"]) -> tuple[C
 def dip_changes(
     session: Session, nominal: Int[np.ndarray, " k"], dips: Sequence[ContactShape | None]
 ) -> tuple[ContactChange, ...]:
-    """How the displacement about contacts may differ from that of the mesh.
+    """Perturbed dips: errors of the displacement about contacts that the mesh does not resolve.
 
     Parameters
     ----------
     session : Session
-    nominal : (k,) int              which of the model's patches each probing has
+    nominal : (k,) int              index of each probing's patch in the model
     dips : sequence of ContactShape or None     of the patches
 
     Returns
     -------
-    tuple of ContactChange          one a probing whose contact the mesh does not resolve, however
-                                    exact the laboratory is
+    tuple of ContactChange          one for each probing with such a contact, whatever the priors of
+                                    the session
     """
     return tuple(
         ContactChange(k, int(nominal[k]), {_dip_parameter(probing.name): 1.0}, None, probing.force)
@@ -114,7 +114,7 @@ def _dip_parameter(name: str) -> NuisanceParameter:
 
 
 def adds(dip: ContactShape | None) -> bool:
-    """Whether the mesh under a load misses some of its dip."""
+    """Whether a dip adds to the displacement that the mesh resolves under a load."""
     return dip is not None and dip.midpoints.size > 0
 
 
@@ -141,12 +141,12 @@ def change_columns(
     shapes: Sequence[ContactShape | None],
     nominal: Sequence[RightHand],
 ) -> list[RightHand]:
-    """A column for each changed contact less the nominal one, under the force of its probing.
+    """Columns of perturbed contacts minus the nominal ones, under the forces of their probings.
 
     Parameters
     ----------
     system : BoundarySystem
-    changes : sequence of ContactChange     those of dips are passed over
+    changes : sequence of ContactChange     those of dips are skipped
     shapes : sequence                       `load_shapes` of the others
     nominal : sequence of RightHand         of every change's nominal contact
     """
@@ -161,12 +161,12 @@ def change_columns(
 
 
 def dip_columns(changes: Sequence[ContactChange], dipped: Sequence[RightHand]) -> list[RightHand]:
-    """A column for each change of a dip: `DIP_SHARE` of it, under the force of its probing.
+    """Columns of perturbed dips: `DIP_SHARE` of each, under the force of its probing.
 
     Parameters
     ----------
     changes : sequence of ContactChange
-    dipped : sequence of RightHand          what the dip of each patch adds to its three columns
+    dipped : sequence of RightHand          contribution of each patch's dip to its three columns
     """
     return [
         dipped[one.nominal].under(DIP_SHARE * one.force) for one in changes if one.patch is None
@@ -176,7 +176,7 @@ def dip_columns(changes: Sequence[ContactChange], dipped: Sequence[RightHand]) -
 def dipped_columns(
     system: BoundarySystem, dips: Sequence[ContactShape | None], bare: Sequence[RightHand]
 ) -> list[RightHand]:
-    """What the dip of each patch adds to its columns; the integrals of all are one pass.
+    """Contribution of each patch's dip to its columns; all integrals are computed in one pass.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def dipped_columns(
 
     Returns
     -------
-    list of RightHand                       zero where the mesh misses nothing
+    list of RightHand                       zero where the mesh resolves the contact
     """
     found = [RightHand(np.zeros_like(columns.terms)) for columns in bare]
     known = {k: dip for k, dip in enumerate(dips) if dip is not None and adds(dip)}
@@ -198,8 +198,8 @@ def dipped_columns(
 
 
 def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPatch:
-    """Triangles that the contact reaches, changed or not; where that takes in the support, those
-    that it reaches itself."""
+    """Patch with all triangles that the nominal or a perturbed contact reaches; if these include
+    held ones, only those that the nominal contact reaches."""
     contact, priors = probing.contact, session.errors
     farthest = np.linalg.norm(_PLACES, axis=1).max() * priors.contact_std(probing.name)
     wider = radius * (1.0 + _radius_std(session, contact)) + float(farthest)
@@ -215,13 +215,13 @@ def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPat
 def _changed(
     session: Session, probing: Probing, patch: ContactPatch
 ) -> Iterator[tuple[dict[NuisanceParameter, float], Contact]]:
-    """Contacts beside the stated one, each with what it differs in."""
+    """Perturbed contacts, each with its steps in standard deviations."""
     contact, priors = probing.contact, session.errors
     point_std = priors.contact_std(probing.name)
     if point_std > 0.0:
         tangents, names = _tangents(session, patch)
         moved = contact.point + point_std * _PLACES @ tangents
-        # Along the surface, as far from it as the stated point is.
+        # Along the surface, at the same distance from it as the stated point.
         places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
         toward = [
             NuisanceParameter(
@@ -242,13 +242,13 @@ def _changed(
 
 
 def _radius_std(session: Session, contact: Contact) -> float:
-    """Prior of a contact's radius, over itself."""
+    """Prior standard deviation of a contact's radius, relative to it."""
     priors = session.errors
     return priors.contact_radius if contact.tool is None else priors.touched_radius
 
 
 def _tangents(session: Session, patch: ContactPatch) -> tuple[Float[np.ndarray, "2 3"], list[str]]:
-    """Two tangents of the surface under a patch, as near to the axes as may be, and their names."""
+    """Two tangents of the surface under a patch, aligned with axes if possible, and their names."""
     corner = session.mesh.vertices[session.mesh.triangles[patch.triangles]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
     normal /= np.linalg.norm(normal)

@@ -1,10 +1,11 @@
-"""The outward part of a sphere's or a cone's pressure.
+"""The outward (radial) part of the traction under a frictionless sphere or cone.
 
-A sphere without friction presses along its own normals, which lean outward by r / R at the
-distance r from the middle of the touched circle; those of a cone lean by the same everywhere. The
-outward traction p r / R has no resultant, but it widens the dent: left out, it makes nu 0.004 too
-large on the facility's half ball. It is minus the gradient of a potential Q(r): so it is what Q
-does, as a traction along each of two tangents, when it is shifted along that tangent.
+A frictionless sphere presses along its own normals, which are inclined outward by r / R at the
+distance r from the centre of the contact circle; those of a cone are equally inclined everywhere.
+The outward traction p r / R has no resultant, but it widens the dent: neglecting it makes nu 0.004
+too large on the virtual facility's half ball. It is minus the gradient of a potential Q(r), so it
+is the derivative of Q, applied as a traction along each of two tangents, with respect to a shift
+along that tangent.
 """
 
 from collections.abc import Callable
@@ -27,12 +28,12 @@ from palpate.probe import ContactPatch
 from palpate.records import CONE, SLIDES, SPHERE, Contact, Tool
 from palpate.shapes import Vector3
 
-# Of the touched radius: a central difference over twice this far is exact to its square.
+# Step of the central difference over the contact radius; the error is of second order in it.
 _SHIFT = 0.05
 
 
 def _under_sphere(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Q at a distance over the touched radius, up to a factor."""
+    """Q at a distance s in contact radii, up to a factor."""
     return np.clip(1.0 - s**2, 0.0, None) ** 1.5
 
 
@@ -46,7 +47,7 @@ _POTENTIALS = {SPHERE: _under_sphere, CONE: _under_cone}
 
 
 def leans_outward(contact: Contact) -> bool:
-    """Whether a contact's pressure has an outward part: under a sphere or a cone that slides."""
+    """Whether a contact's traction has an outward part: under a sphere or a cone that slides."""
     tool = contact.tool
     return tool is not None and tool.shape in _POTENTIALS and tool.friction == SLIDES
 
@@ -54,7 +55,7 @@ def leans_outward(contact: Contact) -> bool:
 def outward_columns(
     system: BoundarySystem, patch: ContactPatch, *, cells: LoadCells | None = None
 ) -> RightHand:
-    """What the outward traction adds to the columns of a patch, for one newton along each axis.
+    """Contribution of the outward traction to a patch's columns, for one newton along each axis.
 
     Parameters
     ----------
@@ -64,8 +65,8 @@ def outward_columns(
 
     Returns
     -------
-    RightHand                       three columns: the pressure counts, and forces along the surface
-                                    add nothing
+    RightHand                       three columns, in proportion to the normal component of the
+                                    force
 
     Source
     ------
@@ -85,12 +86,12 @@ def outward_columns(
 
 
 def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.ndarray, "n 3"]:
-    """The same as forces on the nodes of finite elements.
+    """The outward traction as forces on the nodes of finite elements.
 
     Parameters
     ----------
     solid : Solid
-    contact : Contact               of a sphere or a cone that slides, with its touched radius
+    contact : Contact               of a sphere or a cone that slides, with its contact radius
     force : (3,) float [N]          of the tool on the object
 
     Returns
@@ -109,7 +110,7 @@ def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nda
 
 
 def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
-    """Centres of Q, and its total there for one newton of pressure."""
+    """Shifted centres of Q, and the total force of Q about each for one newton of pressure."""
     if contact.tool is None or contact.radius is None:
         return []
     tangents = np.linalg.svd(normal[None])[2][1:]
@@ -120,7 +121,7 @@ def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
 
 
 def _integral(tool: Tool, radius: float) -> float:
-    """Of Q over the touched circle, for one newton [m]."""
+    """Integral of Q over the contact circle, for one newton [m]."""
     if tool.angle is not None:
         return np.pi / 12.0 * radius / float(np.tan(tool.angle))
     return 0.2 * radius**2 / tool.radius
@@ -129,7 +130,7 @@ def _integral(tool: Tool, radius: float) -> float:
 def _potential_load(
     patch: ContactPatch, centre: Vector3, potential: Callable[[np.ndarray], np.ndarray]
 ) -> SurfaceLoad:
-    """Q as a load, about a centre of its own."""
+    """Q as a load about a given centre."""
     radius = patch.contact.radius or 0.0
 
     def density(triangle: np.ndarray, barycentric: np.ndarray, position: np.ndarray) -> np.ndarray:

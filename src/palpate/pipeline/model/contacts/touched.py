@@ -1,4 +1,4 @@
-"""Sessions whose contacts are as wide as their tools touch, for some elastic constants."""
+"""Sessions with the contact radii that follow from their tools and given elastic constants."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ def has_tools(session: Session) -> bool:
 
 
 def touched_session(session: Session, *, shear_modulus: float, poisson_ratio: float) -> Session:
-    """The same session with the radius and the profile that each tool touches.
+    """The same session with contact radius and pressure profile computed for each tool.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def touched_session(session: Session, *, shear_modulus: float, poisson_ratio: fl
 
 
 def largest_change(before: Session, after: Session) -> float:
-    """By how much the radius of a contact differs most, over itself [-]."""
+    """Largest relative change of a contact radius between two versions of a session [-]."""
     changes = [0.0]
     for one, other in zip(before.probings, after.probings, strict=True):
         if one.contact.radius is not None and other.contact.radius is not None:
