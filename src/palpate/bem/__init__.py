@@ -1,9 +1,10 @@
 """Boundary element model of a held elastic object.
 
-Purpose    : find how every point of an object moves under a load, for all materials at once.
+Purpose    : compute how every point of an object moves under a load; one assembly serves all
+             elastic constants.
 Takes      : a closed triangle mesh, the triangles of its support, tractions on its free surface.
-Gives      : `BoundarySystem` (matrices free of the material, compressed for large bodies),
-             right-hand sides, `ElasticMap` (one material), displacement and stress inside.
+Gives      : `BoundarySystem` (material-independent matrices, compressed for large bodies),
+             right-hand sides, `ElasticMap` (one material), interior displacement and stress.
 Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """

@@ -1,4 +1,4 @@
-"""The linear elastic map: loads in, displacement of every vertex and traction on the support out.
+"""The linear elastic map from loads to vertex displacements and support tractions.
 
 Source: Lang and Pai (2001), eq. 5.
 """
@@ -42,7 +42,7 @@ from palpate.errors import InputError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElasticState:
-    """What an object does under one load.
+    """Response of an object to one load.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class ElasticState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElasticMap:
-    """A held object of known material.
+    """Elastic response of a held object with given elastic constants.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class ElasticMap:
     factorised : FactorisedSystem, or ClusterInverse where the system is compressed
     shear_modulus : float [Pa]
     poisson_ratio : float [-]
-    springs : SpringSystem or None        where a support gives
+    springs : SpringSystem or None        of compliant supports; None: rigid supports
     """
 
     system: BoundarySystem
@@ -79,16 +79,20 @@ class ElasticMap:
     def respond(
         self, loads: Sequence[SurfaceLoad], forces: Float[np.ndarray, "k 3"]
     ) -> list[ElasticState]:
-        """The state under each load by itself.
+        """Response to each load acting alone.
 
         Parameters
         ----------
         loads : sequence of k SurfaceLoad
-        forces : (k, 3) float [N]         total force of each on the object
+        forces : (k, 3) float [N]         resultant of each load, acting on the object
 
         Returns
         -------
         list of k ElasticState
+
+        Raises
+        ------
+        NotConvergedError                 the iteration for a compressed system does not converge
         """
         surface = self.system.surface
         shapes = load_shapes(surface, loads)
@@ -102,12 +106,12 @@ class ElasticMap:
         return [self.state(unit[:, k] @ force) for k, force in enumerate(forces)]
 
     def state(self, unknowns: Float[np.ndarray, " k"]) -> ElasticState:
-        """Sort a solution of the system into displacement, traction and reaction.
+        """Split a solution vector into displacement, traction and reaction.
 
         Parameters
         ----------
-        unknowns : (k,) float [m]         free displacements, then scaled tractions, then those of
-                                          springs, if any
+        unknowns : (k,) float [m]         free displacements, scaled tractions, slack, then the
+                                          displacements of springs, if any
 
         Returns
         -------
@@ -143,8 +147,9 @@ def make_elastic_map(
     system : BoundarySystem           from `assemble_system`
     shear_modulus : float [Pa]        > 0
     poisson_ratio : float [-]         -1 < nu <= 0.5
-    springs : Springs or None         under supports that give
-    compliance : (s,) float [m/Pa]    of each of these: displacement over traction
+    springs : Springs or None         of the compliant supports
+    compliance : (s,) float [m/Pa]    of each of these supports: displacement over traction;
+                                      without springs and compliance all supports are rigid
 
     Returns
     -------
@@ -152,8 +157,8 @@ def make_elastic_map(
 
     Raises
     ------
-    InputError                        constants out of range; springs under a compressed system
-    SingularSystemError               the support does not hold the object
+    InputError                        constants out of range; springs with a compressed system
+    SingularSystemError               the matrix is singular to working precision
     """
     check_material(shear_modulus, poisson_ratio)
     if isinstance(system, CompressedSystem):
@@ -184,19 +189,19 @@ def load_right_hand(
     forces: Float[np.ndarray, "k 3"] | None = None,
     cells: LoadCells | None = None,
 ) -> RightHand:
-    """Right-hand sides of loads of one newton along each axis, or of one force each.
+    """Right-hand sides of surface loads: for one newton along each axis, or for one given force.
 
     Parameters
     ----------
     system : BoundarySystem
     loads : sequence of k SurfaceLoad
-    shapes : sequence of k ContactShape or None   how the elements around each dip (`load_shapes`)
+    shapes : sequence of k ContactShape or None   local indentation around each (`load_shapes`)
     forces : (k, 3) float [N] or None             None: one newton along each axis
-    cells : LoadCells or None                     how finely loads are divided, see `load_points`
+    cells : LoadCells or None                     subdivision of the loads, see `load_points`
 
     Returns
     -------
-    RightHand                         three columns a load, or one
+    RightHand                         three columns per load; one per load where forces are given
     """
     balance = -np.eye(3) / system.traction_length
     kernel, parts = system.traction_kernel, []
@@ -220,12 +225,12 @@ def load_right_hand(
 def sorted_state(
     system: BoundarySystem, unknowns: Float[np.ndarray, " k"], shear_modulus: float
 ) -> ElasticState:
-    """Sort a solution of the system into displacement, traction and reaction.
+    """Split a solution of the system into displacement, traction and reaction.
 
     Parameters
     ----------
     system : BoundarySystem
-    unknowns : (k,) float [m]
+    unknowns : (k,) float [m]         free displacements, scaled tractions, slack
     shear_modulus : float [Pa]
 
     Returns

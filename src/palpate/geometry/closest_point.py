@@ -1,4 +1,4 @@
-"""Closest points of a triangle surface: how an observation is tied to the mesh."""
+"""Closest points of a triangle surface, which tie observations to the mesh."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
 
 _POINTS_A_BLOCK = 4096
-# So many points are found one by one sooner than a search for many is made ready.
+# Up to this many points, a loop is faster than setting up a `SurfaceSearch`.
 _FEW_POINTS = 4
 
 
@@ -26,7 +26,7 @@ class SurfacePoints:
     triangle : (n,) int             index of the triangle
     barycentric : (n, 3) float [-]  weights of its three vertices, each in [0, 1], sum 1
     position : (n, 3) float [m]     the point on the surface
-    distance : (n,) float [m]       to the point that was asked for, >= 0
+    distance : (n,) float [m]       to the query point, >= 0
     """
 
     triangle: PointIndices
@@ -37,15 +37,15 @@ class SurfacePoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSearch:
-    """A surface made ready for many searches of closest points (`surface_search`).
+    """Search structure for the closest points of a surface (`surface_search`).
 
     Attributes
     ----------
     mesh : TriangleMesh
     tree : cKDTree                  centres of spheres that cover the triangles
     radius : (s,) float [m]         of each sphere
-    owner : (s,) int                triangle that each sphere covers a piece of
-    diagonal : float [m]            of the mesh
+    owner : (s,) int                triangle of which each sphere covers a piece
+    diagonal : float [m]            bounding diagonal of the mesh
     """
 
     mesh: TriangleMesh
@@ -66,7 +66,7 @@ class SurfaceSearch:
 def _surface_points(
     mesh: TriangleMesh, triangle: PointIndices, barycentric: Points, points: Points
 ) -> SurfacePoints:
-    """Points of the surface, each nearest to one that was asked for."""
+    """The points of the surface that belong to the query points."""
     position = np.einsum("nv,nva->na", barycentric, mesh.vertices[mesh.triangles[triangle]])
     return SurfacePoints(triangle, barycentric, position, lengths(points - position))
 
@@ -91,8 +91,8 @@ def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
 
     Source
     ------
-    Ericson, Real-Time Collision Detection (2005), section 5.1.5, written over masks. Candidates
-    come from spheres that cover the triangles, so the result is exact, not approximate.
+    Ericson, Real-Time Collision Detection (2005), section 5.1.5, vectorised. Candidates come from
+    spheres that cover the triangles, so the result is exact, not approximate.
     """
     points = fixed_array(points, name="points", shape=(None, 3))
     if len(points) > _FEW_POINTS:
@@ -103,16 +103,16 @@ def closest_points(mesh: TriangleMesh, points: Points) -> SurfacePoints:
 def distinct_points(
     parts: Sequence[SurfacePoints],
 ) -> tuple[SurfacePoints, list[Int[np.ndarray, " _"]]]:
-    """The points of several sets, each place once.
+    """Merge several sets of points, with every position once.
 
     Parameters
     ----------
-    parts : sequence of SurfacePoints     at least one; points at the same place are the same
+    parts : sequence of SurfacePoints     at least one; points of equal position are merged
 
     Returns
     -------
     SurfacePoints
-    list of int arrays                    which of them the points of each set are
+    list of int arrays                    for each set, the indices of its points in the result
     """
     position = np.concatenate([part.position for part in parts])
     _, first, number = np.unique(position, axis=0, return_index=True, return_inverse=True)
@@ -129,8 +129,8 @@ def distinct_points(
 def surface_search(mesh: TriangleMesh) -> SurfaceSearch:
     """Cover every triangle with spheres of similar size.
 
-    Long triangles are halved until the pieces are no larger than twice the median, so that one
-    large triangle does not become everybody's candidate.
+    Large triangles are bisected until the pieces are no larger than twice the median, so that one
+    of them is not a candidate for all points.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def small_pieces(
 
 
 def triangle_distances(mesh: TriangleMesh, point: Vector3) -> TriangleScalars:
-    """Distance of every triangle from one point, 0 for a triangle that holds it.
+    """Distance of every triangle from one point, 0 for a triangle that contains it.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def triangle_distances(mesh: TriangleMesh, point: Vector3) -> TriangleScalars:
 
     Returns
     -------
-    (m,) float [m]                  chord distance to the triangle's nearest point
+    (m,) float [m]                  straight-line distance to the triangle's nearest point
 
     Raises
     ------
@@ -226,7 +226,7 @@ def _closest_in_block(search: SurfaceSearch, points: Points) -> tuple[PointIndic
     corner = mesh.vertices[mesh.triangles[triangle]]
     barycentric = _closest_in_triangle(corner, points[row])
     distance = lengths(np.einsum("nv,nva->na", barycentric, corner) - points[row])
-    # The first of the nearest: every point has some, in the order of the points.
+    # The first of the nearest triangles of each point; every point has at least one.
     begin = np.searchsorted(row, np.arange(len(points)))
     nearest = np.flatnonzero(distance == np.minimum.reduceat(distance, begin)[row])
     best = nearest[np.searchsorted(nearest, begin)]
@@ -234,7 +234,7 @@ def _closest_in_block(search: SurfaceSearch, points: Points) -> tuple[PointIndic
 
 
 def _closest_of_few(mesh: TriangleMesh, points: Points) -> tuple[PointIndices, Points]:
-    """The same for a few points, looked at one by one."""
+    """The same for a few points, one by one."""
     corner = mesh.vertices[mesh.triangles]
     centre, radius = corner.mean(axis=1), _sphere_radius(corner)
     triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))

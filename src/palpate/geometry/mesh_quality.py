@@ -1,4 +1,4 @@
-"""Is a surface the closed boundary of one solid, and how good are its triangles?"""
+"""Checks that a surface is the closed boundary of one solid, and the quality of its triangles."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ _SHOWN = 5
 
 @dataclass(frozen=True, slots=True)
 class MeshQuality:
-    """Figures about a surface, for the person who decides whether it is good enough.
+    """Size of a surface and quality of its triangles.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def mesh_quality(mesh: TriangleMesh) -> MeshQuality:
 
 
 def checked_mesh(mesh: TriangleMesh) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """The surface if it bounds one solid, with its orientation mended where that was wrong.
+    """Check that a surface bounds one solid, and correct its orientation where it is wrong.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def checked_mesh(mesh: TriangleMesh) -> tuple[TriangleMesh, tuple[str, ...]]:
     Returns
     -------
     mesh : TriangleMesh             closed, manifold, outward
-    notes : tuple of str            what was mended, what is poor, in sentences
+    notes : tuple of str            corrections, and warnings about poor triangles, in sentences
 
     Raises
     ------
@@ -181,7 +181,7 @@ def _check_vertex_fans(mesh: TriangleMesh, halves: HalfEdges) -> None:
     """Refuse a vertex at which two sheets of triangles touch."""
     opposite, following = halves.opposite(), halves.following
     along = halves.tail == halves.tail[opposite]
-    # A corner is numbered as the half edge that leaves it; each edge joins the corners at its ends.
+    # A corner has the number of the half-edge leaving it; an edge joins the corners at its ends.
     start = np.where(along, opposite, following[opposite])
     end = np.where(along, following[opposite], opposite)
     own = np.arange(len(opposite))
@@ -211,7 +211,7 @@ def _check_one_component(mesh: TriangleMesh, halves: HalfEdges) -> None:
 
 
 def _outward(mesh: TriangleMesh, halves: HalfEdges) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """The surface with every triangle counter-clockwise from outside, and what was turned."""
+    """The surface with all triangles counter-clockwise from outside, and a note of any change."""
     turned = _turned(mesh, halves)
     triangles = np.where(turned[:, None], mesh.triangles[:, ::-1], mesh.triangles)
     mended = TriangleMesh(vertices=mesh.vertices, triangles=triangles)
@@ -233,8 +233,8 @@ def _outward(mesh: TriangleMesh, halves: HalfEdges) -> tuple[TriangleMesh, tuple
 def _turned(mesh: TriangleMesh, halves: HalfEdges) -> Bool[np.ndarray, " m"]:
     """Which triangles must turn so that all agree with the first.
 
-    Two copies of every triangle, as given and turned, are linked where they agree; the copies that
-    hang together with the first triangle as given are the consistent surface.
+    Two copies of every triangle, as given and turned, are linked where they agree; the copies in
+    the connected component of the first triangle as given form the consistent surface.
     """
     m = len(mesh.triangles)
     a, b = halves.pairs().T

@@ -1,11 +1,10 @@
-"""Values at the edge midpoints of a mesh, fitted from the vertices around: quadratic accuracy
-without more unknowns.
+"""Midside values of a mesh, fitted to the surrounding vertices: quadratic accuracy without
+additional unknowns.
 
-A linear element knows a field at three vertices. The vertices around an edge know more: they fix a
-quadratic, and its value at the midpoint of the edge makes the element a quadratic one. The midpoint
-stays a fixed weighted sum of vertex values, so nothing is added to the unknowns. The same weights,
-applied to the vertices' own positions, give the midpoint of the smooth surface that the triangles
-approximate.
+The vertices around an edge determine a local quadratic, whose value at the midpoint of the edge is
+the midside value of a six-node triangle. It is a fixed weighted sum of vertex values, so no unknown
+is added. The same weights, applied to the positions of the vertices, give the midside nodes of the
+smooth surface that the triangles approximate.
 """
 
 from dataclasses import dataclass
@@ -20,20 +19,20 @@ from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors
 
 # The curve of a crease ends where it turns by more than the crease angle.
 _MIN_SMOOTH_COSINE = np.cos(CREASE_ANGLE)
-# Sum of the absolute weights of a midpoint beyond which its fit is not to be trusted.
+# Sum of absolute weights from which the fit of a midside node is rejected as unstable.
 _MAX_WEIGHT_SUM = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadraticNodes:
-    """Six-node triangles whose midpoint values are weighted sums of their nodes' values.
+    """Six-node triangles whose midside values are weighted sums of nodal values.
 
     Attributes
     ----------
     element : (m, 6) int      nodes at the three corners, then at the midpoints of edges 01, 12, 20;
-                              midpoints count from n_nodes on
-    n_nodes : int             number of nodes that carry values of their own
-    weights : (p, n_nodes)    sparse; value at midpoint n_nodes + row = weights[row] @ values
+                              midside nodes are numbered from n_nodes on
+    n_nodes : int             number of nodes with values of their own
+    weights : (p, n_nodes)    sparse; value at midside node n_nodes + row = weights[row] @ values
     """
 
     element: Int[np.ndarray, "m 6"]
@@ -42,18 +41,19 @@ class QuadraticNodes:
 
 
 def displacement_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> QuadraticNodes:
-    """Nodes of a continuous field: one value at a vertex, one midpoint at an edge.
+    """Nodes of a continuous field: one node per vertex, one midside node per edge.
 
     Parameters
     ----------
     mesh : TriangleMesh
     sides : Sides             of that mesh
-    rings : int               rings of neighbours of an edge's ends that fix its midpoint: 1 or 2
+    rings : int               rings of neighbours of an edge's ends that a midside value is fitted
+                              to: 1 or 2
 
     Returns
     -------
-    QuadraticNodes            n_nodes = number of vertices; the midpoint of a cut edge is the mean
-                              of what its two sides say, so that the field stays continuous
+    QuadraticNodes            n_nodes = number of vertices; the midside value of a cut edge is the
+                              mean of the fits on its two sides, so that the field is continuous
     """
     rows = _half_edge_weights(mesh, sides, rings)
     edge = sides.edge.ravel()
@@ -70,18 +70,18 @@ def displacement_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> Q
 
 
 def side_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> QuadraticNodes:
-    """Nodes of a field that may jump at cut edges, as tractions do: one value at each side of a
-    vertex.
+    """Nodes of a field that may jump at cut edges, as tractions do: one node per side of a vertex.
 
     Parameters
     ----------
     mesh : TriangleMesh
     sides : Sides             of that mesh
-    rings : int               as `displacement_nodes`
+    rings : int               as in `displacement_nodes`
 
     Returns
     -------
-    QuadraticNodes            n_nodes = number of sides; a cut edge has two midpoints, any other one
+    QuadraticNodes            n_nodes = number of sides; a cut edge has two midside nodes, any other
+                              edge one
     """
     rows = _half_edge_weights(mesh, sides, rings)
     n_sides = sides.vertex.size
@@ -91,7 +91,7 @@ def side_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> Quadratic
 
 
 def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
-    """The same nodes with plain linear interpolation: the classical element of the paper.
+    """The same nodes with linear interpolation: the classical element of the paper.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
 
     Returns
     -------
-    QuadraticNodes            every midpoint is the mean of the ends of its edge
+    QuadraticNodes            every midside value is the mean of those at the ends of its edge
     """
     corner = nodes.element[:, :3].ravel()
     after = np.roll(nodes.element[:, :3], -1, axis=1).ravel()
@@ -113,7 +113,7 @@ def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
 
 
 def free_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
-    """The same nodes where every midpoint carries a value of its own.
+    """The same elements with midside nodes that carry values of their own.
 
     Parameters
     ----------
@@ -121,7 +121,8 @@ def free_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
 
     Returns
     -------
-    QuadraticNodes            n_nodes = nodes and midpoints of the given ones, no weights
+    QuadraticNodes            n_nodes = number of nodes and midside nodes of the given ones; no
+                              weights
     """
     count = nodes.n_nodes + nodes.weights.shape[0]
     return QuadraticNodes(nodes.element, count, csr_array((0, count)))
@@ -150,7 +151,7 @@ def interpolation_matrix(
 
 
 def _half_edge_weights(mesh: TriangleMesh, sides: Sides, rings: int) -> csr_array:
-    """Weights over the sides for the midpoint of every half-edge, (3 m, n_sides)."""
+    """Weights over the sides for the midside node of every half-edge, (3 m, n_sides)."""
     half = np.arange(sides.edge.size)
     is_cut = sides.cut[sides.edge.ravel()]
     inner = half[~is_cut & (half < sides.twin.ravel())]
@@ -181,7 +182,7 @@ def _surface_stencils(
     nearest = near
     for _ in range(rings - 1):
         nearest = csr_array(nearest @ near)
-    # One ring more where these do not fix a quadratic.
+    # One more ring where these do not determine a quadratic.
     for reach in (nearest, csr_array(nearest @ near)):
         weight, column = _quadratic_weights(position, a[left], b[left], plane[left], reach)
         good = np.abs(weight).sum(axis=1) < _MAX_WEIGHT_SUM
@@ -189,7 +190,7 @@ def _surface_stencils(
         keep = (weight != 0) & good[:, None]
         parts.append((row[keep], column[keep], weight[keep]))
         left = left[~good]
-    # Where no neighbours fix a quadratic, the midpoint is the mean of its ends.
+    # Where no neighbours determine a quadratic, the midside value is the mean of its ends.
     ends = np.stack([a[left], b[left]], axis=1).ravel()
     parts.append((np.repeat(half[left], 2), ends, np.full(ends.size, 0.5)))
     row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -213,8 +214,8 @@ def _quadratic_weights(
     plane: Float[np.ndarray, "h 3"],
     near: csr_array,
 ) -> tuple[Float[np.ndarray, "h k"], Int[np.ndarray, "h k"]]:
-    """Moving-least-squares weights that give quadratics over the tangent plane exactly; NaN where
-    they cannot."""
+    """Moving-least-squares weights that reproduce quadratics over the tangent plane; NaN where the
+    fit is singular."""
     column, present = _padded_rows(csr_array(near[a] + near[b]))
     middle = 0.5 * (position[a] + position[b])
     along = position[b] - position[a]
@@ -229,7 +230,7 @@ def _quadratic_weights(
     omega = np.where(present, 1.0 / (distance2 + 1e-12) ** 2, 0.0)
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)
     gram = np.einsum("hk,hkp,hkq->hpq", omega, basis, basis)
-    # All neighbours on one line leave a column of zeros: singular, found below.
+    # Collinear neighbours leave a column of zeros, which the test for singularity below detects.
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("hpp->hp", gram), 1e-30))
     gram = gram * scale[:, :, None] * scale[:, None, :]
     singular = np.linalg.eigvalsh(gram)[:, 0] < 1e-8

@@ -11,13 +11,13 @@ def morton_order(point: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 
     Parameters
     ----------
-    point : (n, 3) float [m]  NaN where a point has no place; one at least has
+    point : (n, 3) float [m]  NaN where a position is missing; at least one is not
 
     Returns
     -------
-    (n,) int                  indices; the box around the points is cut into 1024 cells along its
-                              longest side, points of one cell keep their order, those without a
-                              place come last
+    (n,) int                  indices; the bounding box is cut into 1024 cells along its longest
+                              side, points of one cell keep their order, those without a position
+                              come last
     """
     low = np.nanmin(point, axis=0)
     size = max(float((np.nanmax(point, axis=0) - low).max()), np.finfo(float).tiny)

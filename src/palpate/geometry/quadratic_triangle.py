@@ -1,4 +1,4 @@
-"""The six-node triangle: shape functions, points and cells of it.
+"""The six-node triangle: shape functions, points on it, subdivision.
 
 Nodes are the corners 0, 1, 2, then the midpoints of edges 01, 12, 20.
 """
@@ -37,7 +37,7 @@ def element_points(
     Parameters
     ----------
     nodes : (m, 6, 3) float [m]
-    barycentric : (q, 3) or (m, q, 3) float [-]    the same points of each triangle, or its own
+    barycentric : (q, 3) or (m, q, 3) float [-]    the same points for all triangles, or for each
 
     Returns
     -------
@@ -51,7 +51,7 @@ def element_points(
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def _fill_points(nodes, barycentric, out):
-    """Positions and area normals at points of their own in each element."""
+    """Positions and area normals at given points of each element."""
     shape, along = np.empty(6), np.empty((2, 3))
     for e in range(nodes.shape[0]):
         for q in range(barycentric.shape[1]):

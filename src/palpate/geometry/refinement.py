@@ -1,4 +1,4 @@
-"""The smooth surface that a mesh stands for, as finer triangles."""
+"""Finer triangles on the smooth surface that a mesh approximates."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,9 +13,9 @@ from palpate.shapes import Triangles, Vertices
 def refined_surface(mesh: TriangleMesh, *, pieces: int = 4) -> tuple[Vertices, Triangles]:
     """Cut every triangle into smaller ones that lie on the smooth surface through the vertices.
 
-    The surface is that of the quadratic elements: midpoints fitted from the vertices around, edges
-    where triangles turn by more than 40 degrees. With it the distance from a curved object falls by
-    the square of `pieces`.
+    The surface is that of the quadratic elements: midside nodes fitted to the surrounding vertices,
+    edges where the normals of adjacent triangles differ by more than 40 degrees. The distance from
+    a curved object decreases with the square of `pieces`.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def refined_surface(mesh: TriangleMesh, *, pieces: int = 4) -> tuple[Vertices, T
 
 
 def piece_middles(pieces: int) -> Float[np.ndarray, "s 3"]:
-    """Where the middles of the small triangles lie in the one they are cut from.
+    """Centroids of the small triangles within the one from which they are cut.
 
     Parameters
     ----------

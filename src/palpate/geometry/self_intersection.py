@@ -1,4 +1,4 @@
-"""Which triangles of a surface pass through one another."""
+"""Self-intersections of a triangle surface."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,7 +11,7 @@ _TOUCH = 1e-10
 
 
 def intersecting_pairs(mesh: TriangleMesh) -> Int[np.ndarray, "k 2"]:
-    """Pairs of triangles that share more than the vertices they have in common.
+    """Pairs of triangles that have more in common than shared vertices and edges.
 
     Triangles without a common vertex must not even touch; neighbours must not cross each other,
     nor be folded flat onto one another.
@@ -28,7 +28,8 @@ def intersecting_pairs(mesh: TriangleMesh) -> Int[np.ndarray, "k 2"]:
     ------
     Separating axes of two triangles: their normals, the nine products of their edges and, where
     they lie in one plane, their edges' normals in it (Ericson, Real-Time Collision Detection,
-    2005, section 5.2.1). Two neighbours only touch if an axis shows no more than a point of both.
+    2005, section 5.2.1). Two neighbours merely touch if their projections on some axis have a
+    single point in common.
     """
     corner = mesh.vertices[mesh.triangles] - mesh.vertices.mean(axis=0)
     touch = _TOUCH * bounding_diagonal(mesh)
@@ -69,20 +70,20 @@ def _apart(
     pairs: Int[np.ndarray, "p 2"],
     touch: float,
 ) -> Bool[np.ndarray, " p"]:
-    """True where two triangles share nothing but the vertices they have in common."""
+    """True where two triangles have nothing in common but shared vertices and edges."""
     a, b = sides = corner[pairs[:, 0]], corner[pairs[:, 1]]
     ids_a, ids_b = mesh.triangles[pairs[:, 0]], mesh.triangles[pairs[:, 1]]
     neighbours = (ids_a[:, :, None] == ids_b[:, None, :]).any(axis=(1, 2))
-    # An overlap below this counts as apart: neighbours may touch, strangers must keep clear.
+    # Largest overlap that counts as apart: neighbours may touch, other triangles must not.
     limit = np.where(neighbours, touch, -touch)
     edge_a, edge_b = _edges(a), _edges(b)
     normal_a, normal_b = _normal(edge_a), _normal(edge_b)
     span_a = _overlap(a, b, normal_a)
     span_b = _overlap(a, b, normal_b)
     flat = (_thickness(b, normal_a) <= touch) & (_thickness(a, normal_b) <= touch)
-    # In one plane the normals show two points, one on the other, which says nothing.
+    # Projections of coplanar triangles on their normals coincide, and separate nothing.
     apart = np.where(flat, span_a < -touch, (span_a <= limit) | (span_b <= limit))
-    # Most are by now: only the others are seen along the axes in their planes and across both.
+    # Most are by now; the others are tested on the axes in their planes and normal to both edges.
     for i in range(3):
         left = np.flatnonzero(~apart)
         a, b, allowed = sides[0][left], sides[1][left], limit[left]
@@ -107,7 +108,7 @@ def _normal(edge: Float[np.ndarray, "p 3 3"]) -> Float[np.ndarray, "p 3"]:
 
 
 def _unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """Vectors of length one; what is too short to have a direction becomes NaN."""
+    """Unit vectors; NaN for vectors of length zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0.0, length, np.nan)
 
@@ -115,7 +116,7 @@ def _unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3
 def _overlap(
     a: Float[np.ndarray, "p 3 3"], b: Float[np.ndarray, "p 3 3"], axis: Float[np.ndarray, "p 3"]
 ) -> Float[np.ndarray, " p"]:
-    """How far two triangles' shadows on an axis would have to move to part; NaN: no direction."""
+    """Overlap of two triangles' projections on an axis, negative for a gap; NaN for a zero axis."""
     unit = _unit(axis)
     on_a, on_b = np.einsum("pva,pa->pv", a, unit), np.einsum("pva,pa->pv", b, unit)
     (low_a, high_a), (low_b, high_b) = _ends(on_a), _ends(on_b)
@@ -125,7 +126,7 @@ def _overlap(
 def _ends(
     shadow: Float[np.ndarray, "p 3"],
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-    """Least and greatest of three numbers: over so short an axis `min` takes ten times as long."""
+    """Smallest and largest of three numbers; `min` over so short an axis is ten times slower."""
     x, y, z = shadow.T
     return np.minimum(np.minimum(x, y), z), np.maximum(np.maximum(x, y), z)
 

@@ -1,4 +1,4 @@
-"""How thick a body is behind each of its triangles."""
+"""Wall thickness of a body behind each of its triangles."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -6,13 +6,13 @@ from scipy.spatial import cKDTree
 from palpate.geometry.triangle_mesh import TriangleMesh, half_edges, unit_normals
 from palpate.shapes import PointScalars
 
-# Cosine from which normals face away from each other; that across an edge of less than 70 degrees.
+# Cosine from which two normals count as opposite; cosine of the normals at an edge of 70 degrees.
 _FACING, _KNIFE = 0.7, -0.34
 _NEIGHBOURS = 40
 
 
 def wall_thickness(mesh: TriangleMesh) -> PointScalars:
-    """Distance of each triangle's centre to the nearest one that faces the other way behind it.
+    """Distance of each triangle's centroid to the nearest opposite one behind it.
 
     Parameters
     ----------
@@ -20,9 +20,9 @@ def wall_thickness(mesh: TriangleMesh) -> PointScalars:
 
     Returns
     -------
-    (m,) float [m]                  infinite where none of the 40 nearest triangles is such a one,
-                                    so a wall is found up to about two edges thick, and along a
-                                    knife's edge, where both sides meet
+    (m,) float [m]                  infinite where none of the 40 nearest triangles is opposite, so
+                                    that walls are found up to about two edge lengths thick, and
+                                    close to a knife edge, where both faces meet
     """
     centre, normal = mesh.vertices[mesh.triangles].mean(axis=1), unit_normals(mesh)
     gap, other = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
@@ -30,7 +30,7 @@ def wall_thickness(mesh: TriangleMesh) -> PointScalars:
     behind = np.einsum("kja,ka->kj", away, normal) < -_FACING * gap
     opposite = np.einsum("kja,ka->kj", normal[other], normal) < -_FACING
     thickness = np.where(behind & opposite, gap, np.inf).min(axis=1)
-    # The two sides of a knife's edge meet there: no sheet.
+    # The two faces of a knife edge meet there: this is not a thin wall.
     halves = half_edges(mesh.triangles)
     a, b = halves.pairs().T
     knife = np.einsum("ka,ka->k", normal[a // 3], normal[b // 3]) < _KNIFE

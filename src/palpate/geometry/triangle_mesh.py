@@ -1,4 +1,4 @@
-"""A closed triangle surface in space, and the figures that follow from it at once."""
+"""Triangle surfaces, and quantities that follow directly from them."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from palpate.shapes import Flags, Indices, Triangles, TriangleScalars, TriangleV
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleMesh:
-    """Triangle surface of an object at rest; whether it is closed is `checked_mesh`'s question.
+    """Triangle surface of an object at rest; `checked_mesh` checks whether it is closed.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def vertex_normals(vertices: Vertices, triangles: Triangles) -> Vertices:
 
     Returns
     -------
-    (v, 3) float [-]                zero at a vertex of no triangle, or of none with an area
+    (v, 3) float [-]                zero at a vertex without a triangle of positive area
     """
     corner = vertices[triangles]
     area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -142,7 +142,7 @@ def enclosed_volume(mesh: TriangleMesh) -> float:
 
     Source
     ------
-    Divergence theorem with the field x / 3, about the centre of the vertices to spare digits.
+    Divergence theorem with the field x / 3, about the centroid of the vertices to limit rounding.
     """
     corner = mesh.vertices[mesh.triangles] - mesh.vertices.mean(axis=0)
     return float(np.einsum("ea,ea->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0)
@@ -169,9 +169,9 @@ class HalfEdges:
 
     Attributes
     ----------
-    tail : (3 m,) int         vertex from which each runs
+    tail : (3 m,) int         vertex from which each starts
     following : (3 m,) int    the next one around its triangle
-    edge : (3 m,) int         edge that it lies on, one number for both directions
+    edge : (3 m,) int         edge on which it lies, the same for both directions
     ends : (k, 2) int         vertices of each edge, the lower one first
     count : (k,) int          half-edges on each edge, 2 on a closed surface
     """
@@ -183,7 +183,7 @@ class HalfEdges:
     count: Int[np.ndarray, " e"]
 
     def pairs(self) -> Int[np.ndarray, "p 2"]:
-        """The two half-edges of every edge that has just two, the lower one first."""
+        """The two half-edges of every edge that has exactly two, the lower one first."""
         order = np.argsort(self.edge, kind="stable")
         first = (np.cumsum(self.count) - self.count)[self.count == 2]
         return np.stack([order[first], order[first + 1]], axis=1)
@@ -199,7 +199,7 @@ class HalfEdges:
         return self.ends[self.edge[a[chosen[a // 3] != chosen[b // 3]]]]
 
     def opposite(self) -> Indices:
-        """The other half-edge of each one's edge; itself where the surface ends."""
+        """The other half-edge of each one's edge; itself where the edge has not exactly two."""
         a, b = self.pairs().T
         other = np.arange(len(self.tail))
         other[a], other[b] = b, a
@@ -228,17 +228,17 @@ def half_edges(triangles: Triangles) -> HalfEdges:
 
 
 def connected_groups(links: Int[np.ndarray, "p 2"], count: int) -> tuple[int, Indices]:
-    """Groups of things that hang together.
+    """Connected components of a graph.
 
     Parameters
     ----------
-    links : (p, 2) int        pairs of things that are linked
-    count : int               number of things
+    links : (p, 2) int        pairs of linked items
+    count : int               number of items
 
     Returns
     -------
-    int                       number of groups
-    (count,) int              group of each thing
+    int                       number of components
+    (count,) int              component of each item
     """
     graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
     groups, label = connected_components(graph, directed=False)

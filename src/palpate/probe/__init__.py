@@ -1,7 +1,7 @@
 """What a tool does to the object, and the plain compression test beside it.
 
-Purpose    : the triangles under a tool with its pressure there; the circle that a tool touches;
-             Young's modulus of a pressed cylinder, with an honest interval.
+Purpose    : the triangles under a tool and the pressure there; the contact circle of a tool;
+             Young's modulus of a compressed cylinder, with a 95 % interval.
 Takes      : a mesh and a `Contact`; files of testing machines, or shortening and force.
 Gives      : `ContactPatch`, `Touch`; `CompressionResult` per specimen, `CompressionSeries` over
              several.

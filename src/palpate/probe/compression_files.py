@@ -24,7 +24,7 @@ _CURE = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompressionRecord:
-    """One loading of one cylinder as a file gives it, in SI, compression positive.
+    """One loading of one cylinder as read from a file, in SI units, compression positive.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class CompressionRecord:
     force : (n,) float [N]                 on its ends
     source : str                           the file
     diameter, height : float [m] or None   where lines above the columns give them
-    notes : tuple of str                   units assumed, signs turned, in full sentences
+    notes : tuple of str                   units assumed, signs reversed, in full sentences
     """
 
     displacement: PointScalars
@@ -58,7 +58,7 @@ def metres_from_text(text: str, *, name: str = "length") -> float:
     Raises
     ------
     InputError   no number, an unknown unit, not positive, or a size (above 2 m, below 0.1 mm) that
-                 no specimen has: most often a unit left out
+                 no specimen has: usually because the unit is missing
     """
     match = re.fullmatch(rf"\s*({NUMBER})\s*([A-Za-zµ]*)\s*", text)
     if not match or (match[2] and match[2] not in METRES):
@@ -79,9 +79,9 @@ def read_compression(
     displacement_column: str | None = None,
     force_column: str | None = None,
 ) -> CompressionRecord:
-    """Shortening and force from a text file, whatever stands above the columns.
+    """Shortening and force from a text file, with any lines above the columns.
 
-    Columns are split at commas, semicolons, tabs or blanks. A line of names right above the
+    Columns are separated by commas, semicolons, tabs or blanks. A line of names right above the
     numbers selects the columns (Compression, Displacement, Load, Force, ...) and gives their
     units (`Load (N)`, `Compression [mm]`); without names, the file has two columns: displacement
     and force. Lines like `Cylinder Diameter: 50mm;` are read too.
@@ -89,9 +89,13 @@ def read_compression(
     Parameters
     ----------
     path : file
-    displacement_unit : um, mm, cm, m or in   overrides the file; mm where neither says it
-    force_unit : mN, N, kN, gf, kgf or lbf    overrides the file; N where neither says it
+    displacement_unit : um, mm, cm, m or in   overrides the file; mm where neither states it
+    force_unit : mN, N, kN, gf, kgf or lbf    overrides the file; N where neither states it
     displacement_column, force_column : str   the column's name, or a part of it
+
+    Returns
+    -------
+    CompressionRecord
 
     Raises
     ------
@@ -145,18 +149,18 @@ def _read_table(path: Path) -> TextTable:
     headings = _cells(above[-1].lstrip("#% "), delimiter) if above else []
     if len(headings) != width:
         headings = [""] * width
-    # Lines of separators alone are no readings.
+    # Lines of separators alone are not readings.
     lines = [line if line.strip(_BLANK) else "" for line in lines]
     return make_table(path, lines, headings, first=first, delimiter=delimiter, cure=_CURE)
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    """Cells of one line, without blanks around them; closing separators fall away."""
+    """Cells of one line, without blanks around them; trailing separators are dropped."""
     return [cell.strip() for cell in split_cells(line.strip().rstrip(delimiter), delimiter)]
 
 
 def _first_row(lines: list[str], path: Path) -> tuple[int, str]:
-    """Line number of the first row of two or more numbers, and what splits it."""
+    """Index of the first line with two or more numbers, and its delimiter."""
     for i, line in enumerate(lines):
         for delimiter in (d for d in ";\t, " if d in line.strip()):
             cells = _cells(line, delimiter)
@@ -166,7 +170,7 @@ def _first_row(lines: list[str], path: Path) -> tuple[int, str]:
 
 
 def _is_number(cell: str, delimiter: str) -> bool:
-    """True where a cell is a number; a decimal comma counts where commas do not split."""
+    """True where a cell is a number; a decimal comma is accepted unless it is the delimiter."""
     try:
         float(cell if delimiter == "," else cell.replace(",", "."))
     except ValueError:
@@ -177,7 +181,8 @@ def _is_number(cell: str, delimiter: str) -> bool:
 def _column(
     table: TextTable, wanted: str | None, words: tuple[str, ...], what: str, default: int
 ) -> Column:
-    """The column asked for, or that has one of the words, or the usual one of two."""
+    """The requested column, else the one whose name contains one of the words, else, without names,
+    the default one of two."""
     path, named = table.path, [column for column in table.columns if column.heading]
     cure = f'name it with {what}_column (command line: --{what}-column "...")'
     if wanted is None and not named:
@@ -212,7 +217,8 @@ def _unit(
     what: str,
     notes: list[str],
 ) -> float:
-    """Factor to SI: as asked, else as the column's name says in brackets, else the usual unit."""
+    """Factor to SI units: of the requested unit, else of the one in brackets in the column's name,
+    else of the usual one."""
     found = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", column.heading)
     if wanted is not None:
         if found and found[1] != wanted:
@@ -230,7 +236,7 @@ def _unit(
 
 
 def _turned(values: PointScalars, what: str, notes: list[str]) -> PointScalars:
-    """Values with compression positive: a column that runs to the negative side is turned."""
+    """Values with compression positive: the sign of a mostly negative column is reversed."""
     if len(values) and values[np.argmax(np.abs(values))] < 0 and np.median(values) < 0:
         notes.append(f"The {what} is negative in the file; its sign was turned.")
         return -values

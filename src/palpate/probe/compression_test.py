@@ -1,7 +1,7 @@
 """Young's modulus from pressing a cylinder between two plates: E = F l / (A delta).
 
 Source: the classical test, e.g. Timoshenko & Goodier, Theory of Elasticity, section 1; ends free
-to slip. Ends that stick make the cylinder look stiffer: `gent_lindley_factor` says how much.
+to slip. Ends that stick make the cylinder appear stiffer by `gent_lindley_factor`.
 """
 
 from collections.abc import Sequence
@@ -16,17 +16,17 @@ from palpate.records import HIGHEST_PRESSURE
 from palpate.shapes import PointScalars
 
 SLOW_POLYNOMIALS = 3  # departures from the line that set the interval: second to fourth degree
-MAX_FALL = 0.01  # of the used range: noise of a gauge is smaller, an unloading goes back
-MAX_TOE_SLOPE = 0.75  # first fifth of the range softer than this share of the whole: a toe
+MAX_FALL = 0.01  # of the used range: above the noise of a gauge, below any unloading
+MAX_TOE_SLOPE = 0.75  # slope of the first fifth of the range over that of the whole: below, a toe
 MIN_READINGS = 5
-MAX_OFF_LINE = 0.2  # of the stress: no soft cylinder bends so far within ten percent
+MAX_OFF_LINE = 0.2  # of the stress span: no soft cylinder is so nonlinear within 10 % strain
 
 Kept = Float[np.ndarray, " kept"]
 
 
 @dataclass(frozen=True, slots=True)
 class CompressionResult:
-    """Young's modulus of one cylinder, with what the straight line leaves over.
+    """Young's modulus of one cylinder, with the departures from a straight line.
 
     Attributes
     ----------
@@ -37,8 +37,8 @@ class CompressionResult:
     readings : int                  readings inside that range
     intercept : float [Pa]          stress of the line at zero strain
     nonlinearity : float            largest departure from the line over the stress span, 0 = line
-    stiffening : float              slope of the upper half of the range over that of the lower
-    secant_modulus : float [Pa]     rise of stress over the range, end to end, over its strain
+    stiffening : float              slope of the upper half of the readings over that of the lower
+    secant_modulus : float [Pa]     slope between the first and the last reading of the range
     diameter, height : float [m]    of the specimen
     source : str                    the file, where there is one
     notes : tuple of str            toe, curvature, sticking ends: in full sentences
@@ -67,7 +67,7 @@ class CompressionSeries:
     ----------
     young_modulus : float [Pa]            mean over specimens
     spread : float [Pa]                   standard deviation from specimen to specimen; NaN for one
-    ci95 : (float, float) [Pa]            of the mean; of the single fit where there is but one
+    ci95 : (float, float) [Pa]            of the mean; for one specimen, of its fit
     results : tuple of CompressionResult  one per specimen
     """
 
@@ -90,8 +90,8 @@ def compression_test(
 ) -> CompressionResult:
     """Young's modulus of a cylinder from its shortening under a growing force.
 
-    A straight line with a free intercept goes through stress against strain inside
-    `strain_range`. Its interval does not take the readings as independent (see `slope_deviation`).
+    A straight line with a free intercept is fitted to stress against strain inside `strain_range`.
+    Its interval does not assume independent readings (see `slope_deviation`).
 
     Parameters
     ----------
@@ -106,7 +106,8 @@ def compression_test(
 
     Raises
     ------
-    InputError   sizes not positive, record too short, going back, outside the range, not stiff
+    InputError   sizes not positive; record too short, going back, or outside the range; no rise of
+                 force
 
     Source
     ------
@@ -154,8 +155,8 @@ def compression_test(
 def compression_series(results: Sequence[CompressionResult]) -> CompressionSeries:
     """Mean Young's modulus over specimens with Student's 95 percent interval of that mean.
 
-    The spread between specimens holds everything that differs from one to the next; it is no less
-    than the single intervals say only by accident, so these do not enter.
+    The spread between specimens contains everything that differs from one to the next. It is
+    smaller than the intervals of the single fits suggest only by chance, so these are not used.
 
     Parameters
     ----------
@@ -179,11 +180,11 @@ def compression_series(results: Sequence[CompressionResult]) -> CompressionSerie
 
 
 def gent_lindley_factor(diameter: float, height: float) -> float:
-    """How much stiffer a cylinder of rubber looks when both ends stick to the plates.
+    """Apparent stiffening of a rubber cylinder when both ends stick to the plates.
 
     1 + 2 S^2 with the shape factor S = diameter / (4 height), loaded over free area. Holds for
     incompressible rubber (nu near 0.5) and small strains; at nu = 0.3 the effect is about a quarter
-    of it (`docs/howto/compression.md` has finite element figures).
+    as large (`docs/howto/compression.md` has finite element results).
 
     Parameters
     ----------
@@ -203,12 +204,13 @@ def gent_lindley_factor(diameter: float, height: float) -> float:
 
 
 def slope_deviation(strain: PointScalars, stress: PointScalars) -> tuple[float, int]:
-    """Standard deviation of a fitted slope when neighbouring readings err together.
+    """Standard deviation of a fitted slope when the errors of neighbouring readings are correlated.
 
-    Departures from the line are slow (curvature, drift, stick and slip), so n readings are not n
-    independent ones. What shakes the slope is the strength of the *slow* departures: it is
-    measured on polynomials of degree 2 to 4, each orthogonal to the line and to the others. Their
-    mean square replaces the residual variance, with as many degrees of freedom as polynomials.
+    Departures from the line are slow (curvature, drift, stick-slip), so n readings are not n
+    independent ones. The uncertainty of the slope depends on the strength of the *slow* departures,
+    which is measured by their projections on polynomials of degree 2 to 4, orthogonal to the line
+    and to each other. The mean square of these replaces the residual variance, with as many degrees
+    of freedom as polynomials.
 
     Parameters
     ----------
@@ -217,7 +219,7 @@ def slope_deviation(strain: PointScalars, stress: PointScalars) -> tuple[float, 
 
     Returns
     -------
-    (float [Pa], int)   deviation of the slope; degrees of freedom for Student's t
+    (float [Pa], int)   standard deviation of the slope; degrees of freedom for Student's t
 
     Source
     ------
@@ -248,7 +250,7 @@ def _check_sizes(
     dimension_std: tuple[float, float],
     where: str,
 ) -> None:
-    """Refuse sizes and strains that no cylinder has."""
+    """Refuse sizes and strain ranges that are impossible."""
     for name, value in (("diameter", diameter), ("height", height)):
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{where}{name} is {value} m; must be positive")
@@ -283,7 +285,7 @@ def _checked_record(
 def _from_contact(
     displacement: PointScalars, force: PointScalars, preload: float, where: str
 ) -> tuple[Kept, Kept]:
-    """Cut what lies before the force last rises through `preload`; count shortening from there."""
+    """Drop readings before the force last rises through `preload`; count shortening from there."""
     if not 0.0 <= preload < np.inf:
         raise InputError(f"{where}preload is {preload:g} N; must be a force of 0 N or more")
     below = np.flatnonzero(force < preload)
@@ -303,7 +305,7 @@ def _inside(
     height: float,
     where: str,
 ) -> tuple[Kept, Kept]:
-    """The readings on the way into the range; refuse a record that ends before or goes back."""
+    """The readings within the range, going up; refuse a record that ends before or goes back."""
     low, high = strain_range
     largest = float(strain.max(initial=0.0))
     if largest < high * (1 - 1e-9):
@@ -327,7 +329,7 @@ def _inside(
 def _refuse_impossible(
     strain: PointScalars, stress: PointScalars, height: float, where: str
 ) -> None:
-    """Refuse a cylinder pressed by more than its height, or harder than any steel bears."""
+    """Refuse a shortening beyond the height, or a pressure beyond the strength of steel."""
     if strain.max(initial=0.0) >= 1.0:
         raise InputError(
             f"{where}the displacement reaches {strain.max() * height:.4g} m, the cylinder is"
@@ -361,7 +363,7 @@ def _refuse_return(strain: PointScalars, high: float, height: float, where: str)
 def _notes(
     strain: PointScalars, stress: PointScalars, slope: float, diameter: float, height: float
 ) -> tuple[str, ...]:
-    """What a reader of the modulus should know about the curve and the ends."""
+    """Notes on the toe, on the straightness of the curve and on sticking ends."""
     notes = []
     early = strain <= strain[0] + 0.2 * (strain[-1] - strain[0])
     if early.sum() >= MIN_READINGS and stress[0] < 0.1 * stress.max():

@@ -1,4 +1,4 @@
-"""The part of the surface that a tool presses on, and how its pressure is spread there."""
+"""The part of the surface on which a tool presses, and the distribution of its pressure."""
 
 from dataclasses import dataclass
 
@@ -20,9 +20,9 @@ class ContactPatch:
     ----------
     contact : Contact
     triangles : (k,) int          triangles that the contact sphere reaches, connected to the
-                                  contact point; those of a load over given triangles
+                                  contact point; or the given triangles of a load
     triangle : int                triangle at the contact point
-    barycentric : (3,) float [-]  place of the contact point in it
+    barycentric : (3,) float [-]  position of the contact point in it
     vertex : int                  vertex nearest to the contact point
     corners : (m, 3) int          vertices of all triangles of the mesh
     """
@@ -50,9 +50,9 @@ class ContactPatch:
 
         Returns
         -------
-        (n,) float [-]            SESSION.md's profiles: (1 - s^2)^2, 1 or sqrt(1 - s^2) with s =
-                                  distance from the contact point over the radius; or the linear hat
-                                  function of the nearest vertex
+        (n,) float [-]            the contact's profile (`records.PRESSURES`) at s = distance from
+                                  the contact point over the radius; without a radius, the linear
+                                  hat function of the nearest vertex
         """
         if self.contact.radius is None:
             return (barycentric * (self.corners[triangle] == self.vertex)).sum(axis=1)
@@ -122,8 +122,8 @@ def find_contact_patch(
 def _reached(
     mesh: TriangleMesh, point: Float[np.ndarray, "3"], radius: float, first: int
 ) -> Int[np.ndarray, " k"]:
-    """Triangles within a sphere that hang together with the first one and face the same half
-    space."""
+    """Triangles within a sphere that are connected with the first one and turned from it by less
+    than 120 degrees."""
     near = np.flatnonzero(triangle_distances(mesh, point) < radius)
     normals = unit_normals(mesh)
     near = near[(normals[near] @ normals[first] > -0.5) | (near == first)]

@@ -1,7 +1,7 @@
-"""How large a circle a rigid tool touches, from its shape, its force and the elastic constants.
+"""Contact circle of a rigid tool, from its shape, its force and the elastic constants.
 
-Nobody knows the touched circle, everybody knows the tool. Around the contact the object is taken as
-a half space that is curved as its surface is there; the sphere's shape is exact.
+The circle can hardly be measured, while the tool is known. Around the contact the object is treated
+as a half space with the curvature of its surface; the shape of a spherical tool is exact.
 """
 
 from dataclasses import dataclass
@@ -15,22 +15,23 @@ from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_no
 from palpate.records import CONE, STICKS, Tool
 from palpate.shapes import Vector3
 
-# Vertices within so many mean edges, and within so many radii of the tool, tell the curvature.
+# The curvature is fitted to vertices within so many mean edge lengths, or so many radii of the
+# tool, whichever is larger.
 _EDGES, _RADII = 2.5, 1.0
-# Coefficients of a quadratic surface, and of the fourth power that a ball has beside it.
+# Coefficients of the fit: a quadratic surface, and the fourth-order term of a sphere.
 _FEWEST = 7
-# Of a tool's radius; a circle that is nearly as large is no touch but a plunge.
+# Largest contact radius over the tool's radius; beyond it the tool is practically buried.
 _LARGEST = 0.98
 
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """What a tool touches.
+    """Contact circle of a tool.
 
     Attributes
     ----------
-    radius : float [m]              of the touched circle
-    profile : str                   of the pressure over it
+    radius : float [m]              of the circle
+    profile : str                   of the pressure over it, a key of `records.PRESSURES`
     """
 
     radius: float
@@ -40,7 +41,7 @@ class Touch:
 def touch(
     tool: Tool, curvature: float, push: float, *, shear_modulus: float, poisson_ratio: float
 ) -> Touch:
-    """The circle that a tool touches on a curved half space.
+    """The contact circle of a tool on a curved half space.
 
     Parameters
     ----------
@@ -56,15 +57,15 @@ def touch(
 
     Raises
     ------
-    InputError                      the tool pulls; a sphere goes in by most of its radius, a cone
-                                    up to its base
+    InputError                      the tool pulls; the contact of a sphere or a cone would reach
+                                    98 % of its radius
 
     Source
     ------
-    Sneddon, Int. J. Eng. Sci. 3 (1965) 47, for any smooth profile. A surface that sticks is stiffer
-    by a factor that is exact for a flat face (Mossakovskii 1954; Spence, Proc. R. Soc. A 305 (1968)
-    55) and within 2 % for a sphere; a cone has the pressure of a cone as long as more of the force
-    comes from its slope than from the surface's curvature.
+    Sneddon, Int. J. Eng. Sci. 3 (1965) 47, for any smooth profile. Without slip the contact is
+    stiffer by a factor that is exact for a flat face (Mossakovskii 1954; Spence, Proc. R. Soc. A
+    305 (1968) 55) and within 2 % for a sphere. The pressure under a cone is that of a cone as long
+    as more of the force is due to its slope than to the curvature of the surface.
     """
     if not push > 0.0:
         raise InputError(
@@ -105,8 +106,8 @@ def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> floa
 
     Returns
     -------
-    float [1/m]                     > 0 where it is convex; 0 where there are too few vertices to
-                                    tell
+    float [1/m]                     > 0 where it is convex; 0 where there are too few vertices for
+                                    the fit
     """
     place = closest_points(mesh, point[None])
     normals = unit_normals(mesh)
@@ -135,7 +136,7 @@ def inward_push(mesh: TriangleMesh, point: Vector3, force: Float[np.ndarray, "3"
 
 
 def _own_push(tool: Tool, radius: float) -> float:
-    """Force over the reduced modulus E / (1 - nu^2) for a touched circle of a level surface [m^2]:
+    """Force over the reduced modulus E / (1 - nu^2) for a contact radius on a flat surface [m^2]:
     of a sphere, or of a cone (Sneddon 1965, equations 6.15 and 6.4)."""
     if tool.angle is not None:
         return 0.5 * np.pi * radius**2 / float(np.tan(tool.angle))
@@ -144,7 +145,7 @@ def _own_push(tool: Tool, radius: float) -> float:
 
 
 def _curved_push(curvature: float, radius: float) -> float:
-    """What the surface's own curvature adds to it [m^2]."""
+    """The same due to the curvature of the surface, to be added [m^2]."""
     return 4.0 / 3.0 * curvature * radius**3
 
 

@@ -1,6 +1,6 @@
 """An estimate at work: poked in real time, and handed to simulators.
 
-Purpose    : forces and displacements of an object under tools, fast enough for the hand.
+Purpose    : forces and displacements of an object under tools, at haptic rates.
 Takes      : a `Session`, an `Estimate`; tools with their poses.
 Gives      : `GreenFunctions` and their files, `ContactState`; folders for simulators.
 Depends on : `pipeline`, `lab`, `bem`, `probe`, `records`, `geometry`.

@@ -1,4 +1,4 @@
-"""A result of `palpate fit` handed to a simulator: a folder that explains itself."""
+"""Export of a result of `palpate fit` to a simulator: a self-explanatory folder."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,14 +36,14 @@ EXPORT_FORMAT = "palpate-export/1"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitSource:
-    """A result of `palpate fit` with the session it was made from.
+    """A result of `palpate fit` with the session from which it was made.
 
     Attributes
     ----------
     session : Session
     estimate : Estimate
-    files : tuple of Path           of the result that were read
-    notes : tuple of str            what of the session is not as it was fitted, in a sentence
+    files : tuple of Path           files of the result that were read
+    notes : tuple of str            changes of the session since the fit, in a sentence
     """
 
     session: Session
@@ -53,12 +53,12 @@ class FitSource:
 
 
 def read_fit(result: Path, session: Path | None = None) -> FitSource:
-    """Read a result folder of `palpate fit`, and the session that it was made from.
+    """Read a result folder of `palpate fit`, and the session from which it was made.
 
     Parameters
     ----------
     result : Path
-    session : Path or None          where the session is now; None: where it was
+    session : Path or None          present location of the session; None: unchanged
 
     Returns
     -------
@@ -66,8 +66,8 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
 
     Raises
     ------
-    RecordError                     no such result, of another version, changed or half copied; its
-                                    session is not there any more
+    RecordError                     no result, of another version, changed, or copied incompletely;
+                                    its session does not exist any more
     """
     if not result.is_dir():
         raise RecordError(f"{result}: is no folder; give the result folder of `palpate fit`")
@@ -87,7 +87,7 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
 
 
 def _changes(result: Path, place: Path) -> tuple[str, ...]:
-    """What of a session differs from all that its result was made from."""
+    """Changes of a session with respect to the inputs of its result."""
     fitted = set(sums_in(result / INPUTS_FILE).values())
     files = session_files(place)
     now = file_sums(files, start=place if place.is_dir() else place.parent)
@@ -116,7 +116,7 @@ def _session_of(result: Path, inputs: list[str]) -> Path:
 
 
 def written_material(form: Format, material: Material) -> tuple[Material, str]:
-    """The constants as a simulator takes them, and what was changed.
+    """The constants within the range of a simulator, and a note of the change.
 
     Parameters
     ----------
@@ -125,12 +125,13 @@ def written_material(form: Format, material: Material) -> tuple[Material, str]:
 
     Returns
     -------
-    Material                        the shear modulus stays
-    str                             empty: nothing was changed
+    Material                        Poisson's ratio limited to the simulator's largest; the shear
+                                    modulus is unchanged
+    str                             empty if nothing was changed
 
     Raises
     ------
-    InputError                      a Poisson's ratio below what the simulator takes
+    InputError                      a Poisson's ratio below the simulator's range
     """
     low, high = form.poisson
     ratio = material.poisson_ratio
@@ -164,18 +165,20 @@ def export_fit(
 
     Parameters
     ----------
-    folder : Path                   exists, is empty
+    folder : Path                   existing and empty
     source : FitSource
     to : str                        one of `FORMATS`
-    probe : str or None             probing that is written along; None: the first that the estimate
-                                    was made without, else the first
-    edge : float or None [m]        of the tetrahedra away from the contact
-    cache : Path or None            folder that keeps the surface integrals
-    progress : callable             called with what is done (text) and how far it is (0 to 1)
+    probe : str or None             probing to be exported; None: the first that was held out from
+                                    the estimate, else the first
+    edge : float or None [m]        edge length of the tetrahedra away from the contact; None: see
+                                    `make_solid_model`
+    cache : Path or None            cache folder of the surface integrals
+    progress : callable             called with the current step (text) and the fraction done (0 to
+                                    1)
 
     Returns
     -------
-    EstimatedObject                 as it was written, with its notes
+    EstimatedObject                 as exported, with its notes
 
     Raises
     ------
@@ -210,14 +213,14 @@ def export_fit(
 
 
 def _told(estimate: Estimate) -> str:
-    """What the data did not determine."""
+    """Advice on a status other than OK; empty for that."""
     if estimate.status is Status.OK:
         return ""
     return estimate.status.advice
 
 
 def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
-    """Everything a program may want to know, as JSON."""
+    """All facts about the export that a program may need, as JSON."""
     estimate, push = body.estimate, body.push
     constants = {name: getattr(estimate, name) for name in CONSTANT_NAMES}
     content = {
@@ -265,7 +268,7 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
 
 
 def _readme(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
-    """The same for a person."""
+    """The same facts as text."""
     lines = [f"{body.session.name}, for {form.title}; made by Palpate.", ""]
     lines += ["Units are SI (m, N, Pa, kg), the frame is that of the session's mesh.", ""]
     lines.append("Estimated, with 95 % intervals:")

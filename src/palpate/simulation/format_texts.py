@@ -1,4 +1,4 @@
-"""Pieces of text that several formats share."""
+"""Text and the replay file that several formats share."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,7 +11,7 @@ from palpate.simulation.solid_model import SolidModel
 
 
 def number_text(values: Shaped[np.ndarray, "..."]) -> str:
-    """Numbers with spaces between them, floating ones to nine digits.
+    """Numbers separated by spaces, floating-point ones with nine digits.
 
     Parameters
     ----------
@@ -28,11 +28,11 @@ def number_text(values: Shaped[np.ndarray, "..."]) -> str:
 
 
 def numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> Iterable[str]:
-    """Rows with their numbers from 1, commas between; nodes count from 1 too.
+    """Rows, each after its number from 1, separated by commas; nodes are numbered from 1, too.
 
     Parameters
     ----------
-    rows : (n, k) array             floating: as they are; whole: numbers of nodes, from 0
+    rows : (n, k) array             floating-point values; or integers, indices of nodes from 0
     per_line : int                  entries after which a line is broken
 
     Yields
@@ -47,13 +47,13 @@ def numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> It
 
 
 def write_replay(folder: Path, model: SolidModel, load: Float[np.ndarray, "n 3"]) -> None:
-    """Write replay.json, the push as nodal forces with what the model says of it, if there is one.
+    """Write replay.json: the push, if any, as nodal forces, with the displacement in the model.
 
     Parameters
     ----------
     folder : Path
     model : SolidModel
-    load : (n, 3) float [N]
+    load : (n, 3) float [N]         nodal forces
 
     Raises
     ------

@@ -4,18 +4,18 @@ Arrays, little endian, C order, SI units, object frame; v vertices, m triangles,
 
 format, name                       texts
 vertices (v, 3), triangles (m, 3)  surface at rest [m]; counter-clockwise from outside
-held_triangles (h,)                what does not move
+held_triangles (h,)                triangles of the support
 nodes (n,)                         vertices that may be touched, ascending
 compliance (n, 3, n, 3)            [m/N] [i, a, j, b]: component a at node i per force along b on j
-surface (n, 3, v, 3)               [m/N] [j, b, i, a]: the same of every vertex i
-slope (n, 3, n, 3)                 [m/N] derivative of compliance by Poisson's ratio, [i, a, j, b]
+surface (n, 3, v, 3)               [m/N] [j, b, i, a]: the same for every vertex i
+slope (n, 3, n, 3)                 [m/N] derivative of compliance in Poisson's ratio, [i, a, j, b]
 constants (2,), covariance (2, 2)  shear modulus [Pa], Poisson's ratio
-asymmetry ()                       of compliance before it was made symmetric, a share
-left_out (l,)                      vertices that would be nodes, if forces on them gained no energy
+asymmetry ()                       relative asymmetry of compliance before symmetrisation
+left_out (l,)                      vertices that are no nodes: compliance would be indefinite
 sha256                             of the bytes of all other arrays, in the order of their names
 
-A force on a node is spread as the linear hat around its vertex. Displacements are linear in the
-forces and proportional to 1 / shear modulus.
+A force on a node is distributed over the linear hat function of its vertex. Displacements are
+linear in the forces and proportional to 1 / shear modulus.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ def write_green_functions(path: Path, green: GreenFunctions) -> None:
 
     Parameters
     ----------
-    path : Path                     ending .npz; its folder must be there
+    path : Path                     with suffix .npz; its folder must exist
     green : GreenFunctions
 
     Raises
@@ -79,8 +79,8 @@ def read_green_functions(path: Path | str) -> GreenFunctions:
 
     Raises
     ------
-    RecordError                     not there, no such file, of another version, damaged, or arrays
-                                    that contradict each other; the text names the array
+    RecordError                     file missing, not of this format, of another version, damaged,
+                                    or with inconsistent arrays; the message names the array
     """
     path = Path(path)
     cure = "make it again with `palpate export RESULT --to npz`"
@@ -112,7 +112,7 @@ def _green_functions(path: Path, content: dict[str, np.ndarray]) -> GreenFunctio
 
 
 def _digest(content: Mapping[str, Any]) -> str:
-    """Sum over the arrays, in the order of their names."""
+    """Checksum of the arrays, in the order of their names."""
     digest = hashlib.sha256()
     for name in sorted(content):
         array = np.ascontiguousarray(content[name])

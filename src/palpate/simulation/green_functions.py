@@ -1,10 +1,9 @@
-"""Green's functions of a part of a surface: what a force on each of its vertices does everywhere.
+"""Green's functions of a part of a surface: displacements everywhere per force on each vertex.
 
-They are the elastic map of one material, written out for loads of linear hats around the vertices.
-The force on a vertex and its displacement are a pair in energy only if the table is symmetric;
-collocation keeps that up to the error of the discretisation. Here it is made exact by the mean of
-both ways, so that no closed path of a tool gains or loses energy; `asymmetry` says how far they
-were apart.
+They are the elastic map of one material, tabulated for loads distributed as the linear hat
+functions of the vertices. Reciprocity makes the compliance between the vertices symmetric;
+collocation satisfies this up to the discretisation error. Here the compliance is symmetrised, so
+that no closed path of a tool gains or loses energy; `asymmetry` is the relative change.
 
 Source
 ------
@@ -36,7 +35,7 @@ from palpate.progress import Progress, silent
 from palpate.records import Estimate, Session
 from palpate.simulation.material import Material, estimated_material
 
-# Columns that are solved together: three a vertex.
+# Vertices whose columns, three each, are solved together.
 _VERTICES_AT_ONCE = 60
 # A table above this is refused [bytes].
 _LARGEST = 2e9
@@ -56,16 +55,17 @@ class GreenFunctions:
                                         symmetric, positive definite
     surface : (n, 3, v, 3) float [m/N]  component a of vertex i under a force along b on node j, as
                                         [j, b, i, a]
-    slope : (n, 3, n, 3) float [m/N]    derivative of `compliance` by Poisson's ratio
+    slope : (n, 3, n, 3) float [m/N]    derivative of `compliance` with respect to Poisson's ratio
     material : Material                 constants and their covariance
-    asymmetry : float                   of the compliance before it was made symmetric, as a share
-    left_out : (l,) int                 vertices that would be nodes, if forces on them gained no
-                                        energy
+    asymmetry : float                   norm of the antisymmetric part of the compliance before
+                                        symmetrisation, over that of the symmetric part
+    left_out : (l,) int                 vertices that are no nodes because the compliance would not
+                                        be positive definite with them
 
     Raises
     ------
-    InputError                          shapes that do not fit, nodes that are no free vertices, a
-                                        compliance that is not symmetric and positive
+    InputError                          shapes that do not match, nodes that are no free vertices, a
+                                        compliance that is not symmetric and positive definite
     """
 
     name: str
@@ -103,7 +103,7 @@ class GreenFunctions:
 
     @property
     def left_out_text(self) -> str:
-        """What was left out, in a sentence; empty where nothing was."""
+        """A sentence about the vertices that were left out; empty where none were."""
         if not len(self.left_out):
             return ""
         count = len(self.nodes) + len(self.left_out)
@@ -130,13 +130,14 @@ def make_green_functions(
     session : Session
     estimate : Estimate or Material     constants; of an estimate with their covariance
     nodes : (n,) int                    vertices of the mesh that may be touched; None: all that
-                                        belong to no held triangle, but those at narrow triangles
-                                        where forces would gain energy
-    most : int                          of them where `nodes` is None: those nearest to the
-                                        contacts; None: all
-    surface : SurfaceSettings           how the surface between the vertices is understood
-    cache : Path                        folder that keeps the surface integrals; None: none
-    progress : callable                 called with what is done (text) and how far it is (0 to 1)
+                                        belong to no held triangle, except those at narrow triangles
+                                        that would make the compliance indefinite
+    most : int                          largest number of nodes where `nodes` is None: the free
+                                        vertices nearest to the contacts; None: all
+    surface : SurfaceSettings           interpolation between the vertices
+    cache : Path                        cache folder of the surface integrals; None: no cache
+    progress : callable                 called with the current step (text) and the fraction done
+                                        (0 to 1)
 
     Returns
     -------
@@ -145,8 +146,8 @@ def make_green_functions(
     Raises
     ------
     InputError                          constants that are not known, nodes that are not free, a
-                                        table that is too large, supports that slide or give
-    SingularSystemError                 the support does not hold the object
+                                        table above 2 GB, rollers or compliant supports
+    SingularSystemError                 the matrix is singular to working precision
     """
     say = progress or silent
     material = estimate if isinstance(estimate, Material) else estimated_material(estimate)
@@ -191,12 +192,12 @@ def make_green_functions(
 
 
 def _square(pairs: Float[np.ndarray, "n 3 n 3"]) -> Float[np.ndarray, "m m"]:
-    """Responses [j, b, i, a] as a matrix: displacements down, forces across."""
+    """Responses [j, b, i, a] as a matrix: displacements by row, forces by column."""
     return pairs.transpose(2, 3, 0, 1).reshape(3 * len(pairs), -1)
 
 
 def _default_nodes(session: Session, most: int | None) -> Int[np.ndarray, " n"]:
-    """The free vertices nearest to the contacts, or to the top where there are none yet."""
+    """The free vertices nearest to the contacts, or to the highest vertex without contacts."""
     if most is None:
         return free_nodes(session)
     vertices = session.mesh.vertices
@@ -205,13 +206,13 @@ def _default_nodes(session: Session, most: int | None) -> Int[np.ndarray, " n"]:
 
 
 def _without_gain(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray, " k"]:
-    """Nodes whose compliance, made symmetric, is positive definite: node by node, those are left
-    out of which some force, together with forces on nodes before, would gain energy."""
+    """Nodes whose symmetrised compliance is positive definite: nodes are removed one by one, each
+    the first at which the Cholesky factorisation fails."""
     symmetric = square + square.T
     kept = np.arange(len(square) // 3)
     while len(kept):
         rows = (3 * kept[:, None] + np.arange(3)).ravel()
-        # Order of the first leading minor that is not positive; 0: all are.
+        # Order of the first leading minor that is not positive; 0 if all are.
         order = dpotrf(symmetric[np.ix_(rows, rows)])[1]
         if not order:
             break
@@ -243,11 +244,11 @@ def nearest_nodes(
     ----------
     session : Session
     points : (k, 3) float [m]           where the object will be touched
-    count : int                         at most so many
+    count : int                         largest number of vertices
 
     Returns
     -------
-    (n,) int
+    (n,) int                            ascending
     """
     free = free_nodes(session)
     offset = session.mesh.vertices[free][:, None] - points
@@ -258,17 +259,17 @@ def nearest_nodes(
 def check_nodes(
     mesh: TriangleMesh, held_triangles: Int[np.ndarray, " h"], nodes: Int[np.ndarray, " n"]
 ) -> None:
-    """Refuse nodes that are no vertices, not distinct and ascending, or held.
+    """Refuse nodes that are not distinct, ascending vertices of the mesh, or are held.
 
     Parameters
     ----------
     mesh : TriangleMesh
     held_triangles : (h,) int
-    nodes : (n,) int
+    nodes : (n,) int                    at least one
 
     Raises
     ------
-    InputError
+    InputError                          they are refused
     """
     count = len(mesh.vertices)
     if not len(nodes) or nodes[0] < 0 or nodes[-1] >= count or np.any(np.diff(nodes) <= 0):
@@ -285,7 +286,7 @@ def check_nodes(
 
 
 def hat_load(mesh: TriangleMesh, vertex: int) -> SurfaceLoad:
-    """One newton spread as the linear hat around a vertex.
+    """One newton, distributed as the linear hat function of a vertex.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The constants of an estimate with the covariance that its three intervals imply."""
+"""Elastic constants of an estimate, with the covariance implied by its standard deviations."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ class Material:
 
     Raises
     ------
-    InputError                          constants out of range, a covariance that is none
+    InputError                          constants out of range, an invalid covariance
     """
 
     shear_modulus: float
@@ -50,7 +50,7 @@ class Material:
 
 
 def exact_material(shear_modulus: float, poisson_ratio: float) -> Material:
-    """Constants that are known without doubt.
+    """Elastic constants without uncertainty.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ def estimated_material(estimate: Estimate) -> Material:
     """The constants of an estimate.
 
     The covariance of G and nu follows from the three standard deviations, since
-    dE = 2 (1 + nu) dG + 2 G dnu. A constant that the data do not determine has a standard deviation
-    that is no number; it counts with the width of its interval over that of a uniform distribution,
-    and without correlation.
+    dE = 2 (1 + nu) dG + 2 G dnu. The standard deviation of a constant that the data do not
+    determine is NaN; that of a uniform distribution over its interval is used instead, without
+    correlation.
 
     Parameters
     ----------
@@ -82,7 +82,8 @@ def estimated_material(estimate: Estimate) -> Material:
 
     Raises
     ------
-    InputError                          the estimate has no value for a constant
+    InputError                          the estimate has no value, or no finite interval, for a
+                                        constant
     """
     shear, ratio, young = estimate.shear_modulus, estimate.poisson_ratio, estimate.young_modulus
     if not np.isfinite([shear.value, ratio.value]).all():

@@ -1,4 +1,4 @@
-"""An estimated object as simulators take it: constants, one push, and tetrahedra where wanted."""
+"""An estimated object for simulators: constants, one push, and tetrahedra where required."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,17 +23,18 @@ from palpate.records import RIGID, Estimate, Probing, Session
 from palpate.shapes import Points, PointScalars, Vector3
 from palpate.simulation.material import Material
 
-# What fills a body where nobody said how heavy it is: water [kg/m^3].
+# Density of a body whose session gives none: that of water [kg/m^3].
 USUAL_DENSITY = 1000.0
 # Elements along the cube root of a body's volume, and along the radius of a contact.
 _ALONG_BODY, _ALONG_CONTACT = 9.0, 2.5
-# The fine elements reach to so many radii.
+# Radius of the fine elements, in radii of the contact.
 _FINE_REACH = 1.2
-# Triangles under a contact are divided in four so often to integrate its pressure.
+# Quarterings of the triangles under a contact for the integration of its pressure.
 _LEVELS = 4
-# Four triangles of a six-node one.
+# The four triangles of a six-node triangle.
 _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
-# The middles of a ten-node tetrahedron: inner diagonals, and the ring around each; its corners.
+# Midside nodes of a ten-node tetrahedron: ends of each inner diagonal, then the ring around it; and
+# the tetrahedra at its corners.
 _DIAGONALS = np.array([[4, 9, 5, 6, 7, 8], [5, 7, 4, 6, 9, 8], [6, 8, 4, 5, 9, 7]])
 _CORNERS = np.array([[0, 4, 6, 7], [1, 5, 4, 8], [2, 6, 5, 9], [3, 8, 7, 9]])
 
@@ -45,11 +46,11 @@ class Format:
     Attributes
     ----------
     title : str                     the simulator's name
-    poisson : (float, float)        Poisson's ratios that it takes
-    run : str                       what to do with the files
+    poisson : (float, float)        lowest and highest Poisson's ratio that it accepts
+    run : str                       how to use the files
     of_solid : callable or None     (folder, SolidModel): writes tetrahedra
-    of_surface : callable or None   (folder, EstimatedObject): writes the surface, and may say what
-                                    of it is left out, in a sentence; one of the two
+    of_surface : callable or None   (folder, EstimatedObject): writes the surface, and may return a
+                                    sentence about what is left out; exactly one of the two is given
     """
 
     title: str
@@ -67,11 +68,11 @@ class Push:
     ----------
     name : str                      of the probing
     held_out : bool                 whether the estimate was made without it
-    point : (3,) float [m]          middle of the contact
+    point : (3,) float [m]          centre of the contact
     radius : float [m] or None      of the contact
     force : (3,) float [N]          on the object
-    displacement : (3,) float [m]   of that point, as the boundary elements say
-    patch : ContactPatch            where it presses
+    displacement : (3,) float [m]   of that point, computed by boundary elements
+    patch : ContactPatch            contact patch
     """
 
     name: str
@@ -93,8 +94,8 @@ class EstimatedObject:
     estimate : Estimate
     material : Material             constants as they are written
     density : float [kg/m^3]
-    push : Push or None             None: its probing cannot be repeated by forces
-    notes : tuple of str            what was assumed or left out, in sentences
+    push : Push or None             None where nodal forces cannot reproduce the probing
+    notes : tuple of str            assumptions and omissions, in sentences
     """
 
     session: Session
@@ -113,13 +114,14 @@ class SolidModel:
     ----------
     body : EstimatedObject
     solid : Solid                   quadratic tetrahedra
-    linear : (e, 4) int             the same nodes joined to linear ones, eight for each
+    linear : (e, 4) int             linear tetrahedra on the same nodes, eight for each quadratic
+                                    one
     held : (n,) bool                nodes that do not move
-    load : (n, 3) float [N]         of the push on the nodes, as quadratic elements share it; zero
-                                    where there is none
-    linear_load : (n, 3) float [N]  as linear ones do
-    node : (k,) int                 nodes from whose displacement that of the push's point follows
-    share : (k,) float              their shares, which sum to 1
+    load : (n, 3) float [N]         nodal forces of the push, consistent with quadratic elements;
+                                    zero without a push
+    linear_load : (n, 3) float [N]  the same, consistent with linear elements
+    node : (k,) int                 nodes that interpolate the displacement of the push's point
+    share : (k,) float              their weights, which sum to 1
     """
 
     body: EstimatedObject
@@ -138,7 +140,8 @@ class SolidModel:
 
     @property
     def skin(self) -> TriangleMesh:
-        """Outer triangles of the linear tetrahedra over all nodes, counter-clockwise outside."""
+        """Outer triangles of the linear tetrahedra, counter-clockwise seen from outside, with all
+        nodes as vertices."""
         return TriangleMesh(self.nodes, self.solid.facets[:, _QUARTERS].reshape(-1, 3))
 
 
@@ -150,16 +153,16 @@ def make_estimated_object(
     probe: str | None = None,
     cache: Path | None = None,
 ) -> EstimatedObject:
-    """Take an object with one of its probings, and what the model says about that.
+    """Combine an object with one of its probings and the displacement that the model predicts.
 
     Parameters
     ----------
     session : Session
     estimate : Estimate
-    material : Material             constants that are written
-    probe : str or None             probing to repeat; None: the first that the estimate was made
-                                    without, else the first
-    cache : Path or None            folder that keeps the surface integrals
+    material : Material             constants to be written
+    probe : str or None             probing to repeat; None: the first that was held out from the
+                                    estimate, else the first
+    cache : Path or None            cache folder of the surface integrals
 
     Returns
     -------
@@ -199,13 +202,13 @@ def make_estimated_object(
 
 
 def chosen_probing(session: Session, estimate: Estimate, name: str | None) -> Probing:
-    """The probing that is repeated.
+    """The probing to be repeated.
 
     Parameters
     ----------
     session : Session
     estimate : Estimate
-    name : str or None              None: the first that the estimate was made without, else the
+    name : str or None              None: the first that was held out from the estimate, else the
                                     first
 
     Returns
@@ -265,7 +268,7 @@ def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> Sol
 
 
 def linear_parts(solid: Solid) -> Int[np.ndarray, "e 4"]:
-    """Every ten-node tetrahedron cut into eight of four nodes, by the shortest inner diagonal.
+    """Every ten-node tetrahedron cut into eight of four nodes, along its shortest inner diagonal.
 
     Parameters
     ----------
@@ -296,7 +299,7 @@ def _pushed(
     probing: Probing,
     cache: Path | None,
 ) -> Push:
-    """A probing with what the boundary elements say about it."""
+    """A probing with its displacement, computed by boundary elements."""
     contact = probing.contact
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name=probing.name)
     poked = poke_session(
@@ -311,7 +314,7 @@ def _pushed(
 
 
 def _loaded(model: SolidModel, push: Push) -> SolidModel:
-    """The model with the push's force shared by its nodes."""
+    """The model with the push's force distributed to its nodes."""
     points, weight = _pressure_points(model.body.session.mesh, push.patch)
     curved = surface_values(model.solid, points).T @ weight
     skin = model.skin
@@ -331,7 +334,7 @@ def _loaded(model: SolidModel, push: Push) -> SolidModel:
 
 
 def _pressure_points(mesh: TriangleMesh, patch: ContactPatch) -> tuple[Points, PointScalars]:
-    """Points on the patch with their shares of the force, which sum to 1."""
+    """Points on the patch with their fractions of the force, which sum to 1."""
     triangle = np.asarray(patch.triangles, dtype=np.int64)
     corners = np.tile(np.eye(3), (triangle.size, 1, 1))
     for _ in range(_LEVELS):

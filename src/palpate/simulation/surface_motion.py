@@ -1,4 +1,4 @@
-"""How the whole surface moves: under tools, or under forces at any of its points."""
+"""Displacement of the whole surface, under tools or under forces at any of its points."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,12 +31,13 @@ def displacement_under(
 ) -> Vertices:
     """Displacement of the whole surface under forces at points of it.
 
-    A force is spread over the hats around the corners of its triangle, as its place in it says.
+    A force is distributed over the hat functions of the corners of its triangle by its barycentric
+    coordinates.
 
     Parameters
     ----------
     green : GreenFunctions
-    points : (n, 3) float [m]           on the surface; the nearest place counts
+    points : (n, 3) float [m]           projected on the surface if they are off it
     forces : (n, 3) float [N]           on the object
 
     Returns
@@ -45,7 +46,7 @@ def displacement_under(
 
     Raises
     ------
-    InputError                          a point where the Green's functions do not reach
+    InputError                          a point whose Green's functions are not known
     """
     place = closest_points(green.mesh, points)
     corner = green.mesh.triangles[place.triangle]

@@ -1,7 +1,7 @@
-"""Rigid tools that move freely, and where they are.
+"""Rigid tools that move freely, and their poses.
 
-The tips of the virtual facility go along one axis; a haptic tool turns and comes from any side.
-Whatever is convex can be given as planes, by `convex_tool`.
+The tips of the virtual facility move along one axis; a haptic tool also rotates and approaches from
+any side. Any convex shape can be given as planes, by `convex_tool`.
 """
 
 from collections.abc import Sequence
@@ -16,11 +16,11 @@ from palpate.geometry import TriangleMesh, enclosed_volume
 from palpate.shapes import Matrix3, Vector3
 from palpate.simulation.kernels import FACES, SPHERE, ToolArrays
 
-# Sides of the prism that stands for a round punch.
+# Sides of the prism that approximates a round punch.
 _SIDES = 48
-# Of its volume: by so much a mesh may miss its convex hull.
+# Largest difference in volume between a mesh and its convex hull, relative to the latter.
 _HOLLOW = 1e-6
-# Of one: by so much a turn may be no rotation.
+# Largest deviation of an entry of R R^T from the identity.
 _TURN = 1e-9
 
 
@@ -44,7 +44,7 @@ class Sphere:
 
     @property
     def kind(self) -> int:
-        """`SPHERE`."""
+        """Kind of tool for the kernels: `SPHERE`."""
         return SPHERE
 
     @property
@@ -54,18 +54,18 @@ class Sphere:
 
     @property
     def planes(self) -> Float[np.ndarray, "p 4"]:
-        """None."""
+        """No planes, (0, 4)."""
         return np.zeros((0, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConvexTool:
-    """The convex body behind some planes.
+    """The convex body bounded by planes.
 
     Parameters
     ----------
     planes : (p, 4) float           outward unit normals, and the offset along each [m]
-    reach : float [m]               radius of a ball about the origin that holds it
+    reach : float [m]               radius of a ball about the origin that contains the body
     """
 
     planes: Float[np.ndarray, "p 4"]
@@ -73,12 +73,12 @@ class ConvexTool:
 
     @property
     def kind(self) -> int:
-        """`FACES`."""
+        """Kind of tool for the kernels: `FACES`."""
         return FACES
 
     @property
     def radius(self) -> float:
-        """None: zero."""
+        """Zero: only a sphere has one."""
         return 0.0
 
 
@@ -87,7 +87,7 @@ def flat_punch(radius: float, length: float) -> ConvexTool:
 
     Parameters
     ----------
-    radius : float [m]              > 0; of the circle about a prism of 48 sides
+    radius : float [m]              > 0; of the circumscribed circle of a prism of 48 sides
     length : float [m]              > 0
 
     Returns
@@ -147,13 +147,13 @@ class PlacedTool:
     Parameters
     ----------
     tool : Sphere or ConvexTool
-    place : (3,) float [m]          of the origin of its frame
+    place : (3,) float [m]          position of the origin of its frame
     turn : (3, 3) float             rotation from its frame to the object's
-    friction : float                coefficient of Coulomb; 0 slides freely, infinite sticks
+    friction : float                Coulomb coefficient; 0: slides freely, infinite: sticks
 
     Raises
     ------
-    InputError                      a turn that is no rotation, a negative coefficient
+    InputError                      a matrix that is no rotation, a negative coefficient
     """
 
     tool: Sphere | ConvexTool
@@ -174,12 +174,12 @@ class PlacedTool:
 
 
 def tool_arrays(now: Sequence[PlacedTool], before: Sequence[PlacedTool]) -> ToolArrays:
-    """Tools as the kernels take them.
+    """Tools in the layout of the kernels.
 
     Parameters
     ----------
     now : sequence of t PlacedTool
-    before : sequence of t PlacedTool       the same at the tick before
+    before : sequence of t PlacedTool       the same tools at the previous tick
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""Harmonic functions of clusters: charges on a sphere in place of all sources inside, and the few
-points of a cluster whose values tell those of all others.
+"""Harmonic functions of clusters: equivalent charges on a sphere in place of all sources inside,
+and skeleton points of a cluster, from whose values those at all others are interpolated.
 
-Sources inside a sphere look from outside like charges on it; those that match them at the points of
-a wider sphere match them everywhere beyond. The points on both are the same for all clusters, up to
-place and size, so one pseudo-inverse serves them all.
+Outside a sphere, sources inside it have the same potential as charges on it. Charges that match
+this potential at check points on a wider sphere match it everywhere beyond. Charges and check
+points are the same for all clusters up to position and size, so one pseudo-inverse serves all.
 
 Source
 ------
@@ -18,21 +18,21 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
 
-# Points that are matched for each charge.
+# Check points per charge.
 _POINTS_A_CHARGE = 1.6
-# Of the largest singular value: what is smaller in the pseudo-inverse is rounding.
+# Cutoff of the pseudo-inverse, relative to the largest singular value.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChargeSphere:
-    """Charges that stand for the sources in a unit sphere.
+    """Equivalent charges for sources in the unit sphere.
 
     Attributes
     ----------
-    charge : (k, 3) float         places of the charges, on the unit sphere
-    check : (p, 3) float          points on a wider sphere at which they are matched
-    matched : (p, k) float        charges from the values there: values @ matched
+    charge : (k, 3) float         positions of the charges, on the unit sphere
+    check : (p, 3) float          check points on a wider sphere, at which potentials are matched
+    matched : (p, k) float        charges from the potentials there: values @ matched
     """
 
     charge: Float[np.ndarray, "k 3"]
@@ -41,12 +41,12 @@ class ChargeSphere:
 
 
 def charge_sphere(count: int, apart: float) -> ChargeSphere:
-    """Charges on the unit sphere, matched on one that is so many times as wide.
+    """Charges on the unit sphere, matched on a wider one.
 
     Parameters
     ----------
-    count : int                   of the charges
-    apart : float                 > 1
+    count : int                   number of charges
+    apart : float                 > 1, radius of the wider sphere
 
     Returns
     -------
@@ -75,11 +75,11 @@ def points_on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
 def inverse_distances(
     first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "n m"]:
-    """One over the distance of every two points [1/m].
+    """Reciprocal distance of every pair of points, (n, m) [1/m].
 
     Parameters
     ----------
-    first, second : (_, 3) float [m]    no point in both
+    first, second : (_, 3) float [m]    without common points
     """
     out = np.empty((len(first), len(second)))
     fill_inverse_distances(first, np.ascontiguousarray(second.T), out)
@@ -88,7 +88,7 @@ def inverse_distances(
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def fill_inverse_distances(first, second, out):
-    """The same into an array.
+    """`inverse_distances` written into an array.
 
     Parameters
     ----------
@@ -109,17 +109,17 @@ def fill_inverse_distances(first, second, out):
 def telling_points(
     values: Float[np.ndarray, "m p"], tolerance: float
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "m k"]]:
-    """The few rows of a matrix from which all others follow.
+    """Interpolative decomposition: the few rows of a matrix from which all others are interpolated.
 
     Parameters
     ----------
-    values : (m, p) float         value at each of m points of p functions
-    tolerance : float             error left, relative to the largest row
+    values : (m, p) float         value of p functions at each of m points
+    tolerance : float             smallest pivot that is kept, relative to the largest
 
     Returns
     -------
-    (k,) int                      rows
-    (m, k) float                  all rows from these
+    (k,) int                      the chosen rows
+    (m, k) float                  weights: values = weights @ values[rows], approximately
     """
     upper, pivot = qr(values.T, mode="r", pivoting=True, check_finite=False)
     size = np.abs(np.diag(upper))

@@ -1,4 +1,4 @@
-"""Which of both ways a body is solved: with dense matrices, or with a compressed operator."""
+"""Choice between dense matrices and the compressed operator."""
 
 from pathlib import Path
 
@@ -17,14 +17,15 @@ def held_system(
     cache: Path | None = None,
     progress: Progress = silent,
 ) -> BoundarySystem:
-    """The integrals of an object on its support, dense or compressed as its size demands.
+    """The integrals of an object on its support, dense or compressed depending on its size.
 
     Parameters
     ----------
     surface : BoundarySurface
-    dense : bool                  True: dense whatever the size, for what needs the matrices
-    cache : Path or None          folder that keeps dense integrals for the next time
-    progress : callable           told how far the compression is
+    dense : bool                  True: dense matrices at any size
+    cache : Path or None          cache folder of dense integrals
+    progress : callable           called with the current step and the fraction of the compression
+                                  that is done, 0 to 1
 
     Returns
     -------

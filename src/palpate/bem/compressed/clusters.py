@@ -1,4 +1,4 @@
-"""Clusters of things that lie close together, and which of them are far from each other."""
+"""Trees of clusters of points or triangles, and their far and near pairs."""
 
 from dataclasses import dataclass
 
@@ -10,15 +10,15 @@ from palpate.bem.integrals import LANES
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterTree:
-    """Things halved by place again and again, parents before their children.
+    """Binary tree of clusters of items in space, parents before their children.
 
     Attributes
     ----------
-    order : (n,) int              the things; those of a cluster lie one after the other
-    start, stop : (c,) int        where each cluster begins and ends in it
+    order : (n,) int              the items, those of a cluster one after the other
+    start, stop : (c,) int        where each cluster begins and ends in `order`
     children : (c, 2) int         -1 for a leaf
     centre : (c, 3) float [m]
-    radius : (c,) float [m]       of a sphere about the centre that holds all of its things
+    radius : (c,) float [m]       of a sphere about the centre that contains all items of a cluster
     """
 
     order: Int[np.ndarray, " n"]
@@ -30,24 +30,25 @@ class ClusterTree:
 
     @property
     def leaves(self) -> Int[np.ndarray, " l"]:
-        """Clusters that are not divided."""
+        """Clusters without children."""
         return np.flatnonzero(self.children[:, 0] < 0)
 
     def members(self, cluster: int | np.integer) -> Int[np.ndarray, " k"]:
-        """The things in a cluster."""
+        """The items of a cluster."""
         return self.order[self.start[cluster] : self.stop[cluster]]
 
 
 def cluster_tree(
     place: Float[np.ndarray, "n 3"], reach: Float[np.ndarray, " n"], leaf: int
 ) -> ClusterTree:
-    """Halve things across their longest extent until few are left together.
+    """Bisect items across their longest extent until every part is small.
 
     Parameters
     ----------
-    place : (n, 3) float [m]
-    reach : (n,) float [m]        radius of a sphere about its place that holds each thing
-    leaf : int                    most things in a leaf; parts are multiples of `LANES`, if larger
+    place : (n, 3) float [m]      position of each item
+    reach : (n,) float [m]        radius of a sphere about its position that contains each item
+    leaf : int                    most items in a leaf; a part is cut at a multiple of `LANES`
+                                  where it is large enough
 
     Returns
     -------
@@ -56,7 +57,7 @@ def cluster_tree(
     order = np.arange(len(place))
     bounds, children = [(0, len(place))], []
     centre, radius = [], []
-    # Grows while it is walked through: children come behind all that was there before.
+    # The list grows within the loop: children are appended to all clusters found before.
     for start, stop in bounds:
         own = order[start:stop]
         low, high = place[own].min(axis=0), place[own].max(axis=0)
@@ -78,13 +79,14 @@ def cluster_tree(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterPairs:
-    """Which clusters of one tree are far from which of another, and which leaves are not.
+    """Far pairs of clusters of two trees, and near pairs of their leaves.
 
     Attributes
     ----------
-    far : list of (k,) int        for each cluster of the first tree, those of the second that are
-                                  far from it while their parents are not
-    near : list of (k,) int       for each cluster, if it is a leaf, the leaves that are near
+    far : list of (k,) int        for each cluster of the first tree, the clusters of the second
+                                  that are far from it, each pair at the highest possible level
+    near : list of (k,) int       for each leaf of the first tree, the near leaves of the second;
+                                  empty for other clusters
     """
 
     far: list[Int[np.ndarray, " _"]]
@@ -92,12 +94,12 @@ class ClusterPairs:
 
 
 def seen_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[np.ndarray, " c"]:
-    """Clusters that are seen from far, by themselves or as parts of others.
+    """Clusters that belong to a far pair, by themselves or as parts of larger ones.
 
     Parameters
     ----------
     tree : ClusterTree
-    far : list of (k,) int        clusters of it that are far from each cluster of another
+    far : list of (k,) int        its clusters that are far from each cluster of another tree
 
     Returns
     -------
@@ -117,14 +119,15 @@ def cluster_pairs(
     apart: tuple[float, float],
     gap: Float[np.ndarray, " c"],
 ) -> ClusterPairs:
-    """Pair the clusters of two trees, every two things exactly once.
+    """Pair the clusters of two trees so that every pair of items is covered exactly once.
 
     Parameters
     ----------
     first, second : ClusterTree
-    apart : (float, float)        how many of its radii from its centre a cluster's partner must be,
-                                  for the first tree and for the second
-    gap : (c,) float [m]          least distance from the outside of each cluster of the second
+    apart : (float, float)        least distance of a far partner from a cluster's centre, in radii
+                                  of the cluster, for the first tree and for the second
+    gap : (c,) float [m]          least distance of a far partner from the sphere of each cluster of
+                                  the second tree
 
     Returns
     -------
@@ -145,7 +148,7 @@ def cluster_pairs(
             for i, j in waiting[chosen]:
                 pairs[i].append(int(j))
         open_pairs = ~admissible & ~left
-        # The larger of both is divided.
+        # The larger of the two clusters is divided.
         divide_a = open_pairs & ~whole_a & (whole_b | (size_a >= size_b))
         divide_b = open_pairs & ~divide_a
         waiting = np.concatenate(

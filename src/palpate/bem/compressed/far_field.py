@@ -1,5 +1,5 @@
-"""The far part of the integral equations: harmonic functions from clusters of triangles to clusters
-of collocation points."""
+"""The far field of the integral equations: harmonic functions of clusters of triangles, evaluated
+at clusters of collocation points."""
 
 from dataclasses import dataclass
 
@@ -19,14 +19,14 @@ from palpate.threads import in_threads
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Receivers:
-    """Clusters of points, each with the few whose values tell those of the others.
+    """Clusters of points, each with a skeleton: the few points from which all others interpolate.
 
     Attributes
     ----------
     tree : ClusterTree            of the points
-    telling : list of (k, 3) float [m]    of each cluster
-    spread : list of (m, k) float         from these to its points, or to the telling points of its
-                                          children one after the other
+    telling : list of (k, 3) float [m]    skeleton points of each cluster
+    spread : list of (m, k) float         weights that interpolate from these to the points of a
+                                          leaf, or to the skeleton points of both children
     """
 
     tree: ClusterTree
@@ -40,14 +40,15 @@ def make_receivers(
     proxies: Float[np.ndarray, "p 3"],
     tolerance: float,
 ) -> Receivers:
-    """Choose the telling points of every cluster.
+    """Choose the skeleton points of every cluster, from the leaves up.
 
     Parameters
     ----------
     tree : ClusterTree
     points : (r, 3) float [m]
-    proxies : (p, 3) float        where charges are put to try them, about a unit sphere
-    tolerance : float             relative error of the values of the others
+    proxies : (p, 3) float        positions of proxy charges around the unit sphere, which stand for
+                                  all far sources
+    tolerance : float             relative error of interpolated values
 
     Returns
     -------
@@ -70,16 +71,17 @@ def make_receivers(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FarField:
-    """Products of the far part with vectors.
+    """Products of the far field with vectors.
 
     Attributes
     ----------
     sources : ClusterTree                 of the triangles
-    moments : dict of LeafMoments         of its leaves that are seen
-    lifts : dict of (k, 2 k) float        of the larger clusters that are seen: their charges from
-                                          those of their halves
+    moments : dict of LeafMoments         of its leaves that belong to a far pair
+    lifts : dict of (k, 2 k) float        of its larger clusters that do: their charges from those
+                                          of their children
     receivers : Receivers
-    far : list of (k,) int                clusters of triangles that each of points sees from far
+    far : list of (k,) int                clusters of triangles that are far from each cluster of
+                                          points
     sphere : ChargeSphere
     offset : (r, 3) float [m]             of every point from the centre of its leaf
     """
@@ -95,13 +97,13 @@ class FarField:
     def apply(
         self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
     ) -> Float[np.ndarray, "r 3 c"]:
-        """The far part of the equations at every collocation point.
+        """Far-field part of the equations at every collocation point.
 
         Parameters
         ----------
-        mix : Mix
+        mix : Mix                         weights of their parts
         moved : (v, 3, c) float [m]       displacement of all vertices
-        pressed : (h, 3, c) float         traction of all held sides
+        pressed : (h, 3, c) float         traction of all held sides, scaled as `mix` requires
 
         Returns
         -------
@@ -129,14 +131,14 @@ class FarField:
 
         in_threads(start, leaves.size)
         parents = np.array(sorted(self.lifts), dtype=np.int64)
-        # Those of one level do not depend on each other: children come behind their parents.
+        # Clusters of one level do not depend on each other; the deepest level is first.
         for level in _levels(tree)[::-1]:
             own = level[np.isin(level, parents)]
             in_threads(lambda begin, end, own=own: self._lift(own[begin:end], charges), own.size)
         return charges
 
     def _lift(self, parents: Int[np.ndarray, " p"], charges: Float[np.ndarray, "s k 4 c"]) -> None:
-        """Charges of some clusters from those of their parts."""
+        """Charges of some clusters from those of their children."""
         tree = self.sources
         for one in parents:
             parts = tree.children[one]
@@ -151,7 +153,7 @@ class FarField:
         charges: Float[np.ndarray, "s k 4 c"],
         values: list[Float[np.ndarray, "_ 4 _"]],
     ) -> None:
-        """Values at the telling points of some clusters of what each sees itself."""
+        """Values at the skeleton points of some clusters, due to the sources far from each."""
         tree, sphere, own = self.sources, self.sphere, self.receivers
         for one in range(begin, end):
             seen, points = self.far[one], own.telling[one]
@@ -159,12 +161,12 @@ class FarField:
             values[one] = np.zeros((len(points), 4, columns), dtype=charges.dtype)
             if not seen.size:
                 continue
-            # From the centre: single precision would lose places that are far from the origin.
+            # Relative to the centre: in single precision, absolute positions would lose digits.
             shift = own.tree.centre[one] - tree.centre[seen]
             place = tree.radius[seen, None, None] * sphere.charge - shift[:, None]
             place = np.ascontiguousarray(place.reshape(-1, 3).T, dtype=np.float32)
             points = (points - own.tree.centre[one]).astype(np.float32)
-            # A copy already: changed in place.
+            # Indexing has copied it: it may be changed in place.
             shifted = charges[seen]
             shifted[:, :, :3] += shift[:, None, :, None].astype(shifted.dtype) * shifted[:, :, 3:]
             kernel = np.empty((len(points), place.shape[1]), dtype=np.float32)
@@ -175,7 +177,7 @@ class FarField:
     def _spread(
         self, values: list[Float[np.ndarray, "_ 4 _"]], columns: int
     ) -> Float[np.ndarray, "r 3 c"]:
-        """Values at all points, from the largest clusters down."""
+        """Values at all points, interpolated from the largest clusters down."""
         tree, spread = self.receivers.tree, self.receivers.spread
         out = np.empty((len(self.offset), 3, columns), dtype=values[0].dtype)
         for one, children in enumerate(tree.children):
@@ -213,12 +215,12 @@ def recentred(
 def make_lifts(
     tree: ClusterTree, parents: Int[np.ndarray, " p"], sphere: ChargeSphere
 ) -> dict[int, Float[np.ndarray, "k h"]]:
-    """Charges of clusters from those of their halves.
+    """Matrices that give the charges of clusters from those of their children.
 
     Parameters
     ----------
     tree : ClusterTree
-    parents : (p,) int            clusters with halves
+    parents : (p,) int            clusters that have children
     sphere : ChargeSphere
     """
     lifts: dict[int, np.ndarray] = {}
@@ -236,7 +238,7 @@ def make_lifts(
 
 
 def _levels(tree: ClusterTree) -> list[Int[np.ndarray, " _"]]:
-    """Clusters by how often what they are part of was divided."""
+    """Clusters by their depth in the tree."""
     levels = [np.zeros(1, dtype=np.int64)]
     while True:
         below = tree.children[levels[-1]].ravel()

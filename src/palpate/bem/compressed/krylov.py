@@ -1,14 +1,14 @@
-"""Many right-hand sides of one large system at a time: block GMRES.
+"""Block GMRES: many right-hand sides of one large system at a time.
 
-All right-hand sides share one Krylov space, which holds the answers of all after far fewer products
+All right-hand sides share one Krylov space, which contains all solutions after far fewer products
 than each would need by itself, and every product is one with a block of vectors.
 
 Source
 ------
 Saad, Iterative Methods for Sparse Linear Systems (2003), section 6.12 and algorithm 9.5:
 preconditioned from the right, so that the residual is that of the system itself. Higham, Accuracy
-and Stability of Numerical Algorithms (2002), chapter 12: iterative refinement, rough solutions of
-what exact residuals leave.
+and Stability of Numerical Algorithms (2002), chapter 12: iterative refinement, with approximate
+corrections for residuals in full precision.
 """
 
 from collections.abc import Callable
@@ -20,26 +20,27 @@ from jaxtyping import Float
 from palpate.errors import NotConvergedError
 
 _TINY = np.finfo(float).tiny
-# Right-hand sides that share a Krylov space: more of them would take more memory than they save.
+# Right-hand sides that share a Krylov space; more would cost more memory than they save.
 _TOGETHER = 24
-# Reduction of the residual that is asked of rough products at a time: rounding of 3e-7 in each, and
-# what the iteration makes of it in slender bodies, stays below.
+# Reduction of the residual per round of rough products; their rounding of 3e-7 stays below it, as
+# amplified by the iteration in slender bodies.
 _ROUGHLY = 1e-5
-# Rough products serve no longer where the residual is so many times the one that was aimed at, or
-# where they took more than a few iterations: the next round begins without their Krylov space.
+# Rough products are given up once the residual exceeds its target by this factor, or a round took
+# more than so many iterations: each round starts with an empty Krylov space.
 _TOO_ROUGH, _FEW = 10.0, 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IterativeSolution:
-    """Solutions, and what they took.
+    """Solutions, with their cost and residuals.
 
     Attributes
     ----------
     solution : (k, c) float
-    product : (k, c) float        the matrix times these
-    iterations : int              products of the matrix with a block of vectors
-    residual : (c,) float         relative to the scale
+    product : (k, c) float        the matrix times the solutions
+    iterations : int              products of the matrix with a block of vectors, of the block of
+                                  right-hand sides that took most
+    residual : (c,) float         norm, relative to the scale
     """
 
     solution: Float[np.ndarray, "k c"]
@@ -63,13 +64,15 @@ def solve_together(
     Parameters
     ----------
     product : callable            (k, c) -> (k, c): the matrix times vectors
-    inverse : callable            (k, c) -> (k, c): roughly its inverse times vectors
+    inverse : callable            (k, c) -> (k, c): preconditioner, its approximate inverse times
+                                  vectors
     right : (k, c) float
-    rough : callable or None      as `product`, cheaper and rounded: iterates, while `product` sees
-                                  to the residuals; None: `product` does both
-    scale : (c,) float or None    what residuals are relative to; None: each right-hand side
+    rough : callable or None      cheaper `product` of lower precision for the iteration, while
+                                  `product` itself gives the residuals; None: `product` for both
+    scale : (c,) float or None    norms to which residuals are relative; None: those of the
+                                  right-hand sides
     tolerance : float             of the residual, relative to the scale
-    most : int                    iterations, of all rounds of rough ones together
+    most : int                    largest number of iterations, over all rounds of refinement
 
     Returns
     -------
@@ -112,12 +115,13 @@ def _refined(
     tolerance: float,
     most: int,
 ) -> IterativeSolution:
-    """Rough solutions, each of what those before it leave; exact ones where these do not serve."""
+    """Iterative refinement: every round solves for the remaining residual, with rough products as
+    long as these suffice."""
     solution, known, iterations = np.zeros_like(right), np.zeros_like(right), 0
     residual, roughly = np.linalg.norm(right, axis=0), True
     while (worst := residual.max(initial=0.0)) > tolerance and iterations < most:
         rounds = np.ceil(np.log(tolerance / worst) / np.log(_ROUGHLY)) if roughly else 1.0
-        # Half: what is rounded shall not cost another round.
+        # Half, as a margin: rounding must not cost another round.
         aim = 0.5 * worst * (tolerance / worst) ** (1.0 / rounds)
         own = np.flatnonzero(residual > tolerance)
         step = _solve_block(
@@ -138,7 +142,7 @@ def _solve_block(
     tolerance: float,
     most: int,
 ) -> IterativeSolution:
-    """One Krylov space for all of them."""
+    """Block GMRES, with one Krylov space for all right-hand sides."""
     count = right.shape[1]
     block, start = np.linalg.qr(right)
     basis, hessenberg = [block], np.zeros((count, 0))
@@ -172,9 +176,10 @@ def _combined(
 def _orthogonalised(
     vectors: Float[np.ndarray, "k c"], basis: list[Float[np.ndarray, "k c"]]
 ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
-    """Orthonormal vectors beside the basis, and the products with it, then with themselves."""
+    """Vectors orthonormalised against the basis, and their coefficients: products with the basis,
+    then the triangular factor."""
     step = np.zeros((len(basis) * vectors.shape[1], vectors.shape[1]))
-    # Twice: the first pass leaves rounding of the size of what it takes away.
+    # Twice: the first pass leaves rounding errors in proportion to what it subtracts.
     for _ in range(2):
         for i, block in enumerate(basis):
             along = block.T @ vectors

@@ -1,4 +1,4 @@
-"""What the nodes of a cluster of triangles contribute to the four harmonic functions it is seen by.
+"""Contributions of the nodes of a cluster of triangles to its four harmonic functions.
 
 With h(x) = 1 / |x - y| for a collocation point y and r = x - y, the fields of Kelvin's solution are
 
@@ -6,7 +6,7 @@ With h(x) = 1 / |x - y| for a collocation point y and r = x - y, the fields of K
     B u = F + (y - c) psi,    psi = u.grad(n.grad h),  F = -(x - c) psi + (n.u) grad h
     q (a / r) + b r (r.q) / r^3 = F + (y - c) psi,    psi = b q.grad h,  F = a q h - (x - c) psi
 
-for any centre c: three harmonic functions F and a fourth one, psi, of y, whatever the material.
+for any centre c: three harmonic functions F and a fourth one, psi, of y, for any material.
 """
 
 from collections.abc import Callable
@@ -20,13 +20,13 @@ from scipy.sparse import csr_array
 
 from palpate.bem.compressed.charges import ChargeSphere
 
-# Moments of a node: grad h x n, n.grad h, nine of F and three of psi of B; of a side: h, and twelve
-# of the second term for b = 1/2.
+# Moments of a node: grad h x n, n.grad h, nine of F and three of psi for B; of a side: h, and
+# twelve for the second term with b = 1/2.
 _TRACTION, _DISPLACEMENT = 16, 13
 
 
 class Mix(NamedTuple):
-    """How much of each part of the equations: those of any Poisson's ratio, or their slope.
+    """Weights of the parts of the equations, at one Poisson's ratio or for the slope in it.
 
     Attributes
     ----------
@@ -42,14 +42,14 @@ class Mix(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeafMoments:
-    """Charges by which the nodes of a cluster of triangles are seen.
+    """Equivalent charges of the nodes of a leaf cluster of triangles.
 
     Attributes
     ----------
     nodes : (n,) int                   vertices
-    traction : (16, k, n) float        against their displacements
+    traction : (16, k, n) float        k charges for each of their 16 moments
     sides : (s,) int                   held sides
-    displacement : (13, k, s) float    against their tractions
+    displacement : (13, k, s) float    k charges for each of their 13 moments
     """
 
     nodes: Int[np.ndarray, " n"]
@@ -107,16 +107,16 @@ def leaf_moments(
     displaced: tuple[Float[np.ndarray, "q 6"], csr_array],
     pressed: tuple[Float[np.ndarray, "p 6"], csr_array],
 ) -> LeafMoments:
-    """Moments of a cluster's triangles.
+    """Moments of the nodes of a leaf cluster of triangles, as equivalent charges.
 
     Parameters
     ----------
     sphere : ChargeSphere
     centre : (3,) float [m]
     radius : float [m]
-    displaced : (q, 6) float, (q, v) sparse     quadrature points, their normals times weights;
-                                                shape functions of the vertices there
-    pressed : (p, 6) float, (p, h) sparse       the same of the held triangles and of their sides
+    displaced : (q, 6) float, (q, v) sparse     quadrature points with normals times weights; shape
+                                                functions of the vertices there
+    pressed : (p, 6) float, (p, h) sparse       the same for the held triangles and their sides
 
     Returns
     -------
@@ -139,7 +139,7 @@ def _gathered(
     sources: Float[np.ndarray, "q 6"],
     shapes: csr_array,
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "m k n"]]:
-    """Nodes with shape functions on some points, and their moments as charges."""
+    """Nodes whose shape functions are non-zero at some points, and their moments as charges."""
     used = np.unique(shapes.indices)
     values = np.empty((len(sources), count * check.shape[1]))
     kernel(sources, centre, check, values)
@@ -218,8 +218,8 @@ def _displacement_values(sources, centre, check, out):
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _fill_traction(skew, rest, moments, out):
-    """F and psi of skew A + rest B from the 16 moments of a node; node by node within each part, so
-    that several are one instruction."""
+    """F and psi of skew A + rest B from the 16 moments of a node; the innermost loops run over
+    nodes, so that they vectorise."""
     skew, rest = out.dtype.type(skew), out.dtype.type(rest)
     for c in range(moments.shape[1]):
         turn, flux, part = moments[:3, c], moments[3, c], out[c]

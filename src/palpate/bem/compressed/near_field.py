@@ -1,5 +1,5 @@
-"""The near part of the integral equations: dense blocks of the fields, exactly those of the dense
-assembly."""
+"""The near field of the integral equations: dense blocks of the fields, those of the dense assembly
+in single precision."""
 
 from dataclasses import dataclass
 
@@ -28,15 +28,15 @@ from palpate.threads import in_threads
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearBlock:
-    """Fields of some collocation points against what is near to them.
+    """Integrals of the fields of a cluster of collocation points over the triangles near it.
 
     Attributes
     ----------
-    points : (m,) int
+    points : (m,) int                     collocation points
     nodes : (n,) int                      vertices
-    traction : (9, m, n) float            against their displacements, in single precision
+    traction : (9, m, n) float            for their displacements, in single precision
     sides : (s,) int                      held sides
-    displacement : (6, m, s) float        against their tractions, in single precision
+    displacement : (6, m, s) float        for their tractions, in single precision
     """
 
     points: Int[np.ndarray, " m"]
@@ -48,7 +48,7 @@ class NearBlock:
     def traction_matrix(
         self, mix: Mix, dtype: DTypeLike = np.float64
     ) -> Float[np.ndarray, "m 3 3 n"]:
-        """Equations against the three components of displacements."""
+        """Coefficients of the displacements, [.., i, j, ..]: equation i, component j."""
         count, nodes = self.traction.shape[1:]
         out = np.empty((count, 3, 3, nodes), dtype=dtype)
         _fill_traction(mix.skew, mix.rest, self.traction, out)
@@ -57,7 +57,7 @@ class NearBlock:
     def displacement_matrix(
         self, mix: Mix, dtype: DTypeLike = np.float64
     ) -> Float[np.ndarray, "m 3 3 s"]:
-        """Equations against the three components of tractions."""
+        """Coefficients of the tractions, [.., i, j, ..]: equation i, component j."""
         count, sides = self.displacement.shape[1:]
         out = np.empty((count, 3, 3, sides), dtype=dtype)
         trace, rest = 1.5 * mix.constant - 2.0 * mix.slope, 0.5 * mix.constant
@@ -67,11 +67,11 @@ class NearBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearField:
-    """Products of the near part with vectors.
+    """Products of the near field with vectors.
 
     Attributes
     ----------
-    blocks : list of NearBlock        every collocation point in one of them
+    blocks : list of NearBlock        every collocation point belongs to one of them
     n_points : int
     """
 
@@ -81,7 +81,7 @@ class NearField:
     def apply(
         self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
     ) -> Float[np.ndarray, "r 3 c"]:
-        """The near part of the equations (as `FarField.apply`)."""
+        """Near-field part of the equations; arguments as for `FarField.apply`."""
         out = np.empty((self.n_points, 3, moved.shape[2]), dtype=moved.dtype)
         in_threads(self._multiply, len(self.blocks), mix, moved, pressed, out)
         return out
@@ -112,7 +112,7 @@ def near_field(
     quadrature: Quadrature,
     progress: Progress = silent,
 ) -> NearField:
-    """Integrate over all triangles that are near to each cluster of points.
+    """Integrate over all triangles that are near each cluster of points.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _fields(
     elements: Int[np.ndarray, " k"],
     triangles: Int[np.ndarray, " k"],
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "f m n"]]:
-    """Nodes that some elements take their values from, and fields of some points against these."""
+    """Nodes that determine a field on some elements, and the integrals of some points for these."""
     used, own = _own_nodes(nodes, elements)
     if not elements.size:
         return used, np.zeros((kernel.count, len(collocation.point), 0), dtype=np.float32)
@@ -187,7 +187,7 @@ def _chosen(collocation: Collocation, points: Int[np.ndarray, " m"]) -> Collocat
 def _own_nodes(
     nodes: QuadraticNodes, elements: Int[np.ndarray, " k"]
 ) -> tuple[Int[np.ndarray, " n"], QuadraticNodes]:
-    """Nodes that some elements take their values from, and these elements with no others."""
+    """Nodes that determine a field on some elements, and the elements in terms of these alone."""
     element = nodes.element[elements]
     dependent = element >= nodes.n_nodes
     middles, middle = np.unique(element[dependent], return_inverse=True)
@@ -211,8 +211,8 @@ def _product(
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _fill_traction(skew, rest, fields, out):
-    """skew A + rest B from the nine fields (`traction_parts`); node by node within each part, so
-    that several are one instruction."""
+    """skew A + rest B from the nine fields (`traction_parts`); the innermost loops run over nodes,
+    so that they vectorise."""
     kind = out.dtype.type
     third, skew, rest = kind(skew / 3.0), kind(skew), kind(rest)
     for m in range(fields.shape[1]):
@@ -222,7 +222,7 @@ def _fill_traction(skew, rest, fields, out):
             for n in range(fields.shape[2]):
                 flux = third * (kind(tensor[0, n]) + tensor[1, n] + tensor[2, n])
                 part[i, i, n] = -flux - rest * tensor[i, n]
-            # Of yz, zx, xy the one without i.
+            # Entry 3 + i of the tensor is the one of yz, zx, xy without i.
             for n in range(fields.shape[2]):
                 part[j, k, n] = skew * turn[i, n] - rest * tensor[3 + i, n]
             for n in range(fields.shape[2]):

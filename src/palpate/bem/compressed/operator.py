@@ -1,8 +1,9 @@
-"""The integral equations of an object as an operator that is never written out.
+"""The integral equations of an object as a matrix-free operator.
 
-What is near is kept as dense blocks, equal to those of the dense assembly but for their single
-precision; what is far goes through harmonic functions of clusters. Memory and the time of a product
-grow with the number of vertices, not with its square, and one operator serves all materials.
+The near field is stored as dense blocks, equal to those of the dense assembly but in single
+precision; the far field is evaluated by harmonic functions of clusters. Memory and the time of a
+product grow with the number of vertices, not with its square, and one operator serves all
+materials.
 """
 
 from dataclasses import dataclass
@@ -32,22 +33,21 @@ from palpate.geometry import (
 from palpate.progress import Progress, part_of, silent
 from palpate.threads import in_threads
 
-# Degree of the rule for what is far from its cluster; nearer than that it is not used.
+# Degree of the quadrature rule of the far field; pairs too close for it belong to the near field.
 _DEGREE = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Compression:
-    """How finely the operator is kept.
+    """Accuracy and cluster sizes of the compressed operator.
 
     Attributes
     ----------
-    charges : int                 that stand for the triangles of a cluster
-    apart : (float, float)        how many of its radii from its centre things are far from a
-                                  cluster of points, and from one of triangles
-    tolerance : float             relative error of values within a cluster of points
-    leaf : (int, int)             most collocation points, and most triangles, in a cluster that is
-                                  not divided
+    charges : int                 equivalent charges per cluster of triangles
+    apart : (float, float)        distance from its centre, in its radii, beyond which everything is
+                                  far from a cluster of points, and from a cluster of triangles
+    tolerance : float             relative error of values interpolated within a cluster of points
+    leaf : (int, int)             most collocation points, and most triangles, in a leaf cluster
     """
 
     charges: int = 250
@@ -65,8 +65,8 @@ class CompressedOperator:
     near : NearField
     far : FarField
     own : (r, v) sparse           displacement at the collocation points from that of the vertices
-    total : (2, r, 3, 3) float    A and B of all vertices together: subtracted at the point itself,
-                                  so that a rigid translation gives no traction
+    total : (2, r, 3, 3) float    A and B, summed over all vertices: subtracted at the collocation
+                                  point, so that a rigid translation gives no traction
     """
 
     near: NearField
@@ -77,13 +77,13 @@ class CompressedOperator:
     def apply(
         self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
     ) -> Float[np.ndarray, "r 3 c"]:
-        """The equations at every collocation point.
+        """Left-hand sides of the integral equations at every collocation point.
 
         Parameters
         ----------
-        mix : Mix                         which of their parts
+        mix : Mix                         weights of their parts
         moved : (v, 3, c) float [m]       displacement of all vertices
-        pressed : (h, 3, c) float         traction of all held sides
+        pressed : (h, 3, c) float         traction of all held sides, scaled as `mix` requires
 
         Returns
         -------
@@ -162,7 +162,7 @@ def _all_moments(
     leaves: Int[np.ndarray, " l"],
     sphere: ChargeSphere,
 ) -> dict[int, LeafMoments]:
-    """Moments of some leaves of the triangles."""
+    """Moments of some leaf clusters of triangles."""
     place = np.cumsum(surface.held) - 1
     moments: dict[int, LeafMoments] = {}
 
@@ -210,7 +210,7 @@ def _own_displacement(nodes: QuadraticNodes, collocation: Collocation) -> csr_ar
 def _totals(
     near: NearField, far: FarField, surface: BoundarySurface, held_nodes: QuadraticNodes
 ) -> Float[np.ndarray, "2 r 3 3"]:
-    """What the equations make of the three translations, for A and B."""
+    """Products of A and of B with the three unit translations."""
     shifts = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
     nothing = np.zeros((held_nodes.n_nodes, 3, 3))
     parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))

@@ -1,5 +1,5 @@
-"""An approximate inverse of the compressed system, its diagonal blocks cluster by cluster, and the
-iteration that it starts."""
+"""Block-diagonal preconditioner of the compressed system, one block per cluster, and the iterative
+solution with it."""
 
 from dataclasses import dataclass, replace
 
@@ -16,17 +16,17 @@ from palpate.threads import in_threads
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterInverse:
-    """Solutions of the clusters' own equations, with the balance of forces of the whole.
+    """Approximate inverse: the diagonal blocks of clusters, with the global force balance.
 
     Attributes
     ----------
     system : CompressedSystem
     poisson_ratio : float
     points : list of (m,) int             collocation points of each cluster
-    unknowns : list of (m,) int           the vectors of unknowns that belong to them
-    factors : list                        LAPACK's factorisation of each
-    answer : (k - 3, 3) float             what the slack alone makes
-    pressed : (3, 3) float                and its force on the support
+    unknowns : list of (m,) int           unknown vectors that are paired with them
+    factors : list                        LAPACK's LU factors of each block
+    answer : (k - 3, 3) float             block solutions for a unit slack
+    pressed : (3, 3) float                force balance of `answer`
     """
 
     system: CompressedSystem
@@ -50,7 +50,7 @@ class ClusterInverse:
         return np.concatenate([own - self.answer @ slack, slack])
 
     def each(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "k c"]:
-        """Solutions of the clusters, the slack left out."""
+        """Solve the equations of every cluster, without slack."""
         out = np.empty_like(rows)
 
         def solve(begin: int, end: int) -> None:
@@ -63,7 +63,7 @@ class ClusterInverse:
         return out.reshape(-1, rows.shape[2])
 
     def force(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "3 c"]:
-        """Balance of forces of unknowns without slack."""
+        """Left-hand side of the force balance, for unknowns without slack."""
         first = 3 * self.system.unknowns.free_vertices.size
         pressed = unknowns[first:].reshape(-1, 3, unknowns.shape[1])
         return np.einsum("h,hic->ic", self.system.balance_weights, pressed)
@@ -72,13 +72,13 @@ class ClusterInverse:
 def cluster_inverse(
     system: CompressedSystem, poisson_ratio: float, *, most: int = 256
 ) -> ClusterInverse:
-    """Factorise the clusters' own equations at one Poisson's ratio.
+    """Factorise the diagonal blocks of all clusters at one Poisson's ratio.
 
     Parameters
     ----------
     system : CompressedSystem
     poisson_ratio : float
-    most : int                    collocation points of a cluster
+    most : int                    largest number of collocation points in a block
 
     Returns
     -------
@@ -122,7 +122,8 @@ def solve_compressed(
     ----------
     inverse : ClusterInverse          of the system at the Poisson's ratio in question
     right : (k, c) float              rows in the order of `system_matrix`
-    scale : (c,) float or None        what residuals are relative to; None: each right-hand side
+    scale : (c,) float or None        norms to which residuals are relative; None: those of the
+                                      right-hand sides
     tolerance : float                 of the residual, relative to the scale
 
     Returns
@@ -138,8 +139,8 @@ def solve_compressed(
         return inverse.system.product(inverse.poisson_ratio, vectors)
 
     def rough(vectors: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
-        # Half the time. By itself its rounding, another in every product, would bend a slender body
-        # wrongly by up to 1e-4.
+        # Half the time. Used alone, its rounding errors, different in every product, would change
+        # the deflection of a slender body by up to 1e-4.
         return product(vectors.astype(np.float32)).astype(np.float64)
 
     return solve_together(
@@ -148,7 +149,7 @@ def solve_compressed(
 
 
 def paired_unknowns(system: CompressedSystem) -> Int[np.ndarray, " r"]:
-    """The vector of unknowns that belongs to each collocation point, numbered as in the system.
+    """The unknown vector that is paired with each collocation point, numbered as in the system.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ def _own_matrix(
     points: Int[np.ndarray, " m"],
     unknowns: Int[np.ndarray, " m"],
 ) -> Float[np.ndarray, "k k"]:
-    """Equations of a cluster against its own unknowns, as far as these are near."""
+    """Diagonal block of a cluster: the near-field coefficients of its own unknowns."""
     place = np.full(system.size // 3, -1)
     place[unknowns] = np.arange(points.size)
     row_of = np.full(len(system.collocation.point), -1)

@@ -1,8 +1,8 @@
-"""Solutions for every Poisson's ratio from those at a few.
+"""Reduced basis: solutions for every Poisson's ratio from those at a few.
 
-The system is linear in nu, its right-hand side quadratic. In the space of the solutions at some
-ratios, the one that leaves the least residual is found for any other ratio from a few small
-matrices; where the residual is largest, the next solution is made, until it is small everywhere.
+The system is linear in nu, its right-hand side quadratic. In the span of the solutions at some
+ratios (snapshots), the least-squares solution at any other ratio follows from a few small matrices.
+The next snapshot is computed where the residual is largest, until it is small everywhere.
 
 Source
 ------
@@ -24,26 +24,27 @@ from palpate.bem.compressed.preconditioner import (
 from palpate.bem.compressed.system import CompressedSystem
 from palpate.errors import NotConvergedError
 
-# Where the residual is looked at: so many ratios over the range.
+# Poisson's ratios over the range at which the residual is evaluated.
 _LOOKED_AT = 41
 _MOST_SOLUTIONS = 20
-# The first solution, in the middle of what most materials have.
+# Poisson's ratio of the first snapshot, typical of most materials.
 _CENTRE = 0.3
-# Residual of a solution over what the model may leave: solutions are made as well as they serve.
+# Tolerance of a snapshot over that of the model.
 _SHARE = 0.1
 _TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SnapshotModel:
-    """Directions in which the solutions for all Poisson's ratios lie, as `ReducedModel`.
+    """Basis vectors that span the solutions for all Poisson's ratios; used as `ReducedModel` is.
 
     Attributes
     ----------
     directions : tuple of j (k, c) float    orthonormal for each of c right-hand sides
-    constant, slope : (c, m, j) float the matrix times these, in the basis of the residuals
+    constant, slope : (c, m, j) float constant and slope of the matrix times these, in a basis of
+                                      the preconditioned residuals
     right : (3, c, m) float           right-hand sides in that basis: constant, slope, curvature
-    ratios : (j,) float               Poisson's ratios of the solutions
+    ratios : (j,) float               Poisson's ratios of the snapshots
     iterations : (j,) int             products with the matrix that each took
     """
 
@@ -57,17 +58,18 @@ class SnapshotModel:
     def coefficients(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
     ) -> tuple[Float[np.ndarray, "j c"], float]:
-        """Weights of the directions that give the solution at one Poisson's ratio.
+        """Coefficients of the basis vectors for the solution at one Poisson's ratio.
 
         Parameters
         ----------
         poisson_ratio : float
-        columns : (c,) int        right-hand sides asked for, all by default
+        columns : (c,) int        right-hand sides to be solved for, all by default
 
         Returns
         -------
         (j, c) float
-        float                     largest residual over the columns, relative to the right-hand side
+        float                     largest preconditioned residual over the columns, relative to the
+                                  preconditioned right-hand side
         """
         weights, left = self._weights(poisson_ratio, columns)
         return weights.T, float(left.max(initial=0.0))
@@ -94,13 +96,13 @@ def snapshot_model(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = 5e-7,
 ) -> SnapshotModel:
-    """Solve at a few Poisson's ratios until these serve the whole range.
+    """Solve at a few Poisson's ratios until their span contains the solutions of the whole range.
 
     Parameters
     ----------
     system : CompressedSystem
     right : (3, k, c) float           right-hand sides: constant, factors of nu and nu^2
-    poisson_range : (float, float)    Poisson's ratios that will be asked for
+    poisson_range : (float, float)    range of Poisson's ratio that the model is to cover
     tolerance : float                 largest relative residual within it
 
     Returns
@@ -129,7 +131,7 @@ def snapshot_model(
 
 
 class _Gathered:
-    """Solutions so far, and what the matrix makes of them."""
+    """Snapshots so far, and their products with the matrix."""
 
     def __init__(
         self,
@@ -140,15 +142,15 @@ class _Gathered:
         self.system, self.right = system, right
         self._inverse = inverse
         self.directions: list[np.ndarray] = []
-        # The matrix at a ratio of zero times these, and its slope times these.
+        # For each: the matrix at a ratio of zero times it, and the slope of the matrix times it.
         self._products: list[tuple[np.ndarray, np.ndarray]] = []
         self.ratios: list[float] = []
         self._iterations: list[int] = []
-        # Residuals are seen through the inverse of the clusters: as errors of displacements.
+        # Preconditioned, residuals are approximate errors of the unknowns.
         self._seen = [inverse.solve(term) for term in right]
 
     def add(self, ratio: float, model: SnapshotModel | None, tolerance: float) -> None:
-        """Solve at one ratio for what a model leaves."""
+        """Add the snapshot at one ratio, which is solved for the residual of the model."""
         constant, slope, curvature = self.right
         wanted = constant + ratio * (slope + ratio * curvature)
         size = np.linalg.norm(wanted, axis=0) + _TINY
@@ -169,7 +171,7 @@ class _Gathered:
         self._seen += [self._inverse.solve(one) for one in products]
 
     def model(self) -> SnapshotModel:
-        """The model of the solutions so far."""
+        """The model of the snapshots so far."""
         count = len(self.directions)
         upper = np.stack(
             [
@@ -192,7 +194,7 @@ class _Gathered:
         second: Float[np.ndarray, "k c"],
         step: Float[np.ndarray, "rows c"],
     ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
-        """Products of a new direction, from those of the vectors that `orthogonalised` took."""
+        """Products of a new basis vector, from those of the vectors given to `orthogonalised`."""
         for along, (known, sloped) in zip(step[:-1], self._products, strict=True):
             first, second = first - along * known, second - along * sloped
         length = step[-1] + _TINY
@@ -202,7 +204,7 @@ class _Gathered:
 def orthogonalised(
     vectors: Float[np.ndarray, "k c"], basis: Sequence[Float[np.ndarray, "k c"]]
 ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
-    """Unit vectors along what of some is orthogonal to a basis, each column by itself.
+    """Normalised components of vectors orthogonal to a basis, each column by itself.
 
     Parameters
     ----------
@@ -211,11 +213,12 @@ def orthogonalised(
 
     Returns
     -------
-    (k, c) float                            of length 1; 0 where nothing is left
-    (j + 1, c) float                        products with the basis, then the length of what is left
+    (k, c) float                            of length 1; 0 where a vector lies in the span
+    (j + 1, c) float                        products with the basis, then the length of the
+                                            orthogonal component
     """
     step = np.zeros((len(basis) + 1, vectors.shape[1]))
-    # Twice: the first pass leaves rounding of the size of what it takes away.
+    # Twice: the first pass leaves rounding errors in proportion to what it subtracts.
     for _ in range(2):
         for i, direction in enumerate(basis):
             along = np.einsum("kc,kc->c", direction, vectors)

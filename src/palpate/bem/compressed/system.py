@@ -1,4 +1,4 @@
-"""The linear system of a held object whose matrix is never written out."""
+"""The linear system of a held object as a matrix-free operator."""
 
 from dataclasses import dataclass
 
@@ -24,15 +24,15 @@ from palpate.errors import InputError
 from palpate.geometry import QuadraticNodes
 from palpate.progress import Progress, silent
 
-# What a slack of one adds to every integral equation (`system_matrix`).
+# Coefficient of the slack in every integral equation (`system_matrix`).
 SLACK = 8 * np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompressedSystem(BoundarySystem):
-    """The system of `BoundarySystem` with its integrals kept as a `CompressedOperator`.
+    """A `BoundarySystem` whose integrals are a `CompressedOperator`.
 
-    Its kernels have their rows, in the order of all right-hand sides, and no nodes.
+    Its kernels have no nodes; their rows define the order of all right-hand sides.
 
     Attributes
     ----------
@@ -74,15 +74,16 @@ class CompressedSystem(BoundarySystem):
     def given_products(
         self, moved: Float[np.ndarray, "v 3 c"]
     ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
-        """What displacements of vertices that are given, not unknown, do to the equations.
+        """Contributions of prescribed vertex displacements to the integral equations.
 
         Parameters
         ----------
-        moved : (v, 3, c) float [m]       zero where it is unknown
+        moved : (v, 3, c) float [m]       zero where the displacement is unknown
 
         Returns
         -------
-        (k, c) float, (k, c) float        for A and for B (`traction_parts`), no balance of forces
+        (k, c) float, (k, c) float        for A and for B (`traction_parts`), without the rows of
+                                          the force balance
         """
         nothing = np.zeros((self.unknowns.held_sides.size, 3, moved.shape[2]))
         parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))
@@ -94,7 +95,7 @@ class CompressedSystem(BoundarySystem):
         return rows[self.order].transpose(1, 0, 2).reshape(3 * len(rows), -1)
 
     def by_point(self, right: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "r 3 c"]:
-        """The inverse of `by_component`, without the balance of forces."""
+        """The inverse of `by_component`; the rows of the force balance are dropped."""
         rows = np.empty((self.order.size, 3, right.shape[1]))
         rows[self.order] = right[:-3].reshape(3, -1, right.shape[1]).transpose(1, 0, 2)
         return rows
@@ -113,13 +114,13 @@ class CompressedSystem(BoundarySystem):
 
     @property
     def balance_weights(self) -> Float[np.ndarray, " h"]:
-        """Share of each held side in the balance of forces."""
+        """Coefficient of each held side in the force balance."""
         weights = integral_weights(self.surface, np.flatnonzero(self.surface.held))
         return weights[self.unknowns.held_sides] / self.traction_length**2
 
 
 def scaled_mix(system: BoundarySystem, poisson_ratio: float) -> Mix:
-    """The parts of a system's equations at one Poisson's ratio.
+    """Weights of the parts of a system's equations at one Poisson's ratio.
 
     Parameters
     ----------
@@ -176,7 +177,7 @@ def compressed_system(
 def _rows_alone(
     surface: BoundarySurface, collocation: Collocation, kernel: FieldLayout
 ) -> FieldBlocks:
-    """The rows that a kernel's integrals would have, without any node."""
+    """The row layout of a kernel's integrals, without any node."""
     nodes = QuadraticNodes(np.zeros((0, 6), dtype=np.int64), 0, csr_array((0, 0)))
     nothing = np.zeros(0, dtype=np.int64)
     return assemble(surface, collocation, nodes, kernel, triangles=nothing)

@@ -1,8 +1,8 @@
 """Integrals of Kelvin's solution over the surface, for every collocation point and every node.
 
-Purpose    : turn a surface into the material-free matrices of the boundary element method.
-Takes      : a mesh and its held triangles, collocation points, the accuracy asked for.
-Gives      : `BoundarySurface`, `FieldBlocks`; the layout of a kernel's fields and their meaning.
+Purpose    : compute the material-independent matrices of the boundary element method.
+Takes      : a mesh and its held triangles, collocation points, the quadrature tolerance.
+Gives      : `BoundarySurface`, `FieldBlocks`; the layout and meaning of a kernel's fields.
 Depends on : geometry; errors, threads.
 Read first : `kelvin.py`, `assembly.py`.
 """

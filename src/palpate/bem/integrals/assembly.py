@@ -1,8 +1,8 @@
-"""Material-free matrices of a boundary element model: every collocation point against every node.
+"""Material-independent matrices of a boundary element model: collocation points by nodes.
 
-The rows come in blocks of LANES collocation points that lie close together, so that one instruction
-serves several points and one quadrature rule suits a block. A block belongs to one thread, which
-adds its triangles in order: the result does not depend on the number of threads.
+The rows come in blocks of LANES collocation points that lie close together, so that the loops over
+a block vectorise and one quadrature rule suits all of its points. A block is computed by one
+thread, which adds its triangles in order: the result does not depend on the number of threads.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Collocation:
     point : (r, 3) float [m]
     vertex : (r,) int             vertex at which the point lies, -1 where inside a triangle
     triangle : (r,) int           triangle in which the point lies, -1 where at a vertex
-    barycentric : (r, 3) float    place in that triangle, zero where at a vertex
+    barycentric : (r, 3) float    position in that triangle, zero where at a vertex
     """
 
     point: Float[np.ndarray, "r 3"]
@@ -63,7 +63,7 @@ class FieldBlocks:
     values : (blocks, n_nodes, fields, LANES) float     the fields in the order of their
                                                         `FieldLayout`
     rows : (blocks, LANES) int                          collocation point of each lane; the last
-                                                        block repeats its last
+                                                        block is padded with its last point
     n_rows : int                                        number of collocation points
     """
 
@@ -72,7 +72,7 @@ class FieldBlocks:
     n_rows: int
 
     def by_row(self, node: int) -> Float[np.ndarray, "r fields"]:
-        """The fields against one node.
+        """The integrals that belong to one node.
 
         Parameters
         ----------
@@ -80,14 +80,14 @@ class FieldBlocks:
 
         Returns
         -------
-        (r, fields) float           one row a collocation point, in the order of the blocks
+        (r, fields) float           one row per collocation point, in the order of the blocks
         """
         fields = self.values[:, node].transpose(0, 2, 1)
         return fields.reshape(-1, fields.shape[2])[: self.n_rows]
 
 
 class _Points(NamedTuple):
-    """Collocation points as the kernels see them: by lane, then one by one."""
+    """Collocation points in the layout of the kernels: by lane, then one by one."""
 
     lanes: np.ndarray
     rows: np.ndarray
@@ -98,8 +98,8 @@ class _Points(NamedTuple):
 
 
 class _Elements(NamedTuple):
-    """Triangles with the quadrature points of every rule; `number` is where each node's integral
-    is gathered."""
+    """Triangles with the quadrature points of every rule; `number` is the index at which the
+    integral of each of their nodes is accumulated."""
 
     triangle: np.ndarray
     vertices: np.ndarray
@@ -111,14 +111,14 @@ class _Elements(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Quadrature rules one after the other.
+    """Concatenated quadrature rules.
 
     Attributes
     ----------
     points : (q, 4) float     barycentric coordinates and weight
     shapes : (6, q) float     shape functions there
     start : (k + 1,) int      where each of the k rules starts
-    ratios : (k,) float       distance over radius from which each may be used
+    ratios : (k,) float       distance over radius above which each may be used
     polar : (p, 3) float      `polar_rule`
     """
 
@@ -130,7 +130,7 @@ class Rules(NamedTuple):
 
 
 class _Midpoints(NamedTuple):
-    """Rows of a sparse matrix: what each midpoint's integral adds to that of the nodes."""
+    """Sparse matrix by rows: weights that distribute each midside node's integral to the nodes."""
 
     start: np.ndarray
     node: np.ndarray
@@ -146,7 +146,9 @@ def assemble(
     triangles: Int[np.ndarray, " m"] | None = None,
     quadrature: Quadrature = Quadrature(),
 ) -> FieldBlocks:
-    """Integrate a kernel's fields over triangles of a surface, singular and near ones included.
+    """Integrate a kernel's fields times shape functions over triangles of a surface.
+
+    Near-singular and singular integrals are included.
 
     Parameters
     ----------
@@ -160,8 +162,8 @@ def assemble(
 
     Returns
     -------
-    FieldBlocks                           the traction kernel with the value at the collocation
-                                          point subtracted within the triangles that hold it;
+    FieldBlocks                           for the traction kernel without the value at the
+                                          collocation point on the triangles that contain it;
                                           `with_rigid_body_sum` completes it
     """
     if triangles is None:
@@ -171,7 +173,7 @@ def assemble(
     element_nodes = surface.element_nodes[triangles]
     sources = element_points(element_nodes, rules.points[:, :3])
     sources[:, :, 3:] *= rules.points[:, 3:]
-    # Only the midpoints in use are gathered; they count from n_nodes on.
+    # Only the midside nodes in use are accumulated, numbered from n_nodes on.
     dependent = nodes.element >= nodes.n_nodes
     used, used_number = np.unique(nodes.element[dependent], return_inverse=True)
     number = nodes.element.copy()
@@ -196,8 +198,8 @@ def assemble(
 def with_rigid_body_sum(
     blocks: FieldBlocks, collocation: Collocation, nodes: QuadraticNodes
 ) -> FieldBlocks:
-    """Complete the traction kernel so that a rigid translation gives no traction, for each field
-    by itself.
+    """Complete the traction kernel by the rigid-body sum: each field by itself gives zero for a
+    rigid translation.
 
     Parameters
     ----------
@@ -225,7 +227,7 @@ def with_rigid_body_sum(
 
 
 def all_rules(quadrature: Quadrature) -> Rules:
-    """The rules of a quadrature as the kernels take them.
+    """The rules of a quadrature in the layout of the kernels.
 
     Parameters
     ----------
@@ -243,7 +245,7 @@ def all_rules(quadrature: Quadrature) -> Rules:
 
 
 def polar_rule(quadrature: Quadrature) -> Float[np.ndarray, "p 3"]:
-    """Points of the singular integrals.
+    """Quadrature points of the singular integrals.
 
     Parameters
     ----------
@@ -275,7 +277,7 @@ def _points_in_blocks(collocation: Collocation) -> _Points:
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _integrate_blocks(begin, end, n_fields, points, elements, rules, midpoints, out):
-    """Integrals of the blocks from begin to end, first at all nodes and midpoints."""
+    """Integrals of the blocks from begin to end, first for all nodes and midside nodes."""
     width = n_fields * LANES
     n_own = out.shape[1]
     gathered = np.empty(n_own + (midpoints.start.size - 1) * width)
@@ -315,7 +317,7 @@ def _integrate_blocks(begin, end, n_fields, points, elements, rules, midpoints, 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
 def _choose_rule(lanes, centre, radius, ratios, ratio):
-    """Rule for a block of points, and the least distance over radius; fills in that of each
+    """Rule for a block of points, and the smallest distance over radius; fills in that of each
     lane."""
     smallest, nearest = np.inf, np.inf
     for i in range(LANES):

@@ -1,10 +1,11 @@
 """Integrals of the kernel fields over one six-node triangle: regular for many load points, near and
 singular for one.
 
-Regular: Gauss points, LANES load points at a time, so that everything vectorises. Near: the
-triangle is divided until every part is far enough for its rule. Singular: polar coordinates at the
-load point, whose Jacobian takes away the 1 / r that is left once the value at the load point is
-subtracted from the shape functions (the rest is the rigid-body sum of the assembly).
+Regular: Gauss points, for LANES load points at a time, so that the loops vectorise. Near: the
+triangle is subdivided until every part is far enough from the load point for its rule. Singular:
+polar coordinates about the load point, whose Jacobian cancels the 1 / r that remains. For the
+traction kernel it remains after the shape functions' values at the load point are subtracted; the
+rigid-body sum of the assembly accounts for these.
 """
 
 import numba
@@ -13,21 +14,21 @@ import numpy as np
 from palpate.bem.integrals.kelvin import add_point_fields
 
 SHAPES = 6
-# A part of a triangle is divided no further below this share of its area: ten times in four.
+# Subdivision ends below this fraction of the triangle's area: after ten quarterings.
 _SMALLEST_PART = 1e-6
-# Parts that wait while the first of them is divided: three a level, ten levels.
+# Size of the stack of pending parts: each of ten levels adds three.
 _MOST_WAITING = 34
-# Width of a panel in the hyperbolic angle of the singular integrals, that 12 points resolve.
+# Widest panel in the hyperbolic angle of the singular integrals that 12 points resolve.
 _WIDEST_PANEL = 2.0
 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
 def add_shape_moment(fields, shape, out):
-    """Add the sum over quadrature points of shape value times fields.
+    """Add the sum over quadrature points of shape function times fields.
 
     Parameters
     ----------
-    fields : (q * width,) float             one row a quadrature point
+    fields : (q * width,) float             one row per quadrature point
     shape : (q,) float                      shape function at the points
     out : (width,) float                    added to
     """
@@ -50,7 +51,7 @@ def add_shape_moment(fields, shape, out):
 
 @numba.njit(error_model="numpy", cache=True)
 def shapes_at(b0, b1, b2, shape):
-    """Six shape functions at one point (`quadrature.quadratic_shapes`), written into shape (6,)."""
+    """Six shape functions at one point (`geometry.quadratic_shapes`), written into shape (6,)."""
     shape[0] = b0 * (2 * b0 - 1)
     shape[1] = b1 * (2 * b1 - 1)
     shape[2] = b2 * (2 * b2 - 1)
@@ -110,20 +111,21 @@ def surface_point(nodes, b0, b1, b2, shape, source):
 
 @numba.njit(error_model="numpy", cache=True)
 def add_singular(n_fields, point, nodes, corners, polar, own, out):
-    """Add the integrals over the part of a triangle that has the load point as its first corner.
+    """Add the integrals over a subtriangle that has the load point as its first corner.
 
     Parameters
     ----------
     n_fields : int                          which kernel (`kelvin.add_point_fields`)
     point : (3,) float [m]                  load point
     nodes : (6, 3) float [m]                six-node triangle
-    corners : (3, 3) float                  barycentric coordinates of the part's corners, the load
-                                            point first
+    corners : (3, 3) float                  barycentric coordinates of the subtriangle's corners,
+                                            the load point first
     polar : (p, 3) float                    radius and hyperbolic angle, from 0 to 1, and weight
-                                            times radius; the angle makes the integrand smooth
-                                            however flat the part is
+                                            times radius; the hyperbolic angle keeps the integrand
+                                            smooth for subtriangles of any aspect ratio
     own : (6,) float                        subtracted from the shape functions: their values at the
-                                            load point where the kernel is strongly singular
+                                            load point for the strongly singular traction kernel,
+                                            else zero
     out : (6, n_fields) float               added to
     """
     shape, source = np.empty(SHAPES), np.empty(6)
@@ -154,11 +156,11 @@ def add_singular(n_fields, point, nodes, corners, polar, own, out):
 
 @numba.njit(error_model="numpy", cache=True)
 def _foot_and_height(nodes, corners):
-    """Where the perpendicular from the first corner meets the line of the others, and its length.
+    """Foot and length of the perpendicular from the first corner to the opposite edge.
 
-    Both over the distance of these two; the foot is 0 at the second corner, 1 at the third.
-    Measured in the tangent plane at the first corner: there the integrand is large, and a bent
-    element's corners may lie elsewhere.
+    Both are relative to the length of that edge; the foot is 0 at the second corner, 1 at the
+    third. Measured in the tangent plane at the first corner, where the integrand is large; the
+    corners of a curved element may lie off this plane.
     """
     place = np.zeros((3, 3))
     b0, b1, b2 = corners[0]
@@ -180,10 +182,10 @@ def _foot_and_height(nodes, corners):
 
 @numba.njit(error_model="numpy", cache=True)
 def add_near(n_fields, point, nodes, rules, start, ratios, out):
-    """Add the integrals over a triangle that does not hold the load point but is close to it.
+    """Add the integrals over a triangle that is close to the load point but does not contain it.
 
-    The triangle is divided into four, and these again, until the load point is far enough from each
-    part for one of the rules.
+    The triangle is quartered recursively until the load point is far enough from each part for one
+    of the rules.
 
     Parameters
     ----------
@@ -192,7 +194,7 @@ def add_near(n_fields, point, nodes, rules, start, ratios, out):
     nodes : (6, 3) float [m]                six-node triangle
     rules : (q, 4) float                    barycentric points and weights of all rules
     start : (k + 1,) int                    where each rule starts
-    ratios : (k,) float                     distance over radius from which each may be used
+    ratios : (k,) float                     distance over radius above which each may be used
     out : (6, n_fields) float               added to
     """
     shape, source = np.empty(SHAPES), np.empty(6)
@@ -207,12 +209,12 @@ def add_near(n_fields, point, nodes, rules, start, ratios, out):
 
 @numba.njit(error_model="numpy", cache=True)
 def whole_triangle():
-    """Parts of a triangle that wait for `next_part`: so far the whole triangle, one part.
+    """Stack of pending parts of a triangle for `next_part`: at first the whole triangle.
 
     Returns
     -------
     (34, 10) float                          barycentric coordinates of the three corners, then the
-                                            share of the area
+                                            fraction of the triangle's area
     """
     waiting = np.zeros((_MOST_WAITING, 10))
     waiting[0, 0] = waiting[0, 4] = waiting[0, 8] = waiting[0, 9] = 1.0
@@ -221,20 +223,20 @@ def whole_triangle():
 
 @numba.njit(error_model="numpy", cache=True)
 def next_part(point, nodes, ratios, waiting, top, part):
-    """Take the last of the parts that wait, divided until it is far enough from a point.
+    """Pop the last pending part, subdivided until it is far enough from a point.
 
     Parameters
     ----------
-    point : (3,) float [m]                  finite: nothing is far from NaN
+    point : (3,) float [m]                  finite; NaN would subdivide everything to the last level
     nodes : (6, 3) float [m]                six-node triangle
-    ratios : (k,) float                     distance over radius from which each rule may be used
-    waiting : (34, 10) float                changed (`whole_triangle`)
-    top : int                               number of parts that wait, >= 1
+    ratios : (k,) float                     distance over radius above which each rule may be used
+    waiting : (34, 10) float                changed: the stack (`whole_triangle`)
+    top : int                               number of pending parts, >= 1
     part : (10,) float                      overwritten: the part
 
     Returns
     -------
-    int                                     number of parts that wait now
+    int                                     number of pending parts now
     int                                     rule to be used on the part
     float                                   distance of the point over the part's radius
     """
@@ -296,7 +298,7 @@ def _ratio(point, nodes, part):
 
 @numba.njit(error_model="numpy", cache=True)
 def _divide(part, children):
-    """The four quarters of a part (barycentric corners, then its share of the area)."""
+    """The four quarters of a part (barycentric corners, then the fraction of the area)."""
     for k in range(3):
         after, before = (k + 1) % 3, (k + 2) % 3
         for i in range(3):

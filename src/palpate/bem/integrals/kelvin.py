@@ -1,7 +1,7 @@
-"""Kelvin's fundamental solution, split into parts that are free of the material.
+"""Kelvin's fundamental solution, split into material-independent parts.
 
-With r = x - y from the load point y to the point x on the surface, n the outward normal there, i
-the direction of the load and j the component, multiplied by 8 pi (1 - nu):
+With r = x - y from the load point y to the point x on the surface, n the outward normal at x, i
+the direction of the load and j the component, both kernels multiplied by 8 pi (1 - nu):
 
     traction      (1 - 2 nu) A_ij + B_ij      A_ij = (r_i n_j - r_j n_i - delta_ij r.n) / r^3
                                               B_ij = -3 r_i r_j (r.n) / r^5
@@ -11,10 +11,11 @@ Only 15 scalars ("fields") are independent: the vector r x n / r^3 and the symme
 3 r_i r_j (r.n) / r^5 give A and B (the trace of the second is 3 r.n / r^3), the symmetric
 r_i r_j / r^3 gives the displacement (its trace is 1 / r).
 
-This file is the whole contract between a kernel and the assembly: the layout of its fields, their
-values at many load points (`lane_fields`) and at one (`add_point_fields`), and what they make up
-(`traction_parts`, `displacement_parts`). The kernel is chosen by its number of fields, because
-numba would compile anew in every process a function that takes another one as an argument.
+This file defines the whole interface between a kernel and the assembly: the layout of its fields,
+their values for many load points (`lane_fields`) and for one (`add_point_fields`), and the tensors
+that they form (`traction_parts`, `displacement_parts`). A kernel is selected by its number of
+fields: numba does not cache a function that takes another function as an argument, and would
+recompile it in every process.
 
 Source: Lang and Pai (2001), eq. 2 and 3; Brebbia, Telles and Wrobel, Boundary Element Techniques
 (1984), chapter 5.
@@ -28,14 +29,13 @@ from jaxtyping import Float
 
 from palpate.errors import InputError
 
-# Load points that one instruction stream serves together.
+# Load points that are processed together, so that the inner loops vectorise.
 LANES = 32
 
 
 @dataclass(frozen=True, slots=True)
 class FieldLayout:
-    """The fields of a kernel in the order in which they are stored: a vector or none, then a
-    symmetric tensor.
+    """The fields of a kernel in storage order: a vector, if any, then a symmetric tensor.
 
     Attributes
     ----------
@@ -62,13 +62,13 @@ class FieldLayout:
 
 TRACTION = FieldLayout(("x", "y", "z", "xx", "yy", "zz", "yz", "zx", "xy"))
 DISPLACEMENT = FieldLayout(("xx", "yy", "zz", "yz", "zx", "xy"))
-# Index into the stored tensor of each of its entries.
+# Position of each entry [i, j] in the stored symmetric tensor.
 _ENTRY = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 _N_TRACTION = TRACTION.count
 
 
 def check_material(shear_modulus: float, poisson_ratio: float) -> None:
-    """Refuse elastic constants that no stable material has.
+    """Refuse elastic constants outside the range of stable isotropic materials.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def traction_parts(
 
     Returns
     -------
-    (3, 3, ...), (3, 3, ...) float      entry [i, j]: load along i, component j; of the unit of
+    (3, 3, ...), (3, 3, ...) float      entry [i, j]: load along i, component j; in the unit of
                                         the fields
 
     Source
@@ -116,7 +116,7 @@ def traction_parts(
 def displacement_parts(
     fields: Float[np.ndarray, "6 ..."],
 ) -> tuple[Float[np.ndarray, "3 3 ..."], Float[np.ndarray, "3 3 ..."]]:
-    """Constant and slope in Poisson's ratio of the displacement kernel, for a shear modulus of one.
+    """Constant and slope in Poisson's ratio of the displacement kernel, for a unit shear modulus.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def displacement_parts(
 
     Returns
     -------
-    (3, 3, ...), (3, 3, ...) float      symmetric, of the unit of the fields
+    (3, 3, ...), (3, 3, ...) float      symmetric, in the unit of the fields
 
     Source
     ------
@@ -136,7 +136,7 @@ def displacement_parts(
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def lane_fields(n_fields, lanes, sources, out):
-    """Fields of a kernel from LANES load points to some surface points, one row a surface point.
+    """Kernel fields of LANES load points at some surface points, one row per surface point.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def lane_fields(n_fields, lanes, sources, out):
 
 @numba.njit(error_model="numpy", cache=True)
 def add_point_fields(n_fields, point, source, weight, factor, out):
-    """Add the fields of a kernel from one load point to one surface point, times several factors.
+    """Add the kernel fields of one load point at one surface point, times each of several factors.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def add_point_fields(n_fields, point, source, weight, factor, out):
     point : (3,) float [m]                  load point y
     source : (6,) float                     surface point x [m], normal times area [m^2]
     weight : float                          > 0
-    factor : (a,) float                     shape functions, say
+    factor : (a,) float                     such as shape function values
     out : (a, n_fields) float               added to: factor times weight times fields
     """
     x, y, z = source[0] - point[0], source[1] - point[1], source[2] - point[2]

@@ -1,5 +1,5 @@
-"""The surface as the boundary integrals see it: six-node triangles, and where fields live on
-them."""
+"""Discretised surface of the boundary integrals: six-node triangles, with the nodes of displacement
+and of traction."""
 
 from dataclasses import dataclass
 
@@ -25,19 +25,20 @@ from palpate.geometry import (
 
 @dataclass(frozen=True, slots=True)
 class SurfaceSettings:
-    """How the surface between the vertices is understood.
+    """Interpolation of geometry and fields between the vertices.
 
     Attributes
     ----------
-    smooth : bool             True: the vertices lie on a smooth object and its curvature is
-                              followed between them; False: the object has exactly the flat facets
-                              of the mesh
-    quadratic : bool          True: fields are quadratic on each triangle, fitted from the vertices
-                              around; False: linear elements, as in the paper
-    crease_angle : float [rad] angle between neighbouring triangles from which their edge is a real
-                              edge of the object
+    smooth : bool             True: the mesh samples a smooth object, and curved triangles
+                              interpolate it; False: the object has exactly the flat facets of the
+                              mesh
+    quadratic : bool          True: fields are quadratic on each triangle, with midside values
+                              fitted to the surrounding vertices; False: linear elements, as in the
+                              paper
+    crease_angle : float [rad] angle between the normals of adjacent triangles above which their
+                              edge is an edge of the object
     rings : int               rings of neighbours of an edge that the quadratics are fitted to, 1 or
-                              2: the step from one to the other shows what lies between the vertices
+                              2; the difference between the two estimates the interpolation error
     """
 
     smooth: bool = True
@@ -56,14 +57,15 @@ class BoundarySurface:
     sides : Sides
     held : (m,) bool                  triangles of the support
     held_directions : (m, 3, 3) float projector onto the directions in which each triangle is held:
-                                      the unit matrix, less for a roller, zero where nothing holds
+                                      the identity where it is fixed, of rank 1 or 2 on a roller,
+                                      zero where it is free
     element_nodes : (m, 6, 3) float   [m]
-    displacement : QuadraticNodes     continuous, one node a vertex
-    traction : QuadraticNodes         one node a side of a vertex
-    held_length : float [m]           root of the mean area of the support's triangles: scales
+    displacement : QuadraticNodes     continuous, one node per vertex
+    traction : QuadraticNodes         one node per side of a vertex
+    held_length : float [m]           square root of the mean area of the held triangles: scales
                                       tractions to displacements
-    follows_dips : bool               whether elements under a load may take the shape of the dip
-                                      (`contact_shape`)
+    follows_dips : bool               whether midside nodes near a load are corrected for the local
+                                      indentation (`contact_shape`)
     """
 
     mesh: TriangleMesh
@@ -89,8 +91,8 @@ def make_surface(
     Parameters
     ----------
     mesh : TriangleMesh               closed, outward
-    held_triangles : (k,) int         triangles that do not move
-    directions : (k, 3, 3) float      projector onto the directions in which each of them does not;
+    held_triangles : (k,) int         triangles of the support
+    directions : (k, 3, 3) float      projector onto the directions in which each of them is held;
                                       None: all directions
     settings : SurfaceSettings
 
@@ -111,7 +113,7 @@ def make_surface(
         )
     held_directions = np.zeros((held.size, 3, 3))
     held_directions[held_triangles] = np.eye(3) if directions is None else directions
-    # Where a roller meets another support or the free surface, its traction ends.
+    # The traction of a roller ends where it meets another support or the free surface.
     _, region = np.unique(held_directions.reshape(-1, 9), axis=0, return_inverse=True)
     sides = split_sides(mesh, region.ravel(), crease_angle=settings.crease_angle)
     displacement = displacement_nodes(mesh, sides, rings=settings.rings)
@@ -131,7 +133,7 @@ def make_surface(
 def integral_weights(
     surface: BoundarySurface, triangles: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, " s"]:
-    """Weights that integrate a field given at the sides over some triangles.
+    """Weights that integrate a field, given at the sides of vertices, over some triangles.
 
     Parameters
     ----------
@@ -140,7 +142,7 @@ def integral_weights(
 
     Returns
     -------
-    (s,) float [m^2]          one a side of a vertex; integral = weights @ values
+    (s,) float [m^2]          one per side of a vertex; integral = weights @ values
     """
     from_corner, from_middle = _element_integrals(surface.element_nodes[triangles])
     nodes = surface.traction

@@ -1,8 +1,7 @@
-"""Displacement and stress inside a loaded object: where it strains.
+"""Displacement and stress inside a loaded object.
 
-The solved surface says everything about the inside (Somigliana's identity, `somigliana.py`). Points
-may come within 5 % of a triangle's radius of the surface; closer than that, and outside, they are
-refused.
+They follow from displacement and traction on its surface (Somigliana's identity, `somigliana.py`).
+Points outside the object, or closer to its surface than 5 % of a triangle's radius, are refused.
 """
 
 from dataclasses import dataclass
@@ -19,10 +18,10 @@ from palpate.errors import InputError
 from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads
 
-# Over the radius of a triangle: the integrals of closer points are not to be trusted.
+# Smallest distance from the surface over a triangle's radius: closer, quadrature is inaccurate.
 _MIN_CLEARANCE = 0.05
 _QUADRATURE = Quadrature(tolerance=1e-8)
-# Outside of every object [m].
+# A coordinate outside every object [m].
 _FAR_AWAY = 1e6
 _LOAD_CELLS = LoadCells(degree=7, coarsest=2, finest_rim=5, finest=9)
 
@@ -47,13 +46,12 @@ class BoundaryFields:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InteriorState:
-    """What happens at points inside an object.
+    """Displacement and stress at points inside an object.
 
     Attributes
     ----------
     displacement : (n, 3) float [m]
-    stress : (n, 3, 3) float [Pa]         symmetric; [i, j]: along j on a plane of normal i,
-                                          tension positive
+    stress : (n, 3, 3) float [Pa]         symmetric, tension positive
     """
 
     displacement: Float[np.ndarray, "n 3"]
@@ -68,7 +66,7 @@ def interior_state(
 ) -> InteriorState:
     """Displacement and stress inside an object under one load.
 
-    Body forces are not part of it: what gravity alone does is not added.
+    Body forces are not included: the effect of gravity alone is not added.
 
     Parameters
     ----------
@@ -127,7 +125,7 @@ def interior_values(
     """
     out, clearance = np.zeros((len(points), VALUES)), np.full(len(points), np.inf)
     values = np.concatenate([fields.displacement, fields.traction], axis=2)
-    # A point that is NaN is outside, too; the kernels would divide triangles around it for ever.
+    # NaN counts as outside; the kernels would subdivide every triangle to the last level for it.
     places = np.where(np.isfinite(points).all(axis=1)[:, None], points, _FAR_AWAY)
     in_threads(
         sum_surface, len(points), places, np.array(fields.element_nodes), values,
@@ -165,7 +163,7 @@ def _refuse(
 def _solved_fields(
     elastic_map: ElasticMap, state: ElasticState, load: SurfaceLoad, force: Float[np.ndarray, "3"]
 ) -> BoundaryFields:
-    """Displacement of every element and traction of the support's, as the solution had them."""
+    """Displacement of all elements and traction of the support, as interpolated in the solution."""
     system, nu = elastic_map.system, elastic_map.poisson_ratio
     surface = system.surface
     displacement = _with_midpoints(surface.displacement, state.displacement)

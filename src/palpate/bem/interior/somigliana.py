@@ -1,6 +1,6 @@
 """Somigliana's identity: displacement and stress inside an object from those of its surface.
 
-With r = x - y from the inner point y to the surface point x, e = r / |r|, n the outward normal at
+With r = x - y from an interior point y to the surface point x, e = r / |r|, n the outward normal at
 x, t and u traction and displacement there, a = 1 - 2 nu, multiplied by 8 pi (1 - nu):
 
     displacement   int [(3 - 4 nu) t_i + e_i e.t] / (2 G r) - int T_ij u_j     (T as in `kelvin`)
@@ -29,7 +29,7 @@ def _dot(a, b):
 
 @numba.njit(error_model="numpy", inline="always")
 def _direction(point, place):
-    """Unit vector from a point to a place, and one over their distance."""
+    """Unit vector from a point to a place, and their reciprocal distance."""
     x, y, z = place[0] - point[0], place[1] - point[1], place[2] - point[2]
     s = 1.0 / np.sqrt(x * x + y * y + z * z)
     return (x * s, y * s, z * s), s
@@ -37,16 +37,18 @@ def _direction(point, place):
 
 @numba.njit(error_model="numpy", cache=True)
 def add_force(point, place, force, shear_modulus, nu, out):
-    """Add what a point force in unbounded space gives at a point, times 8 pi (1 - nu).
+    """Add displacement and stress at a point due to a point force in unbounded space.
+
+    Both are multiplied by 8 pi (1 - nu).
 
     Parameters
     ----------
     point : (3,) float [m]
-    place : (3,) or longer float [m]        of the force, not at the point
+    place : (3,) or longer float [m]        position of the force, distinct from the point
     force : (3,) float [N]                  traction times area
-    shear_modulus, nu : float
+    shear_modulus, nu : float               [Pa], [-]
     out : (13,) float                       added to: displacement (3), stress (9, by rows); the
-                                            last, the solid angle, stays
+                                            last entry, the solid angle, is unchanged
     """
     e, s = _direction(point, place)
     a, along = 1 - 2 * nu, _dot(e, force)
@@ -60,16 +62,17 @@ def add_force(point, place, force, shear_modulus, nu, out):
 
 @numba.njit(error_model="numpy", cache=True)
 def subtract_displaced_surface(point, source, weight, u, shear_modulus, nu, out):
-    """Subtract what a displaced piece of surface gives at a point, times 8 pi (1 - nu), and add its
-    solid angle.
+    """Subtract the contribution of a displaced surface element, and add its solid angle.
+
+    The contribution to displacement and stress at a point is multiplied by 8 pi (1 - nu).
 
     Parameters
     ----------
     point : (3,) float [m]
-    source : (6,) float                     place [m], outward normal times area [m^2]
-    weight : float                          of that area
-    u : (3,) float [m]
-    shear_modulus, nu : float
+    source : (6,) float                     position [m], outward normal times area [m^2]
+    weight : float                          quadrature weight of that area
+    u : (3,) float [m]                      displacement there
+    shear_modulus, nu : float               [Pa], [-]
     out : (13,) float                       changed: displacement (3), stress (9, by rows), solid
                                             angle
     """
@@ -101,7 +104,7 @@ def sum_surface(begin, end, points, nodes, values, rules, shear_modulus, nu, out
     shear_modulus, nu : float
     out : (n, 13) float                     added to (`add_force`, `subtract_displaced_surface`)
     clearance : (n,) float                  lowered to the distance from the surface over the
-                                            radius of the nearest triangle, to about a tenth
+                                            radius of the nearest triangle, accurate to about 10 %
     """
     shape, source, part = np.empty(6), np.empty(6), np.empty(10)
     u, force = np.empty(3), np.empty(3)

@@ -1,13 +1,12 @@
-"""A constant body force, such as gravity, by a particular solution: nothing is integrated over the
-volume.
+"""A constant body force, such as gravity, by a particular solution, without a volume integral.
 
 With b the force per volume and y the position, the hydrostatic stress -(b.y) times the unit tensor
-balances b. Its strain is a uniform dilation that varies linearly, which is the displacement
+balances b. Its strain is isotropic and linear in y, and belongs to the displacement
 
     u_p = -(1 - 2 nu) / (2 G (1 + nu)) [(b.y) y - b |y|^2 / 2],      traction  t_p = -(b.y) n.
 
-The rest of the displacement has no body force: it sees the traction +(b.y) n on the free surface,
-whatever the material, and -u_p on the support. Both are right-hand sides of the same system.
+The remaining displacement has no body force: its traction is +(b.y) n on the free surface, for any
+material, and its displacement -u_p on the support. Both are right-hand sides of the same system.
 """
 
 from dataclasses import dataclass
@@ -30,9 +29,10 @@ class BodyForce:
 
     Attributes
     ----------
-    right : RightHand                     two columns: the traction on the free surface, the moved
-                                          support
-    particular : (v, 3) float [m Pa]      particular displacement of every vertex over factor(nu)
+    right : RightHand                     two columns: traction on the free surface; displacement
+                                          of the support
+    particular : (v, 3) float [m Pa]      particular displacement of every vertex times the shear
+                                          modulus, over factor(nu), the `dilation_factor`
     support_traction : (s, 3) float [Pa]  particular traction at the held sides
     """
 
@@ -42,7 +42,7 @@ class BodyForce:
 
 
 def dilation_factor(poisson_ratio: float) -> float:
-    """(1 - 2 nu) / (2 (1 + nu)), how much of the particular solution there is.
+    """(1 - 2 nu) / (2 (1 + nu)), the material's factor in the particular displacement.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def body_force_columns(
     y = surface.mesh.vertices - origin
     square = np.einsum("vi,vi->v", y, y)[:, None]
     particular = 0.5 * square * force_density - (y @ force_density)[:, None] * y
-    # What is held takes the traction of the particular solution along the directions it holds.
+    # Along held directions the support carries the traction of the particular solution.
     left = np.eye(3) - surface.held_directions
     free = np.flatnonzero(left.any(axis=(1, 2)))
     traction = _hydrostatic_traction(surface, free, force_density, origin)

@@ -1,9 +1,9 @@
-"""Quadratic elements that know how a surface dips under a tool.
+"""Local indentation under a load, as a correction of the midside nodes around it.
 
-Close to a contact the displacement is a smooth field plus the dip of a half space under the same
-pressure. Fitted midpoints catch the smooth part; the dip is known. So the midpoints near a load get
-what the fit of the dip misses, which goes to the right-hand side. No unknown is added, and the dip
-is linear in Poisson's ratio like the system.
+Close to a contact the displacement is a smooth field plus the indentation of a half space under the
+same pressure. Fitted midside nodes capture the smooth part; the indentation is known. The midside
+nodes near a load are therefore corrected by the indentation minus its own fit, which is a term of
+the right-hand side. No unknown is added, and like the system the term is linear in Poisson's ratio.
 """
 
 from collections.abc import Sequence
@@ -27,40 +27,41 @@ from palpate.geometry import (
     element_points,
 )
 
-# A midpoint may differ from its fit within this many edges of the patch.
+# Midside nodes within this many edge lengths of the patch may be corrected.
 _REACH_EDGES = 2.5
-# Triangles whose normal is turned further from that of the patch are not part of its half space;
-# those in between are in part, so that a contact that moves on a little dips a little otherwise.
+# Cosine between the normals of a triangle and of the patch: below the first the triangle does not
+# belong to the half space, above the second it does fully. The transition between the two makes the
+# correction continuous in the position of the contact.
 _TURNED = (0.6, 0.8)
-# Share of the largest dip below which what the fit misses is left out.
+# Corrections below this fraction of the largest indentation are dropped.
 _NEGLIGIBLE = 2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactShape:
-    """What the fitted midpoints near a load miss of the dip under it.
+    """Indentation near a load minus its fit, at midside nodes.
 
     Attributes
     ----------
-    midpoints : (p,) int              rows of `QuadraticNodes.weights` where more than 2e-3 of the
-                                      dip is missed; none where the mesh is fine enough
+    midpoints : (p,) int              rows of `QuadraticNodes.weights` whose correction exceeds
+                                      2e-3 of the largest indentation; none on a fine mesh
     missing : (2, p, 3, c) float      displacement times shear modulus, constant and slope in nu;
                                       [.., i, j]: component i under force j: one newton along each
-                                      of three axes [1/m], or one force [N/m]
+                                      of three axes [1/m], or one given force [N/m]
     """
 
     midpoints: Int[np.ndarray, " p"]
     missing: Float[np.ndarray, "2 p 3 c"]
 
     def under(self, force: Float[np.ndarray, "3"]) -> "ContactShape":
-        """The same under one force [N]."""
+        """The correction under one given force [N]."""
         return ContactShape(self.midpoints, (self.missing @ force)[..., None])
 
 
 def load_shapes(
     surface: BoundarySurface, loads: Sequence[SurfaceLoad]
 ) -> list[ContactShape | None]:
-    """How the elements around some loads dip, where that is known.
+    """Corrections of midside nodes for the local indentation under loads.
 
     Parameters
     ----------
@@ -69,9 +70,9 @@ def load_shapes(
 
     Returns
     -------
-    list of k ContactShape or None    None for a load that is no round patch, for linear elements,
-                                      and where the patch is not smooth ground: on flat facets, or
-                                      across an edge of the object
+    list of k ContactShape or None    None for a load that is not a round patch, for linear or flat
+                                      elements, and where an edge of the object or the rim of the
+                                      support crosses the patch
     """
     edge, found = _edge_lengths(surface.mesh), list[ContactShape | None]()
     for load in loads:
@@ -87,8 +88,8 @@ def load_shapes(
 def _normal_at(
     surface: BoundarySurface, triangles: Int[np.ndarray, " k"], point: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """Outward unit normal of the curved elements at the place nearest to a point: it turns as the
-    point moves on, where those of flat triangles jump."""
+    """Outward unit normal of the curved elements at the position nearest to a point: unlike that of
+    the flat triangles, it varies continuously within an element."""
     near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
     place = closest_points(near, point[None])
     element = surface.element_nodes[triangles[place.triangle]]
@@ -114,12 +115,12 @@ def _contact_shape(
     disc: PressureDisc,
     normal: Float[np.ndarray, "3"],
 ) -> ContactShape:
-    """The dip of a half space of this outward normal against its own fit, at the midpoints around
+    """Indentation of a half space of this outward normal minus its fit, at the midside nodes around
     the load; `edge`: `_edge_lengths`."""
     mesh, nodes = surface.mesh, surface.displacement
     middle = surface.element_nodes[:, 3:]
     within = lengths(middle - disc.centre) < disc.radius + _REACH_EDGES * edge
-    # A midpoint is within reach of the load in both of its triangles, or in none.
+    # A midside node is within reach of the load in both of its triangles, or in neither.
     near = np.flatnonzero(within.any(axis=1))
     low, high = _TURNED
     a, b, c = mesh.vertices[mesh.triangles[near]].transpose(1, 0, 2)
@@ -147,18 +148,17 @@ def shape_columns(
     *,
     quadrature: Quadrature = Quadrature(),
 ) -> RightHand:
-    """Right-hand sides of what the midpoints miss, to be added to those of the loads themselves.
+    """Right-hand sides of corrected midside nodes, to be added to those of the loads themselves.
 
     Parameters
     ----------
     system : BoundarySystem
-    shapes : sequence of k ContactShape under as many forces each
+    shapes : sequence of k ContactShape   with the same number of forces
     quadrature : Quadrature
 
     Returns
     -------
-    RightHand                         a column for each force of each shape, quadratic in Poisson's
-                                      ratio
+    RightHand                         one column for each force of each shape
     """
     surface, forces = system.surface, shapes[0].missing.shape[3]
     nodes, triangles = _shape_nodes(surface.displacement, shapes)
@@ -166,7 +166,7 @@ def shape_columns(
         surface, system.collocation, nodes, TRACTION, triangles=triangles, quadrature=quadrature
     )
     n_blocks, _, n_fields, lanes = blocks.values.shape
-    # Both parts of the kernel: component i of the row from component j of the dip and a field.
+    # Both parts of the kernel: component i of a row from component j of the correction and a field.
     kernel = np.stack(traction_parts(np.eye(n_fields))).reshape(6, 3 * n_fields)
     parts = kernel @ blocks.values.reshape(-1, 3 * n_fields, lanes)
     parts = parts.reshape(n_blocks, len(shapes), 2, forces, 2, 3, lanes)
@@ -181,9 +181,9 @@ def shape_columns(
 def _shape_nodes(
     nodes: QuadraticNodes, shapes: Sequence[ContactShape]
 ) -> tuple[QuadraticNodes, Int[np.ndarray, " t"]]:
-    """Some nodes a shape, one for each entry of its `missing` at a midpoint, whose shape functions
-    carry these entries (constant and slope, then forces, then components); and the triangles on
-    which they do."""
+    """Auxiliary nodes, one for each entry of every shape's `missing` at a midside node, whose shape
+    functions are scaled by these entries (constant and slope, then forces, then components); and
+    the triangles on which they are not zero."""
     entries = shapes[0].missing[:, 0].size
     used = np.unique(np.concatenate([shape.midpoints for shape in shapes]))
     number = np.full(nodes.weights.shape[0], -1)
@@ -195,7 +195,7 @@ def _shape_nodes(
         column = np.tile(entries * k + np.arange(entries), shape.midpoints.size)
         parts.append((row, column, values.ravel()))
     row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
-    # One more row of zeros, for corners and for midpoints that miss nothing.
+    # One more row of zeros, for corners and for midside nodes that are not corrected.
     count = entries * len(shapes)
     weights = csr_array((value, (row, column)), shape=(used.size + 1, count))
     local = number[nodes.element[:, 3:] - nodes.n_nodes]

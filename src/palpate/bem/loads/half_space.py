@@ -1,8 +1,7 @@
-"""Surface displacement of a half space under a round patch: what a displacement looks like close to
-a tool.
+"""Surface displacement of a half space under a force spread over a round patch.
 
-The formulae of Boussinesq and Cerruti for a point force, spread over a disc whose pressure depends
-on the radius alone. All of it is linear in Poisson's ratio once multiplied by the shear modulus.
+The solutions of Boussinesq and Cerruti for a point force, integrated over a disc whose pressure
+depends on the radius alone. Times the shear modulus, the result is linear in Poisson's ratio.
 
 Source: Johnson, Contact Mechanics (1985), eq. 3.18, 3.19 and 3.77, at the surface.
 """
@@ -15,12 +14,12 @@ from jaxtyping import Float
 
 from palpate.bem.integrals import unit_gauss
 
-# From this many radii on the patch is a point.
+# Beyond this many radii the patch is treated as a point.
 _FAR = 8.0
-# Gauss points of the polar integrals, by angle about points on the patch and far enough beside it,
-# and by radius, and of a profile's own integral.
+# Gauss points of the polar integrals: angles about points on the patch or close to it, angles about
+# points farther away, radii; and of the integral of a profile itself.
 _ANGLES, _ANGLES_BESIDE, _RADII, _PROFILE_POINTS = 96, 24, 12, 64
-# From this many radii on the fewer angles leave nothing but rounding.
+# Beyond this many radii the smaller number of angles is exact to rounding.
 _BESIDE = 1.2
 
 
@@ -29,14 +28,14 @@ Profile = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressureDisc:
-    """A round patch on which a tool presses.
+    """A round contact patch whose pressure depends on the radius alone.
 
     Attributes
     ----------
     centre : (3,) float [m]
     radius : float [m]
-    profile : callable            pressure over any scale at s = distance from the centre / radius,
-                                  (n,) -> (n,)
+    profile : callable            pressure, up to a factor, at s = distance from the centre over
+                                  radius, (n,) -> (n,)
     """
 
     centre: Float[np.ndarray, "3"]
@@ -54,7 +53,7 @@ def disc_displacement(
     disc : PressureDisc
     normal : (3,) float [-]           outward normal of the half space
     position : (n, 3) float [m]       points on or near its surface; their distance from the centre
-                                      counts
+                                      in space is taken as that along the surface
 
     Returns
     -------
@@ -81,8 +80,8 @@ def disc_displacement(
 
 
 def _radial(disc: PressureDisc, s: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], ...]:
-    """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle seen
-    from radius s."""
+    """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle
+    measured from a point at radius s; the integral of p is 1."""
     values = np.repeat(1.0 / np.maximum(s, _FAR)[:, None], 3, axis=1)
     over, beside = s <= _BESIDE, (s > _BESIDE) & (s <= _FAR)
     values[over] = _polar_integrals(disc.profile, s[over], _ANGLES)
@@ -95,7 +94,7 @@ def _polar_integrals(
 ) -> Float[np.ndarray, "n 3"]:
     x, w = unit_gauss(angles)
     widest = np.where(s > 1, np.arcsin(np.minimum(1.0, 1.0 / np.maximum(s, 1.0))), np.pi)
-    # The square root at the tangents is smooth in this angle.
+    # This substitution makes the square root at the tangents smooth.
     angle = widest[:, None] * np.sin(0.5 * np.pi * x)
     weight = widest[:, None] * 0.5 * np.pi * np.cos(0.5 * np.pi * x) * w
     half = np.sqrt(np.clip(1 - (s[:, None] * np.sin(angle)) ** 2, 0, None))
@@ -114,6 +113,7 @@ def _polar_integrals(
 
 
 def _rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Points and weights on [0, 1] for what goes as a square root, or one over it, at the ends."""
+    """Gauss points and weights on [0, 1] for integrands that vary as a square root, or its inverse,
+    at the ends."""
     x, w = unit_gauss(n)
     return np.sin(0.5 * np.pi * x) ** 2, 0.5 * np.pi * np.sin(np.pi * x) * w

@@ -1,4 +1,4 @@
-"""Right-hand sides of the system, linear in Poisson's ratio like its matrix."""
+"""Right-hand sides of the system, polynomials in Poisson's ratio of degree two at most."""
 
 from dataclasses import dataclass
 
@@ -46,11 +46,11 @@ class RightHand:
         return constant + poisson_ratio * (slope + poisson_ratio * curvature)
 
     def under(self, force: Float[np.ndarray, " c"]) -> "RightHand":
-        """One column for so much of each."""
+        """The linear combination of the columns with these coefficients: one column."""
         return RightHand((self.terms @ force)[:, :, None])
 
     def __add__(self, other: "RightHand") -> "RightHand":
-        """Sum of two sets of as many columns."""
+        """Column-wise sum of two right-hand sides with the same number of columns."""
         return self.plus(other, np.arange(self.terms.shape[2]))
 
     def plus(self, other: "RightHand", columns: Int[np.ndarray, " c"]) -> "RightHand":
@@ -79,10 +79,10 @@ class RightHand:
 
         Parameters
         ----------
-        give : (e,) float
-        changes : (d, e) float
-        known : (e, c) float or None    traction on each spring beside the unknown one, times
-                                        `traction_length`; None: none
+        give : (e,) float               dimensionless compliance of each spring
+        changes : (d, e) float          its derivatives
+        known : (e, c) float or None    known traction on each spring in addition to the unknown
+                                        one, times `traction_length`; None: none
 
         Returns
         -------
@@ -97,7 +97,7 @@ class RightHand:
 
 
 def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3 3"]) -> RightHand:
-    """Three columns, one for each axis of a load of one newton.
+    """Three columns, for a load of one newton along each axis.
 
     Parameters
     ----------
@@ -117,12 +117,12 @@ def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3
 
 
 def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3"]) -> RightHand:
-    """One column for a given displacement of the held vertices.
+    """One column for a prescribed displacement of the held vertices.
 
     Parameters
     ----------
     system : BoundarySystem
-    displacement : (v, 3) float [m]   of every vertex; only that of the held ones is used, along the
+    displacement : (v, 3) float [m]   of every vertex; only that of held vertices is used, along the
                                       directions in which they are held
 
     Returns
@@ -183,7 +183,7 @@ def traction_column(
     RightHand                         3 r + 3 rows, one column
     """
     surface = system.surface
-    # Three nodes, one an axis, whose shape functions are the components of the traction itself.
+    # Three auxiliary nodes, one per axis, whose shape functions are the traction's components.
     element = 3 + np.arange(6 * triangles.size).reshape(-1, 6)
     nodes = QuadraticNodes(element, 3, csr_array(traction.reshape(-1, 3)))
     blocks = assemble(
@@ -196,7 +196,7 @@ def traction_column(
 
 
 def face_columns(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> RightHand:
-    """Columns of a uniform traction over some triangles, of one newton along each axis.
+    """Columns of a uniform traction over some triangles, one newton in total along each axis.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def face_columns(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> Ri
 
 
 def pressure_column(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> RightHand:
-    """One column for a pressure of one pascal against some triangles.
+    """One column for a uniform pressure of one pascal on some triangles.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def joined(parts: list[RightHand]) -> RightHand:
 def total_traction(
     nodes: Float[np.ndarray, "k 6 3"], traction: Float[np.ndarray, "k 6 3"]
 ) -> Float[np.ndarray, "3"]:
-    """Force of a traction that is quadratic on each of some triangles.
+    """Resultant of a traction that is quadratic on each of some triangles.
 
     Parameters
     ----------

@@ -1,9 +1,8 @@
-"""Displacement kernel integrated against a given traction: the load's own integral, not its nodal
-values.
+"""Displacement kernel integrated over the traction of a load itself, not over nodal values of it.
 
 A contact patch is often hardly wider than an element. Its traction is therefore integrated over the
-patch itself: fine cells, finer where the patch ends, and polar coordinates around every collocation
-point inside it.
+patch itself: with small cells, refined at the rim of the patch, and in polar coordinates around
+every collocation point on it.
 """
 
 from collections.abc import Callable
@@ -37,11 +36,11 @@ Density = Callable[
 ]
 
 _N_FIELDS = DISPLACEMENT.count
-# Triangles are divided in four up to so often, and so often more at the rim of the patch.
+# Quarterings of a triangle: at most so many everywhere, and so many more at the rim of the patch.
 _MOST_LEVELS, _RIM_LEVELS = 2, 3
-# Panels, and Gauss points of each, of the polar coordinates along and across.
+# Panels, and Gauss points of each, along the radius and along the angle.
 _POLAR_PANELS, _POLAR_POINTS = 3, 4
-# Sources whose fields are made before they are summed: as many as stay in the first cache.
+# Sources whose fields are computed before they are summed: they fit into the L1 cache.
 _AT_ONCE = 16
 
 
@@ -52,11 +51,11 @@ class SurfaceLoad:
 
     Attributes
     ----------
-    triangles : (k,) int          triangles that it may touch
+    triangles : (k,) int          triangles on which it may be non-zero
     density : callable            (triangle (n,), barycentric (n, 3), position (n, 3) [m]) -> (n,)
-                                  >= 0, of any scale: it is divided by its own surface integral
-    disc : PressureDisc or None   the load as a round patch, where it is one: it sharpens the
-                                  elements around it
+                                  >= 0, up to a factor: it is divided by its surface integral
+    disc : PressureDisc or None   the load as a round patch, where it is one; required for the
+                                  correction by the local indentation (`load_shapes`)
     """
 
     triangles: Int[np.ndarray, " k"]
@@ -66,16 +65,16 @@ class SurfaceLoad:
 
 @dataclass(frozen=True, slots=True)
 class LoadCells:
-    """How finely the triangles under a load are divided; a level is a division in four.
+    """Subdivision of the triangles under a load into cells; each level quarters a cell.
 
     Attributes
     ----------
-    degree : int                  of the rule on each cell
+    degree : int                  of the quadrature rule on each cell
     coarsest : int                level of all cells
-    finest_rim : int              level of the cells that the rim of the load runs through
-    finest : int                  level at which division ends
-    ratio : float                 distance from the nearest point over the cell's size from which it
-                                  is fine enough for that point
+    finest_rim : int              level of the cells that the rim of the load crosses
+    finest : int                  level at which subdivision ends
+    ratio : float                 least distance of the evaluation points from a cell, over its
+                                  size, at which it needs no further subdivision
     """
 
     degree: int
@@ -94,8 +93,7 @@ class LoadPoints:
     position : (q, 3) float [m]
     weight : (q,) float           sum to 1
     triangle : (q,) int           triangle of each point
-    total : float [m^2]           integral of the density before it was scaled, times the density's
-                                  unit
+    total : float [m^2]           surface integral of the unscaled density, times the density's unit
     """
 
     position: Float[np.ndarray, "q 3"]
@@ -111,16 +109,15 @@ def load_points(
     cells: LoadCells | None = None,
     near: Float[np.ndarray, "p 3"] | None = None,
 ) -> LoadPoints:
-    """Quadrature points that integrate smooth functions against a load.
+    """Quadrature points for integrals of smooth functions times the density of a load.
 
     Parameters
     ----------
     surface : BoundarySurface
     load : SurfaceLoad
-    cells : LoadCells or None     how finely triangles are divided; None: into cells of at most a
-                                  quarter of the patch's radius, and finer at its rim
-    near : (p, 3) float [m]       points from which the load is seen: cells close to them are
-                                  divided further
+    cells : LoadCells or None     subdivision of the triangles; None: one or two levels, to cells of
+                                  about a quarter of the patch's radius, and three more at its rim
+    near : (p, 3) float [m]       evaluation points: cells close to them are subdivided further
 
     Returns
     -------
@@ -181,8 +178,7 @@ def _load_at(
     triangle: Int[np.ndarray, " c"],
     barycentric: Float[np.ndarray, "c q 3"],
 ) -> tuple[Float[np.ndarray, "c q 3"], Float[np.ndarray, "c q"], Float[np.ndarray, "c q"]]:
-    """Positions, areas per reference area and densities at points of their own in each
-    triangle."""
+    """Positions, areas per reference area and densities at given points of each triangle."""
     points = element_points(surface.element_nodes[triangle], barycentric)
     position = points[:, :, :3]
     shape = barycentric.shape[:2]
@@ -193,7 +189,7 @@ def _load_at(
 
 
 def loaded_triangles(surface: BoundarySurface, load: SurfaceLoad) -> Int[np.ndarray, " k"]:
-    """Those of a load's triangles on which it does not vanish, by a few points of each.
+    """Triangles on which a load is non-zero, tested at a few points of each.
 
     Parameters
     ----------
@@ -247,8 +243,8 @@ def integrate_load(
 def _as_sources(
     position: Float[np.ndarray, "q 3"], weight: Float[np.ndarray, " q"]
 ) -> Float[np.ndarray, "q 6"]:
-    """Points as the kernels take them: any normal does for the displacement, of the weight's
-    length."""
+    """Points in the layout of the kernels: of the normal, the displacement kernel uses the length
+    alone, here the weight."""
     return np.column_stack([position, weight, np.zeros((weight.size, 2))])
 
 
@@ -261,8 +257,7 @@ def _mend_touching_rows(
     order: Int[np.ndarray, " r"],
     fields: Float[np.ndarray, "r 6"],
 ) -> None:
-    """Replace what the cells give for the collocation points on the patch by polar coordinates
-    around them."""
+    """Recompute the rows of collocation points on the patch in polar coordinates around them."""
     place, triangle, corners = _touching_parts(surface, points.triangle, collocation, order)
     if not place.size:
         return
@@ -291,9 +286,8 @@ def _touching_parts(
     collocation: Collocation,
     order: Int[np.ndarray, " r"],
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Float[np.ndarray, "p 3 3"]]:
-    """Places in the order whose collocation point lies on a loaded triangle, that triangle, and
-    barycentric corners of
-    the part of it that starts at the point."""
+    """Rows, in this order, whose collocation point lies on a loaded triangle; that triangle; and
+    barycentric corners of each of its subtriangles with the point as first corner."""
     triangles = np.unique(loaded)
     place_of = np.full(collocation.point.shape[0], -1)
     place_of[order] = np.arange(order.size)

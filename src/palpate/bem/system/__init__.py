@@ -1,9 +1,9 @@
 """The linear system of a held object.
 
-Purpose    : write the boundary integral equation for the unknowns of an object and solve it.
+Purpose    : set up and solve the boundary integral equations for the unknowns of an object.
 Takes      : a `BoundarySurface`.
 Gives      : `BoundarySystem`, its factorisation, its derivative with respect to Poisson's ratio,
-             equations at single points, springs under its support; kept on disk if asked.
+             equations at further surface points, compliant supports; an optional disk cache.
 Depends on : `bem.integrals`, `geometry`.
 Read first : `system.py`, `boundary.py`.
 """

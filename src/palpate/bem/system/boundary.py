@@ -1,11 +1,11 @@
-"""Boundary conditions: what is unknown at each vertex, and where the integral equation is written.
+"""Boundary conditions: the unknowns at each vertex, and the collocation points.
 
 The free surface has an unknown displacement at each vertex. The support has an unknown traction at
-each side of each of its vertices; on its rim the free side is not the support's, so there is just
-one. A vertex where two or three held faces meet has as many unknown tractions but a single place:
-there the equation is written at points moved a little into each face (Beer, Smith and Duenser 2008;
-MultiFEBE does the same). A roller holds some directions only: its vertices have an unknown
-displacement along the others, its sides an unknown traction along those that it holds.
+each held side of each of its vertices: one on its rim, where the other side is free. A vertex where
+two or three held faces meet has as many unknown tractions, but a single position: there the
+collocation points are moved a little into each face (Beer, Smith and Duenser 2008; MultiFEBE does
+the same). A roller holds some directions only: its vertices have an unknown displacement along the
+others, its sides an unknown traction along those that it holds.
 """
 
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ from palpate.geometry import quadratic_shapes
 
 # How far a collocation point is moved off its vertex, as a barycentric coordinate.
 _SHIFT = 0.1
-# Two supports that meet hold the same direction where their sum has no more than this of another:
-# the sine of half a degree, squared.
+# Eigenvalue of a sum of projectors up to which its direction counts as not held: two rollers hold
+# the same direction where their normals differ by less than 0.8 degrees.
 _SAME_DIRECTION = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """Columns of the system.
+    """Unknowns of the system, by vertex and by side.
 
     Attributes
     ----------
-    free_vertices : (f,) int          vertices with an unknown displacement, along some direction
-                                      at least
-    held_vertices : (h,) int          vertices with a given displacement, along some direction at
-                                      least
+    free_vertices : (f,) int          vertices with an unknown displacement along at least one
+                                      direction
+    held_vertices : (h,) int          vertices with a prescribed displacement along at least one
+                                      direction
     held_sides : (s,) int             sides with an unknown traction
     vertex_directions : (h, 3, 3) float    projector onto the directions in which each held vertex
                                            is held
@@ -46,8 +46,8 @@ class Unknowns:
     side_directions: Float[np.ndarray, "s 3 3"]
 
     def shares_one_point(self, side_vertex: Int[np.ndarray, " s"]) -> Bool[np.ndarray, " h"]:
-        """Where one point of collocation has equations enough: the unknowns of a held vertex and of
-        its sides are three.
+        """Whether the three equations of one collocation point suffice for each held vertex and its
+        held sides.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class Unknowns:
 
 
 def find_unknowns(surface: BoundarySurface) -> Unknowns:
-    """Sort vertices and sides by what is unknown there.
+    """Classify vertices and sides by their unknowns.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def find_unknowns(surface: BoundarySurface) -> Unknowns:
 
 
 def ranks(projectors: Float[np.ndarray, "n 3 3"]) -> Int[np.ndarray, " n"]:
-    """How many directions each projector keeps.
+    """Rank of each projector.
 
     Parameters
     ----------
@@ -101,14 +101,14 @@ def ranks(projectors: Float[np.ndarray, "n 3 3"]) -> Int[np.ndarray, " n"]:
 
 
 def _span(total: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """Projector onto all directions that a sum of projectors reaches."""
+    """Orthogonal projector onto the range of a sum of projectors."""
     value, vector = np.linalg.eigh(total)
     kept = vector * (value > _SAME_DIRECTION)[:, None, :]
     return np.einsum("nik,njk->nij", kept, vector)
 
 
 def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocation:
-    """Choose as many collocation points as there are unknown vectors.
+    """Choose the collocation points: as many as there are unknown vectors.
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocati
 
     Returns
     -------
-    Collocation               every vertex, but for those whose held sides need more equations than
-                              one point has: these have a point inside each, and their own only
-                              where a roller leaves them something to say
+    Collocation               every vertex, except those whose held sides need more equations than
+                              one point supplies: these get a point inside each held side instead,
+                              and keep the vertex only if its displacement is partly unknown
     """
     side_vertex = surface.sides.vertex[unknowns.held_sides]
     several = np.zeros(surface.mesh.vertices.shape[0], dtype=bool)
@@ -141,7 +141,7 @@ def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocati
 def _points_inside(
     surface: BoundarySurface, sides: Int[np.ndarray, " k"]
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
-    """A triangle of each side's fan and a point in it, a little away from the vertex."""
+    """A triangle of each side's fan, and a point in it close to the vertex."""
     corner = surface.sides.corner
     order = np.argsort(corner.ravel(), kind="stable")
     first = np.searchsorted(corner.ravel()[order], sides)

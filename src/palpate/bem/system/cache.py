@@ -1,7 +1,7 @@
-"""The integrals of an object kept on disk, found again by what they were computed from.
+"""Disk cache of an object's boundary integrals, keyed by a hash of their inputs.
 
-Only on request: they are large (80 MB for 1000 vertices, four times that for 2000) and computed
-anew in a second or two.
+It is used on request only: the files are large (80 MB for 1000 vertices, four times that for 2000),
+and to compute the integrals again takes a second or two.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from palpate.errors import InputError, InUseError, RecordError
 from palpate.files import stored_arrays
 from palpate.parts import content_digest
 
-# Raised by whoever changes what is stored or how it is computed.
+# To be increased with every change of what is stored or how it is computed.
 _FORMAT = 3
 _KERNELS = ("traction", "displacement")
 
@@ -28,17 +28,17 @@ _KERNELS = ("traction", "displacement")
 def cached_system(
     surface: BoundarySurface, folder: Path, *, quadrature: Quadrature = Quadrature()
 ) -> BoundarySystem:
-    """The integrals of an object: read where this folder has them, else computed and kept there.
+    """The integrals of an object, read from a cache folder, or computed and stored there.
 
     Parameters
     ----------
     surface : BoundarySurface
-    folder : Path                 made if absent
+    folder : Path                 created if absent
     quadrature : Quadrature
 
     Returns
     -------
-    BoundarySystem                the same to the last bit, whether read or computed
+    BoundarySystem                bit-identical, whether read or computed
 
     Raises
     ------
@@ -60,7 +60,7 @@ def cached_system(
 
 
 def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
-    """What the integrals depend on, in 32 hexadecimal digits.
+    """Hash of everything that the integrals depend on, 32 hexadecimal digits.
 
     Parameters
     ----------
@@ -84,12 +84,12 @@ def content_hash(surface: BoundarySurface, quadrature: Quadrature) -> str:
 
 
 def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
-    """The system in a file, or None where there is none that is as it was written."""
+    """The system in a file, or None if the file is absent or damaged."""
     try:
         with stored_arrays(path, "") as stored:
             if str(stored.pop("sha256")) != _digest(path, stored):
                 return None
-    # What is there and is no file is said when the system is kept in its place.
+    # A path that is not a file is reported when the system is written.
     except RecordError:
         return None
     unknowns = find_unknowns(surface)
@@ -102,7 +102,7 @@ def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
 
 
 def _write(path: Path, system: BoundarySystem) -> None:
-    """Write whole or not at all; who writes the same at the same time writes it for both."""
+    """Write atomically; leave it to another process that is writing the same file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     blocks = (system.traction_kernel, system.displacement_kernel)
     arrays: dict[str, Any] = {}
@@ -113,5 +113,5 @@ def _write(path: Path, system: BoundarySystem) -> None:
 
 
 def _digest(path: Path, arrays: dict[str, Any]) -> str:
-    """Sum over the arrays and the name of their file, which says what they were computed from."""
+    """Checksum of the arrays and of the file name, which holds the hash of their inputs."""
     return content_digest((path.name, arrays))

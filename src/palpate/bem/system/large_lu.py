@@ -1,9 +1,9 @@
-"""LU factorisation of matrices that are too large for the one in LAPACK's usual libraries.
+"""LU factorisation of matrices that are too large for the threaded one of OpenBLAS.
 
-The threaded factorisation of OpenBLAS packs what a thread works on into a buffer of fixed size and
-writes beyond its end where a thread has more than some 10 900 columns: from 22 000 unknowns on two
-threads the process dies. Here the same algorithm goes panel by panel, so that no thread ever has
-more columns than a panel.
+OpenBLAS packs the data of each thread into a buffer of fixed size and writes beyond its end where a
+thread has more than some 10 900 columns: on two threads the process crashes from 22 000 unknowns
+on. Here the same algorithm proceeds by panels and chunks of columns, so that no thread ever has
+more columns than a chunk.
 
 Source
 ------
@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dgetrf, dlaswp
 
-# Unknowns up to which LAPACK's own is used; it is safe with one thread, and from 2 on up to 21 800.
+# Unknowns up to which LAPACK's own is used; on two threads or more it is safe up to 21 800.
 LARGEST_WHOLE = 15_000
 _PANEL, _CHUNK = 1024, 2048
 
@@ -35,7 +35,7 @@ def lu_by_panels(
     Returns
     -------
     lu : (k, k) float             the same array: L below its diagonal of ones, U above
-    pivots : (k,) int             row that each one was exchanged with
+    pivots : (k,) int             row with which each row was exchanged
     """
     size = len(matrix)
     pivots = np.empty(size, dtype=np.int32)
@@ -57,6 +57,6 @@ def lu_by_panels(
 def _exchange(
     columns: Float[np.ndarray, "k c"], pivots: Int[np.ndarray, " k"], begin: int, end: int
 ) -> None:
-    """Exchange rows of some whole columns, in place, as the pivots from begin to end say."""
+    """Exchange rows of some columns in place by the pivots from begin to end."""
     if columns.size:
         dlaswp(columns, pivots[:end], k1=begin, k2=end - 1, overwrite_a=True)

@@ -1,5 +1,4 @@
-"""How much memory the model of an object takes, dense or compressed, said before any work is done
-for it."""
+"""Memory that the model of an object needs, dense or compressed, checked before it is built."""
 
 import os
 from contextlib import suppress
@@ -18,21 +17,21 @@ _PROGRAM = 0.4e9
 # slope; for rollers the matrix twice, before there is a slope.
 _DOUBLES_A_PAIR, _WITH_ROLLERS = 22, 27
 # Vectors of unknowns that are kept for each of a probing's three directions of force and three
-# changes of its contact: at most 80 directions of the solutions, and once more while they are put
-# together.
+# changes of its contact: at most 80 basis vectors of the reduced model, and as many again while it
+# is assembled.
 _VECTORS_A_COLUMN = 160
 _COLUMNS_A_PROBING = 6
 # Above this many vertices a compressed operator takes less time than dense matrices, and far less
-# memory; it serves rigid supports that hold all directions.
+# memory; it handles only rigid supports that hold all directions.
 LARGEST_DENSE = 5000
-# What the operator and its approximate inverses take for each vertex [bytes], and vectors that are
-# kept for each column by the iteration and by the solutions at a few Poisson's ratios.
+# Memory of the operator and its preconditioners per vertex [bytes], and vectors per column that the
+# iteration and the snapshot model keep.
 _BYTES_A_VERTEX = 170e3
 _VECTORS_BESIDE = 110
 _USABLE_SHARE = 0.9
-# Fewer are no object any more.
+# A surface of fewer vertices does not represent an object: other cures are offered then.
 _LEAST_VERTICES = 100
-# Where Linux says how much a container may have.
+# Files in which Linux states the memory limit of a container.
 _CONTAINER_LIMITS = (
     Path("/sys/fs/cgroup/memory.max"),
     Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
@@ -47,21 +46,21 @@ def check_memory(
     dense: bool = False,
     available: float | None = None,
 ) -> None:
-    """Refuse a mesh whose model does not fit.
+    """Refuse a mesh whose model does not fit into memory.
 
     Parameters
     ----------
     n_vertices : int
-    n_probings : int                  that are fitted together, or pushes that are predicted
+    n_probings : int                  probings fitted together, or pushes predicted
     rollers : bool                    whether a support holds some directions only
-    dense : bool                      whether matrices are needed whatever the size: where a
-                                      support gives, for Green's functions
-    available : float [byte]          memory of the machine; None: asked of the system, unlimited
-                                      where it does not tell
+    dense : bool                      whether dense matrices are required at any size: for compliant
+                                      supports, for Green's functions
+    available : float [byte]          memory of the machine; None: that reported by the operating
+                                      system, unlimited if it reports none
 
     Raises
     ------
-    InputError                        more memory is needed than there is
+    InputError                        more than 90 % of the available memory is needed
     """
     needed = memory_needed(n_vertices, n_probings, rollers=rollers, dense=dense)
     usable = _USABLE_SHARE * (_machine_memory() if available is None else available)
@@ -86,7 +85,7 @@ def check_memory(
 def memory_needed(
     n_vertices: int, n_probings: int, *, rollers: bool = False, dense: bool = False
 ) -> float:
-    """Most memory that a fit of some probings takes at a time.
+    """Peak memory of a fit of some probings.
 
     Parameters
     ----------
@@ -110,9 +109,9 @@ def _for(n_probings: int) -> str:
 
 
 def _most_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) -> int:
-    """The largest round number of vertices that fits; zero: none.
+    """The largest number of vertices that fits, in hundreds; zero: none.
 
-    Memory grows up to the largest dense mesh, falls there, and grows again.
+    Memory grows up to the largest dense mesh, drops there, and grows again.
     """
     for low, high in ((LARGEST_DENSE, 10_000_000), (0, LARGEST_DENSE + 1)):
         first = low
@@ -126,12 +125,12 @@ def _most_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) -
 
 
 def _machine_memory() -> float:
-    """What this process may have at most [bytes]."""
+    """Memory that this process may use at most [bytes]."""
     limits = [float("inf")]
     with suppress(AttributeError, OSError, ValueError):
         limits.append(float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES")))
     for path in _CONTAINER_LIMITS:
-        # The word "max" stands where there is no limit.
+        # The file reads "max" where there is no limit.
         with suppress(OSError, ValueError):
             limits.append(float(path.read_text(encoding="ascii")))
     if resource is not None:

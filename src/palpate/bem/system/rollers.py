@@ -1,14 +1,14 @@
-"""Supports that hold some directions only: the unknowns that remain, and the equations for them.
+"""Rollers, supports that hold some directions only: the remaining unknowns and equations.
 
-Along the directions that a roller holds, the displacement is given and the traction unknown; along
-the others it is the other way round. Both are written as unknowns of the whole system, and what is
-known of them is eliminated before it is solved: the columns are combined to those that remain, the
+Along the directions that a roller holds, the displacement is prescribed and the traction unknown;
+along the others it is the other way round. The full system has both as unknowns, and their known
+components are eliminated before it is solved: the columns are combined to those that remain, the
 rows to as many.
 
-What no support holds at all, an object may do: slide along a plane, turn about an axis. Such rigid
-motions are pinned to a mean of zero over the surface; whoever measures them adds them again. Each
-of them takes the place of a balance of forces, which then is the load's own business, or of a
-balance of moments, for which a slack is added as for the forces.
+Rigid-body motions that no support restrains, such as sliding along a plane or a rotation about an
+axis, are constrained to a mean of zero over the surface; callers that measure them add them again.
+The constraint on a translation replaces the force balance along it, which the load must satisfy by
+itself. That on a rotation stands for a moment balance, with a slack as for the forces.
 """
 
 from dataclasses import dataclass
@@ -21,26 +21,27 @@ from scipy.sparse import block_diag, csr_array, eye_array
 from palpate.bem.integrals import BoundarySurface, Collocation
 from palpate.bem.system.boundary import Unknowns, find_unknowns
 
-# Of the largest singular value: rigid motions that supports hold less than this are not held.
+# Singular value, relative to the largest, up to which a rigid-body motion counts as not held.
 _NOT_HELD = 1e-6
-# The equations are multiplied by 8 pi (1 - nu): what is added to them is made as large.
+# The equations are multiplied by 8 pi (1 - nu): added rows and columns are scaled alike.
 _SCALE = 8 * np.pi
 _CHUNK = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Elimination:
-    """From the whole system, k unknowns in r rows, to the square one that is solved.
+    """Reduction of the full system, r rows and k unknowns, to the square one that is solved.
 
     The square matrix is [[rows M columns, slack], [pins columns, 0]], its right-hand side
-    [rows b, 0]; what it gives for the first unknowns, times `columns`, solves the whole system.
+    [rows b, 0]; `columns` times its first n unknowns solves the full system.
 
     Attributes
     ----------
     rows : (m, r) sparse
     columns : (k, n) sparse               orthonormal
-    slack : (m, e) float                  of the balances of moments that nothing answers
-    pins : (q, k) float                   mean of each rigid motion that is not held
+    slack : (m, e) float                  of the moment balances that no support provides
+    pins : (q, k) float                   mean of each rigid-body motion that is not held, up to a
+                                          factor
     """
 
     rows: csr_array
@@ -61,7 +62,7 @@ class Elimination:
         """
         m, n = self.rows.shape[0], self.columns.shape[1]
         square = np.zeros((n + self.slack.shape[1], m + len(self.pins))).T
-        # Part by part: the whole product would take as much memory again.
+        # By blocks of columns: the product as a whole would double the memory.
         for first in range(0, n, _CHUNK):
             part = slice(first, min(first + _CHUNK, n))
             square[:m, part] = self.rows @ (self.columns[:, part].T @ whole.T).T
@@ -79,7 +80,7 @@ class Elimination:
 
 
 def loose_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:
-    """Small rigid motions that no support holds.
+    """Infinitesimal rigid-body motions that no support restrains.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def loose_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:
 
     Returns
     -------
-    (v, 3, q) float [-]           displacement of every vertex; translations first, then what turns
+    (v, 3, q) float [-]           displacement of every vertex; translations first, then rotations
     """
     unknowns = find_unknowns(surface)
     modes = _rigid_modes(surface.mesh.vertices, surface.mesh.vertices[unknowns.held_vertices])
@@ -100,7 +101,7 @@ def make_elimination(
     collocation: Collocation,
     order: Int[np.ndarray, " p"],
 ) -> Elimination | None:
-    """What remains of the whole system where supports hold some directions only.
+    """Reduction of the full system where supports hold some directions only.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def make_elimination(
 
     Returns
     -------
-    Elimination or None           None: every support holds all directions, nothing is eliminated
+    Elimination or None           None where all supports hold all directions
     """
     n_free, n_points = unknowns.free_vertices.size, order.size
     if unknowns.free_vertices.size + unknowns.held_vertices.size == len(surface.mesh.vertices):
@@ -122,7 +123,7 @@ def make_elimination(
     columns = block_diag([moving, bases(unknowns.side_directions), eye_array(3)], format="csr")
     answered = orth(unknowns.side_directions.sum(axis=0), rcond=_NOT_HELD)
     by_point = bases(_equations(surface, unknowns, collocation, open_directions)[order])
-    # Of the whole system, rows go by component first.
+    # Rows of the full system are ordered by component first.
     place = (np.arange(n_points)[:, None] + n_points * np.arange(3)).ravel()
     shuffled = csr_array(
         (np.ones(3 * n_points), (np.arange(3 * n_points), place)), shape=(3 * n_points,) * 2
@@ -159,7 +160,7 @@ def _equations(
 def _slack(
     surface: BoundarySurface, unknowns: Unknowns, point: Float[np.ndarray, "p 3"], shifts: int
 ) -> Float[np.ndarray, "p 3 e"]:
-    """The motions that are not held and are no translations, at points."""
+    """The unrestrained rigid-body motions other than translations, at points."""
     held = surface.mesh.vertices[unknowns.held_vertices]
     loose = _loose(_rigid_modes(surface.mesh.vertices, held), unknowns)
     return _rigid_modes(point, held) @ loose[:, shifts:]
@@ -168,8 +169,8 @@ def _slack(
 def _rigid_modes(
     points: Float[np.ndarray, "n 3"], held: Float[np.ndarray, "h 3"]
 ) -> Float[np.ndarray, "n 3 6"]:
-    """Three translations, and three turns about the middle of what is held by an angle that moves
-    its points by about one."""
+    """Three translations, and three rotations about the centroid of the held vertices, scaled to
+    move these by about one."""
     offset = points - held.mean(axis=0)
     length = np.sqrt(((held - held.mean(axis=0)) ** 2).sum(axis=1).mean())
     turns = np.cross(np.eye(3)[None], offset[:, None]) / length
@@ -178,7 +179,7 @@ def _rigid_modes(
 
 
 def _loose(modes: Float[np.ndarray, "v 3 6"], unknowns: Unknowns) -> Float[np.ndarray, "6 q"]:
-    """Combinations of rigid motions that supports do not hold, translations first."""
+    """Combinations of rigid-body modes that no support restrains, translations first."""
     held = unknowns.vertex_directions @ modes[unknowns.held_vertices]
     motions = _null_space(held.reshape(-1, 6))
     shifts = _null_space(unknowns.side_directions.sum(axis=0))
@@ -188,13 +189,13 @@ def _loose(modes: Float[np.ndarray, "v 3 6"], unknowns: Unknowns) -> Float[np.nd
 
 
 def _null_space(matrix: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k q"]:
-    """Orthonormal vectors that a matrix of k rows or more takes to nothing."""
+    """Orthonormal basis of the null space of a matrix of k rows or more."""
     _, size, vectors = np.linalg.svd(matrix, full_matrices=False)
     return vectors[size <= _NOT_HELD * size.max()].T
 
 
 def bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
-    """Orthonormal directions that each projector keeps, block by block.
+    """Orthonormal bases of the ranges of projectors, as a block-diagonal matrix.
 
     Parameters
     ----------
@@ -202,7 +203,7 @@ def bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
 
     Returns
     -------
-    (3 n, q) sparse               the axes themselves where a projector keeps all directions
+    (3 n, q) sparse               the coordinate axes where a projector is the identity
     """
     value, vector = np.linalg.eigh(projectors)
     kept = value > 0.5

@@ -1,8 +1,8 @@
 """Derivative of the system's matrix with respect to Poisson's ratio, as an operator.
 
-The derivative needs four of the fifteen fields only: r x n and r.n of the traction kernel, and 1 /
-r of the displacement kernel. They are kept as plain matrices, so that the product with many vectors
-is a few large matrix products.
+The derivative involves five scalar fields only: the three of r x n and the one of r.n from the
+traction kernel, and 1 / r from the displacement kernel. They are stored as dense matrices, so that
+a product with many vectors takes a few large matrix products.
 """
 
 from dataclasses import dataclass
@@ -20,10 +20,9 @@ class SystemSlope:
 
     Attributes
     ----------
-    skew : (3, r, f) float        twice the integrals of r x n / r^3 against free displacements
+    skew : (3, r, f) float        twice the integrals of r x n / r^3, by free vertex
     flux : (r, f) float           twice those of r.n / r^3
-    trace : (r, s) float          twice those of 1 / r against the held sides, over
-                                  `traction_length`
+    trace : (r, s) float          twice those of 1 / r, by held side, over `traction_length`
     """
 
     skew: Float[np.ndarray, "3 r f"]
@@ -47,7 +46,7 @@ class SystemSlope:
         along = self.flux @ u.reshape(n_free, 3 * count) + self.trace @ q
         along = along.reshape(n_rows, 3, count)
         for axis, part in enumerate(self.skew):
-            # Of a cross product with the axis only what is square to it.
+            # A cross product with the axis involves the two other components only.
             after, last = (axis + 1) % 3, (axis + 2) % 3
             beside = u[:, [after, last]].reshape(n_free, 2 * count)
             beside = (part @ beside).reshape(n_rows, 2, count)
@@ -81,6 +80,6 @@ def system_slope(system: BoundarySystem) -> SystemSlope:
 
 
 def _rows(blocks: FieldBlocks, fields: slice) -> Float[np.ndarray, "r n"]:
-    """Sum of some fields against every node, one row a collocation point."""
+    """Sum of some fields for every node, one row per collocation point."""
     total = blocks.values[:, :, fields].sum(axis=2).transpose(0, 2, 1)
     return total.reshape(-1, total.shape[2])[: blocks.n_rows]

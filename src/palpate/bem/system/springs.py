@@ -1,14 +1,14 @@
-"""Supports that give: springs under what is held (Winkler's foundation).
+"""Compliant supports: springs under the held vertices (Winkler foundation).
 
-The ground answers with the traction -k u, k the stiffness and u how far the surface moves against
-it. The displacements w of the held vertices become unknowns beside the others, x:
+The foundation exerts the traction -k u, with k its stiffness and u the displacement of the surface
+against it. The displacements w of the held vertices become unknowns in addition to x:
 
-    matrix(nu) x - columns(nu) w = right,        give * pressed x + w = right below,
+    matrix(nu) x - columns(nu) w = right,        give * pressed x + w = right of the springs,
 
-with give = G / (k traction_length), so that x and w are displacements times the shear modulus. All
-of it is linear in nu as the system of a rigid support is, which give = 0 brings back, and that
-system's factorisation solves this one: a small dense system for w is left. What a slightly softer
-support would change follows exactly, by solving once more.
+with the dimensionless compliance give = G / (k traction_length); x and w are displacements times
+the shear modulus. Like the system of a rigid support, which give = 0 recovers, this one is linear
+in nu. The factorisation of the rigid system is reused, which leaves a small dense system for w. The
+derivative with respect to the compliance is exact and takes one more solve.
 
 Source
 ------
@@ -36,9 +36,10 @@ class Springs:
 
     Attributes
     ----------
-    place : (3 v, e) sparse       displacement of all vertices per unit of each spring's
-    pressed : (e, k) sparse       mean traction over each from the unknowns of the system
-    share : (e, s) float          how much of each belongs to each of s supports
+    place : (3 v, e) sparse       displacement of all vertices per unit displacement of each spring
+    pressed : (e, k) sparse       mean traction on each spring from the unknowns of the system
+    share : (e, s) float          fraction of each spring that belongs to each of s supports; rows
+                                  sum to 1
     """
 
     place: csr_array
@@ -46,21 +47,20 @@ class Springs:
     share: Float[np.ndarray, "e s"]
 
     def give(self, each: Float[np.ndarray, " s"]) -> Float[np.ndarray, " e"]:
-        """How much every spring gives where the supports do; nothing where supports share it of
-        which one does not.
+        """Compliance of every spring; zero where one of the supports that share it is rigid.
 
         Parameters
         ----------
-        each : (s,) float
+        each : (s,) float         compliance of the supports; 0: rigid
         """
         return each @ self.changes(each)
 
     def changes(self, each: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s e"]:
-        """Derivative of `give` with respect to that of each support.
+        """Derivative of `give` with respect to the compliance of each support.
 
         Parameters
         ----------
-        each : (s,) float
+        each : (s,) float         compliance of the supports; 0: rigid
         """
         shared = self.share > 0.0
         fixed = (shared.sum(axis=1) > 1) & (shared & (each == 0.0)).any(axis=1)
@@ -75,12 +75,12 @@ def make_springs(
     Parameters
     ----------
     system : BoundarySystem
-    supports : sequence of s (_,) int     triangles of those that may give
-    rigid : (r,) int                      triangles of the others
+    supports : sequence of s (_,) int     triangles of each compliant support
+    rigid : (r,) int                      triangles of the rigid supports
 
     Returns
     -------
-    Springs                               none where a rigid support holds the vertex too
+    Springs                               none at vertices that a rigid support holds, too
     """
     surface, unknowns = system.surface, system.unknowns
     side_vertex = surface.sides.vertex[unknowns.held_sides]
@@ -92,7 +92,7 @@ def make_springs(
     weight[surface.mesh.triangles[rigid]] = 0.0
     held = unknowns.held_vertices
     basis = bases(unknowns.vertex_directions * (weight[held].sum(axis=1) > 0.0)[:, None, None])
-    # Of all held vertices to all vertices, three rows each.
+    # From the held vertices to all vertices, three rows each.
     rows = (3 * held[:, None] + np.arange(3)).ravel()
     spread = csr_array(
         (np.ones(rows.size), (rows, np.arange(rows.size))), shape=(3 * count, rows.size)
@@ -110,8 +110,8 @@ def make_springs(
 def _mean_traction(
     system: BoundarySystem, place: csr_array, side_vertex: Int[np.ndarray, " s"]
 ) -> csr_array:
-    """Traction over each spring: the mean of its vertex's sides by the area that belongs to each,
-    so that all of them together are the force on the support."""
+    """Traction on each spring: the area-weighted mean over the sides of its vertex, so that all
+    springs together carry the force on the support."""
     held = np.flatnonzero(system.surface.held)
     weight = integral_weights(system.surface, held)[system.unknowns.held_sides]
     total = np.zeros(len(system.surface.mesh.vertices))
@@ -126,8 +126,8 @@ def _mean_traction(
 
 
 def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray, "2 r e"]:
-    """What a displacement of each spring does to the equations of a system, or to those written at
-    other points of the same object.
+    """Contribution of a unit displacement of each spring to the equations of a system, or to those
+    at other points of the same object.
 
     Parameters
     ----------
@@ -159,14 +159,14 @@ def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpringFactors:
-    """What the system of an object on springs is solved with, however stiff they are.
+    """Factors of the system of an object on springs that do not depend on the springs' stiffness.
 
     Attributes
     ----------
     factorised : FactorisedSystem         of the same object on a rigid support
     springs : Springs
     columns : (2, r, e) float             `spring_columns`
-    answer : (k, e) float                 x per unit of each w alone
+    answer : (k, e) float                 x for a unit displacement w of each spring alone
     """
 
     factorised: FactorisedSystem
@@ -178,7 +178,7 @@ class SpringFactors:
 def make_spring_factors(
     factorised: FactorisedSystem, system: BoundarySystem, springs: Springs
 ) -> SpringFactors:
-    """Solve for what each spring does alone.
+    """Solve for a unit displacement of each spring.
 
     Parameters
     ----------
@@ -198,17 +198,18 @@ def make_spring_factors(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpringSystem:
-    """The system of an object on springs at one Poisson's ratio, with what softer springs change.
+    """The system of an object on springs at one Poisson's ratio, with its derivatives with respect
+    to their compliance.
 
-    Its vectors are 1 + d blocks one above the other: the unknowns x and w, then their derivatives
-    with respect to the give of each of d sets of springs.
+    Its vectors are 1 + d stacked blocks: the unknowns x and w, then their derivatives with respect
+    to the compliance of each of d sets of springs.
 
     Attributes
     ----------
     factors : SpringFactors
     give : (e,) float                     G / (k traction_length); 0: rigid
-    changes : (d, e) float                derivative of it
-    below : (e, e), (e,) float            LU factors of the equations that are left for w
+    changes : (d, e) float                derivatives of `give`
+    below : (e, e) float, (e,) int        LU factors of the Schur complement for w
     """
 
     factors: SpringFactors
@@ -221,16 +222,16 @@ class SpringSystem:
 
         Parameters
         ----------
-        right : (r, c) float      blocks of the system's equations and of the springs'
+        right : (r, c) float      1 + d blocks: the system's equations, then those of the springs
 
         Returns
         -------
-        (n, c) float [m]
+        (n, c) float              1 + d blocks of x and w
         """
         pressed, answer = self.factors.springs.pressed, self.factors.answer
         count, give = self.give.size, self.give[:, None]
         blocks = np.split(right, 1 + len(self.changes))
-        # One solution for all blocks: a matrix is read once for many columns.
+        # One solve for all blocks: the factors are read once for many columns.
         above = solve(self.factors.factorised, np.hstack([block[:-count] for block in blocks]))
         solved: list[np.ndarray] = []
         for k, (block, rigid) in enumerate(
@@ -247,13 +248,13 @@ class SpringSystem:
 def make_spring_system(
     factors: SpringFactors, give: Float[np.ndarray, " e"], changes: Float[np.ndarray, "d e"]
 ) -> SpringSystem:
-    """Factorise what is left for the springs.
+    """Factorise the Schur complement for the displacements of the springs.
 
     Parameters
     ----------
     factors : SpringFactors
     give : (e,) float                     G / (k traction_length); 0: rigid
-    changes : (d, e) float                derivative of it
+    changes : (d, e) float                derivatives of `give`
 
     Returns
     -------
@@ -270,7 +271,7 @@ class SpringSlope:
     Attributes
     ----------
     slope : SystemSlope
-    columns : (r, e) float                slope of `spring_columns`
+    columns : (r, e) float                slope of `spring_columns` in nu
     blocks : int                          1 + d, see `SpringSystem`
     """
 

@@ -1,9 +1,8 @@
-"""Displacement of a point of the surface that need not be a vertex, as sharp as that of a vertex.
+"""Displacement of any point of the surface, as accurate as that of a vertex.
 
-Under a tool the displacement changes within an element, and what the vertices around say by
-interpolation is too soft. The integral equation written at the point itself knows the load there:
-the displacement follows from it once the vertices' displacements and the support's tractions are
-known.
+Under a tool the displacement varies within an element, and interpolation between the vertices
+smooths it. The integral equation collocated at the point itself contains the load there, and yields
+the displacement once the vertices' displacements and the support's tractions are known.
 """
 
 from dataclasses import dataclass
@@ -15,9 +14,9 @@ from palpate.bem.integrals import TRACTION, BoundarySurface, Collocation, Quadra
 from palpate.bem.system.system import BoundarySystem, integral_equations, system_matrix
 from palpate.geometry import quadratic_shapes
 
-# A point with a barycentric coordinate above this is taken to be the vertex.
+# A point with a barycentric coordinate above this is treated as the vertex.
 _AT_VERTEX = 1 - 1e-6
-# Least distance from an edge, as a barycentric coordinate: the polar coordinates need it.
+# Smallest distance from an edge, as a barycentric coordinate: polar coordinates require one.
 _MIN_FROM_EDGE = 0.02
 
 
@@ -25,13 +24,14 @@ _MIN_FROM_EDGE = 0.02
 class PointEquations:
     """The integral equation at points of the surface, linear in Poisson's ratio.
 
-    For each point, own(nu) u = matrix(nu) x - right(nu) / G, with x the unknowns of the system.
+    For each point, own(nu) u = matrix(nu) x - right(nu) / G, with u its displacement and x the
+    unknowns of the system.
 
     Attributes
     ----------
-    system : BoundarySystem               the equations, to write right-hand sides for
-    matrix : (2, p, 3, k) float           constant and slope
-    own : (2, p, 3, 3) float              constant and slope
+    system : BoundarySystem               the equations at the points, for their right-hand sides
+    matrix : (2, p, 3, k) float           constant and slope in nu
+    own : (2, p, 3, 3) float              constant and slope in nu
     """
 
     system: BoundarySystem
@@ -39,11 +39,11 @@ class PointEquations:
     own: Float[np.ndarray, "2 p 3 3"]
 
     def by_point(self, rows: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "p 3 c"]:
-        """Sort rows of a right-hand side by point.
+        """Regroup the rows of a right-hand side by point.
 
         Parameters
         ----------
-        rows : (3 p + 3, c) float         as right-hand sides of `system` come
+        rows : (3 p + 3, c) float         in the order of right-hand sides of `system`
 
         Returns
         -------
@@ -65,7 +65,8 @@ def point_equations(
     ----------
     system : BoundarySystem
     triangle : (p,) int
-    barycentric : (p, 3) float [-]        a point on an edge is moved by 2 % of its triangle
+    barycentric : (p, 3) float [-]        points closer to an edge than 2 % of their triangle are
+                                          moved inward; vertices stay
     quadrature : Quadrature
 
     Returns

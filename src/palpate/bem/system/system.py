@@ -27,32 +27,32 @@ from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads
 
-# A body that floats has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
+# An unsupported body has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
 SMALLEST_RCOND = 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundarySystem:
-    """Material-free matrices of one object on one support.
+    """Material-independent matrices of one object on its supports.
 
     The system for the unknowns x = (displacement of the free vertices [m], traction of the held
     sides times `traction_length` over the shear modulus [m], slack [m]) is matrix(nu) x =
-    right-hand side, its integral equations multiplied by 8 pi (1 - nu).
+    right-hand side, with the integral equations multiplied by 8 pi (1 - nu).
 
-    Collocation does not keep the balance of forces by itself. Three more equations demand that the
-    support's tractions balance the load, and three more unknowns, one uniform slack for each
-    component of all integral equations, make room for them. The slack is zero in the exact solution
-    and about 1e-4 of the displacement in a discrete one.
+    Collocation does not satisfy global force equilibrium by itself. Three more equations require
+    the support's tractions to balance the load, and three more unknowns keep the system square: a
+    slack for each component, the same in all integral equations. The slack is zero in the exact
+    solution and about 1e-4 of the displacement in a discrete one.
 
     Attributes
     ----------
     surface : BoundarySurface
     unknowns : Unknowns
     collocation : Collocation
-    traction_kernel : FieldBlocks         against the displacement of every vertex
-    displacement_kernel : FieldBlocks     against the traction of every side of the support
-    traction_length : float [m]           scales tractions to displacements, so that columns are
-                                          alike
+    traction_kernel : FieldBlocks         multiplies the displacement of every vertex
+    displacement_kernel : FieldBlocks     multiplies the traction of every held side
+    traction_length : float [m]           scales tractions to displacements, so that all columns
+                                          have similar norms
     """
 
     surface: BoundarySurface
@@ -63,8 +63,8 @@ class BoundarySystem:
 
     @property
     def traction_length(self) -> float:
-        """Size of the held triangles [m]: scales tractions to displacements, so that columns are
-        alike."""
+        """Size of the held triangles [m]: scales tractions to displacements, so that all columns
+        have similar norms."""
         return self.surface.held_length
 
     @property
@@ -80,9 +80,9 @@ class FactorisedSystem:
     Attributes
     ----------
     poisson_ratio : float
-    lu, pivots : arrays                   LAPACK's factorisation
-    elimination : Elimination or None     where supports hold some directions only: what of the
-                                          system is factorised
+    lu, pivots : arrays                   LAPACK's LU factors
+    elimination : Elimination or None     reduction to the system that is factorised, where supports
+                                          hold some directions only
     reciprocal_condition : float          estimate in the 1-norm
     """
 
@@ -121,8 +121,8 @@ def integral_equations(
     *,
     quadrature: Quadrature = Quadrature(),
 ) -> BoundarySystem:
-    """Write the boundary integral equation at some points, without the value at the points
-    themselves.
+    """Boundary integral equations at given points, without the term of the displacement at the
+    point itself.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def integral_equations(
 def restricted_nodes(
     nodes: QuadraticNodes, elements: Int[np.ndarray, " k"], index: Int[np.ndarray, " n"]
 ) -> QuadraticNodes:
-    """Nodes of some elements only, their own nodes renumbered.
+    """Restrict nodes to some elements and renumber those with values of their own.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndar
     Returns
     -------
     (r, k) float              Fortran order; rows by component, then by collocation point in the
-                              order of the blocks; the last three are the balance of forces
+                              order of the blocks; the last three are the force balance
     """
     n_rows = system.collocation.point.shape[0]
     n_free = system.unknowns.free_vertices.size
@@ -205,7 +205,7 @@ def _fill_rows(
     poisson_ratio: float,
     entries: Float[np.ndarray, "n 3 3 r"],
 ) -> None:
-    """The integral equations of some blocks of collocation points."""
+    """Fill in the integral equations of some blocks of collocation points."""
     free = system.unknowns.free_vertices
     for b in range(begin, end):
         rows = slice(b * LANES, min((b + 1) * LANES, entries.shape[3]))
@@ -234,7 +234,8 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
 
     Raises
     ------
-    SingularSystemError       the support does not hold the object
+    SingularSystemError       the reciprocal condition is below 1e-13, most often because of
+                              coinciding or degenerate parts of the mesh
     """
     matrix = system_matrix(system, poisson_ratio)
     order = system.traction_kernel.rows.ravel()[: system.traction_kernel.n_rows]
@@ -269,7 +270,7 @@ def solve(
 
     Returns
     -------
-    (k, c) float [m]
+    (k, c) float [m]          unknowns as in `BoundarySystem`
     """
     pair, elimination = (factorised.lu, factorised.pivots), factorised.elimination
     if elimination is None:

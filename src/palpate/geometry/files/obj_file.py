@@ -1,4 +1,4 @@
-"""Surfaces in Wavefront's OBJ format: vertices and faces, all else of it left aside."""
+"""Surfaces in Wavefront's OBJ format: vertices and faces; other statements are ignored."""
 
 from itertools import pairwise
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.shapes import Triangles, Vertices
 
-# Statements of the format, and of programs that added colours, that a surface does not need.
+# Statements of the format and of its extensions that are ignored.
 _OTHERS = frozenset({
     "vt", "vn", "vp", "p", "l", "o", "g", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "lod",
     "bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step",
@@ -18,7 +18,7 @@ _OTHERS = frozenset({
 def parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
     """Vertices and triangles of an OBJ file, in its own unit; polygons are cut into fans.
 
-    Texture coordinates and normals, which would split vertices, are left out.
+    Texture coordinates and normals, which would split vertices, are ignored.
 
     Parameters
     ----------
@@ -26,7 +26,8 @@ def parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
 
     Raises
     ------
-    ValueError                      a vertex or a face that cannot be read; the text names the line
+    ValueError                      a vertex or a face that cannot be read, or a face of a vertex
+                                    that does not exist; the message names the line
 
     Source
     ------
@@ -43,7 +44,7 @@ def parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
         try:
             if kind not in ("v", "f"):
                 raise ValueError
-            if "_" in line:  # Python's own, "1_000", in no file of numbers
+            if "_" in line:  # Python reads "1_000" as a number, the format does not
                 raise ValueError
             if kind == "v":
                 x, y, z = map(float, words[:3])
@@ -66,7 +67,7 @@ def parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
 
 
 def _index(word: str, count: int) -> int:
-    """Number of a vertex from 0, of a corner such as 3, 3/1, 3//2 or -1."""
+    """Vertex index from 0 of a face's corner such as 3, 3/1, 3//2 or -1."""
     given = int(word.partition("/")[0])
     if given == 0 or given < -count:
         raise ValueError

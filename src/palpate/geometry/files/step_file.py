@@ -1,4 +1,4 @@
-"""Solids in STEP files (ISO 10303-21), as drawing programs write them, covered with triangles."""
+"""Solids in STEP files (ISO 10303-21), as CAD programs write them, converted to triangles."""
 
 import subprocess
 import sys
@@ -12,12 +12,12 @@ from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
 
 STEP_SUFFIXES = (".step", ".stp")
-# How far triangles are from what is drawn, of the length of its edges, and the turn from one to the
-# next [rad]: a ball gets 20,000, and loses 0.1 % of its volume.
+# Deflection of the triangles from the surface, relative to its edges, and angle between adjacent
+# ones [rad]: a ball gets 20,000 triangles, and loses 0.1 % of its volume.
 _OFF, _TURN = 5e-4, 0.3
 # A part of thousands of faces takes seconds.
 _MOST_SECONDS = 300
-# In a process of its own: OpenCASCADE may crash on a damaged file, and writes where it likes.
+# In a process of its own: OpenCASCADE may crash on a damaged file, and prints to the terminal.
 _CONVERT = """\
 import sys, cascadio
 source, target, off, turn = sys.argv[1:]
@@ -26,9 +26,9 @@ sys.exit(cascadio.step_to_glb(source, target, float(off), float(turn), tol_relat
 
 
 def read_step(path: Path) -> tuple[Vertices, Triangles]:
-    """Vertices [m] and triangles of all solids of a STEP file, which says its own unit.
+    """Vertices [m] and triangles of all solids of a STEP file, which states its own unit.
 
-    Neighbouring faces have vertices of their own along their common edge, at the same places.
+    Adjacent faces have separate, coinciding vertices along their common edge.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def read_step(path: Path) -> tuple[Vertices, Triangles]:
     Raises
     ------
     InputError                      the optional package is missing
-    MeshError                       the file holds no solid, is damaged, or takes minutes
+    MeshError                       the file holds no solid, is damaged, or takes over 300 s
     """
     late_import("cascadio", extra="cad", purpose=f"reading {path.name}")
     trimesh = late_import("trimesh", extra=None, purpose=f"reading {path.name}")

@@ -1,7 +1,8 @@
 """Pose of an object from points measured on its surface.
 
-Purpose    : bring measured points onto a mesh, and say which motions its shape does not determine.
-Takes      : points with their covariances, a mesh, a guess of the pose.
+Purpose    : register measured points to a mesh, and find the motions that its shape does not
+             determine.
+Takes      : points with their covariances, a mesh, an initial pose.
 Gives      : `Registration` with the covariance of the pose.
 Depends on : nothing but the ground floor.
 Read first : `registration.py`, `surface_fit.py`.

@@ -1,7 +1,8 @@
-"""A pose near enough for a fit to find its way: many starts, few points, a norm that tightens.
+"""Coarse registration: many starts, few points, a robust norm of decreasing width.
 
-The distance of a few hundred points from a cloud of surface samples is brought down from starts
-spread over the range of the guess, all at once; the pose whose points lie nearest is returned.
+The distance of a few hundred points from a cloud of surface samples is reduced from many initial
+poses, spread over the uncertainty of the guess, in parallel. The pose whose points end nearest to
+the surface is returned.
 """
 
 import numpy as np
@@ -14,26 +15,28 @@ from palpate.geometry.registration.surface_fit import Pose, motion_pose, motion_
 from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
 
-# Spacing of the surface samples as a share of the mesh's diagonal: finer than what a start must
-# resolve, the width of the fit's own basin.
+# Spacing of the surface samples over the mesh's diagonal: finer than the basin of convergence of
+# the fit that follows.
 _SPACING = 1.0 / 50.0
 _ITERATIONS = 30
-# The norm's width shrinks by this a step, from the range of the guess to the samples' spacing.
+# Factor by which the norm's width shrinks per step, from the uncertainty of the guess to the
+# spacing of the samples.
 _SHRINK = 0.75
-# Poses whose cost is within this of the least are as good: the nearest to the start is taken.
+# Poses whose cost is within this factor of the lowest are equally good: of these, the one nearest
+# to the start is taken.
 _AS_GOOD = 1.05
 
 
 def compact_groups(points: Points, count: int) -> PointIndices:
-    """Cut points into groups of equal size and small extent.
+    """Divide points into groups of equal size and small extent.
 
-    Halved across the longest side again and again, in the frame of their principal axes, so that
-    the groups do not depend on the frame.
+    They are bisected recursively across the longest side, in the frame of their principal axes, so
+    that the groups do not depend on the frame of the points.
 
     Parameters
     ----------
     points : (n, 3) float [m]
-    count : int                     at most so many groups: the power of two below
+    count : int                     largest number of groups; the power of two below is used
 
     Returns
     -------
@@ -56,16 +59,17 @@ def compact_groups(points: Points, count: int) -> PointIndices:
 
 
 def even_sample(points: Points, count: int) -> Indices:
-    """Points spread evenly: of each compact group the one nearest to its mean.
+    """Evenly spread sample of points: of each compact group, the one nearest to its mean.
 
     Parameters
     ----------
     points : (n, 3) float [m]
-    count : int                     points wanted
+    count : int                     number of points requested
 
     Returns
     -------
-    (k,) int                        indices, about `count`; all n where there are no more
+    (k,) int                        indices, of the largest power of two up to `count`; all where
+                                    there are no more than `count` points
     """
     if len(points) <= count:
         return np.arange(len(points))
@@ -79,17 +83,17 @@ def even_sample(points: Points, count: int) -> Indices:
 
 
 def facing_surface(mesh: TriangleMesh, eye: Vector3, *, angle: float) -> TriangleMesh:
-    """The triangles that turn their outside to an eye, or would after a turn by an angle.
+    """The triangles that face a viewpoint, or would after a rotation by an angle.
 
     Parameters
     ----------
     mesh : TriangleMesh
-    eye : (3,) float [m]            where it is looked at from
+    eye : (3,) float [m]            viewpoint
     angle : float [rad]
 
     Returns
     -------
-    TriangleMesh                    the whole mesh where nothing would be left
+    TriangleMesh                    the whole mesh if no triangle faces the viewpoint
     """
     area = area_vectors(mesh)
     sight = eye - mesh.vertices[mesh.triangles].mean(axis=1)
@@ -102,20 +106,21 @@ def facing_surface(mesh: TriangleMesh, eye: Vector3, *, angle: float) -> Triangl
 def coarse_pose(
     search: SurfaceSearch, points: Points, start: Pose, *, angle: float, distance: float
 ) -> Pose:
-    """Pose of points on a surface from a rough guess.
+    """Pose of points on a surface from an inaccurate initial pose.
 
     Parameters
     ----------
-    search : SurfaceSearch          of the part of the surface that may have been seen
-    points : (n, 3) float [m]       a few hundred, not on one line
-    start : (4, 4) float            the guess
-    angle : float [rad]             how far it may be turned from the truth
-    distance : float [m]            how far shifted
+    search : SurfaceSearch          of the part of the surface that may be visible
+    points : (n, 3) float [m]       a few hundred, not collinear
+    start : (4, 4) float            initial pose
+    angle : float [rad]             largest error of its rotation
+    distance : float [m]            largest error of its translation
 
     Returns
     -------
-    (4, 4) float                    good to a fraction of a hundredth of the mesh's diagonal; the
-                                    start itself where the guess is better than a fiftieth
+    (4, 4) float                    accurate to less than a hundredth of the mesh's diagonal; the
+                                    start itself where its errors move points by less than a
+                                    fiftieth
 
     Source
     ------
@@ -133,7 +138,7 @@ def coarse_pose(
     tries = _spread_starts(first - centre, 0.6 * angle, 0.6 * distance)
     place = np.stack([placed(motion_pose(motion, centre), first) for motion in tries])
     width = distance
-    # All tries are one cloud of points: their motions have one scale.
+    # All tries move the same cloud of points, so their motions have the same scale.
     scale = motion_scale(first - centre)
     for _ in range(_ITERATIONS):
         place = _stepped(place, tree, sample, normal, scale, width)
@@ -152,17 +157,17 @@ def rough_pose(
     distance: float,
     count: int,
 ) -> Pose:
-    """Pose of points near a mesh, to begin a registration with: one of many tries.
+    """Initial pose for a registration, the best of many tries (`coarse_pose`).
 
     Parameters
     ----------
     points : (n, 3) float [m]       of the surface, in any frame
     mesh : TriangleMesh
     start : (4, 4) float            guess of the pose
-    eye : (3,) float [m]            where the points were seen from, in their frame
-    angle : float [rad]             how far the guess may be turned from the truth
-    distance : float [m]            how far shifted
-    count : int                     points that are tried
+    eye : (3,) float [m]            viewpoint from which the points were seen, in their frame
+    angle : float [rad]             largest error of the guess's rotation
+    distance : float [m]            largest error of its translation
+    count : int                     number of points that are used
 
     Returns
     -------
@@ -187,7 +192,8 @@ def _surface_samples(mesh: TriangleMesh, spacing: float) -> tuple[Points, Points
 
 
 def _spread_starts(offset: Points, angle: float, distance: float) -> Float[np.ndarray, "s 6"]:
-    """Motions over the range of the guess: a grid of shifts, and turns, along principal axes."""
+    """Motions over the uncertainty of the guess: a grid of translations along the principal axes,
+    and rotations about these."""
     axes = np.linalg.eigh(offset.T @ offset)[1].T
     grid = np.stack(np.meshgrid(*[[0.0, -1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     shifts = np.hstack([np.zeros_like(grid), distance * grid @ axes])
@@ -213,7 +219,7 @@ def _stepped(
     row = np.concatenate([np.cross(offset, n), n], axis=2) @ scale
     weighted = (weight[..., None] * row).swapaxes(1, 2)
     matrix = weighted @ row
-    # A little damping, so that a motion that the shape does not determine stays where it is.
+    # A little damping, so that motions which the shape does not determine keep their value.
     damping = 1e-3 * np.einsum("sii->s", matrix) / 6.0
     matrix = matrix + damping[:, None, None] * np.eye(6)
     step = -np.linalg.solve(matrix, weighted @ residual[..., None])[..., 0] @ scale.T
@@ -224,9 +230,10 @@ def _stepped(
 def _nearest_of_the_best(
     search: SurfaceSearch, place: Float[np.ndarray, "s n 3"], first: Points
 ) -> int:
-    """Index of the try whose points lie nearest to the surface, by a truncated square.
+    """Index of the try whose points lie nearest to the surface, by the mean truncated square.
 
-    Tries within a few per cent of the least cost are as good; of them the least moved is taken.
+    Tries within a few per cent of the lowest cost are equally good: of these, the one that moved
+    the points least is taken.
     """
     distance = search.closest(place.reshape(-1, 3)).distance.reshape(place.shape[:2])
     typical = float(np.median(distance, axis=1).min())
@@ -238,7 +245,7 @@ def _nearest_of_the_best(
 
 
 def _rigid(points: Points, place: Points) -> Pose:
-    """The pose that took points to places."""
+    """The pose that maps points to places."""
     a, b = points - points.mean(axis=0), place - place.mean(axis=0)
     turn, _ = Rotation.align_vectors(b, a)
     pose = np.eye(4)

@@ -1,9 +1,10 @@
-"""Motions of an object that points on its surface do not determine, found and named.
+"""Motions of an object that points on its surface do not determine: detection and description.
 
-By its normals a mesh says how far a motion would move points across the surface, and so how much
-they know about it. The normals of facets, and of a mesh made from measured points, pretend more
-than the object has: a ball's facets turn, and a rough plate slides, without lying any worse on
-average. So a motion is made, forth and back, and what the points feel of it is compared.
+The linearised information of the points about a motion follows from its component along the
+surface's normals. The normals of facets, or of a mesh made from measured points, overstate it: the
+facets of a ball may be rotated, and a rough plate may slide, without a worse fit on average. Every
+motion is therefore applied at finite size, in both directions, and the actual increase of the
+squared distances is compared with the predicted one.
 """
 
 from dataclasses import dataclass
@@ -30,21 +31,21 @@ from palpate.geometry.triangle_mesh import (
 )
 from palpate.shapes import Flags, Points, PointScalars, Vector3
 
-# A motion is tried so many of its claimed standard deviations far: if they are right, the squared
-# distances grow by a hundred times what chance makes of them.
+# Size of a trial motion in predicted standard deviations: if the prediction is right, the squared
+# distances grow by a hundred times their variation by chance.
 _TRIED_STDS = 10.0
-# Below this share of the points' motion a part of a motion is not mentioned.
+# Components below this fraction of the points' motion are not mentioned.
 _MIN_NAMED = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceEdges:
-    """Where the faces of an object, or its surface, end.
+    """Edges of an object: where its faces, or its surface, end.
 
     Attributes
     ----------
-    side : (m, 3) bool              the side from corner k to k + 1 of each triangle is an edge
-    corner : (m, 3) bool            corner k touches one
+    side : (m, 3) bool              whether the side from corner k to k + 1 of a triangle is an edge
+    corner : (m, 3) bool            whether corner k lies on an edge
     """
 
     side: Bool[np.ndarray, "m 3"]
@@ -52,8 +53,8 @@ class SurfaceEdges:
 
 
 def surface_edges(mesh: TriangleMesh) -> SurfaceEdges:
-    """Edges of a mesh, open or closed: its rims, and where it turns by more than a crease."""
-    # Vertices at one place are one: finer triangles of a surface may come unjoined.
+    """Edges of a mesh, open or closed: its boundaries, and its creases."""
+    # Coinciding vertices are merged: those of a refined surface come separately.
     grain = 1e-9 * bounding_diagonal(mesh)
     _, vertex = np.unique(np.round(mesh.vertices / grain), axis=0, return_inverse=True)
     halves = half_edges(vertex.ravel()[mesh.triangles])
@@ -71,14 +72,14 @@ def near_edges(
 ) -> Flags:
     """True for points whose nearest point is within reach of an edge of the object.
 
-    They may belong to the face beyond the edge, and then say nothing about where on it they are.
+    They may belong to the face beyond the edge, and then do not determine their position along it.
 
     Parameters
     ----------
     mesh : TriangleMesh
     at : Linearised                 n points
     edges : SurfaceEdges            of the mesh
-    reach : (n,) float [m]          how far noise may have moved each
+    reach : (n,) float [m]          by how much noise may have displaced each
 
     Returns
     -------
@@ -88,7 +89,7 @@ def near_edges(
     side = np.roll(corner, -1, axis=1) - corner
     length = np.linalg.norm(side, axis=2)
     double_area = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
-    # Above the side from k to k + 1 the point is as high as its weight at corner k + 2 says.
+    # The height above the side from k to k + 1 follows from the weight of corner k + 2.
     height = np.roll(at.barycentric, -2, axis=1) * double_area[:, None] / length
     place = np.einsum("nk,nka->na", at.barycentric, corner)
     away = np.linalg.norm(corner - place[:, None], axis=2)
@@ -99,16 +100,16 @@ def near_edges(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """Points at rest on a surface, of which motions are tried.
+    """Points fitted to a surface, to which trial motions are applied.
 
     Attributes
     ----------
     search : SurfaceSearch          of the surface
     edges : SurfaceEdges            of the surface
     points : MeasuredPoints         k points
-    pose : (4, 4) float             at which they lie best
-    at : Linearised                 there
-    reach : (k,) float [m]          how far noise may have moved each
+    pose : (4, 4) float             their fitted pose
+    at : Linearised                 linearisation at this pose
+    reach : (k,) float [m]          by how much noise may have displaced each
     """
 
     search: SurfaceSearch
@@ -119,20 +120,22 @@ class Trial:
     reach: PointScalars
 
     def felt_share(self, motion: Float[np.ndarray, "6"], std: float) -> float:
-        """Share of what the normals say about a motion that is true of its finite self.
+        """Increase of the squared distances under a finite motion over that predicted by the
+        normals.
 
-        The squared distances of the points are compared with those after the motion, made forth
-        and back. Flaws of the mesh leave them as large as they were, on average.
+        The motion is applied in both directions. Where the predicted information is an artefact of
+        errors of the mesh, the squared distances do not increase on average.
 
         Parameters
         ----------
-        motion : (6,) float         turn (rad) and shift (m) that moves the points by 1 m rms
-        std : float [m]             how well it is known if the normals are right
+        motion : (6,) float         rotation (rad) and translation (m), which move the points by
+                                    1 m rms
+        std : float [m]             standard deviation along it as predicted by the normals
 
         Returns
         -------
-        float                       0 to 1: 1 where the normals are right, about 0 where the points
-                                    feel nothing
+        float                       0 to 1: 1 where the prediction is right, about 0 where the
+                                    points do not determine the motion
         """
         step = _TRIED_STDS * std
         squares, weight = -2.0 * self.at.residual**2, self.at.sigma**-2
@@ -149,34 +152,35 @@ class Trial:
 
 
 def holding(free: Float[np.ndarray, "k 6"], size: float) -> Float[np.ndarray, "k 6"]:
-    """What must be zero of a motion so that the free motions have no part in it.
+    """Constraints by which a motion contains none of the free motions.
 
-    Direction first, then place: the shift of a ball must not be taken for a turn about its centre.
+    Rotation takes precedence over translation: the translation of a ball must not be attributed to
+    a rotation about its centre.
 
     Parameters
     ----------
-    free : (k, 6) float             turn (rad) and shift (m) of each
-    size : float [m]                rms distance of the points from the centre of turning
+    free : (k, 6) float             rotation (rad) and translation (m) of each
+    size : float [m]                rms distance of the points from the centre of rotation
 
     Returns
     -------
-    (k, 6) float                    to be multiplied by a motion
+    (k, 6) float                    its product with a motion must be zero
     """
-    # A thousandth of a turn's say for the place: it decides only where no turn does.
+    # A translation has a thousandth of the weight: it decides only where no rotation does.
     return free * np.concatenate([np.full(3, size), np.full(3, 1e-3 / size)])
 
 
 def nearest_pose(
     pose: Pose, start: Pose, points: Points, free: Float[np.ndarray, "k 6"], centre: Vector3
 ) -> Pose:
-    """Of the poses that free motions make of one, the nearest to the start: see `holding`.
+    """The pose nearest to the start that differs from a given one by free motions only (`holding`).
 
     Parameters
     ----------
     pose, start : (4, 4) float
     points : (n, 3) float [m]       in their own frame
     free : (k, 6) float             motions about `centre`
-    centre : (3,) float [m]         of the points, in the pose
+    centre : (3,) float [m]         centroid of the points in the pose
 
     Returns
     -------
@@ -203,13 +207,13 @@ def motion_texts(free: Float[np.ndarray, "k 6"], centre: Vector3, size: float) -
 
     Parameters
     ----------
-    free : (k, 6) float             turn (rad) and shift (m) of each
-    centre : (3,) float [m]         about which they turn
+    free : (k, 6) float             rotation (rad) and translation (m) of each
+    centre : (3,) float [m]         centre of rotation
     size : float [m]                rms distance of the points from it
 
     Returns
     -------
-    tuple of str                    no more than k
+    tuple of str                    at most k
     """
     basis = np.linalg.qr((free * np.repeat([size, 1.0], 3)).T)[0].T / np.repeat([size, 1.0], 3)
     shifts, turns = _separated(basis, size)
@@ -228,7 +232,7 @@ def motion_texts(free: Float[np.ndarray, "k 6"], centre: Vector3, size: float) -
 def _separated(
     basis: Float[np.ndarray, "k 6"], size: float
 ) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "t 6"]]:
-    """Pure shifts among the motions, as unit vectors, and turns without them."""
+    """Pure translations among the motions, as unit vectors, and the rotations without them."""
     mix, strength, _ = np.linalg.svd(basis[:, :3] * size, full_matrices=True)
     strength = np.concatenate([strength, np.zeros(len(basis) - len(strength))])
     own = mix.T @ basis
@@ -243,8 +247,8 @@ def _separated(
 
 
 def _pivot(turns: Float[np.ndarray, "3 6"], centre: Vector3) -> tuple[Vector3, float]:
-    """The point that no turn moves, and by how much the turns miss it [m]."""
-    # Velocity at centre + x: shift + turn x x.
+    """The point that all rotations leave in place, and by how much they miss it [m]."""
+    # Velocity at centre + x: translation + rotation x x.
     cross = np.stack([np.cross(turn[:3], np.eye(3)).T for turn in turns])
     x, *_ = np.linalg.lstsq(cross.reshape(-1, 3), -turns[:, 3:].ravel(), rcond=None)
     left = cross @ x + turns[:, 3:]

@@ -1,9 +1,9 @@
 """Pose of an object from points measured on its surface.
 
-Robust iterative closest points: the distance from the surface is brought to its least in a robust
-norm, from a rough start. Motions that the shape does not determine (of a ball about its centre, of
-a plate within its plane) are found by trying what the points feel of them; they stay as they were
-at the start.
+Robust iterative closest points: the distance from the surface is minimised in a robust norm, from
+an inaccurate initial pose. Motions that the shape does not determine (of a ball about its centre,
+of a plate within its plane) are detected by finite trial motions; along them the pose stays as the
+initial one has it. They are called free.
 """
 
 from dataclasses import dataclass
@@ -42,34 +42,35 @@ from palpate.geometry.registration.surface_fit import (
 from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import Flags, Points, PointScalars, Vector3
 
-# A pose has six unknowns; fewer than four times as many points leave no say to a robust norm.
+# A pose has six unknowns; with fewer than four points for each, a robust norm cannot tell outliers.
 _MIN_POINTS = 24
-# Points that search, and that bring the fit near and try motions, where there are more.
+# Largest number of points in the coarse search, and in the first fit and the trial motions.
 _SEARCH_POINTS, _NEAR_POINTS = 256, 1024
-# Residuals are taken to be correlated within so many compact groups at most: enough of them to
-# estimate a variance to a fifth, and few enough to be wider than a window of stereo matching.
+# Largest number of compact groups within which residuals may be correlated: enough to estimate a
+# variance to 20 %, and few enough for a group to be wider than a window of stereo matching.
 _MAX_GROUPS = 64
 _MAX_STEPS = 60
-# What is free may show only once other motions are held: of six, each round finds one or more.
+# A free motion may show only once others are held: of six, each round finds at least one.
 _MAX_ROUNDS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class RegistrationSettings:
-    """How points are brought onto a mesh.
+    """Settings of a registration.
 
     Parameters
     ----------
-    angle : float [rad]             how far the start may be turned from the truth
-    distance : float [m]            how far it may be shifted
-    blur : float [-]                a motion is not fixed where the points on the surface are not
-                                    known along it to better than this share of the mesh's diagonal,
-                                    1 sigma: what flaws of mesh and cameras pretend to tell is worse
-    most_points : int               an even sample of so many is used where there are more
+    angle : float [rad]             largest error of the initial pose's rotation
+    distance : float [m]            largest error of its translation
+    blur : float [-]                a motion counts as free where its standard deviation, as an rms
+                                    displacement of the points, exceeds this fraction of the mesh's
+                                    diagonal: weaker information comes from errors of mesh and
+                                    cameras
+    most_points : int               where there are more points, an even sample of so many is used
 
     Raises
     ------
-    InputError                      not positive, fewer than 24 points
+    InputError                      a value that is not positive, fewer than 24 points
     """
 
     angle: float = float(np.radians(5.0))
@@ -88,24 +89,26 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Where points lie on a mesh, and how well that is known.
+    """Pose of points on a mesh, with its covariance.
 
     Attributes
     ----------
     T_mesh_points : (4, 4) float [m]    x_mesh = T_mesh_points x_points
     centre : (3,) float [m]             centroid of the points, mesh frame
-    covariance : (6, 6) float           of a turn about `centre` (rad) and a shift (m), both in the
-                                        mesh frame; with the free motions held
-    free : (k, 6) float                 motions of that kind that the shape does not fix: they are
-                                        as the start has them. Each moves the points by 1 m rms
-    weakest : (6,) float                the fixed motion that is known worst, of that kind
-    weakest_std : float [m]             how well the points are known along it; infinite where no
-                                        motion is fixed
-    residual : float [m]                rms distance of the points that agree from the surface
-    inliers : float [-]                 share of the points that agree
-    correlation : float [-]             how many points say what one says: factor in `covariance`
+    covariance : (6, 6) float           of a rotation about `centre` [rad] and a translation [m],
+                                        both in the mesh frame; with the free motions held
+    free : (k, 6) float                 rotation and translation of each motion that the shape does
+                                        not determine; the pose has the start's value along it. Each
+                                        moves the points by 1 m rms
+    weakest : (6,) float                the same of the determined motion that is known worst
+    weakest_std : float [m]             standard deviation of the points along it; infinite where no
+                                        motion is determined
+    residual : float [m]                rms distance of the inliers from the surface
+    inliers : float [-]                 fraction of inliers among the points
+    correlation : float [-]             variance inflation by correlated residuals, >= 1; contained
+                                        in `covariance`
     size : float [m]                    rms distance of the points from `centre`
-    diagonal : float [m]                of the mesh
+    diagonal : float [m]                bounding diagonal of the mesh
     iterations : int
     converged : bool
     """
@@ -127,10 +130,10 @@ class Registration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Knowledge:
-    """What the points know about motions at the pose that was found.
+    """What the points determine about motions at the fitted pose.
 
-    `std` (f,) and `fixed` (f, 6) are of the motions that are fixed, `free` (k, 6) of the others,
-    `held` (k, 6) what must be zero of a motion so that these have no part in it.
+    `fixed` (f, 6) are the determined motions, `std` (f,) their standard deviations, `free` (k, 6)
+    the others, `held` (k, 6) the constraints by which a motion contains none of these.
     """
 
     at: Linearised
@@ -154,37 +157,38 @@ def register(
 ) -> Registration:
     """Find the pose in which measured points lie on the surface of a mesh.
 
-    Flat facets lie inside a curved object and bias its pose by their distance from it, which no
-    covariance shows: give the smooth surface, `TriangleMesh(*refined_surface(mesh))`.
+    Flat facets lie inside a convex object and bias the pose by their distance from it, which the
+    covariance does not show: give the smooth surface, `TriangleMesh(*refined_surface(mesh))`.
 
     Parameters
     ----------
-    points : (n, 3) float [m]       of the surface, in any frame; wrong ones may be among them
-    std : (n,) float [m], (n, 3, 3) float [m^2] or None     1 sigma or covariance of each; None
-                                    where all are alike
+    points : (n, 3) float [m]       of the surface, in any frame; outliers are allowed
+    std : (n,) float [m], (n, 3, 3) float [m^2] or None     standard deviation, > 0, or covariance
+                                    of each point; None: equal for all, and unknown
     mesh : TriangleMesh             open or closed
-    start : (4, 4) float or None    guess of the pose; the identity unless told
-    eye : (3,) float [m] or None    where the points were seen from, in their frame: what turns its
-                                    back to it is left out
+    start : (4, 4) float or None    initial pose; None: the identity
+    eye : (3,) float [m] or None    viewpoint from which the points were seen, in their frame:
+                                    triangles that face away from it are left out
     settings : RegistrationSettings
 
     Returns
     -------
-    Registration                    what the shape does not fix is as the start has it. Correlated
-                                    residuals widen the covariance by one
-                                    factor: the variance of the sums over compact groups of points
-                                    against that of as many independent points
+    Registration                    along free motions the pose is that of the start. Correlated
+                                    residuals widen the covariance by one factor: the variance of
+                                    the sums over compact groups of points, over that of as many
+                                    independent points
 
     Raises
     ------
-    InputError                      fewer than 24 points, all on a line, sizes that do not match
+    InputError                      fewer than 24 points, all collinear, shapes that do not match,
+                                    a standard deviation or covariance that is not positive
 
     Source
     ------
     Chen and Medioni (1992) for the method; Liang and Zeger, Longitudinal data analysis using
     generalized linear models, Biometrika 73 (1986), for the sums over groups; Zhang, Kaess and
-    Singh, On degeneracy of optimization-based state estimation problems (2016), for holding what is
-    not fixed.
+    Singh, On degeneracy of optimization-based state estimation problems (2016), for holding the
+    free motions.
     """
     measured = _measured(points, std)
     guess = np.eye(4) if start is None else fixed_array(start, name="start", shape=(4, 4))
@@ -211,7 +215,7 @@ def register(
 
 
 def check_registration(registration: Registration) -> None:
-    """Refuse a registration that does not hold.
+    """Refuse a registration that has failed.
 
     Parameters
     ----------
@@ -219,7 +223,8 @@ def check_registration(registration: Registration) -> None:
 
     Raises
     ------
-    CalibrationError                no convergence, points that do not lie on the mesh
+    CalibrationError                no convergence, residuals above 3 % of the mesh's diagonal, or
+                                    fewer than half of the points inliers
     """
     share = registration.residual / registration.diagonal
     rest = (
@@ -239,7 +244,7 @@ def check_registration(registration: Registration) -> None:
 
 
 def free_motions_text(registration: Registration) -> str:
-    """The motions that the shape does not fix, in words; empty where it fixes all.
+    """The motions that the shape does not determine, in words; empty where it determines all.
 
     Parameters
     ----------
@@ -287,7 +292,7 @@ def _knowledge(
     edges: SurfaceEdges,
     blur: float,
 ) -> _Knowledge:
-    """Split the motions into those that the points fix and the free ones."""
+    """Separate the motions that the points determine from the free ones."""
     at = linearised(search, points, pose)
     robust = robust_residuals(at)
     inlier = robust.weight() > 0.0
@@ -302,7 +307,7 @@ def _knowledge(
     least = (blur * search.diagonal) ** -2
     std = 1.0 / np.sqrt(np.maximum(values, least))
     share = [trial.felt_share(motion, one) for motion, one in zip(motions, std, strict=True)]
-    # What is not felt is taken off twice: chance leaves a part of it where the fit came to rest.
+    # The unconfirmed share is subtracted twice: chance hides part of it at the minimum of the fit.
     values = values * (2.0 * np.array(share) - 1.0)
     fixed = values >= least
     held = holding(motions[~fixed], _size(at))

@@ -1,7 +1,7 @@
-"""Least robust distance of points from a triangle surface by Gauss-Newton steps of their pose.
+"""Robust registration of points to a triangle surface by Gauss-Newton steps of their pose.
 
-A motion of the points is six numbers, a small turn about their centroid (rad) and a shift (m).
-Within the iteration they are scaled so that a unit moves the points by 1 m rms, whatever its kind.
+A motion of the points is six numbers, a small rotation about their centroid (rad) and a translation
+(m). Within the iteration they are scaled so that a unit of any of them moves the points by 1 m rms.
 """
 
 from dataclasses import dataclass, replace
@@ -14,11 +14,11 @@ from palpate.geometry.closest_point import SurfaceSearch
 from palpate.geometry.triangle_mesh import TriangleMesh, unit_normals
 from palpate.shapes import Indices, PointIndices, Points, PointScalars, Vector3
 
-# Tukey's constant for 95 % efficiency with normal errors; what is farther out has no say.
+# Tukey's constant for 95 % efficiency with normal errors; larger residuals have zero weight.
 _TUKEY = 4.685
-# Median of the absolute value of a normal variable, inverted.
+# Standard deviation of a normal variable over the median of its absolute value.
 _PER_MEDIAN = 1.4826
-# A step that would move the fit by less than this share of its standard deviation ends it.
+# A step shorter than this fraction of its standard deviation ends the iteration.
 _SMALL_STEP = 0.1
 
 Pose = Float[np.ndarray, "4 4"]
@@ -32,7 +32,7 @@ class MeasuredPoints:
     Attributes
     ----------
     point : (n, 3) float [m]
-    covariance : (n, 3, 3) float [m^2]      zero where nothing is known
+    covariance : (n, 3, 3) float [m^2]      zero where it is unknown
     """
 
     point: Points
@@ -45,19 +45,20 @@ class MeasuredPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """Distances of n points from the surface, and how a motion changes them.
+    """Distances of n points from the surface, and their Jacobian with respect to a motion.
 
     Attributes
     ----------
-    centre : (3,) float [m]             about which motions turn
-    scale : (6, 6) float                motion of a unit of the scaled unknowns
+    centre : (3,) float [m]             centre of rotation of motions
+    scale : (6, 6) float                maps the scaled unknowns to a motion
     offset : (n, 3) float [m]           of the points from the centre
     normal : (n, 3) float               direction in which the distance grows
-    row : (n, 6) float [-]              derivative of the distance by the scaled unknowns
+    row : (n, 6) float [-]              derivative of the distance with respect to the scaled
+                                        unknowns
     residual : (n,) float [m]           signed distance
     sigma : (n,) float [m]              its expected standard deviation
-    triangle : (n,) int                 of the nearest point
-    barycentric : (n, 3) float          its weights there
+    triangle : (n,) int                 triangle of the nearest point
+    barycentric : (n, 3) float          position of the nearest point in it
     """
 
     centre: Vector3
@@ -71,14 +72,14 @@ class Linearised:
     barycentric: Points
 
     def chosen(self, rows: Indices) -> "Linearised":
-        """Some of the points; motions still turn about the centre of all."""
+        """Some of the points; the centre of rotation remains that of all."""
         names = ("offset", "normal", "row", "residual", "sigma", "triangle", "barycentric")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Where the iteration ended."""
+    """Result of the iteration."""
 
     pose: Pose
     iterations: int
@@ -91,15 +92,15 @@ def placed(pose: Pose, points: Points) -> Points:
 
 
 def motion_pose(motion: Float[np.ndarray, "6"], centre: Vector3) -> Pose:
-    """The screw motion whose velocity, held for one second, is a turn about a centre and a shift.
+    """Finite motion (a screw) of a rotation about a centre and a translation: the exponential map.
 
-    Points go round on circles, not along their tangents: a ball turned about a point beside its
-    centre, and shifted back, stays where it is.
+    Points move on arcs, not along tangents: a ball that is rotated about a point other than its
+    centre, and shifted back, stays in place.
 
     Parameters
     ----------
-    motion : (6,) float             turn (rad) and shift (m)
-    centre : (3,) float [m]
+    motion : (6,) float             rotation (rad) and translation (m)
+    centre : (3,) float [m]         centre of the rotation
     """
     rate = np.zeros((4, 4))
     rate[:3, :3] = np.cross(motion[:3], np.eye(3)).T
@@ -108,15 +109,15 @@ def motion_pose(motion: Float[np.ndarray, "6"], centre: Vector3) -> Pose:
 
 
 def motion_scale(offset: Points) -> Matrix6:
-    """Motions, in columns, that move points by 1 m rms each and independently.
+    """Motions, in columns, that are mutually orthogonal and move points by 1 m rms each.
 
     Parameters
     ----------
-    offset : (n, 3) float [m]       from their centroid, not all on one line
+    offset : (n, 3) float [m]       from their centroid, not all collinear
 
     Returns
     -------
-    (6, 6) float                    turn (rad) and shift (m) of each
+    (6, 6) float                    rotation (rad) and translation (m) of each
     """
     spread = offset.T @ offset / len(offset)
     values, vectors = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
@@ -128,13 +129,14 @@ def motion_scale(offset: Points) -> Matrix6:
 def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Linearised:
     """Distances from the surface at a pose, and their derivatives.
 
-    At the inside of a triangle the distance is that from its plane; at an edge or a corner it is
-    the distance itself, so that points beyond an edge are drawn back.
+    Where the nearest point is inside a triangle, the distance is that from its plane; where it is
+    on an edge or a corner, it is the Euclidean distance, so that points beyond an edge are drawn
+    back.
 
     Parameters
     ----------
     search : SurfaceSearch          of the surface
-    points : MeasuredPoints         n points, not on one line
+    points : MeasuredPoints         n points, not collinear
     pose : (4, 4) float [m]
 
     Returns
@@ -170,9 +172,10 @@ def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Lin
 
 
 def _sigma(residual: PointScalars, variance: PointScalars, least: float) -> PointScalars:
-    """Standard deviation that a residual should have.
+    """Expected standard deviation of every residual.
 
-    What the points' own noise does not explain is the surface's error, alike for all of them.
+    Scatter that the noise of the points does not explain is attributed to errors of the surface,
+    equal for all points.
     """
     spread = _PER_MEDIAN * float(np.median(np.abs(residual)))
     surface = max(spread**2 - float(np.median(variance)), 0.0)
@@ -181,12 +184,12 @@ def _sigma(residual: PointScalars, variance: PointScalars, least: float) -> Poin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobustResiduals:
-    """Residuals in units of the width beyond which Tukey's function takes no notice of them.
+    """Residuals in units of the width beyond which Tukey's function ignores them.
 
     Attributes
     ----------
-    unit : (n,) float [-]       zero where all residuals are
-    width : float [-]           in units of `sigma`, zero where most residuals are
+    unit : (n,) float [-]       residuals in that unit; all zero if the width is
+    width : float [-]           in units of `sigma`; zero if most residuals are
     """
 
     unit: PointScalars
@@ -198,7 +201,7 @@ class RobustResiduals:
 
 
 def robust_residuals(at: Linearised) -> RobustResiduals:
-    """Residuals scaled by their own spread.
+    """Residuals scaled by a robust estimate of their spread.
 
     Parameters
     ----------
@@ -225,17 +228,18 @@ def fit_pose(
     held: Float[np.ndarray, "k 6"],
     iterations: int,
 ) -> Fit:
-    """Bring points onto a surface.
+    """Fit the pose of points on a surface.
 
-    The iteration ends where a step is small against what the points know, direction by direction.
+    The iteration ends when a step is small in comparison with its standard deviation.
 
     Parameters
     ----------
     search : SurfaceSearch          of the surface
     points : MeasuredPoints
-    pose : (4, 4) float             start
-    held : (k, 6) float             combinations of a step's turn and shift that must be zero
-    iterations : int                at most
+    pose : (4, 4) float             initial pose
+    held : (k, 6) float             combinations of a step's rotation and translation that must be
+                                    zero
+    iterations : int                largest number of steps
 
     Returns
     -------
@@ -255,7 +259,7 @@ def fit_pose(
 
 
 def unheld_basis(held: Float[np.ndarray, "k 6"]) -> Float[np.ndarray, "6 f"]:
-    """Orthonormal basis of the motions of which all held combinations are zero."""
+    """Orthonormal basis of the motions for which all held combinations are zero (null space)."""
     _, values, vectors = np.linalg.svd(held)
     rank = int((values > 1e-9 * values.max()).sum()) if values.size else 0
     return vectors[rank:].T
@@ -264,9 +268,10 @@ def unheld_basis(held: Float[np.ndarray, "k 6"]) -> Float[np.ndarray, "6 f"]:
 def _solved(
     matrix: Float[np.ndarray, "f f"], right: Float[np.ndarray, " f"], diagonal: float
 ) -> np.ndarray:
-    """Least-squares step, short, and none in directions known no better than the object's size."""
+    """Least-squares step of limited length, without directions that are known no better than the
+    object's size."""
     values, vectors = np.linalg.eigh(matrix)
     known = values > diagonal**-2
     step = vectors[:, known] @ ((vectors[:, known].T @ right) / values[known])
-    # A tenth of the object: farther away the nearest points are others anyway.
+    # At most a tenth of the object's size: farther away, the nearest points are different ones.
     return step * min(1.0, 0.1 * diagonal / max(float(np.linalg.norm(step)), 1e-300))

@@ -108,7 +108,7 @@ def _node_set(name: str, nodes: np.ndarray) -> str:
 
 
 def _data(model: SolidModel, loaded: np.ndarray) -> list[str]:
-    """The nodal forces as a map over the set of loaded nodes."""
+    """The nodal forces as a data map over the set of loaded nodes."""
     if not loaded.size:
         return []
     rows = model.load[loaded].tolist()

@@ -1,4 +1,4 @@
-"""Genesis: the surface, and a scene that fills it."""
+"""Genesis: the surface, and a scene that meshes its interior."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def write_genesis(folder: Path, body: EstimatedObject) -> None:
 
     Raises
     ------
-    MeshError, RecordError          a file cannot be written
+    RecordError                     a file cannot be written
     """
     write_obj_and_script(folder, body, "scene.py", _TEXT)
 

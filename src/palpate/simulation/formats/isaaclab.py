@@ -1,4 +1,4 @@
-"""Isaac Lab: the surface, and the material as its spawners take it."""
+"""Isaac Lab: the surface, and the material as a configuration of its spawners."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def write_isaaclab(folder: Path, body: EstimatedObject) -> None:
 
     Raises
     ------
-    MeshError, RecordError          a file cannot be written
+    RecordError                     a file cannot be written
     """
     write_obj_and_script(folder, body, "body.py", _TEXT)
 

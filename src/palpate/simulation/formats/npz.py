@@ -11,7 +11,7 @@ _RUN = (
     "palpate.simulation.read_green_functions('green.npz'), or any reader of NPZ: its arrays are"
     " explained in docs/howto/simulate.md."
 )
-# Vertices that may be touched, those nearest to the session's contacts.
+# Largest number of vertices that may be touched: those nearest to the session's contacts.
 _NODES = 400
 
 
@@ -25,7 +25,7 @@ def write_npz(folder: Path, body: EstimatedObject) -> str:
 
     Returns
     -------
-    str                             which vertices are left out; empty: none
+    str                             sentence about vertices that are left out; empty: none
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""OBJ: the surface, for everything that has no format of its own here."""
+"""OBJ: the surface, for programs without a format of their own here."""
 
 from pathlib import Path
 
@@ -21,24 +21,24 @@ def write_obj(folder: Path, body: EstimatedObject) -> None:
 
     Raises
     ------
-    MeshError                       the file cannot be written
+    RecordError                     the file cannot be written
     """
     write_mesh(folder / SURFACE, body.session.mesh)
 
 
 def write_obj_and_script(folder: Path, body: EstimatedObject, name: str, text: str) -> None:
-    """Write surface.obj, and a script of a simulator that fills it.
+    """Write surface.obj, and a script with the material for a simulator that meshes the interior.
 
     Parameters
     ----------
     folder : Path
     body : EstimatedObject
-    name : str                      of the script's file
-    text : str                      with places for young, poisson and density, in SI units
+    name : str                      file name of the script
+    text : str                      with fields young, poisson and density, in SI units
 
     Raises
     ------
-    MeshError, RecordError          a file cannot be written
+    RecordError                     a file cannot be written
     """
     write_obj(folder, body)
     material = body.material

@@ -1,10 +1,10 @@
-"""OpenUSD: a TetMesh with the constants as Newton and Omniverse's PhysX name them.
+"""OpenUSD: a TetMesh with the constants under the names of Newton and of Omniverse's PhysX.
 
 Source
 ------
-OpenUSD's UsdGeomTetMesh. The constants stand there twice: as `physics:youngsModulus` and so on, by
+OpenUSD's UsdGeomTetMesh. The constants are written twice: as `physics:youngsModulus` and so on, by
 the Alliance for OpenUSD's proposal for deformable bodies, which Newton reads (`get_tetmesh` of
-`newton.usd`), and as `omniphysics:youngsModulus` and so on, as Omniverse's PhysX names them.
+`newton.usd`), and as `omniphysics:youngsModulus` and so on, the names of Omniverse's PhysX.
 """
 
 from pathlib import Path
@@ -92,7 +92,7 @@ def write_openusd(folder: Path, model: SolidModel) -> None:
 
 
 def _tuples(rows: Shaped[np.ndarray, "n k"]) -> str:
-    """Rows in brackets."""
+    """Rows as tuples in parentheses, separated by commas."""
     form = "d" if np.issubdtype(rows.dtype, np.integer) else ".9g"
     return ", ".join(
         "(" + ", ".join(format(value, form) for value in row) + ")" for row in rows.tolist()

@@ -1,4 +1,4 @@
-"""Simulators that an estimated object can be handed to."""
+"""Simulators to which an estimated object can be exported."""
 
 from collections.abc import Mapping
 

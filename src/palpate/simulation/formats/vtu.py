@@ -1,4 +1,4 @@
-"""VTU, for ParaView and meshio: ten-node tetrahedra, what is held, the push's nodal forces.
+"""VTU, for ParaView and meshio: ten-node tetrahedra, held nodes, the push's nodal forces.
 
 Source
 ------
