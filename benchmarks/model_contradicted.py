@@ -40,12 +40,15 @@ TRUTH = dict(
     zip(NAMES, (POISSON_RATIO, SHEAR_MODULUS, 2 * SHEAR_MODULUS * (1 + POISSON_RATIO)), strict=True)
 )
 RADIUS = 6e-3
-BODIES: dict[str, Callable[[], TriangleMesh]] = {
-    "half ball": lambda: half_ball(radius=0.04, edge=7e-3),
-    "cylinder": lambda: cylinder(radius=0.02, height=0.06, edge=6e-3),
-    "block": lambda: block(length=0.08, width=0.05, height=0.03, edge=6.5e-3),
-    "toy": lambda: toy(radius=0.03, edge=6e-3),
+# Edge of the surface that estimates [m], and what makes it.
+BODIES: dict[str, tuple[float, Callable[[float], TriangleMesh]]] = {
+    "half ball": (7e-3, lambda edge: half_ball(radius=0.04, edge=edge)),
+    "cylinder": (6e-3, lambda edge: cylinder(radius=0.02, height=0.06, edge=edge)),
+    "block": (6.5e-3, lambda edge: block(length=0.08, width=0.05, height=0.03, edge=edge)),
+    "toy": (6e-3, lambda edge: toy(radius=0.03, edge=edge)),
 }
+# Of the surface that is filled with tetrahedra, and of those at the rim of the support, over that.
+_SURFACE, _RIM = 0.2, 0.3
 # Noise over the root mean square motion, the length it is shared over [m], share of outliers.
 NOISES = {
     "0.1 %": (0.001, 0.0, 0.0),
@@ -118,6 +121,14 @@ def inward(mesh: TriangleMesh, point: np.ndarray) -> np.ndarray:
     return normal / np.linalg.norm(normal)
 
 
+def rim(surface: TriangleMesh) -> np.ndarray:
+    """Vertices where the support ends, at the edge of the base."""
+    base = np.isclose(surface.vertices[:, 2], surface.vertices[:, 2].min())
+    inside = base[surface.triangles].all(axis=1)
+    corners = surface.triangles
+    return surface.vertices[np.intersect1d(corners[inside], corners[~inside])]
+
+
 def truth(
     mesh: TriangleMesh, solid: Solid, held: Bool[np.ndarray, " n"], fault: Fault
 ) -> list[np.ndarray]:
@@ -170,11 +181,12 @@ def observations(mesh: TriangleMesh, moved: list[np.ndarray]) -> list[ProbeObser
 
 def cases() -> Iterator[tuple[str, str, list[ProbeObservations]]]:
     """Body, fault and exact probings."""
-    for name, make in BODIES.items():
-        mesh = make()
+    for name, (edge, make) in BODIES.items():
+        mesh, surface = make(edge), make(_SURFACE * edge)
         bottom = mesh.vertices[:, 2].min()
-        fine = [(point, RADIUS, 3e-3) for point in contacts(mesh)]
-        solid = make_solid(mesh, edge=8e-3, fine=fine)
+        fine = [(point, 1.2 * RADIUS, 0.25 * RADIUS) for point in contacts(mesh)]
+        fine += [(point, 0.0, _RIM * edge) for point in rim(surface)]
+        solid = make_solid(surface, edge=edge, fine=fine)
         held = np.isclose(solid.nodes[:, 2], bottom)
         seen = ~np.isclose(mesh.vertices[:, 2], bottom)
         model: list[ProbeObservations] = []
