@@ -1,9 +1,10 @@
 """Cameras calibrated from pictures of boards: lenses and poses, with their covariance.
 
-Purpose    : a `Rig` for a person who has cameras and a printer; the rig before a known object.
+Purpose    : a `Rig` for anyone with cameras and a printer; the pose of a rig relative to an object
+             of known shape.
 Takes      : pictures or videos of a target, a folder for every camera; pictures of an object.
-Gives      : `Calibration`: cameras, their covariance, what is left in the pictures; `ObjectView`, a
-             rig in an object's frame, refined by its texture; files of both.
+Gives      : `Calibration`: cameras, their covariance, residuals; `ObjectView`, a rig in an object's
+             frame, refined by the object's texture; files of both.
 Depends on : `vision`, `geometry`, `records`.
 Read first : `targets.py`, then `calibrate.py` and `adjustment.py`; `known_object/view.py`.
 """

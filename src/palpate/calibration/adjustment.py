@@ -1,11 +1,11 @@
-"""Bundle adjustment: cameras, their lenses and the poses of the boards, from all corners at once.
+"""Bundle adjustment of lenses, camera poses and board poses, from all corners at once.
 
-Gauss-Newton on the distances in the pictures, every camera weighted with what its corners scatter.
-The unknowns are few (nine for a lens, six for a pose), so that the normal matrix is dense and its
-inverse, the covariance, whole.
+Levenberg-Marquardt on the reprojection errors, every camera weighted by the noise of its corners.
+There are few unknowns (nine per lens, six per pose), so the normal matrix is dense and is inverted
+as a whole for the covariance.
 
-Source: Triggs et al., Bundle adjustment: a modern synthesis (2000); the noise of each camera is
-that of variance component estimation (Foerstner, 1979).
+Source: Triggs et al., Bundle adjustment: a modern synthesis (2000); variance component estimation
+of the noise of each camera (Foerstner, 1979).
 """
 
 from dataclasses import dataclass, replace
@@ -25,28 +25,28 @@ _TOO_ALIKE = (
 )
 _SIDES = ("to the right", "to the left", "up", "down")
 _MAX_STEPS = 60
-# A step below this share of every standard deviation changes nothing that the corners could show.
+# Convergence: length of a step in standard deviations, by the norm of the normal matrix.
 _SMALL_STEP = 1e-4
-# Noise levels that change by less have settled.
+# Convergence of the noise levels, relative change.
 _SETTLED = 1e-3
 _MAX_ROUNDS = 12
-# Corners farther off than this many times the noise are gross errors: one in 1e6 of a normal
-# distribution in two dimensions.
+# Corners with larger residuals, in units of the noise, are gross errors: probability 1e-6 for a
+# normal distribution in two dimensions.
 _GROSS = 5.3
-# A tilt that separates focal length from distance.
+# Minimum tilt that separates focal length from distance.
 _MIN_TILT = np.deg2rad(12.0)
-# Directions of the unknowns, scaled to a unit diagonal, that the corners know worse are unknown.
+# Minimum eigenvalue of the normal matrix, scaled to unit diagonal, for all to be determined.
 _LEAST_INFORMATION = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """Corners of boards found in pictures.
+    """Corners of boards detected in pictures.
 
     Attributes
     ----------
-    camera, view : (m,) int         which camera saw it; which board at which instant
-    point : (m, 3) float [m]        its place on the board, frame of the board
+    camera, view : (m,) int         indices of the camera and of the view (board at an instant)
+    point : (m, 3) float [m]        position on the board, in the board's frame
     pixel : (m, 2) float [px]
     """
 
@@ -56,7 +56,7 @@ class Corners:
     pixel: Float[np.ndarray, "m 2"]
 
     def chosen(self, rows: Bool[np.ndarray, " m"]) -> "Corners":
-        """Some of the corners.
+        """Select some of the corners.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class Corners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle:
-    """Cameras and boards.
+    """Lenses and poses of the cameras, and poses of the boards.
 
     Attributes
     ----------
@@ -87,17 +87,18 @@ class Bundle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
-    """A bundle at the least squares of its corners.
+    """Result of a bundle adjustment.
 
     Attributes
     ----------
     bundle : Bundle
-    residual : (m, 2) float [px]    pixel less projection, of all corners, gross errors included
-    good : (m,) bool                False: a gross error, without a say
-    noise : (c,) float [px]         standard deviation of a coordinate of a corner in each camera
-    covariance : (p, p) float       of the lens terms of all cameras (9 c), then of a turn [rad] and
-                                    a shift [m] of each camera but the first (6 (c - 1)), then of
-                                    the boards; a turn is of the camera's own frame
+    residual : (m, 2) float [px]    pixel minus projection, for all corners including gross errors
+    good : (m,) bool                False for gross errors, which have no weight
+    noise : (c,) float [px]         standard deviation of a corner's coordinate in each camera
+    covariance : (p, p) float       of the lens terms of all cameras (9 c), then of rotation [rad]
+                                    and shift [m] of each camera except the first (6 (c - 1)), then
+                                    of the boards (6 v); an error e of a pose is a further rotation,
+                                    exp([e]) R, and a shift added to its translation
     """
 
     bundle: Bundle
@@ -108,12 +109,12 @@ class Adjusted:
 
 
 def adjust(bundle: Bundle, corners: Corners) -> Adjusted:
-    """Cameras, lenses and boards that bring all corners nearest to their pixels.
+    """Adjust lenses, cameras and boards to minimise the weighted reprojection errors.
 
     Parameters
     ----------
-    bundle : Bundle                 a start, good to some per cent
-    corners : Corners               each view seen by one camera at least
+    bundle : Bundle                 start, accurate to some per cent
+    corners : Corners               of views that at least one camera sees
 
     Returns
     -------
@@ -121,8 +122,8 @@ def adjust(bundle: Bundle, corners: Corners) -> Adjusted:
 
     Raises
     ------
-    CalibrationError                the views are too alike to determine all unknowns, or the steps
-                                    did not die out
+    CalibrationError                the views are too alike to determine all unknowns, or the
+                                    iteration did not converge
     """
     noise = np.ones(len(bundle.inner))
     good = np.ones(len(corners.pixel), dtype=bool)
@@ -143,8 +144,9 @@ def adjust(bundle: Bundle, corners: Corners) -> Adjusted:
 class _Equations:
     """Residuals of all corners and the derivatives of their projections.
 
-    A corner depends on the same unknowns as all others of its camera and view: a group. The pose of
-    the first camera, which is the frame, is counted among the unknowns and left out of all sums.
+    Corners of one camera and view form a group: they depend on the same unknowns. The pose of the
+    first camera, which defines the frame, has indices among the unknowns but is left out of all
+    sums (`free`).
     """
 
     residual: Float[np.ndarray, "m 2"]
@@ -154,7 +156,7 @@ class _Equations:
     free: Int[np.ndarray, " p"]
 
     def normal_matrix(self, weight: Float[np.ndarray, " m"]) -> Float[np.ndarray, "p p"]:
-        """Sum of the products of the derivatives."""
+        """Normal matrix of the free unknowns."""
         matrix = np.zeros((len(self.free) + _POSE,) * 2)
         for g, unknowns in enumerate(self.unknowns):
             rows = self.group == g
@@ -164,13 +166,13 @@ class _Equations:
         return matrix[np.ix_(self.free, self.free)]
 
     def right_side(self, weight: Float[np.ndarray, " m"]) -> Float[np.ndarray, " p"]:
-        """Sum of the products of derivatives and residuals."""
+        """Right-hand side of the normal equations."""
         pull = np.einsum("m,mai,ma->mi", weight, self.slope, self.residual)
         place = self.unknowns[self.group].ravel()
         return np.bincount(place, pull.ravel(), len(self.free) + _POSE)[self.free]
 
     def explained(self, inverse: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "m 2"]:
-        """Variance of the projection of every corner."""
+        """Variance of every corner's projection, propagated from the unknowns' covariance."""
         whole = np.zeros((len(self.free) + _POSE,) * 2)
         whole[np.ix_(self.free, self.free)] = inverse
         part = whole[self.unknowns[:, :, None], self.unknowns[:, None, :]][self.group]
@@ -180,7 +182,7 @@ class _Equations:
 def _least_squares(
     bundle: Bundle, corners: Corners, weight: Float[np.ndarray, " m"]
 ) -> tuple[Bundle, _Equations]:
-    """Levenberg and Marquardt's steps from a bundle to the nearest minimum."""
+    """Levenberg-Marquardt iteration from a bundle to the nearest minimum."""
 
     def cost(equations: _Equations) -> float:
         return float(weight @ (equations.residual**2).sum(axis=1))
@@ -193,7 +195,7 @@ def _least_squares(
         unit = matrix / np.outer(size, size) + damping * np.eye(len(size))
         step = np.linalg.solve(unit, here.right_side(weight) / size) / size
         trial = moved(bundle, step)
-        # A step too far may lead anywhere; it is not taken.
+        # Too long a step may give overflow or NaN; it is then rejected.
         with np.errstate(all="ignore"):
             there = _linearised(trial, corners)
         if not cost(there) <= cost(here) * (1.0 + 1e-12):
@@ -214,9 +216,9 @@ def _least_squares(
 def _without_gross_errors(
     residual: Float[np.ndarray, "m 2"], corners: Corners, cameras: int
 ) -> Bool[np.ndarray, " m"]:
-    """Corners that are no gross errors; all of a view of which half would be some.
+    """True for corners that are not gross errors, and for all of a view with half or more gross.
 
-    The width is from medians, which gross errors do not move: they cannot hide themselves.
+    The noise is estimated from medians, which gross errors do not inflate.
     """
     length = np.linalg.norm(residual, axis=1)
     # Median of the length of a normal vector in the plane: sqrt(2 log 2).
@@ -234,7 +236,7 @@ def _without_gross_errors(
 def _inverse(
     matrix: Float[np.ndarray, "p p"], bundle: Bundle, corners: Corners
 ) -> Float[np.ndarray, "p p"]:
-    """Inverse of the normal matrix; refused where the corners leave a combination open."""
+    """Inverse of the normal matrix; raises if a combination of unknowns is undetermined."""
     size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     if values[0] < _LEAST_INFORMATION:
@@ -244,7 +246,7 @@ def _inverse(
 
 
 def _wanting(bundle: Bundle, corners: Corners) -> list[str]:
-    """Sides to which some camera saw no board tilted."""
+    """Directions in which some camera saw no board tilted."""
     found: set[str] = set()
     for c, pose in enumerate(bundle.camera):
         views = np.unique(corners.view[corners.camera == c])
@@ -253,7 +255,7 @@ def _wanting(bundle: Bundle, corners: Corners) -> list[str]:
 
 
 def view_slopes(bundle: Bundle, corners: Corners) -> Float[np.ndarray, "m 2 6"]:
-    """How the pixel of every corner moves with its board.
+    """Derivative of every corner's pixel with respect to the pose of its board.
 
     Parameters
     ----------
@@ -262,13 +264,14 @@ def view_slopes(bundle: Bundle, corners: Corners) -> Float[np.ndarray, "m 2 6"]:
 
     Returns
     -------
-    (m, 2, 6) float [px]            by a turn [rad] and a shift [m] in the frame of the cameras
+    (m, 2, 6) float                 by a rotation about the board's origin [px/rad] and a shift
+                                    [px/m], both in the common frame of the cameras
     """
     return _linearised(bundle, corners).slope[:, :, -_POSE:]
 
 
 def missing_tilts(pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
-    """Sides to which no board was tilted before a camera.
+    """Directions in which no board was tilted, as seen by a camera.
 
     Parameters
     ----------
@@ -279,7 +282,7 @@ def missing_tilts(pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
     list of str                     of "to the right", "to the left", "up", "down"
     """
     normal = pose[:, :3, 2]
-    # Toward the camera: down is +y in its frame, right +x.
+    # Normals towards the camera, in whose frame right is +x and down +y.
     normal = normal * -np.sign(np.einsum("va,va->v", normal, pose[:, :3, 3]))[:, None]
     sideways = np.arctan2(normal[:, 0], -normal[:, 2])
     upward = np.arctan2(-normal[:, 1], -normal[:, 2])
@@ -297,19 +300,19 @@ def _noise(
     weight: Float[np.ndarray, " m"],
     noise: Float[np.ndarray, " c"],
 ) -> Float[np.ndarray, " c"]:
-    """Scatter of the corners of each camera, what the unknowns took away added again."""
+    """Noise of each camera from its residuals, corrected for the degrees of freedom of the fit."""
     used = weight > 0.0
     left = np.where(used, 2.0 - weight * equations.explained(inverse).sum(axis=1), 0.0)
     square = np.where(used, (equations.residual**2).sum(axis=1), 0.0)
     count = len(noise)
     freedom = np.bincount(camera, left, count)
     new = np.bincount(camera, square, count) / np.where(freedom > 0.0, freedom, np.inf)
-    # Corners without any scatter come from nowhere but a simulation.
+    # Only simulated corners have no noise.
     return np.maximum(np.sqrt(new), 1e-9)
 
 
 def _linearised(bundle: Bundle, corners: Corners) -> _Equations:
-    """Residuals of all corners and the derivatives of their projections by all unknowns."""
+    """Residuals of all corners, and derivatives of their projections for all unknowns."""
     c, v = corners.camera, corners.view
     board = bundle.view[v]
     turned = np.einsum("mij,mj->mi", board[:, :3, :3], corners.point)
@@ -342,7 +345,7 @@ def _linearised(bundle: Bundle, corners: Corners) -> _Equations:
 
 
 def _crossed(vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
-    """Matrices that take the cross product with vectors."""
+    """Skew-symmetric matrices [v]x of the cross product with each vector."""
     x, y, z = vector.T
     nil = np.zeros_like(x)
     rows = [[nil, -z, y], [z, nil, -x], [-y, x, nil]]
@@ -350,7 +353,7 @@ def _crossed(vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
 
 
 def moved(bundle: Bundle, step: Float[np.ndarray, " p"]) -> Bundle:
-    """The bundle after a step of all unknowns.
+    """Apply a step of all unknowns to a bundle.
 
     Parameters
     ----------
@@ -373,7 +376,7 @@ def moved(bundle: Bundle, step: Float[np.ndarray, " p"]) -> Bundle:
 
 
 def _turned(pose: Float[np.ndarray, "k 4 4"], step: Float[np.ndarray, "k 6"]) -> np.ndarray:
-    """Poses turned (about the origin of the frame they lead to) and shifted."""
+    """Rotate poses by `step[:, :3]`, leaving their translation, which `step[:, 3:]` is added to."""
     result = pose.copy()
     result[:, :3, :3] = Rotation.from_rotvec(step[:, :3]).as_matrix() @ pose[:, :3, :3]
     result[:, :3, 3] += step[:, 3:]

@@ -1,4 +1,4 @@
-"""A rig from pictures of boards: start, adjustment, and views that contradict the others."""
+"""Calibration of a rig from boards: start, bundle adjustment, rejection of inconsistent views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,29 +17,29 @@ from palpate.errors import CalibrationError
 from palpate.records import Camera, RigCovariance, camera_matrix, make_pose
 from palpate.vision import calibration_numbers
 
-# A view that leaves more than this many times what views usually leave shows something else than
-# the same flat board at one instant.
+# A view is rejected if its residual exceeds this many times the median of all views: it then shows
+# something other than the same flat board at one instant.
 _MAX_EXCESS = 3.0
-# Boards that two cameras see at one place differ by less, in rad and shares of the distance.
+# Largest difference of a board's poses from two cameras, rotation [rad] plus shift over distance.
 _AGREED = 0.05
-# Median length of two normal errors of standard deviation 1.
+# Median length of a vector of two standard normal errors.
 _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 _POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Cameras from pictures of boards, with what is known of them.
+    """Calibrated cameras with the covariance of their parameters.
 
     Attributes
     ----------
     cameras : tuple of Camera       in the frame of the first
-    covariance : (p, p) float       of `names`
-    names : tuple of p str          lens terms of every camera, then the turn [rad] and shift [m] of
-                                    every camera but the first, e.g. "c1.fx", "c1.tx"
+    covariance : (p, p) float       of the parameters in `names`
+    names : tuple of p str          lens terms of every camera, then rotation [rad] and shift [m] of
+                                    every camera except the first, e.g. "c1.fx", "c1.tx"
     found : Sightings               views that were used
-    corners : Corners               with marks numbered alike in all cameras
-    adjusted : Adjusted
+    corners : Corners               with marks numbered consistently in all cameras
+    adjusted : Adjusted             result of the bundle adjustment
     notes : tuple of str            what was left out, and why
     """
 
@@ -58,7 +58,7 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
     Parameters
     ----------
     found : Sightings
-    targets : sequence of Target    that they are of
+    targets : sequence of Target    the boards in `found`
 
     Returns
     -------
@@ -66,8 +66,8 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
 
     Raises
     ------
-    CalibrationError                too few views, cameras that share none, views too alike, most
-                                    views contradict each other
+    CalibrationError                too few views; cameras that share none; views too alike; more
+                                    than a third of the views contradict the others
     """
     bundle, corners, odd = start_bundle(found, targets)
     cameras = cameras_of(found, bundle)
@@ -116,7 +116,7 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
 
 
 def known_rig(calibration: Calibration) -> RigCovariance:
-    """The numbers of a calibration with their covariance.
+    """Parameters of a calibration with their covariance, as a `RigCovariance`.
 
     Parameters
     ----------
@@ -137,12 +137,12 @@ def known_rig(calibration: Calibration) -> RigCovariance:
 def board_frame(
     calibration: Calibration, targets: Sequence[Target], view: str
 ) -> Float[np.ndarray, "4 4"]:
-    """A frame on the board of one view: its middle, x along its rows, z up from the print.
+    """Frame on the board of one view: origin at its centre, x along its rows, z out of the print.
 
     Parameters
     ----------
     calibration : Calibration
-    targets : sequence of Target    that it was made with
+    targets : sequence of Target    with which it was made
     view : str                      name of the view
 
     Returns
@@ -151,7 +151,7 @@ def board_frame(
 
     Raises
     ------
-    CalibrationError                no such view, or it was left out
+    CalibrationError                there is no such view, or it was left out
     """
     found = calibration.found
     if view not in found.views:
@@ -161,7 +161,7 @@ def board_frame(
         )
     number = found.views.index(view)
     pose = calibration.adjusted.bundle.view[number]
-    # Most targets have y down, so that their z leads away from who looks at them.
+    # Most targets have y down, so that their z axis points away from the viewer.
     away = np.sign(pose[:3, 2] @ pose[:3, 3])
     T_board_frame = np.diag([1.0, -away, -away, 1.0])
     T_board_frame[:3, 3] = targets[found.targets[number]].points.mean(axis=0)
@@ -169,20 +169,20 @@ def board_frame(
 
 
 def view_errors(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.ndarray, " v"]:
-    """What the adjustment leaves in every view, in units of the noise of its cameras.
+    """Residual of every view, in units of the noise of its cameras.
 
-    Of each picture its median corner, so that a single mark that was found beside its place does
-    not condemn the others; of each view its worst picture.
+    The median over the corners of each picture, so that one badly located mark does not reject the
+    others; of each view, the maximum over its pictures.
 
     Parameters
     ----------
     adjusted : Adjusted
-    corners : Corners               that it is of
+    corners : Corners               that were adjusted
     count : int                     number of views
 
     Returns
     -------
-    (v,) float [-]                  1 of normal errors; 0 of a view without corners
+    (v,) float [-]                  1 for normal errors; 0 for a view without corners
     """
     away = np.linalg.norm(adjusted.residual, axis=1) / adjusted.noise[corners.camera]
     worst = np.zeros(count)
@@ -193,7 +193,7 @@ def view_errors(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.nd
 
 
 def _cause(corners: Corners, cameras: Sequence[Camera]) -> str:
-    """What may be wrong with a view, of its corners."""
+    """Likely cause of an inconsistent view, as a question or advice."""
     cause = "is the board bent or partly covered there?"
     seen = np.unique(corners.camera).tolist()
     if len(seen) > 1:
@@ -208,7 +208,7 @@ def _cause(corners: Corners, cameras: Sequence[Camera]) -> str:
 
 
 def _swapped(corners: Corners, cameras: Sequence[Camera], a: int, b: int) -> bool:
-    """Whether two cameras agree where the board is once each has the other's picture."""
+    """Whether two cameras agree on the board's pose only after swapping their pictures."""
 
     def apart(first: int, second: int) -> float:
         ways = [
@@ -224,16 +224,16 @@ def _swapped(corners: Corners, cameras: Sequence[Camera], a: int, b: int) -> boo
 
 
 def board_pose(camera: Camera, corners: Corners) -> Float[np.ndarray, "4 4"]:
-    """Where a camera alone sees a board.
+    """Pose of a board from a single camera.
 
     Parameters
     ----------
     camera : Camera
-    corners : Corners               of one board in one of its pictures
+    corners : Corners               of one board in one picture of that camera
 
     Returns
     -------
-    (4, 4) float [m]                x = pose x_board, frame of the cameras
+    (4, 4) float [m]                x = pose x_board, x in the common frame of the cameras
     """
     _, turn, shift = cv2.solvePnP(
         corners.point, corners.pixel, camera.matrix, camera.distortion[:5], flags=cv2.SOLVEPNP_IPPE
@@ -245,13 +245,13 @@ def board_pose(camera: Camera, corners: Corners) -> Float[np.ndarray, "4 4"]:
 def without_views(
     bundle: Bundle, corners: Corners, bad: Bool[np.ndarray, " v"]
 ) -> tuple[Bundle, Corners]:
-    """A bundle and its corners without some views; the others are numbered anew.
+    """Remove views from a bundle and its corners, renumbering the others.
 
     Parameters
     ----------
     bundle : Bundle
     corners : Corners
-    bad : (v,) bool                 views that go
+    bad : (v,) bool                 views to remove
 
     Returns
     -------
@@ -268,7 +268,7 @@ def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
 
     Parameters
     ----------
-    found : Sightings               their names and sizes
+    found : Sightings               provides names and sizes
     bundle : Bundle
 
     Returns

@@ -1,4 +1,4 @@
-"""A calibration as files: rig.toml, its covariance, pictures' errors, formats of other programs."""
+"""Files of a calibration: rig.toml, covariance, residuals by picture, formats of other programs."""
 
 import csv
 from collections.abc import Sequence
@@ -26,8 +26,7 @@ def write_calibration(
     ----------
     folder : Path                   exists
     calibration : Calibration
-    frame : (4, 4) float [m] or None    from the rig's frame to that of the first camera; None: they
-                                    are the same
+    frame : (4, 4) float [m] or None    x_first camera = frame x_rig; None: the frames coincide
 
     Raises
     ------
@@ -47,7 +46,7 @@ def write_calibration(
 
 
 def _write_pictures(path: Path, calibration: Calibration) -> None:
-    """A row of every picture; the cell of a root mean square that nothing gives is empty."""
+    """Write one row per picture; the rms is left empty where no corner was kept."""
     with StringIO() as text:
         table = csv.writer(text, lineterminator="\n")
         table.writerow(["camera", "view", "corners", "left out", "rms [px]"])
@@ -58,7 +57,7 @@ def _write_pictures(path: Path, calibration: Calibration) -> None:
 
 
 def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:
-    """K1 D1 R1 T1 size1, K2 ... as `cv2.FileStorage` has them; lengths in metres."""
+    """Write K1 D1 R1 T1 size1, K2 ... with `cv2.FileStorage`; lengths in metres."""
     storage = cv2.FileStorage(str(path), cv2.FileStorage_WRITE)
     if not storage.isOpened():
         raise RecordError(f"{path}: cannot be written; check the folder's rights")
@@ -75,7 +74,7 @@ def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:
 
 
 def _write_kalibr(path: Path, cameras: Sequence[Camera]) -> None:
-    """A chain cam0, cam1, ...; the model radtan has no third radial term."""
+    """Write a chain cam0, cam1, ...; the radtan model has no third radial term, k3 is dropped."""
     chain = {}
     for number, camera in enumerate(cameras):
         k = camera.matrix

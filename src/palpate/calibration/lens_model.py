@@ -1,29 +1,29 @@
-"""The camera with its lens, and how a pixel moves with every number of it."""
+"""Camera model with lens distortion, and its derivatives with respect to all parameters."""
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.shapes import Points
 
-# OpenCV's model with five terms of distortion; focal lengths and centre in pixels.
+# OpenCV's model with five distortion terms; focal lengths and principal point in pixels.
 LENS_TERMS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
 def seen_points(
     inner: Float[np.ndarray, "n 9"], points: Points
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 9"], Float[np.ndarray, "n 2 3"]]:
-    """Pixels of points, and their derivatives.
+    """Project points, with derivatives with respect to lens terms and points.
 
     Parameters
     ----------
     inner : (n, 9) float            `LENS_TERMS` of the camera that sees each point
-    points : (n, 3) float [m]       frame of that camera, before it
+    points : (n, 3) float [m]       frame of that camera, in front of it
 
     Returns
     -------
     pixel : (n, 2) float [px]
-    by_inner : (n, 2, 9) float      derivative by the numbers in `LENS_TERMS`
-    by_point : (n, 2, 3) float [px/m]
+    by_inner : (n, 2, 9) float      derivative with respect to `LENS_TERMS`
+    by_point : (n, 2, 3) float [px/m]   derivative with respect to the point
 
     Source
     ------

@@ -1,4 +1,4 @@
-"""How good a calibration is: what is left in cameras and regions, and which views are missing."""
+"""Quality of a calibration: residuals by camera and region, missing views, checks of lengths."""
 
 from dataclasses import dataclass
 
@@ -11,30 +11,30 @@ from palpate.errors import CalibrationError
 from palpate.records import Rig
 from palpate.vision import space_strains, triangulate
 
-# A picture is divided into so many regions each way.
+# Regions of a picture in each direction.
 REGIONS = 3
 _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "centre", "right")
-# Corners that say something about a region.
+# Minimum number of corners for a region to count as covered.
 _MIN_CORNERS = 10
-# Lenses are measured from outside to some per cent of their distance; more is the board's.
+# Largest relative error of a baseline measured from outside; a larger one means a wrong board size.
 _MOST_OFF = 0.05
-# One view in so many is kept out to check lengths with.
+# One view in this many is held out to check lengths.
 _FOLD = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraQuality:
-    """What a calibration leaves in the pictures of one camera.
+    """Residuals and coverage of a calibration in the pictures of one camera.
 
     Attributes
     ----------
     name : str
-    views, corners, rejected : int  views that it saw, corners in them, gross errors among these
-    noise : float [px]              standard deviation of a coordinate of a corner
-    rms : Float (3, 3) [px]         root mean square distance by region of the picture, rows from
-                                    above; NaN where no corner was
-    seen : (3, 3) int               corners in each region
-    missing : tuple of str          what to add, in words
+    views, corners, rejected : int  counts of views, of corners in them, of gross errors among these
+    noise : float [px]              standard deviation of a corner's coordinate
+    rms : (3, 3) float [px]         rms reprojection distance by region of the picture, rows from
+                                    top to bottom; NaN without corners
+    seen : (3, 3) int               number of corners in each region
+    missing : tuple of str          advice on views to add
     """
 
     name: str
@@ -83,7 +83,7 @@ def _quality(calibration: Calibration, c: int) -> CameraQuality:
 
 
 def _missing_regions(name: str, seen: Int[np.ndarray, "3 3"]) -> list[str]:
-    """Parts of the picture where no board was."""
+    """Advice on regions of the picture that no board covered."""
     empty = [f"{_ROWS[row]} {_COLUMNS[column]}" for row, column in np.argwhere(seen < _MIN_CORNERS)]
     if not empty:
         return []
@@ -97,13 +97,13 @@ def _tilt_texts(name: str, pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class PictureError:
-    """What a calibration leaves in one picture.
+    """Residuals of a calibration in one picture.
 
     Attributes
     ----------
     camera, view : str
-    corners, rejected : int         found, and gross errors among these
-    rms : float [px]                root mean square distance of the others; NaN where none is left
+    corners, rejected : int         corners found, and gross errors among these
+    rms : float [px]                rms reprojection distance of the others; NaN if there are none
     """
 
     camera: str
@@ -114,7 +114,7 @@ class PictureError:
 
 
 def picture_errors(calibration: Calibration) -> tuple[PictureError, ...]:
-    """What is left in every picture that was used.
+    """Residuals in every picture that was used.
 
     Parameters
     ----------
@@ -141,13 +141,13 @@ def picture_errors(calibration: Calibration) -> tuple[PictureError, ...]:
 
 @dataclass(frozen=True, slots=True)
 class LengthCheck:
-    """Lengths on boards that took no part in the calibration they are measured with.
+    """Lengths on boards held out from the calibration that measures them.
 
     Attributes
     ----------
-    views : int                     boards measured
-    error : float [-]               mean of measured over true, less one
-    scatter : float [-]             standard deviation of one of them
+    views : int                     number of board views measured
+    error : float [-]               mean ratio of measured to true size, minus one
+    scatter : float [-]             standard deviation of a single ratio
     """
 
     views: int
@@ -156,7 +156,7 @@ class LengthCheck:
 
 
 def length_check(calibration: Calibration) -> LengthCheck | None:
-    """Calibrate without some of the views and measure the board in these.
+    """Calibrate without a quarter of the views, and measure the size of the board in those.
 
     Parameters
     ----------
@@ -164,8 +164,9 @@ def length_check(calibration: Calibration) -> LengthCheck | None:
 
     Returns
     -------
-    LengthCheck or None             None for a single camera, too few views, or too few that two
-                                    cameras share
+    LengthCheck or None             None for a single camera, fewer than 12 views, or fewer than two
+                                    held-out ones that two cameras share; None, too, if the
+                                    calibration of the others fails
     """
     corners, views = calibration.corners, len(calibration.found.views)
     held = np.arange(views) % _FOLD == 0
@@ -186,7 +187,7 @@ def length_check(calibration: Calibration) -> LengthCheck | None:
 
 
 def _scale(rig: Rig, corners: Corners) -> float | None:
-    """Size of a board as measured over its true one, where two cameras see a good part of it.
+    """Ratio of a board's measured to its true size; None if two cameras share too few corners.
 
     Source
     ------
@@ -204,10 +205,10 @@ def _scale(rig: Rig, corners: Corners) -> float | None:
 
 
 def length_sigma(calibration: Calibration) -> float:
-    """Standard deviation of the scale of lengths measured with the rig where the boards were.
+    """Relative standard deviation of the scale of lengths measured where the boards were.
 
-    What all lengths have in common, from the covariance alone: an error of the board's own
-    dimensions is not in it.
+    It is the error common to all lengths, from the covariance alone; an error of the board's own
+    dimensions is not included.
 
     Parameters
     ----------
@@ -225,13 +226,13 @@ def length_sigma(calibration: Calibration) -> float:
         known_rig(calibration),
         points,
     )
-    # How the size of all boards together changes, the root of their variance.
+    # Relative change of the rms extent of all corners under each strain.
     spread = np.cov(points.T)
     return float(np.linalg.norm(np.einsum("ij,mij->m", spread, strains)) / np.trace(spread))
 
 
 def baseline_text(calibration: Calibration, baseline: float) -> str:
-    """How a distance between cameras that was measured otherwise agrees with the boards.
+    """Compare an independently measured distance between two cameras with the calibration.
 
     Parameters
     ----------
@@ -240,12 +241,12 @@ def baseline_text(calibration: Calibration, baseline: float) -> str:
 
     Returns
     -------
-    str                             a line
+    str                             one line, ending in the difference in per cent
 
     Raises
     ------
-    CalibrationError                one camera alone; so far off that the board must have another
-                                    size than was said
+    CalibrationError                there is only one camera, or the difference exceeds 5 %, so that
+                                    the board must have another size than stated
     """
     if len(calibration.cameras) < 2:
         raise CalibrationError("a baseline is between two cameras; this calibration has one")

@@ -1,4 +1,4 @@
-"""Boards found in the pictures of all cameras."""
+"""Detection of calibration boards in the pictures of all cameras."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -18,11 +18,11 @@ from palpate.progress import Progress, silent
 from palpate.vision import read_grey
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-# A pose has six unknowns and a mark gives two numbers: four marks are the least, eight a check.
+# A pose has six unknowns and a mark gives two equations: four are a safe minimum, eight a check.
 _MIN_MARKS = 8
-# A picture is blurred where its edges are so many times as wide as those of its camera usually are.
+# A picture counts as blurred if its edges are this many times wider than its camera's median.
 _BLURRED = 2.0
-# Share of pixels whose slope is less than that of an edge, and how many are looked at.
+# Quantile of the slopes taken as that of an edge, and the number of pixels sampled.
 _STEEPEST, _SAMPLES = 0.998, 200_000
 # A picture: its camera, its instant, its file.
 _Job = tuple[str, str, Path]
@@ -30,17 +30,17 @@ _Job = tuple[str, str, Path]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """What all cameras saw of the boards.
+    """Marks of boards detected by all cameras. A view is one board at one instant.
 
     Attributes
     ----------
     cameras : tuple of c str        names
     sizes : tuple of c (columns, rows) [px]
-    views : tuple of v str          names of the instants and, where there are several, the boards
-    targets : tuple of v int        which board each view is of
-    corners : Corners               of all views, marks by their place on the board
+    views : tuple of v str          names of the instants and, if there are several, of the boards
+    targets : tuple of v int        index of each view's board
+    corners : Corners               of all views, with positions on the board and in the picture
     mark : (m,) int                 number of each corner's mark on its board
-    notes : tuple of str            pictures that were left out, and why, in sentences
+    notes : tuple of str            sentences about pictures that were left out, and why
     """
 
     cameras: tuple[str, ...]
@@ -53,14 +53,13 @@ class Sightings:
 
 
 def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
-    """Calibration pictures of every camera by the names of their instants.
+    """List the calibration pictures of every camera by the names of their instants.
 
-    A folder with a folder per camera; pictures of one instant have the same name, the camera's own
-    name within it apart.
+    Pictures of one instant have the same file name, ignoring the camera's name within it.
 
     Parameters
     ----------
-    place : Path
+    place : Path                    folder with one folder per camera; or with one camera's pictures
 
     Returns
     -------
@@ -68,7 +67,7 @@ def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
 
     Raises
     ------
-    RecordError                     no folder, no cameras in it, a camera without pictures
+    RecordError                     there is no such folder, or there are no pictures in it
     """
     if not place.is_dir():
         raise RecordError(f"{place}: no such folder; give one that has a folder for every camera")
@@ -88,7 +87,7 @@ def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
 
 
 def _instant(stem: str, camera: str) -> str:
-    """The name of a picture without that of its camera: 201_07 of camera 201 is 07."""
+    """File name without the camera's name: 201_07 of camera 201 gives 07."""
     rest = re.sub(rf"(^|[_\-. ]){re.escape(camera)}([_\-. ]|$)", r"\1\2", stem).strip("_-. ")
     return rest or stem
 
@@ -99,22 +98,22 @@ def find_boards(
     *,
     progress: Progress = silent,
 ) -> Sightings:
-    """Find the marks of all boards in all pictures.
+    """Detect the marks of all boards in all pictures.
 
     Parameters
     ----------
     pictures : mapping of camera to mapping of instant to Path
-    targets : sequence of Target    boards that may be seen, each at its own pose
+    targets : sequence of Target    boards that may be visible, each with its own pose
     progress : callable
 
     Returns
     -------
-    Sightings                       of views with a board in at least one camera
+    Sightings                       of views in which at least one camera sees a board
 
     Raises
     ------
-    RecordError                     a picture that cannot be read
-    CalibrationError                pictures of one camera of different size; no board found
+    RecordError                     a picture cannot be read
+    CalibrationError                pictures of one camera differ in size; no board was found
     """
     jobs = [(c, name, path) for c, by in pictures.items() for name, path in by.items()]
 
@@ -136,11 +135,11 @@ def find_boards(
 
 
 def _edge_width(grey: UInt8[np.ndarray, "rows columns"], seen: Sequence[Sighting]) -> float:
-    """How wide edges between dark and bright are in the worst direction [px].
+    """Width of edges between dark and bright, in the direction where they are widest [px].
 
-    Contrast over the steepest slopes in it, over the boards or, where none is found, all over; a
-    board has edges in two directions, and a motion leaves those along it sharp. Noise is smoothed
-    away first, so that nothing is narrower than 2.5 px.
+    It is contrast over steepest slope, within the boards or, if none is found, in the whole
+    picture. All directions are tested, since motion blur leaves edges along the motion sharp. The
+    picture is smoothed first, against noise, so that no edge is narrower than 2.5 px.
     """
     pixel = np.concatenate([found.pixel for found in seen])
     part = grey
@@ -164,7 +163,7 @@ def _edge_width(grey: UInt8[np.ndarray, "rows columns"], seen: Sequence[Sighting
 def _blurred(
     jobs: Sequence[_Job], seen: Sequence[Sequence[Sighting]], widths: Sequence[float]
 ) -> dict[int, str]:
-    """Pictures whose edges are far wider than their camera's usually are, each with a sentence."""
+    """Notes on pictures whose edges are far wider than their camera's median, by index."""
     of_camera: dict[str, list[float]] = {}
     for (camera, _, _), width in zip(jobs, widths, strict=True):
         of_camera.setdefault(camera, []).append(width)
@@ -173,7 +172,7 @@ def _blurred(
     for k, ((camera, _, path), boards, width) in enumerate(zip(jobs, seen, widths, strict=True)):
         if width <= _BLURRED * usual[camera]:
             continue
-        # Where no board is found there may be none: an empty picture has no sharp edges either.
+        # Without a board found there may be none: such a picture may have no sharp edges either.
         what = "blurred" if any(len(one.mark) for one in boards) else "no board found, or blurred"
         found[k] = (
             f"{path}: {what}: its edges are {width:.1f} px wide and those of '{camera}' usually"
@@ -183,7 +182,7 @@ def _blurred(
 
 
 def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "rows columns"]:
-    """Grey levels 0 to 255 as bytes.
+    """Round grey levels to bytes, clipped to 0 to 255.
 
     Parameters
     ----------
@@ -197,7 +196,7 @@ def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "ro
 
 
 def _sizes(jobs: Sequence[_Job], sizes: Sequence[tuple[int, int]]) -> dict[str, tuple[int, int]]:
-    """Size of every camera's pictures."""
+    """Size (columns, rows) of every camera's pictures; raises if they differ."""
     found: dict[str, tuple[int, int]] = {}
     for (camera, _, path), size in zip(jobs, sizes, strict=True):
         if found.setdefault(camera, size) != size:
@@ -214,7 +213,7 @@ def _gathered(
     pictures: Sequence[tuple[str, str, Path, list[Sighting]]],
     targets: Sequence[Target],
 ) -> Sightings:
-    """All marks in one list; pictures with too few of them are named."""
+    """Collect all marks in one list, with notes on pictures that have too few."""
     views: dict[tuple[str, int], int] = {}
     parts, notes = [], []
     for camera, instant, path, boards in pictures:

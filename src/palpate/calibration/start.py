@@ -1,4 +1,4 @@
-"""First guess of lenses and poses: each camera alone, then the cameras among each other."""
+"""Initial lenses and poses: each camera by itself, then the cameras relative to each other."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,10 +13,11 @@ from palpate.calibration.targets import Target
 from palpate.errors import CalibrationError
 from palpate.records import camera_matrix, make_pose
 
-# Poses of a board from one camera alone are good to a few degrees, or per cent of its distance;
-# those of two instants differ by more.
+# Largest difference between poses of one board, rotation [rad] plus shift over distance: from one
+# camera alone they are accurate to a few degrees or per cent; at different instants they differ by
+# more.
 _MAX_APART = 0.1
-# Views of a camera below which its lens cannot be separated from the boards' poses.
+# With fewer views, a camera's lens cannot be separated from the boards' poses.
 _MIN_VIEWS = 3
 Pose = Float[np.ndarray, "4 4"]
 
@@ -24,23 +25,24 @@ Pose = Float[np.ndarray, "4 4"]
 def start_bundle(
     found: Sightings, targets: Sequence[Target]
 ) -> tuple[Bundle, Corners, Bool[np.ndarray, " v"]]:
-    """Cameras and boards to start the adjustment from.
+    """Initial cameras and board poses for the bundle adjustment.
 
     Parameters
     ----------
     found : Sightings
-    targets : sequence of Target    that they are of
+    targets : sequence of Target    the boards in `found`
 
     Returns
     -------
     bundle : Bundle
     corners : Corners               those found; marks of boards that look the same after half a
-                                    turn are numbered alike in all cameras
-    odd : (v,) bool                 views that cameras see at different places
+                                    turn are numbered consistently in all cameras
+    odd : (v,) bool                 views whose board poses differ between cameras
 
     Raises
     ------
-    CalibrationError                too few views of a camera; cameras that share no view
+    CalibrationError                too few views of a camera; cameras that share no view; board
+                                    poses of a camera that mostly contradict the others
     """
     inner, poses = [], []
     for c, name in enumerate(found.cameras):
@@ -67,7 +69,7 @@ def start_bundle(
 
 
 def _alone(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, Pose]]:
-    """Lens of one camera and the poses of the boards that it sees."""
+    """Lens of one camera, and the poses of the boards it sees in its own frame."""
     mine = found.corners.chosen(found.corners.camera == c)
     views = np.unique(mine.view)
     points = [mine.point[mine.view == v].astype(np.float32) for v in views]
@@ -75,7 +77,7 @@ def _alone(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, 
     if len(views) < _MIN_VIEWS:
         return np.zeros(9), {int(v): np.eye(4) for v in views}
     size = found.sizes[c]
-    # Where few views leave it open, a lens without its third term starts nearer.
+    # Few views may not determine k3; without it the start is closer.
     _, matrix, lens, turn, shift = cv2.calibrateCamera(
         points, pixels, size, camera_matrix(np.zeros(4)), np.zeros(5), flags=cv2.CALIB_FIX_K3
     )
@@ -90,8 +92,8 @@ def _alone(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, 
 def _placed(
     found: Sightings, targets: Sequence[Target], poses: Sequence[Mapping[int, Pose]]
 ) -> tuple[list[Pose], list[Pose], list[tuple[int, int]], list[int]]:
-    """Poses of cameras and views in the first camera's frame; (camera, view) that are turned; views
-    that cameras see at different places."""
+    """Poses of cameras and views in the first camera's frame; pairs (camera, view) whose marks are
+    numbered the other way round; views whose poses differ between cameras."""
     camera: dict[int, Pose] = {0: np.eye(4)}
     view: dict[int, Pose] = dict(poses[0])
     turned: list[tuple[int, int]] = []
@@ -127,7 +129,7 @@ def _placed(
 
 
 def half_turn(target: Target) -> Pose | None:
-    """The motion that takes a target onto its equal-looking self; None where there is none.
+    """Half-turn symmetry of a target: the motion that maps it onto itself; None if it has none.
 
     Parameters
     ----------
@@ -150,8 +152,8 @@ def _agreed(
     shared: Sequence[int],
     turns: Mapping[int, Pose | None],
 ) -> tuple[Pose, list[int], list[float]]:
-    """The pose of a camera on which most views agree, the views that are turned for it, and how far
-    every shared view is from it."""
+    """Pose of a camera with the smallest median distance to those from the shared views; the views
+    seen after half a turn; and the distance of every shared view from it."""
     tries: list[list[Pose]] = []
     for v in shared:
         back = np.linalg.inv(view[v])

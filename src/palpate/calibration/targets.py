@@ -1,4 +1,4 @@
-"""Targets to calibrate with: where their marks are, and how a picture of them is read."""
+"""Calibration targets: positions of their marks, and detection of the marks in a picture."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -11,11 +11,12 @@ from palpate.errors import InputError
 from palpate.shapes import Points
 
 Grey = UInt8[np.ndarray, "rows columns"]
-# Half side of the window in which a corner's place is refined: of what is free around it, and [px].
+# Half side of the window for refining a corner: fraction of the free distance to other corners, and
+# limits [px].
 _FREE_SHARE, _MIN_WINDOW_PX, _MAX_WINDOW_PX = 0.9, 2, 11
-# Larger pictures are searched at a part of their size, and the corners refined in the whole.
+# Larger pictures are searched at reduced size, and the corners refined at full size.
 _MAX_SEARCHED_PX = 1600
-# More marks each way no target has, and no picture shows.
+# Largest number of marks in each direction.
 _MOST_MARKS = 1000
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 DICTIONARIES = {
@@ -41,18 +42,18 @@ class Sighting:
 
 @runtime_checkable
 class Target(Protocol):
-    """A flat pattern whose marks can be found in a picture."""
+    """A flat pattern whose marks can be detected in a picture."""
 
     @property
     def points(self) -> Points:
-        """Place of every mark in the target's frame, z = 0, (n, 3) float [m]."""
+        """Position of every mark in the target's frame, z = 0, (n, 3) float [m]."""
 
     @property
     def turned(self) -> Int[np.ndarray, " n"] | None:
-        """Numbers of the marks after half a turn, where the target then looks the same; or None."""
+        """Numbers of the marks after half a turn, if the target then looks the same; else None."""
 
     def find(self, picture: Grey) -> Sighting:
-        """Marks that a picture shows; none where the target is not seen.
+        """Detect the marks in a picture; the sighting is empty if the target is not found.
 
         Parameters
         ----------
@@ -73,7 +74,7 @@ def _check_grid(columns: int, rows: int, spacing: float, *, fewest: int = 2) -> 
 
 
 def _grid(columns: int, rows: int, spacing: float) -> Points:
-    """Places of a grid, row by row."""
+    """Points of a grid, row by row, (columns * rows, 3)."""
     place = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     return spacing * np.column_stack([place, np.zeros(len(place))])
 
@@ -86,6 +87,11 @@ class Chessboard:
     ----------
     columns, rows : int             inner corners, one less than squares
     square : float [m]              side of a square
+
+    Raises
+    ------
+    InputError                      fewer than 3 or more than 1000 corners in a direction, or a side
+                                    that is not positive
     """
 
     columns: int
@@ -93,7 +99,7 @@ class Chessboard:
     square: float
 
     def __post_init__(self) -> None:
-        # The search takes no fewer.
+        # OpenCV's detector needs at least three.
         _check_grid(self.columns, self.rows, self.square, fewest=3)
 
     @property
@@ -103,7 +109,7 @@ class Chessboard:
 
     @property
     def turned(self) -> Int[np.ndarray, " n"] | None:
-        """See `Target`; half a turn swaps black and white unless both numbers are alike."""
+        """See `Target`; here the marks always count as looking the same after half a turn."""
         return np.arange(self.columns * self.rows)[::-1].copy()
 
     def find(self, picture: Grey) -> Sighting:
@@ -117,7 +123,7 @@ class Chessboard:
         seen = _whole(found, pixel)
         if len(seen.mark) == 0:
             return seen
-        # The search is good to a third of a pixel, the saddle of the grey levels to a thirtieth.
+        # The detector is accurate to 1/3 px, the saddle point of the grey levels to 1/30 px.
         place = scale * (seen.pixel + 0.5) - 0.5
         return Sighting(seen.mark, _refined(picture, place, self.points, 0.5 * self.square))
 
@@ -128,10 +134,15 @@ class Circles:
 
     Parameters
     ----------
-    columns, rows : int             circles; of an asymmetric grid those of a row, and the rows
-    spacing : float [m]             between centres; of an asymmetric grid half the distance of
-                                    neighbours in a row, which is the distance of the rows
-    asymmetric : bool               every other row is shifted
+    columns, rows : int             circles in a row, and rows
+    spacing : float [m]             between centres; in an asymmetric grid, between rows, which is
+                                    half the distance of neighbours in a row
+    asymmetric : bool               every other row is shifted by `spacing`
+
+    Raises
+    ------
+    InputError                      fewer than 2 or more than 1000 circles in a direction, or a
+                                    spacing that is not positive
     """
 
     columns: int
@@ -153,7 +164,7 @@ class Circles:
 
     @property
     def turned(self) -> Int[np.ndarray, " n"] | None:
-        """See `Target`; an asymmetric grid of an odd number of rows looks different."""
+        """See `Target`; None for an asymmetric grid with an odd number of rows."""
         if self.asymmetric and self.rows % 2 == 1:
             return None
         return np.arange(self.columns * self.rows)[::-1].copy()
@@ -165,21 +176,26 @@ class Circles:
         seen = _whole(found, pixel)
         if not (self.asymmetric and self.rows % 2 == 0 and len(seen.mark)):
             return seen
-        # OpenCV begins an even number of rows with the second, then the first, the fourth, ...
+        # With an even number of rows, OpenCV swaps them in pairs: second, first, fourth, third, ...
         pairs = seen.pixel.reshape(-1, 2, self.columns, 2)
         return Sighting(seen.mark, np.ascontiguousarray(pairs[:, ::-1]).reshape(-1, 2))
 
 
 @dataclass(frozen=True, slots=True)
 class Charuco:
-    """A chessboard with a marker in every white square; parts of it are enough.
+    """A ChArUco board: a chessboard with a marker in every white square; may be partly hidden.
 
     Parameters
     ----------
-    columns, rows : int             squares
-    square, marker : float [m]      sides
+    columns, rows : int             squares, at least 3 in each direction
+    square, marker : float [m]      sides, 0 < marker < square
     dictionary : str                of the markers, one of `DICTIONARIES`
-    first : int                     number of its first marker: boards beside each other differ
+    first : int                     number of its first marker; boards used together must differ
+
+    Raises
+    ------
+    InputError                      a number or side out of range, an unknown dictionary, or one
+                                    with too few markers
     """
 
     columns: int
@@ -205,13 +221,13 @@ class Charuco:
 
     @property
     def turned(self) -> Int[np.ndarray, " n"] | None:
-        """See `Target`; its markers say which way up it is."""
+        """See `Target`; None, because the markers define the orientation."""
         return None
 
     def find(self, picture: Grey) -> Sighting:
         """See `Target`."""
-        # One marker beside a corner is enough: at the picture's rim the other is cut off, and rims
-        # say most of a lens.
+        # One marker beside a corner is enough: at the edge of the picture, which constrains the
+        # distortion most, the other may be cut off.
         ask = cv2.aruco.CharucoParameters()
         ask.minMarkers = 1
         corners, ids, _, _ = cv2.aruco.CharucoDetector(self._board(), ask).detectBoard(picture)
@@ -222,7 +238,7 @@ class Charuco:
         return Sighting(mark, _refined(picture, corners.reshape(-1, 2), self.points[mark], free))
 
     def drawing(self, pixels_per_square: int) -> Grey:
-        """The board as it is printed.
+        """Picture of the board for printing.
 
         Parameters
         ----------
@@ -244,14 +260,19 @@ class Charuco:
 
 @dataclass(frozen=True, slots=True)
 class AprilGrid:
-    """A grid of AprilTags or ArUco markers; its marks are their four corners each.
+    """A grid of AprilTags or ArUco markers; its marks are the four corners of each.
 
     Parameters
     ----------
-    columns, rows : int             tags
-    tag, gap : float [m]            side of a tag, white between two of them
+    columns, rows : int             tags, at least 1 in each direction
+    tag, gap : float [m]            side of a tag, and white gap between two tags; > 0
     dictionary : str                one of `DICTIONARIES`
     first : int                     number of the first tag
+
+    Raises
+    ------
+    InputError                      a number or length out of range, an unknown dictionary, or one
+                                    with too few tags
     """
 
     columns: int
@@ -272,14 +293,14 @@ class AprilGrid:
 
     @property
     def points(self) -> Points:
-        """See `Target`; tag by tag, from its first corner clockwise."""
+        """See `Target`; tag by tag, clockwise from each tag's first corner."""
         corner = _grid(self.columns, self.rows, self.tag + self.gap)
         square = self.tag * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
         return (corner[:, None] + square).reshape(-1, 3)
 
     @property
     def turned(self) -> Int[np.ndarray, " n"] | None:
-        """See `Target`; its tags say which way up it is."""
+        """See `Target`; None, because the tags define the orientation."""
         return None
 
     def find(self, picture: Grey) -> Sighting:
@@ -294,7 +315,7 @@ class AprilGrid:
             return _NOTHING
         pixel = np.stack(corners).reshape(-1, 4, 2)[known].reshape(-1, 2).astype(np.float64)
         mark = (4 * number[known, None] + np.arange(4)).ravel()
-        # A tag's rim is as wide as one of its eight modules.
+        # The border of a tag is as wide as one of its eight modules.
         free = 0.75 * min(self.gap, self.tag / 8.0)
         return Sighting(mark, _refined(picture, pixel, self.points[mark], free))
 
@@ -309,7 +330,7 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _check_numbers(first: int, count: int, dictionary: str) -> None:
-    """Refuse markers that a dictionary does not have."""
+    """Raise if the dictionary does not have the markers."""
     has = len(_dictionary(dictionary).bytesList)
     if first < 0 or first + count > has:
         raise InputError(
@@ -319,7 +340,7 @@ def _check_numbers(first: int, count: int, dictionary: str) -> None:
 
 
 def _whole(found: bool, pixel: np.ndarray | None) -> Sighting:
-    """All marks of a target, or none."""
+    """Sighting of all marks of a target, or of none."""
     if not found or pixel is None:
         return _NOTHING
     pixel = pixel.reshape(-1, 2).astype(np.float64)
@@ -327,7 +348,7 @@ def _whole(found: bool, pixel: np.ndarray | None) -> Sighting:
 
 
 def _shrunk(picture: Grey) -> tuple[Grey, float]:
-    """A picture small enough to be searched, and how many pixels one of its own stands for."""
+    """Reduce a picture to a searchable size; also returns the reduction factor (whole number)."""
     scale = max(picture.shape) / _MAX_SEARCHED_PX
     if scale <= 1.0:
         return picture, 1.0
@@ -340,8 +361,8 @@ def _shrunk(picture: Grey) -> tuple[Grey, float]:
 def _refined(
     picture: Grey, pixel: Float[np.ndarray, "k 2"], points: Points, free: float
 ) -> Float[np.ndarray, "k 2"]:
-    """Corners refined by the grey levels around them, `free` [m] of other corners."""
-    # Of a tilted board other corners are nearest along the direction in which it looks shortest.
+    """Refine corners to sub-pixel accuracy; around each, `free` [m] on the target is empty."""
+    # On a tilted board, other corners are nearest in the direction of strongest foreshortening.
     flat = points[:, :2] - points[:, :2].mean(axis=0)
     slope = np.linalg.lstsq(flat, pixel - pixel.mean(axis=0), rcond=None)[0]
     pixels_per_metre = float(np.linalg.svd(slope, compute_uv=False)[-1])

@@ -1,8 +1,8 @@
-"""Whether boards moved while cameras took them: a shutter that rolls, or no common instant.
+"""Detection of timing errors while boards move: a rolling shutter, or unsynchronised cameras.
 
-Nobody needs to tell how a board moved. What the adjustment leaves of a view is compared with what a
-velocity of its board would leave: where rows are read one after another, each row is shifted by the
-time at which it is read; where a camera is late, all of its corners are.
+The motion of the board need not be known. The residuals of a view are compared with those that a
+velocity of its board would cause: with a rolling shutter, each row is shifted by the time at which
+it is read; if a camera is late, all its corners are shifted.
 """
 
 import numpy as np
@@ -11,8 +11,8 @@ from jaxtyping import Float
 from palpate.calibration.adjustment import view_slopes
 from palpate.calibration.calibrate import Calibration
 
-# Velocities explain so much of the variance that is left, their number taken into account; and by
-# rows so much more than by columns: what a bent board leaves they follow, too, by both alike.
+# Minimum fraction of the residual variance explained by velocities, adjusted for their number; and
+# its minimum excess for rows over columns, because a bent board is fitted equally well by both.
 _MUCH, _MORE = 0.3, 0.1
 _POSE, _VELOCITY = 6, 3
 _ROLLS = (
@@ -27,7 +27,7 @@ _LATE = (
 
 
 def timing_note(calibration: Calibration) -> str:
-    """Whether velocities of the boards explain what is left of the corners.
+    """Note on timing errors, if velocities of the boards explain the residuals of the corners.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def timing_note(calibration: Calibration) -> str:
 
     Returns
     -------
-    str                             empty where they do not; else the cause and the cure
+    str                             cause and remedy; empty if they do not
     """
     names, sizes = calibration.found.cameras, calibration.found.sizes
     corners = calibration.corners
@@ -57,17 +57,18 @@ def timing_note(calibration: Calibration) -> str:
 
 
 def explained_by_velocity(calibration: Calibration, late: Float[np.ndarray, " m"]) -> float:
-    """Share of the variance of the corners that a velocity of every view's board takes away.
+    """Fraction of the residual variance of the corners explained by a velocity of each board.
 
     Parameters
     ----------
     calibration : Calibration
-    late : (m,) float               when each corner was seen, in any unit
+    late : (m,) float               time at which each corner was recorded, in any unit
 
     Returns
     -------
-    float                           of the variance left by a pose a view, 0 where velocities take
-                                    away no more than as many other numbers would; at most 1
+    float [-]                       relative to the variance left by a pose per view, adjusted for
+                                    degrees of freedom; 0 (no more than as many arbitrary terms
+                                    would explain) to 1
     """
     adjusted, corners = calibration.adjusted, calibration.corners
     unit = 1.0 / adjusted.noise[corners.camera]
@@ -93,8 +94,8 @@ def explained_by_velocity(calibration: Calibration, late: Float[np.ndarray, " m"
 
 
 def _independent(terms: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n r"]:
-    """Orthogonal columns that span all terms; what a camera that alone sees a view is late by is
-    part of the pose already."""
+    """Orthonormal basis of the span of all terms. They may be dependent: if one camera alone sees a
+    view, its delay is already part of the pose."""
     size = np.linalg.norm(terms, axis=0)
     base, values, _ = np.linalg.svd(terms[:, size > 0.0] / size[size > 0.0], full_matrices=False)
     return base[:, values > 1e-9 * values[0]]

@@ -1,8 +1,8 @@
-"""Pictures of boards out of videos: frames in which the board is held still.
+"""Pictures of boards from videos: frames in which the board is held still.
 
-Frames of one number are of one instant. Of every stretch of the videos the frame is taken in which
-least moves in the camera where most does, so that neither blur nor a shutter that rolls nor a few
-milliseconds between the cameras matter.
+Frames of the same number show the same instant. From every section of the videos the frame is
+chosen whose largest motion over the cameras is smallest, so that motion blur, rolling shutter and
+synchronisation errors of a few milliseconds do not matter.
 """
 
 from collections.abc import Mapping
@@ -18,31 +18,31 @@ from palpate.errors import CalibrationError, RecordError
 from palpate.progress import Progress, silent
 from palpate.vision import VIDEO_SUFFIXES, video_frames
 
-# At most so many stretches, each of so many frames at least.
+# Maximum number of sections, and minimum number of frames in each.
 _STRETCHES, _FEWEST_FRAMES = 60, 5
-# Width that frames are shrunk to before they are compared [px].
+# Width to which frames are reduced for comparison [px].
 _SMALL = 160
-# Videos of one trigger differ by a frame or two at their ends.
+# Largest difference in length, as a fraction; videos with one trigger differ by a frame or two.
 _MAX_EXTRA = 0.02
-# A board that no camera sees this far from where it was says nothing new [share of the width].
+# A view is new if the board has moved by more than this fraction of the picture's width.
 _NEWS = 0.015
 
 
 def find_videos(place: Path) -> dict[str, Path]:
-    """Videos of boards, one a camera.
+    """List the videos of boards, one per camera.
 
     Parameters
     ----------
-    place : Path                    folder of videos named like the cameras, or with a folder for
-                                    every camera that has its video
+    place : Path                    folder of videos named after the cameras, or with a folder for
+                                    every camera that contains its video
 
     Returns
     -------
-    dict of camera to Path          sorted; none where the folder has no videos
+    dict of camera to Path          sorted; empty if the folder has no videos
 
     Raises
     ------
-    RecordError                     no folder; a camera with several videos
+    RecordError                     there is no such folder, or a camera has several videos
     """
     if not place.is_dir():
         raise RecordError(f"{place}: no such folder; give one that has a folder for every camera")
@@ -62,23 +62,22 @@ def find_videos(place: Path) -> dict[str, Path]:
 def still_frames(
     videos: Mapping[str, Path], folder: Path, *, progress: Progress = silent
 ) -> dict[str, dict[str, Path]]:
-    """Take the stillest frames out of videos and write them as pictures.
+    """Extract the frames with the least motion from videos and write them as pictures.
 
     Parameters
     ----------
     videos : mapping of camera to Path
-    folder : Path                   where a folder of every camera is made
+    folder : Path                   where a folder is made for every camera
     progress : callable
 
     Returns
     -------
-    dict of camera to dict of instant to Path   pictures, the number of the frame is the name of the
-                                    instant
+    dict of camera to dict of instant to Path   pictures; the instant is named by its frame number
 
     Raises
     ------
-    RecordError                     a video that cannot be decoded
-    CalibrationError                videos of different length
+    RecordError                     a video cannot be decoded, or a picture not written
+    CalibrationError                the videos differ in length
     """
     motion = {}
     for k, (camera, video) in enumerate(videos.items()):
@@ -103,7 +102,7 @@ def _name(number: int) -> str:
 
 
 def _motion(video: Path) -> Float[np.ndarray, " n"]:
-    """Mean change of grey levels of every frame to the one before; the first's is the second's."""
+    """Mean absolute change of grey levels from the previous frame; the first repeats the second."""
     before, change = None, []
     for _, grey in video_frames(video):
         scale = _SMALL / grey.shape[1]
@@ -126,7 +125,7 @@ def _check_lengths(videos: Mapping[str, Path], counts: Mapping[str, int]) -> Non
 
 
 def _written(video: Path, chosen: list[int], folder: Path) -> dict[str, Path]:
-    """Chosen frames of a video as pictures."""
+    """Write the chosen frames of a video as pictures."""
     folder.mkdir(parents=True)
     wanted, files = set(chosen), {}
     for number, (_, grey) in enumerate(video_frames(video)):
@@ -138,9 +137,9 @@ def _written(video: Path, chosen: list[int], folder: Path) -> dict[str, Path]:
 
 
 def without_repeats(found: Sightings) -> Sightings:
-    """Sightings without views in which the board is where an earlier one has it.
+    """Drop views in which the board is where it was in an earlier one.
 
-    A board that was held still for long would count as often as it was filmed.
+    Otherwise a board that is held still for long would be counted many times.
 
     Parameters
     ----------
@@ -148,7 +147,7 @@ def without_repeats(found: Sightings) -> Sightings:
 
     Returns
     -------
-    Sightings                       with a note of how many went
+    Sightings                       with a note on how many were dropped
     """
     corners, keep = found.corners, []
     kept: list[dict[tuple[int, int], np.ndarray]] = []
@@ -183,7 +182,7 @@ def _same(
     second: Mapping[tuple[int, int], np.ndarray],
     sizes: tuple[tuple[int, int], ...],
 ) -> bool:
-    """Whether a board lies in both views at the same place in every camera."""
+    """Whether two views show a board at the same place, by the median motion of common marks."""
     common = first.keys() & second.keys()
     if 2 * len(common) < max(len(first), len(second)):
         return False

@@ -1,9 +1,9 @@
 """From views, scans or broken meshes to one closed surface with even triangles.
 
-Purpose    : the mesh of an object for a person who has scanned it, printed it or drawn it.
+Purpose    : the mesh of an object that was scanned, printed or drawn.
 Takes      : surfaces as triangles, closed or not; points, depth maps and pictures of views.
-Gives      : `PreparedSurface` and `ScannedSurface`: a surface that the boundary element model
-             takes, what was mended or guessed, and how well it is known.
+Gives      : `PreparedSurface` and `ScannedSurface`: a surface fit for the boundary element model,
+             with its repairs, guessed parts and uncertainty.
 Depends on : `vision`, `geometry`, `records`.
 Read first : `prepare.py`, `mending/mend.py`, `remesh.py`; `scan.py`, `joining/fusion.py`.
 """

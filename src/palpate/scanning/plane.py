@@ -1,4 +1,4 @@
-"""A plane that an object stands on."""
+"""A plane, such as the support that an object stands on."""
 
 import re
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A plane by a point and its normal.
+    """A plane given by a point and its normal.
 
     Parameters
     ----------
     point : (3,) float [m]
-    normal : (3,) float             made a unit vector
+    normal : (3,) float             normalised to unit length
 
     Raises
     ------
-    InputError                      the normal is zero, or a number not finite
+    InputError                      the normal is zero, or a number is not finite
     """
 
     point: Vector3
@@ -39,21 +39,21 @@ class Plane:
         object.__setattr__(self, "normal", fixed_array(normal / length, name="normal", shape=(3,)))
 
     def heights(self, points: Points) -> PointScalars:
-        """Distance of points from the plane, positive on the side of the normal [m]."""
+        """Signed distance of points from the plane, positive on the side of the normal [m]."""
         return (points - self.point) @ self.normal
 
     def projected(self, points: Points) -> Points:
-        """The points of the plane below or above points [m]."""
+        """Orthogonal projection of points onto the plane [m]."""
         return points - self.heights(points)[:, None] * self.normal
 
 
 def plane_from_text(text: str, *, metres_per_unit: float = 1.0) -> Plane:
-    """A plane as it is said on the command line.
+    """Parse a plane as given on the command line.
 
     Parameters
     ----------
     text : str                      `z=0` or `x=-12.5`, or a point and a normal, `0,0,0,0,0.1,1`
-    metres_per_unit : float         length of the unit of its lengths
+    metres_per_unit : float         length unit of the text [m]
 
     Returns
     -------
@@ -61,7 +61,7 @@ def plane_from_text(text: str, *, metres_per_unit: float = 1.0) -> Plane:
 
     Raises
     ------
-    InputError                      anything else
+    InputError                      the text has neither form
     """
     words = [word for word in re.split(r"[\s,;]+", text.strip()) if word]
     axis, equals, value = text.replace(" ", "").partition("=")
@@ -81,7 +81,7 @@ def plane_from_text(text: str, *, metres_per_unit: float = 1.0) -> Plane:
 
 
 def plane_text(plane: Plane) -> str:
-    """A plane as `plane_from_text` reads it, in metres.
+    """Format a plane as `plane_from_text` reads it, in metres.
 
     Parameters
     ----------
@@ -89,6 +89,6 @@ def plane_text(plane: Plane) -> str:
 
     Returns
     -------
-    str                             six numbers
+    str                             six numbers, point and normal
     """
     return ",".join(f"{x + 0.0:.5g}" for x in (*plane.point, *plane.normal))

@@ -1,4 +1,4 @@
-"""A surface mended and remeshed for the boundary element model, with what that cost."""
+"""Mending and remeshing a surface for the boundary element model, with the deviation caused."""
 
 from dataclasses import dataclass
 
@@ -19,11 +19,11 @@ class PreparedSurface:
 
     Attributes
     ----------
-    given : TriangleMesh            as it came
-    mended : TriangleMesh           closed, manifold, outward
-    mesh : TriangleMesh             the same with even triangles
-    actions : tuple of Action       what was mended
-    guessed : (m,) bool             triangles of `mesh` that nobody measured
+    given : TriangleMesh            the input
+    mended : TriangleMesh           closed, manifold, outward normals
+    mesh : TriangleMesh             the mended surface, remeshed evenly
+    actions : tuple of Action       repairs
+    guessed : (m,) bool             triangles of `mesh` that close holes and were not measured
     deviation : Deviation           of `mesh` from `mended`
     quality : MeshQuality           of `mesh`
     """
@@ -45,14 +45,14 @@ def prepare_surface(
     support: Plane | None = None,
     progress: Progress = silent,
 ) -> PreparedSurface:
-    """Mend a surface and cover it with even triangles.
+    """Mend a surface and remesh it evenly.
 
     Parameters
     ----------
-    given : TriangleMesh            welded; open, turned, folded, in pieces
-    vertices : int                  wanted
-    near : (n, 3) float [m] or None where triangles are to be finer
-    support : Plane or None         that the object stood on
+    given : TriangleMesh            welded; may be open, inconsistently oriented, folded, in pieces
+    vertices : int                  wanted number
+    near : (n, 3) float [m] or None points near which triangles are to be finer
+    support : Plane or None         plane on which the object stood
     progress : callable
 
     Returns
@@ -62,7 +62,7 @@ def prepare_surface(
     Raises
     ------
     InputError                      vertices out of range, `near` away from the surface
-    MeshError                       the surface cannot be mended: why, and where
+    MeshError                       the surface cannot be mended or remeshed; says why, and where
     """
     progress("mending", 0.0)
     mended = mend(given, support)
@@ -81,7 +81,7 @@ def prepare_surface(
 
 
 def _guessed(mesh: TriangleMesh, patches: TriangleMesh | None) -> Bool[np.ndarray, " m"]:
-    """Triangles that lie on patches; nearer than a chord of theirs may be off a bent surface."""
+    """Triangles that lie on patches, within the distance by which chords miss a curved surface."""
     if patches is None:
         return np.zeros(len(mesh.triangles), dtype=bool)
     centre = mesh.vertices[mesh.triangles].mean(axis=1)

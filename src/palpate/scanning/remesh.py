@@ -1,4 +1,4 @@
-"""Even triangles over a closed surface, finer near given points, as many as asked for."""
+"""Even remeshing of a closed surface to a wanted number of vertices, finer near given points."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -20,15 +20,15 @@ from palpate.scanning.mending import adapted, distances, place_text
 from palpate.scanning.plane import Plane
 from palpate.shapes import Points, Vertices
 
-# Edges at the given points over edges far away, and how fast they grow with the distance.
+# Ratio of edge lengths at the given points and far away, and growth of edges per distance.
 FINER = 1.0 / 3.0
 _GROWTH = 0.25
-# Triangles before the last pass, over those after it: sizes are told at their vertices.
+# Ratio of triangles before and after the last pass: wanted sizes are sampled at their vertices.
 _OVERSAMPLING = 4.0
 _TRIES, _CLOSE = 6, 0.03
 _OTHERWISE = (0.97, 1.03, 0.92)
 _FEWEST, _MOST = 50, 50_000
-# A wall thinner than this, in edges of its own triangles, cannot be told from a sheet.
+# A wall thinner than this, in edges of its own triangles, cannot be distinguished from a sheet.
 _THINNEST = 0.5
 
 
@@ -40,16 +40,17 @@ def remeshed(
     creases: bool = True,
     support: Plane | None = None,
 ) -> TriangleMesh:
-    """The same surface with about so many vertices, evenly, its creases kept.
+    """Remesh a surface evenly with about a given number of vertices, preserving creases.
 
     Parameters
     ----------
-    mesh : TriangleMesh             closed, manifold, outward
-    vertices : int                  wanted, 50 to 50000; reached within some per cent
-    near : (n, 3) float [m] or None where edges are to be a third as long as far away
+    mesh : TriangleMesh             closed, manifold, outward normals
+    vertices : int                  wanted number, 50 to 50000; reached within some per cent
+    near : (n, 3) float [m] or None points at which edges are to be a third as long as far away
     creases : bool                  keep edges where the surface turns by more than 40 degrees; on
                                     a scan these are noise
-    support : Plane or None         without creases: keep the edges where the surface leaves it
+    support : Plane or None         plane whose boundary edges with the surface are kept; for
+                                    `creases` False
 
     Returns
     -------
@@ -57,8 +58,8 @@ def remeshed(
 
     Raises
     ------
-    InputError                      vertices out of range, `near` away from the surface
-    MeshError                       so few triangles cannot follow the surface: it names the place
+    InputError                      `vertices` out of range, or `near` far from the surface
+    MeshError                       too few triangles to follow the surface; names the place
 
     Source
     ------
@@ -69,7 +70,7 @@ def remeshed(
         raise InputError(f"{vertices} vertices are asked for; must be {_FEWEST} to {_MOST}")
     if near is not None:
         _check_near(near, mesh)
-    # Of equal-sided triangles with edge h, 2 a vertex.
+    # Edge of equilateral triangles, with two triangles per vertex.
     edge = np.sqrt(2.0 * float(triangle_areas(mesh).sum()) / (np.sqrt(3.0) * vertices))
     keep: dict[str, Any] = {"creases": creases, "support": support}
     base = _base(mesh, edge, near, keep)
@@ -86,7 +87,7 @@ def remeshed(
         return _accepted(tries[0][1])
     except MeshError as error:
         reason = error
-    # A little finer or coarser, a fold may be gone.
+    # A slightly finer or coarser mesh may not have the fold.
     for factor in _OTHERWISE:
         found = adapted(base, factor * scale * _sizes(base.vertices, edge, near), onto=mesh, **keep)
         with suppress(MeshError):
@@ -109,14 +110,14 @@ def _check_near(near: Points, mesh: TriangleMesh) -> None:
 def _base(
     mesh: TriangleMesh, edge: float, near: Points | None, keep: Mapping[str, Any]
 ) -> TriangleMesh:
-    """The surface with triangles small enough to carry the sizes."""
+    """The surface with triangles small enough to sample the wanted sizes."""
     smallest = edge * (1.0 if near is None else FINER)
     wanted = smallest / np.sqrt(_OVERSAMPLING)
     corner = mesh.vertices[mesh.triangles]
     longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
     if float(np.quantile(longest, 0.95)) <= 1.5 * wanted:
         return mesh
-    # Sizes that change are told at vertices that must be there first.
+    # Varying sizes are sampled at vertices, so these must be dense enough first.
     fine = np.sqrt(_OVERSAMPLING)
     even = adapted(mesh, np.full(len(mesh.vertices), edge / fine), **keep)
     if near is None:
@@ -125,7 +126,7 @@ def _base(
 
 
 def _sizes(place: Vertices, edge: float, near: Points | None) -> Float[np.ndarray, " v"]:
-    """Wanted length of edges at points [m]."""
+    """Wanted edge length at points [m]."""
     if near is None:
         return np.full(len(place), edge)
     gap, _ = cKDTree(near).query(place)
@@ -133,7 +134,7 @@ def _sizes(place: Vertices, edge: float, near: Points | None) -> Float[np.ndarra
 
 
 def _accepted(mesh: TriangleMesh) -> TriangleMesh:
-    """The surface, or why so few triangles cannot follow it."""
+    """The checked surface; raises if it is invalid or a wall is too thin for its triangles."""
     try:
         sound = checked_mesh(mesh)[0]
     except MeshError as error:

@@ -1,4 +1,4 @@
-"""From the views of an object to its mesh, each vertex with its standard deviation."""
+"""From the views of an object to its mesh, with a standard deviation for each vertex."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,27 +24,29 @@ from palpate.scanning.remesh import remeshed
 from palpate.scanning.views import View
 from palpate.shapes import Points
 
-# The most of a surface that may be guessed where no support says what closes it.
+# Largest fraction of the surface that may be guessed without a support.
 _MOST_GUESSED = 0.10
-# A triangle is measured where points are as near to it, of its edge and of the object's size.
+# A triangle counts as measured if a point is within this fraction of its edge, or of the object's
+# size.
 _NEAR_EDGE, _NEAR_SIZE = 0.5, 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScannedSurface:
-    """A mesh made of views.
+    """A mesh made from views.
 
     Attributes
     ----------
-    mesh : TriangleMesh             closed, manifold, outward
+    mesh : TriangleMesh             closed, manifold, outward normals
     sigma : (v,) float [m]          standard deviation of each vertex along its normal, from the
-                                    points' scatter; without the errors that all points of a view
-                                    share; NaN at creases, on the support and where it is guessed
+                                    scatter of the points, without errors common to all points of a
+                                    view; NaN on the support and where the fit is undetermined, as
+                                    in guessed parts and at creases
     guessed : (m,) bool             triangles that no view shows
-    agreements : tuple of Agreement a view each
+    agreements : tuple of Agreement one per view
     views : tuple of View           in the object's frame
-    distance : (float, float) [m]   of the points from the mesh: median, 95 %
-    volume_std : float [m^3]        that of the measured vertices' sigmas
+    distance : (float, float) [m]   of the points from the mesh: median, 95 % quantile
+    volume_std : float [m^3]        standard deviation of the volume, from the vertices' sigmas
     quality : MeshQuality
     """
 
@@ -66,14 +68,14 @@ def scan_surface(
     support: Plane | None = None,
     progress: Progress = silent,
 ) -> ScannedSurface:
-    """Join views, close what they do not show, and cover it with even triangles.
+    """Join views, close the parts they do not show, and remesh the surface evenly.
 
     Parameters
     ----------
-    views : sequence of View        all with their poses, or none, which are then estimated
-    vertices : int                  wanted
-    near : (n, 3) float [m] or None where triangles are to be finer
-    support : Plane or None         that the object stood on
+    views : sequence of View        all with poses; or all without, which are then estimated
+    vertices : int                  wanted number
+    near : (n, 3) float [m] or None points near which triangles are to be finer
+    support : Plane or None         plane on which the object stood
     progress : callable
 
     Returns
@@ -82,8 +84,9 @@ def scan_surface(
 
     Raises
     ------
-    InputError                      views that do not overlap or contradict each other
-    MeshError                       the surface does not close, or so few triangles cannot follow it
+    InputError                      the views do not overlap or contradict each other, or `vertices`
+                                    or `near` is out of range
+    MeshError                       the surface does not close, or needs more triangles
     """
     views = posed(views, progress=part_of(progress, 0.0, 0.3))
     found = agreements(views)
@@ -123,16 +126,16 @@ def scan_surface(
 
 
 def _guessed(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " m"]:
-    """Triangles away from all points."""
+    """True for triangles far from all points."""
     centre = mesh.vertices[mesh.triangles].mean(axis=1)
     gap, _ = cKDTree(points).query(centre)
-    # Of equal-sided triangles, the edge is 1.52 times the root of the area.
+    # The edge of an equilateral triangle is 1.52 times the square root of its area.
     edge = 1.52 * np.sqrt(triangle_areas(mesh))
     return gap > np.maximum(_NEAR_EDGE * edge, _NEAR_SIZE * bounding_diagonal(mesh))
 
 
 def _check_closed(skin: TriangleMesh, points: Points, support: Plane | None) -> None:
-    """Refuse a surface whose missing side nothing told."""
+    """Raise if too much of the surface is guessed and no support was given."""
     if support is not None:
         return
     guessed = _guessed(skin, points)
@@ -149,7 +152,7 @@ def _check_closed(skin: TriangleMesh, points: Points, support: Plane | None) -> 
 
 
 def _volume_std(mesh: TriangleMesh, sigma: Float[np.ndarray, " v"]) -> float:
-    """Standard deviation of the volume from those of vertices that err by themselves."""
+    """Standard deviation of the volume, from independent errors of the vertices."""
     share = np.zeros(len(mesh.vertices))
     np.add.at(share, mesh.triangles.ravel(), np.repeat(triangle_areas(mesh) / 3.0, 3))
     known = np.isfinite(sigma)

@@ -1,4 +1,4 @@
-"""The files of a surface that is ready for a session: mesh.ply, surface.json, vertex_sigma.csv."""
+"""Files of a surface that is ready for a session: mesh.ply, surface.json, vertex_sigma.csv."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +15,7 @@ MESH_FORMAT = "palpate-mesh/1"
 
 
 def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> None:
-    """Write mesh.ply, in metres, and surface.json; of a scan the sigmas of its vertices, too.
+    """Write mesh.ply, in metres, and surface.json; for a scan also vertex_sigma.csv.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> No
 
 
 def _of_mending(surface: PreparedSurface) -> dict[str, Any]:
-    """What was mended, and how far the mesh is from it."""
+    """Repairs, and the deviation of the mesh from the mended surface."""
     return {
         "actions": [
             {"defect": a.defect, "count": a.count, "place": a.place, "done": a.done}
@@ -56,7 +56,7 @@ def _of_mending(surface: PreparedSurface) -> dict[str, Any]:
 
 
 def _of_views(surface: ScannedSurface) -> dict[str, Any]:
-    """How the views fit each other and the mesh."""
+    """Agreement of the views with each other and with the mesh."""
     return {
         "views": [asdict(one) for one in surface.agreements],
         "distance": {"median": surface.distance[0], "percentile_95": surface.distance[1]},

@@ -1,10 +1,10 @@
 """From the pictures of calibrated cameras to the displacement of the object's surface.
 
-Purpose    : range flow, a 3-D displacement with a covariance at points of the surface, and from it
-             the displacement of the mesh's vertices.
+Purpose    : range flow, i.e. the 3-D displacement of surface points with its covariance, and from
+             it the displacement of the mesh's vertices.
 Takes      : a `Rig`, grey pictures, a triangle surface.
 Gives      : `FlowMethod` with `JointFlow` and `LangPaiFlow`; `RangeFlow`, `VertexDisplacement`;
-             `StereoPoints` and `RigCheck` of a rig's pictures at rest.
+             `StereoPoints` and `RigCheck` from a rig's pictures at rest.
 Depends on : `geometry`, `records`.
 Read first : `range_flow.py`, then `joint/flow.py`, then `lang_pai/flow.py`.
 """

@@ -14,16 +14,16 @@ from palpate.records import INDEPENDENT, PointCorrelation, Rig, SurfaceAverage
 from palpate.shapes import Flags, PointIndices, Points, PointScalars, Triangles, Vertices
 from palpate.vision.cameras import SurfaceMap
 
-# Rounding in a sum of four weights.
+# Tolerance for rounding in a sum of four interpolation weights.
 _ROUNDING = 1e-9
 
 
 class Outcome(IntEnum):
-    """What became of a point of the surface; everything but `VALID` is a reason to reject."""
+    """Outcome of matching a surface point; every value but `VALID` is a reason for rejection."""
 
     VALID = 0
     HIDDEN = 1  # seen at rest by fewer than two cameras
-    TEXTURE = 2  # too little contrast to be followed
+    TEXTURE = 2  # too little contrast to be tracked
     OUTSIDE = 3  # left the picture
     LOST = 4  # the search did not converge
     SCORE = 5  # looks different when loaded: covered by the tool, a highlight, a shadow
@@ -47,21 +47,21 @@ class RangeFlow:
     displacement : (n, 3) float [m]     NaN where rejected
     gradient : (n, 2, 3) float [-]      derivative of the displacement along each tangent; NaN where
                                         rejected or not measured by the method
-    covariance : (n, 3, 3) float [m^2]  of the displacement, noise and bias; NaN where rejected
-    bias : (n, 3, 3) float [m^2]        the part of it that neighbouring points share: systematic
-                                        error of the cameras' matches; NaN where rejected
+    covariance : (n, 3, 3) float [m^2]  of the displacement, noise plus bias; NaN where rejected
+    bias : (n, 3, 3) float [m^2]        the part of the covariance that neighbouring points share:
+                                        systematic matching error; NaN where rejected
     score : (n,) float [-]              lowest normalised cross-correlation over the cameras used
-    reprojection : (n,) float [px]      rms distance between the common displacement seen in each
-                                        camera and what that camera alone would measure
-    cameras : (n,) int                  how many cameras agreed
+    reprojection : (n,) float [px]      rms difference between the common displacement as projected
+                                        into each camera and the one that camera alone measures
+    cameras : (n,) int                  number of cameras that agreed
     outcome : (n,) int                  an `Outcome`
-    through_last : (n,) bool            followed through the instant before, because the first
-                                        picture has become too different there
+    through_last : (n,) bool            matched via the previous instant, because the picture has
+                                        become too different from the first one there
     drift : float [m]                   rms difference between the direct displacement and the one
-                                        through the instant before, over points followed both ways;
-                                        NaN where there is none
+                                        via the previous instant, over points matched both ways;
+                                        NaN where there are none
     noise : (c,) float [grey levels]    standard deviation of each camera's pixel noise
-    subset : int [px]                   side of the window
+    subset : int [px]                   side of the window (subset)
     step : int [px]                     spacing of the points in the reference camera
     shape : (rows, columns)             of the reference camera's picture
     """
@@ -93,10 +93,10 @@ class VertexDisplacement:
     ----------
     displacement : (v, 3) float [m]     NaN where not measured
     covariance : (v, 3, 3) float [m^2]  NaN where not measured
-    count : (v,) int                    points of the range flow that it rests on
+    count : (v,) int                    number of range-flow points used for each vertex
     correlation : PointCorrelation      of the errors of neighbouring vertices
-    average : SurfaceAverage or None    what each displacement is the average of; None: that of the
-                                        vertex alone
+    average : SurfaceAverage or None    the weighted average of the surface's displacement that each
+                                        value represents; None: the vertex's own displacement
     """
 
     displacement: Float[np.ndarray, "v 3"]
@@ -110,9 +110,9 @@ class VertexDisplacement:
 class FlowMethod(Protocol):
     """A method of measuring range flow: a frozen dataclass whose fields are its settings.
 
-    Its laws, which one test holds every method to: no motion gives no displacement, a rigid motion
-    is recovered at points and vertices, the same input gives the same output, and `follow` leaves
-    the state that it is given as it was.
+    Every method must satisfy the following, and one test checks them all: no motion gives zero
+    displacement, a rigid motion is recovered at points and vertices, the same input gives the same
+    output, and `follow` does not modify the state passed to it.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -120,7 +120,7 @@ class FlowMethod(Protocol):
     def start(
         self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
     ) -> Any:
-        """Take in the first instant and choose the points to follow.
+        """Process the first instant and choose the points to track.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class FlowMethod(Protocol):
 
         Returns
         -------
-        state                           known to the method alone
+        state                           opaque; its type is the method's own
 
         Raises
         ------
@@ -141,11 +141,11 @@ class FlowMethod(Protocol):
     def follow(
         self, state: Any, pictures: Sequence[Float[np.ndarray, "_ _"]]
     ) -> tuple[Any, RangeFlow]:
-        """Follow the points to the next instant.
+        """Track the points to the next instant.
 
         Parameters
         ----------
-        state                           of the instant before
+        state                           of the previous instant
         pictures : sequence of c (rows, columns) float [grey levels]
 
         Returns
@@ -177,7 +177,7 @@ class FlowMethod(Protocol):
     def averaged(
         self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
     ) -> VertexDisplacement:
-        """The same with what each displacement is the average of, as far as the method knows.
+        """Add the averaging of the surface's displacement by the windows, if the method knows it.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class FlowMethod(Protocol):
 
         Returns
         -------
-        VertexDisplacement
+        VertexDisplacement              `found` with its `average` set, or unchanged
         """
         ...
 
@@ -208,7 +208,7 @@ def is_valid(flow: RangeFlow) -> Flags:
 
 
 def cause_counts(flow: RangeFlow) -> dict[str, int]:
-    """How many points were rejected for each cause.
+    """Number of points rejected for each cause.
 
     Parameters
     ----------
@@ -216,8 +216,8 @@ def cause_counts(flow: RangeFlow) -> dict[str, int]:
 
     Returns
     -------
-    dict of str to int              by the cause's name in lower case, in the order of `Outcome`;
-                                    zeros included
+    dict of str to int              keyed by the cause's lower-case name, in the order of `Outcome`;
+                                    causes with count zero are included
     """
     return {cause.name.lower(): int((flow.outcome == cause).sum()) for cause in CAUSES}
 
@@ -243,14 +243,14 @@ def grid_points(
     triangles: Triangles,
     step: int,
 ) -> tuple[Int[np.ndarray, "n 2"], Points, Float[np.ndarray, "n 2 3"]]:
-    """Points of a surface behind the pixels of a grid.
+    """Surface points seen at the pixels of a regular grid.
 
     Parameters
     ----------
-    surface : SurfaceMap                what the camera sees of the surface
+    surface : SurfaceMap                the surface point behind each pixel of the camera
     shown : (rows, columns) bool        pixels that may be used
     vertices, triangles : (v, 3) float [m], (m, 3) int
-    step : int [px]                     spacing of the grid, which begins at half of it
+    step : int [px]                     spacing of the grid; its first row and column are step // 2
 
     Returns
     -------
@@ -272,7 +272,7 @@ def grid_points(
 
 
 def grid_triangles(pixel: Float[np.ndarray, "n 2"], step: int) -> Triangles:
-    """Triangles between points on a pixel grid: two for every cell that has all four corners.
+    """Triangulate points on a pixel grid: two triangles for every cell with all four corners.
 
     Parameters
     ----------
@@ -298,8 +298,9 @@ def dense_maps(
 ) -> tuple[Float[np.ndarray, "rows columns 3"], Float[np.ndarray, "rows columns"]]:
     """Displacement and its standard deviation at the pixels of the reference camera.
 
-    Bilinear between the four points around a pixel: they are a quarter of a window apart, so their
-    errors are nearly the same and the error of a pixel is no smaller than theirs.
+    Both are interpolated bilinearly between the four surrounding points. These are about a quarter
+    of a window apart, so their errors are strongly correlated and interpolation does not reduce the
+    standard deviation.
 
     Parameters
     ----------
@@ -308,7 +309,7 @@ def dense_maps(
     Returns
     -------
     displacement : (rows, columns, 3) float32 [m]   NaN where one of the four points was rejected
-    sigma : (rows, columns) float32 [m]             root of the covariance's trace
+    sigma : (rows, columns) float32 [m]             square root of the covariance's trace
     """
     rows, columns = flow.shape
     maps = np.full((5, rows, columns), np.nan)
@@ -317,7 +318,7 @@ def dense_maps(
         offset = flow.pixel[valid][0] % flow.step
         cell = np.rint((flow.pixel[valid] - offset) / flow.step).astype(int)
         low, high = cell.min(axis=0), cell.max(axis=0)
-        # The last plane tells where all four are there: a missing one of no weight does no harm.
+        # The last plane is the weight of valid points: 1 where every point of non-zero weight is.
         grid = np.zeros((5, *(high - low + 1)[::-1]))
         sigma = np.sqrt(np.trace(flow.covariance[valid], axis1=1, axis2=2))
         values = np.vstack([flow.displacement[valid].T, sigma, np.ones(len(sigma))])

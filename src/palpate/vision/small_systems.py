@@ -1,18 +1,18 @@
-"""Symmetric positive definite systems of up to some twenty unknowns, for use within kernels."""
+"""Symmetric positive definite systems of up to about twenty unknowns, for use inside kernels."""
 
 import numpy as np
 from numba import njit
 
-# A pivot below this share of its diagonal is rounding: the unknowns are not determined.
+# A pivot below this fraction of its diagonal entry is rounding error: the system is singular.
 _MIN_PIVOT = 1e-9
 
 
 @njit(cache=True, error_model="numpy")
 def cholesky_kernel(a, least=_MIN_PIVOT):
-    """Replace the lower triangle by the Cholesky factor; False where not positive definite.
+    """Overwrite the lower triangle with the Cholesky factor; False if not positive definite.
 
-    `a` (n, n) float, symmetric, of which only the lower triangle is read. A pivot below `least`
-    (0 to 1) of its diagonal counts as zero.
+    `a` (n, n) float is symmetric; only its lower triangle is read. A pivot below `least` (0 to 1)
+    times its original diagonal entry counts as zero.
 
     Source: Golub and Van Loan, Matrix Computations (2013), chapter 4.
     """
@@ -35,7 +35,7 @@ def cholesky_kernel(a, least=_MIN_PIVOT):
 
 @njit(cache=True, error_model="numpy")
 def cholesky_solve_kernel(factor, right):
-    """Replace the right-hand side, (n,) float, by the solution; `factor` from `cholesky_kernel`."""
+    """Overwrite the right-hand side, (n,) float, with the solution; see `cholesky_kernel`."""
     n = len(right)
     for i in range(n):
         total = right[i]
@@ -51,7 +51,7 @@ def cholesky_solve_kernel(factor, right):
 
 @njit(cache=True, error_model="numpy")
 def cholesky_inverse_kernel(factor, inverse):
-    """Inverse of the matrix whose Cholesky factor is given, written into `inverse`, (n, n)."""
+    """Write the inverse of the matrix with the given Cholesky factor into `inverse`, (n, n)."""
     n = len(factor)
     for j in range(n):
         inverse[j, :] = 0.0

@@ -1,6 +1,7 @@
-"""A rig before an object whose surface is known.
+"""A rig relative to an object of known shape.
 
-Purpose    : the object's pose from pictures of it, and the rig corrected by what they show.
+Purpose    : the object's pose from pictures of it, and a correction of the rig from the same
+             pictures.
 Takes      : a `Rig`, with its covariance if there is one; a mesh; pictures of the object at rest.
 Gives      : `ObjectView` and its files; `Refined`.
 Depends on : `vision`, `geometry`, `records`.

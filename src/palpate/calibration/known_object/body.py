@@ -1,4 +1,4 @@
-"""An object whose surface is known, as what its seen points say of a rig."""
+"""Equations for a rig from measured points on an object of known shape, and the object's pose."""
 
 from dataclasses import dataclass, replace
 
@@ -11,21 +11,21 @@ from palpate.geometry import TriangleMesh, closest_points, compact_groups, unit_
 from palpate.records import Rig, RigCovariance
 from palpate.shapes import Vector3
 
-# How well the size of a mesh is known; points of it farther off than so many robust standard
-# deviations are of something else.
+# Prior standard deviation of the mesh's relative size; and the distance from the mesh, in robust
+# standard deviations, beyond which points belong to something else.
 _MESH_SIZE, _OFF = 0.003, 4.0
-# Compact groups of points: those that share errors of the matching lie in one of them.
+# Number of compact groups of points; points that share matching errors lie in the same group.
 GROUPS = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownSurface:
-    """The surface of the object, and points that the cameras saw of it at one instant.
+    """Surface of the object, and points on it matched between the cameras at one instant.
 
     Attributes
     ----------
     mesh : TriangleMesh
-    pose : (4, 4) float [m]         about where it is: x_mesh = pose x, x in the rig's frame
+    pose : (4, 4) float [m]         approximate pose: x_mesh = pose x, x in the rig's frame
     ties : Ties
     """
 
@@ -36,13 +36,13 @@ class KnownSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """Where the object is, and how much larger than its mesh.
+    """Pose and size of the object during the adjustment.
 
     Attributes
     ----------
     surface : KnownSurface
     pose : (4, 4) float [m]         as in `KnownSurface`
-    larger : float [-]
+    larger : float [-]              relative size of the object to its mesh, minus one
     """
 
     surface: KnownSurface
@@ -52,18 +52,19 @@ class Body:
     def equations(
         self, rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"]
     ) -> tuple[Float[np.ndarray, "u u"], Float[np.ndarray, " u"]]:
-        """Normal equations of the points' distances from the mesh: of steps of the rig, then of a
-        turn, a shift and the size.
+        """Normal equations of the points' distances from the mesh, with the prior of the size.
+
+        The unknowns are k steps of the rig, then rotation, shift and relative size of the object.
 
         Parameters
         ----------
         rig : Rig
-        prior : RigCovariance       names of its p numbers, with their standard deviations
-        scale : (p, k) float        independent steps
+        prior : RigCovariance       its p parameters and their standard deviations
+        scale : (p, k) float        independent steps, see `refine`
 
         Returns
         -------
-        (k + 7, k + 7) float, (k + 7,) float    matrix and right side
+        (k + 7, k + 7) float, (k + 7,) float    normal matrix and right-hand side
         """
         ties, mesh = self.surface.ties, self.surface.mesh
         offset, centre = self._offsets(rig)
@@ -83,7 +84,7 @@ class Body:
         )  # fmt: skip
         weight = (inside & (np.abs(gap) < _OFF * noise)) / noise**2
         score = (weight * gap)[:, None] * rows
-        # Neighbours err together, by overlapping windows and by the mesh.
+        # Neighbouring points share errors, from overlapping windows and from the mesh.
         weight /= max(shared_factor(score[:, -7:], compact_groups(offset, GROUPS)), 1.0)
         matrix = rows.T @ (weight[:, None] * rows)
         right = -rows.T @ (weight * gap)
@@ -92,12 +93,12 @@ class Body:
         return matrix, right
 
     def moved(self, rig: Rig, change: Float[np.ndarray, "7"]) -> "Body":
-        """After a turn about the middle of the points, a shift, and a change of the size.
+        """Apply a rotation about the centroid of the points, a shift, and a change of size.
 
         Parameters
         ----------
         rig : Rig
-        change : (7,) float
+        change : (7,) float         rotation [rad], shift [m], relative size
 
         Returns
         -------
@@ -110,7 +111,7 @@ class Body:
         return replace(self, pose=step @ self.pose, larger=self.larger + float(change[6]))
 
     def _offsets(self, rig: Rig) -> tuple[Float[np.ndarray, "n 3"], Vector3]:
-        """Points about their middle, and this, in the frame of the mesh."""
+        """Points relative to their centroid, and the centroid, in the frame of the mesh [m]."""
         place = places(rig, self.surface.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
         centre = place.mean(axis=0)
         return place - centre, centre

@@ -1,12 +1,12 @@
-"""A rig made better by the pictures of a textured object: points that all cameras see.
+"""Refinement of a rig from pictures of a textured object, by points seen in several cameras.
 
-The rays of all cameras to one point meet, and the points lie on the object's surface. What is left
-of both corrects the numbers of the cameras, each as far as it is not known already: the covariance
-of the calibration is the prior. Rays alone leave size open, and hardly tell how far the cameras
-turn toward each other from how deep the object is; its surface tells that.
+The rays of all cameras to a point must intersect, and the points must lie on the object's surface.
+The residuals of both conditions correct the camera parameters, with the covariance of the
+calibration as the prior. Rays alone do not determine the scale, and hardly separate the angle
+between the cameras from the depth of the object; the known surface does.
 
-Source: Triggs et al., Bundle adjustment: a modern synthesis (2000), with the points eliminated; the
-noise and what neighbours share as in `geometry/registration`.
+Source: Triggs et al., Bundle adjustment: a modern synthesis (2000), with the points eliminated;
+noise and correlation between neighbouring points as in `geometry/registration`.
 """
 
 from dataclasses import dataclass
@@ -24,33 +24,33 @@ from palpate.shapes import PointScalars
 from palpate.vision import calibration_numbers, moved_rig
 
 _MAX_STEPS = 30
-# A step below this many standard deviations of what was known changes nothing; derivatives from
-# before a step below the second are still right.
+# Convergence in prior standard deviations; and the step below which derivatives are not renewed.
 _SMALL_STEP, _NEAR_STEP = 1e-3, 0.05
-# A point is a gross error where chance leaves as much once in a million.
+# A point is a gross error if noise leaves as large a residual with this probability.
 _GROSS = 1e-6
-# Points that took no part must lie nearer by so many standard errors of the difference.
+# Held-out points must improve by this many standard errors of the difference.
 _SIGNIFICANT = 2.0
-# Fewer points say nothing of a rig that a calibration with boards has not said.
+# Fewer points add nothing to a calibration with boards.
 _FEWEST = 60
-# Without a covariance: how far cameras may have moved since [rad, share of their distance].
+# Prior standard deviations without a covariance: rotation [rad], shift as a fraction of the
+# camera's distance from the first.
 _TURN, _SHIFT = np.deg2rad(0.5), 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """A rig after its refinement, or as it was where that made nothing better.
+    """A refined rig, or the given one if the refinement did not improve it.
 
     Attributes
     ----------
     rig : Rig
-    known : RigCovariance           of its numbers
-    better : bool                   False: `rig` is the one that was given
-    points, rejected : int          points used, and gross errors among those given
-    before, after : float [px]      what is left of points that took no part, rms of a coordinate:
-                                    with the rig that was given, with one refined without them
-    moved : str                     the number that changed most, "c1.ry by -2.1 standard
-                                    deviations"; empty where nothing did
+    known : RigCovariance           of its parameters
+    better : bool                   False: `rig` is the given one
+    points, rejected : int          points used, and points rejected
+    before, after : float [px]      rms residual per coordinate of held-out points: with the given
+                                    rig, and with one refined without them
+    moved : str                     the parameter that changed most, e.g. "c1.ry by -2.1 of its
+                                    standard deviations"; empty if `better` is False
     """
 
     rig: Rig
@@ -66,18 +66,19 @@ class Refined:
 def refined_rig(
     rig: Rig, known: RigCovariance | None, ties: Ties, surface: KnownSurface | None = None
 ) -> Refined:
-    """Correct a rig by points that its cameras see, if that makes it better.
+    """Refine a rig from points matched between its cameras, if that improves it.
 
-    Better is a rig that brings the rays of points nearer to each other that took no part in its
-    refinement, every second group of neighbours, by more than chance would.
+    The refinement is accepted if a rig refined from half of the points (every second group of
+    neighbours) significantly reduces the residuals of the other half.
 
     Parameters
     ----------
     rig : Rig
-    known : RigCovariance or None   None: cameras may have turned by half a degree and moved by 1 %
-                                    of their distance from the first, their lenses not
+    known : RigCovariance or None   None: prior standard deviations of half a degree and 1 % of the
+                                    distance for the poses relative to the first camera; exact
+                                    lenses
     ties : Ties                     of all instants
-    surface : KnownSurface or None  None: rays alone
+    surface : KnownSurface or None  None: only the rays are used
 
     Returns
     -------
@@ -116,7 +117,7 @@ def refined_rig(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """A refined rig, the points that had a say, the step of its numbers and their covariance."""
+    """A refined rig, flags of the points used, step of the parameters, and their covariance."""
 
     rig: Rig
     good: Bool[np.ndarray, " n"]
@@ -132,9 +133,9 @@ def _fit(
     label: np.ndarray,
     surface: KnownSurface | None,
 ) -> _Fit:
-    """Gauss-Newton's steps from a rig, in standard deviations of the prior."""
+    """Gauss-Newton iteration from a rig, in units of the prior's standard deviations."""
     count = scale.shape[1]
-    # Steps of the rig; a turn and a shift of the object, and the size of its mesh.
+    # Unknowns: steps of the rig; rotation, shift and relative size of the object.
     total, shared, step = np.zeros(count), 1.0, np.full(count, np.inf)
     body = None if surface is None else Body(surface, surface.pose, 0.0)
     for _ in range(_MAX_STEPS):
@@ -145,7 +146,7 @@ def _fit(
             slope, _ = slopes(here, prior, scale, ties)
         weight = good / (shared * noise**2)
         score = np.einsum("n,nr,nrk->nk", weight, residual, slope)
-        # Without a surface the object stays where it is.
+        # Without a surface the last seven unknowns stay zero.
         matrix, right = np.eye(count + 7), np.zeros(count + 7)
         matrix[:count, :count] += np.einsum("n,nrk,nrl->kl", weight, slope, slope)
         right[:count] = -score.sum(axis=0) - total
@@ -165,15 +166,15 @@ def _fit(
 
 
 def _freedom(ties: Ties) -> PointScalars:
-    """Coordinates seen less those of the point itself."""
+    """Degrees of freedom of each point: observed coordinates minus three."""
     return 2.0 * np.isfinite(ties.pixels).all(axis=2).sum(axis=0) - 3.0
 
 
 def _good(
     residual: Float[np.ndarray, "n r"], freedom: PointScalars
 ) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Points that are no gross errors, and the noise over the one claimed, both from medians."""
-    # Quantiles of chi-squared; scipy.stats has them too, and takes most of a second to import.
+    """Points that are not gross errors, and the ratio of actual to claimed noise, from medians."""
+    # Quantiles of chi-squared; importing scipy.stats for them would take most of a second.
     square = (residual**2).sum(axis=1)
     noise = float(np.sqrt(np.median(square / chdtri(freedom, 0.5))))
     noise = max(noise, 1e-9)
@@ -181,9 +182,10 @@ def _good(
 
 
 def _left(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[float, float, float]:
-    """Rms distances of the rays of points with two rigs [px]; and the gain in standard errors.
+    """Rms residuals of points with two rigs [px], and the improvement in standard errors.
 
-    Gross errors of the second are left out of both; groups of neighbours vary together.
+    Gross errors with the second rig are left out of both. The standard error is from sums over
+    groups, as neighbouring points are correlated.
     """
     freedom, seen = _freedom(ties), np.isfinite(ties.pixels).all(axis=2)
     both = [residuals(one, ties) for one in (rig, other)]
@@ -200,7 +202,10 @@ def _left(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[float, f
 
 
 def _roots(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p k"]:
-    """Independent steps of a standard deviation each, those of none left out."""
+    """Square root of a covariance: independent steps of one standard deviation each, as columns.
+
+    Parameters without variance get zero rows; directions without variance are dropped.
+    """
     size = np.sqrt(np.diag(covariance))
     free = size > 0.0
     unit = covariance[np.ix_(free, free)] / np.outer(size[free], size[free])
@@ -212,7 +217,7 @@ def _roots(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p k"]:
 
 
 def _vague(rig: Rig) -> RigCovariance:
-    """What is believed of a rig whose covariance nobody has: lenses are right, poses nearly."""
+    """Prior of a rig without a covariance: exact lenses, and poses that may have shifted."""
     terms = ("rx", "ry", "rz", "tx", "ty", "tz")
     first = rig.cameras[rig.reference]
     names = [f"{first.name}.fx"]
@@ -229,7 +234,7 @@ def _vague(rig: Rig) -> RigCovariance:
 
 
 def _moved_most(step: Float[np.ndarray, " p"], prior: RigCovariance) -> str:
-    """The number whose change surprises most, in words."""
+    """The parameter with the largest change in prior standard deviations, in words."""
     sigma = np.sqrt(np.diag(prior.covariance))
     unit = np.divide(step, sigma, out=np.zeros_like(step), where=sigma > 0.0)
     worst = int(np.abs(unit).argmax())

@@ -1,4 +1,4 @@
-"""Points of an object where all cameras see them, and how what is left goes with the rig."""
+"""Tie points of an object matched between cameras: their residuals, and derivatives of these."""
 
 from dataclasses import dataclass
 
@@ -8,25 +8,25 @@ from jaxtyping import Bool, Float, Int
 from palpate.records import Rig, RigCovariance
 from palpate.vision import moved_rig, project, project_jacobian, triangulate
 
-# Derivatives are differences over so many standard deviations each way.
+# Central differences over this many standard deviations on each side.
 _DIFFERENCE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ties:
-    """Points of objects where cameras see them.
+    """Tie points: pixels of the same object points in several cameras.
 
     Attributes
     ----------
-    pixels : (c, n, 2) float [px]           NaN where a camera does not see it
-    covariance : (c, n, 2, 2) float [px^2]  of each; the reference's is not zero
+    pixels : (c, n, 2) float [px]           NaN where a camera does not see the point
+    covariance : (c, n, 2, 2) float [px^2]  of each pixel, including the reference camera's
     """
 
     pixels: Float[np.ndarray, "c n 2"]
     covariance: Float[np.ndarray, "c n 2 2"]
 
     def chosen(self, rows: Bool[np.ndarray, " n"]) -> "Ties":
-        """Some of the points.
+        """Select some of the points.
 
         Parameters
         ----------
@@ -42,14 +42,13 @@ class Ties:
 def slopes(
     rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"], ties: Ties
 ) -> tuple[Float[np.ndarray, "n r k"], Float[np.ndarray, "n 3 k"]]:
-    """Derivatives of the residuals by steps of a standard deviation, and of the points, which
-    follow.
+    """Derivatives of the residuals and of the triangulated points with respect to steps of the rig.
 
     Parameters
     ----------
     rig : Rig
-    prior : RigCovariance           names of its p numbers, with their standard deviations
-    scale : (p, k) float            independent steps
+    prior : RigCovariance           its p parameters and their standard deviations
+    scale : (p, k) float            independent steps, as columns
     ties : Ties
 
     Returns
@@ -79,8 +78,8 @@ def slopes(
 
 
 def _white(values: Float[np.ndarray, "c n 2 k"], ties: Ties) -> Float[np.ndarray, "n r k"]:
-    """Pixels in standard deviations of the match, those of all cameras in one row; 0 where a camera
-    does not see the point."""
+    """Whiten pixel quantities by the covariance of the match, all cameras in one row per point; 0
+    where a camera does not see the point."""
     seen = np.isfinite(ties.pixels).all(axis=2)[..., None, None]
     root = np.linalg.cholesky(np.where(seen, ties.covariance, np.eye(2)))
     white = np.linalg.solve(root, np.where(seen, values, 0.0))
@@ -88,7 +87,7 @@ def _white(values: Float[np.ndarray, "c n 2 k"], ties: Ties) -> Float[np.ndarray
 
 
 def places(rig: Rig, ties: Ties) -> Float[np.ndarray, "n 3"]:
-    """Where the points are, by what all cameras see.
+    """Triangulate the points from all cameras.
 
     Parameters
     ----------
@@ -97,13 +96,13 @@ def places(rig: Rig, ties: Ties) -> Float[np.ndarray, "n 3"]:
 
     Returns
     -------
-    (n, 3) float [m]                NaN where fewer than two cameras see one
+    (n, 3) float [m]                NaN where fewer than two cameras see the point
     """
     return triangulate(rig, ties.pixels, ties.covariance).point
 
 
 def residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
-    """What all cameras miss each point by, in standard deviations of the match.
+    """Whitened reprojection errors of each point, in standard deviations of the match.
 
     Parameters
     ----------
@@ -112,7 +111,8 @@ def residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
 
     Returns
     -------
-    (n, 2 c) float [-]              0 where a camera does not see it, NaN where fewer than two do
+    (n, 2 c) float [-]              0 where a camera does not see the point; NaN if fewer than two
+                                    do
     """
     point = places(rig, ties)
     away = ties.pixels - np.stack([project(camera, point) for camera in rig.cameras])
@@ -120,16 +120,18 @@ def residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
 
 
 def shared_factor(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, " n"]) -> float:
-    """Variance of sums over groups of neighbours over that of as many independent points.
+    """Variance inflation by errors that neighbouring points share.
+
+    It is the variance of sums of the score over groups, relative to that of independent points.
 
     Parameters
     ----------
-    score : (n, k) float            what each point adds to the gradient
-    label : (n,) int                its group
+    score : (n, k) float            contribution of each point to the gradient
+    label : (n,) int                group of each point
 
     Returns
     -------
-    float                           1 where neighbours err by themselves
+    float [-]                       about 1 if the errors of neighbours are independent
     """
     alone = score.T @ score
     sums = np.stack([np.bincount(label, column) for column in score.T], axis=1)

@@ -1,7 +1,7 @@
-"""A rig before an object whose surface is known: where the object stands, from its pictures.
+"""Pose of an object of known shape relative to a rig, from pictures of the object.
 
-Points of the surface from all cameras are brought onto the mesh: near the pose that the rig says,
-if it says one; else from many turns of the mesh before the cameras.
+Stereo points of the surface are registered to the mesh: starting from the rig's own frame if the
+points lie near the mesh there, otherwise from many orientations of the mesh.
 """
 
 import re
@@ -54,17 +54,17 @@ from palpate.vision import (
 
 POSE_FORMAT = "palpate-object-pose/1"
 _SETTINGS = StereoSettings()
-# Every so many points of the grid have windows that do not overlap: their noise is their own.
+# Grid steps between windows that do not overlap, so that their noise is independent.
 _APART = -(-_SETTINGS.subset // _SETTINGS.step)
-# Where the rig says nothing of the object, the turns of a cube are tried, and from each so far on:
-# no turn is farther than 63 degrees from one of them, and few are farther than this.
+# If the rig's frame is not the object's, the rotations of a cube are tried, each with a search over
+# this angle: no rotation is farther than 63 degrees from one of them, few are farther than this.
 _ANGLE = np.deg2rad(45.0)
 _SEARCH_POINTS, _TRIAL_POINTS = 48, 300
-# Of these turns, the best that all points try; an object may look nearly alike from two sides.
+# Number of best rotations refined with all points: an object may look nearly alike from two sides.
 _KEPT = 4
-# Half of the points are farther from the mesh where the frame is not the object's [diagonals].
+# Median distance from the mesh above which the frame is not the object's [diagonals].
 _FAR = 0.1
-# A refined rig must bring the surface as near to the mesh as the given one did, chance aside.
+# Largest ratio of a refined rig's registration residual to that of the given one.
 _NO_WORSE = 1.02
 
 
@@ -74,12 +74,12 @@ class ObjectView:
 
     Attributes
     ----------
-    rig : Rig                       object frame, refined where that was asked for and better
-    registration : Registration     of the points onto the mesh, in the rig's old frame
-    covariance : (6, 6) float       of the object's pose: a turn [rad] about the middle of the seen
-                                    points and a shift [m], object frame
-    points : int                    of the surface
-    refined : Refined or None       None: not asked for
+    rig : Rig                       object frame; refined if requested and an improvement
+    registration : Registration     of the points to the mesh, from the rig's original frame
+    covariance : (6, 6) float       of the object's pose: rotation [rad] about the centroid of the
+                                    points and shift [m], object frame
+    points : int                    number of surface points
+    refined : Refined or None       None: not requested
     grey : tuple of c (rows, columns) float [grey levels]   the first instant
     notes : tuple of str
     """
@@ -94,21 +94,22 @@ class ObjectView:
 
 
 def find_instants(rig: Rig, pattern: str) -> tuple[str, ...]:
-    """Patterns of the pictures of single instants.
+    """Expand a pattern of picture files into one pattern per instant.
 
     Parameters
     ----------
     rig : Rig
-    pattern : str                   of picture files, `{camera}` in place of the camera's name; a
-                                    `*` stands for the instants
+    pattern : str                   with `{camera}` in place of the camera's name; one `*` in the
+                                    file name stands for the instants
 
     Returns
     -------
-    tuple of str                    the pattern itself where it has no star; in the order of names
+    tuple of str                    in the order of names; the pattern itself if it has no `*`
 
     Raises
     ------
-    RecordError                     no such pictures, or more than one star
+    RecordError                     there are no such pictures; more than one `*`, or one in the
+                                    folder's name
     """
     if "*" not in pattern:
         return (pattern,)
@@ -137,17 +138,17 @@ def view_object(
     refine: bool = False,
     progress: Progress = silent,
 ) -> ObjectView:
-    """Find the object before the rig; and correct the rig by its texture.
+    """Find the pose of the object relative to the rig and, if requested, refine the rig.
 
     Parameters
     ----------
-    rig : Rig                       in any frame; where it is the object's, within 5 degrees and 20
-                                    mm, the object is sought there first
+    rig : Rig                       in any frame; the object is first searched for near its frame,
+                                    so that within 5 degrees and 20 mm no global search is needed
     mesh : TriangleMesh             of the object
-    instants : sequence of str      patterns of pictures; the object stands as in the first of them,
-                                    the others only help to refine
-    known : RigCovariance or None   what is known of the rig
-    refine : bool                   correct the rig
+    instants : sequence of str      patterns of pictures; the pose is that in the first, the others
+                                    are used only for refinement
+    known : RigCovariance or None   of the rig
+    refine : bool                   refine the rig
     progress : callable
 
     Returns
@@ -156,8 +157,8 @@ def view_object(
 
     Raises
     ------
-    RecordError, CalibrationError   pictures that cannot be read or do not show the object; points
-                                    that cannot be brought onto the mesh; too few to refine the rig
+    RecordError, CalibrationError   pictures cannot be read or do not show the object; the points
+                                    cannot be registered to the mesh, or are too few for refinement
     """
     found, grey = [], []
     notes: list[str] = []
@@ -166,7 +167,7 @@ def view_object(
         read = read_pictures(rig, pattern, folder=Path(), what=f"pictures '{pattern}'")
         grey.append(read.grey)
         prepared = prepare_pictures(rig, read.grey)
-        # What a camera that has moved misses by is to be mended, not refused.
+        # With `refine`, a moved camera is to be corrected, not rejected.
         notes += [] if refine else check_rig(prepared).notes
         found.append(stereo_matches(prepared, settings=_SETTINGS))
     progress("registration", 0.8)
@@ -192,7 +193,7 @@ def view_object(
 
 
 def _ties(rig: Rig, found: Sequence[StereoMatches], *, apart: int) -> Ties:
-    """Matches of instants, so many steps of the grid apart; each camera's noise its own."""
+    """Tie points from matches, `apart` grid steps apart, with a covariance for each camera."""
     pixels, covariance = [], []
     for one in found:
         cell = np.rint((one.pixel - one.pixel.min(axis=0, initial=np.inf)) / _SETTINGS.step)
@@ -200,7 +201,7 @@ def _ties(rig: Rig, found: Sequence[StereoMatches], *, apart: int) -> Ties:
         pixels.append(one.pixels[:, chosen])
         covariance.append(one.covariance[:, chosen])
     every, noise = np.concatenate(pixels, axis=1), np.concatenate(covariance, axis=1)
-    # Every match is against the reference picture: half of its noise is of that.
+    # Every match is with the reference picture, which contributes half of its noise.
     seen = np.isfinite(every).all(axis=2)
     seen[rig.reference] = False
     half = np.where(seen[..., None, None], 0.5 * noise, 0.0)
@@ -210,8 +211,8 @@ def _ties(rig: Rig, found: Sequence[StereoMatches], *, apart: int) -> Ties:
 
 
 def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Registration, int]:
-    """The points of an instant on the mesh, near the frame's own pose, or from many turns; and how
-    many there are."""
+    """Register the points of an instant to the mesh, from the rig's frame or from many rotations;
+    also returns their number."""
     stereo = joined_matches(rig, found, settings=_SETTINGS)
     points = stereo.point
     if len(points) < LEAST_POINTS:
@@ -241,7 +242,7 @@ def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Reg
 
 
 def _surface(rig: Rig, mesh: TriangleMesh, registration: Registration, ties: Ties) -> KnownSurface:
-    """The mesh with the seen points that lie near it."""
+    """The mesh with the tie points that lie near it."""
     smooth, pose = smooth_surface(mesh), registration.T_mesh_points
     point = places(rig, ties) @ pose[:3, :3].T + pose[:3, 3]
     known = np.isfinite(point).all(axis=1)
@@ -250,13 +251,13 @@ def _surface(rig: Rig, mesh: TriangleMesh, registration: Registration, ties: Tie
 
 
 def _far(mesh: TriangleMesh, points: Points) -> bool:
-    """Whether the points do not lie on the mesh as the frame has it, nor nearly."""
+    """Whether the points are far from the mesh in the rig's own frame."""
     gap = closest_points(mesh, points[:: max(len(points) // _TRIAL_POINTS, 1)]).distance
     return bool(np.median(gap) > _FAR * bounding_diagonal(mesh))
 
 
 def _searched(mesh: TriangleMesh, points: Points, eye: Vector3) -> list[Float[np.ndarray, "4 4"]]:
-    """The best poses from many turns of the mesh before the cameras."""
+    """The best poses from a search over rotations of the mesh, best first."""
     few = points[:: max(len(points) // _TRIAL_POINTS, 1)]
     middle = np.median(points, axis=0)
     away = 0.2 * bounding_diagonal(mesh)
@@ -274,7 +275,7 @@ def _searched(mesh: TriangleMesh, points: Points, eye: Vector3) -> list[Float[np
 
 
 def _front(mesh: TriangleMesh, toward: Vector3) -> Vector3:
-    """Middle of the triangles that turn to a direction."""
+    """Centroid of the triangles that face a direction."""
     corner = mesh.vertices[mesh.triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     weight = triangle_areas(mesh) * (normal @ toward > 0.0)
@@ -282,13 +283,13 @@ def _front(mesh: TriangleMesh, toward: Vector3) -> Vector3:
 
 
 def write_object_view(folder: Path, view: ObjectView, known: RigCovariance | None) -> None:
-    """Write rig.toml in the object's frame, what is known of it, and object_pose.json.
+    """Write rig.toml in the object's frame, its covariance if known, and object_pose.json.
 
     Parameters
     ----------
     folder : Path                   exists
     view : ObjectView
-    known : RigCovariance or None   of the rig as it was given
+    known : RigCovariance or None   of the rig as given; replaced by that of a refined rig
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Whether the views of an object agree about where its surface is."""
+"""Agreement of the views of an object on the position of its surface."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,26 +9,26 @@ from scipy.spatial import cKDTree
 from palpate.errors import InputError
 from palpate.scanning.views import View
 
-# Points of a view that are looked up in the others.
+# Points of a view that are compared with the others.
 _SAMPLES = 4000
-# A view overlaps the others if this share of its points has some of theirs near, and near is this
-# share of the object's size.
+# Minimum fraction of a view's points with points of others nearby; the distance that counts as
+# nearby, as a fraction of the object's size.
 _OVERLAP, _NEAR = 0.1, 0.03
-# How far a view may be off the others, in standard deviations of one point, and of the size: below,
-# it is in the noise of the mesh.
+# Largest offset of a view from the others, in standard deviations of a point, or as a fraction of
+# the size if that is larger.
 _OFF, _OFF_SIZE = 4.0, 2e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How a view fits the others.
+    """Agreement of a view with the others.
 
     Attributes
     ----------
     name : str
-    points : int
-    overlap : float                 share of its points that others saw too
-    offset : float [m]              median distance from the others' surface there, without sign
+    points : int                    number of points
+    overlap : float [-]             fraction of its points that other views show too
+    offset : float [m]              median absolute distance from the others' surface there
     """
 
     name: str
@@ -38,7 +38,7 @@ class Agreement:
 
 
 def agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
-    """How each of several views, in one frame, fits the others.
+    """Check the agreement of views, all in one frame, with each other.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ def agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
 
     Returns
     -------
-    tuple of Agreement              overlap 0 and offset 0 of a single view
+    tuple of Agreement              overlap 0 and offset 0 for a single view
 
     Raises
     ------
-    InputError                      a view that overlaps no other, or contradicts them
+    InputError                      a view overlaps the others too little, or contradicts them
     """
     if len(views) == 1:
         return (Agreement(views[0].name, len(views[0].points), 0.0, 0.0),)

@@ -1,4 +1,4 @@
-"""One closed surface through the points of all views."""
+"""Reconstruction of one closed surface through the points of all views."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,41 +12,43 @@ from palpate.scanning.mending import adapted, compacted, largest_piece
 from palpate.scanning.plane import Plane
 from palpate.shapes import Points, PointScalars, Vector3
 
-# Cells of the grid along the diagonal of the points, and neighbours that tell the field of a node.
+# Cells of the grid along the diagonal of the points, and neighbours that define a node's field.
 _CELLS = 130
 _NEIGHBOURS = 24
-# Nodes nearer than this to a point, in cells, take the distance from its tangent plane; from twice
-# that on the winding number alone says where the surface closes.
+# Up to this distance from a point, in cells, the field is the distance from tangent planes; beyond
+# twice that, it is the winding number.
 _BAND = 2.0
 _MARGIN = 6
-# Edges of the triangles, in cells.
+# Edge length of the triangles, in cells.
 _EDGE = 1.5
-# Depth of the tray below the support, of the height: it leads the surface down, and is cut off.
+# Depth of the tray below the support, as a fraction of the height; it extends the surface downwards
+# and is cut off later.
 _DEPTH = 0.12
-# The outline of the base, a corner in each of so many sectors: where the points are that are lower
-# than these shares of the height, the lowest share that has any.
+# The base outline has one corner per sector, at the points below the lowest of these fractions of
+# the height that has any in the sector.
 _SECTORS, _LOW = 96, (0.015, 0.03, 0.06, 0.12, 0.25)
-# From points lower than this share of the height the surface goes on as it leans there: an
-# overhanging object would have too large a foot. Normals that hardly point outward say nothing.
+# Points below this fraction of the height are extended to the support along their tangent planes;
+# otherwise an overhanging object would get too large a base. Normals must point outward enough.
 _TANGENT, _LEAST_OUTWARD = 0.05, 0.3
-# Points from the middle of the floor to each side.
+# Points from the centre of the floor to each side.
 _FLOOR = 30
 
 
 def fused(points: Points, normals: Points, *, support: Plane | None = None) -> TriangleMesh:
-    """The closed surface through points with normals; where there are none it closes smoothly.
+    """Reconstruct a closed surface through points with normals, closing gaps smoothly.
 
-    Near points the field is their distance from the tangent planes around, weighted; away from
-    them it is the winding number of the points, which leads from rim to rim.
+    The surface is the zero level of a field on a grid. Near points the field is the weighted mean
+    distance from their tangent planes; away from them it is the winding number of the points, which
+    bridges gaps.
 
     Parameters
     ----------
-    points, normals : (n, 3) float [m]  unit, outward
-    support : Plane or None         the object stood on it, on the side of its normal
+    points, normals : (n, 3) float  positions [m], unit outward normals
+    support : Plane or None         plane on which the object stood, on the side of its normal
 
     Returns
     -------
-    TriangleMesh                    closed; with a support it reaches below it, to be cut off there
+    TriangleMesh                    closed; with a support it extends below it, to be cut off there
 
     Raises
     ------
@@ -63,12 +65,12 @@ def fused(points: Points, normals: Points, *, support: Plane | None = None) -> T
     low, high = points.min(axis=0), points.max(axis=0)
     cell = float(np.linalg.norm(high - low)) / _CELLS
     low = low - _MARGIN * cell
-    # An odd number of nodes a side, so that every second is a coarse grid that ends with it.
+    # An odd number of nodes per side, so that every second one forms a coarse grid of equal extent.
     count = [2 * int((b - a) / (2.0 * cell) + _MARGIN) + 1 for a, b in zip(low, high, strict=True)]
     node = low + cell * _grid(count)
     inside = _winding(points, normals, area, low, cell, count)
     field = _field(points, normals, node, inside, cell)
-    # A surface through a node would have triangles without area there.
+    # If the surface passed through a node, triangles there would have no area.
     least = 0.02 * cell
     field = np.where(abs(field) < least, np.where(field < 0.0, -least, least), field)
     igl = late_import("igl", extra="surface", purpose="joining scans")
@@ -84,13 +86,13 @@ def fused(points: Points, normals: Points, *, support: Plane | None = None) -> T
 
 
 def _areas(points: Points) -> PointScalars:
-    """Area that each point stands for [m^2]."""
+    """Surface area that each point represents [m^2]."""
     gap, _ = cKDTree(points).query(points, k=min(9, len(points)))
     return np.pi * gap[:, -1] ** 2 / (gap.shape[1] - 1)
 
 
 def _grid(count: list[int]) -> Float[np.ndarray, "q 3"]:
-    """Nodes of a grid in units of its cell; the first coordinate runs fastest."""
+    """Nodes of a grid in units of its cell; the first coordinate varies fastest."""
     z, y, x = np.indices(count[::-1], dtype=np.float64)
     return np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
 
@@ -98,7 +100,8 @@ def _grid(count: list[int]) -> Float[np.ndarray, "q 3"]:
 def _winding(
     points: Points, normals: Points, area: PointScalars, low: Vector3, cell: float, count: list[int]
 ) -> Float[np.ndarray, " q"]:
-    """Winding number at all nodes, linear between every second one: it counts away from points."""
+    """Winding number at all nodes, interpolated from every second one: it is only used far from
+    points."""
     igl = late_import("igl", extra="surface", purpose="joining scans")
     half = [(c + 1) // 2 for c in count]
     place = low + 2.0 * cell * _grid(half)
@@ -107,7 +110,7 @@ def _winding(
     for axis in range(3):
         size = coarse.shape[axis]
         middle = 0.5 * (coarse.take(range(1, size), axis) + coarse.take(range(size - 1), axis))
-        # Old and new ones in turn.
+        # Interleave old and new nodes.
         coarse = np.insert(coarse, range(1, size), middle, axis)
     return coarse.ravel()
 
@@ -115,7 +118,7 @@ def _winding(
 def _thinned(
     points: Points, normals: Points, area: PointScalars, cell: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One point for all in half a cell: points that coincide have no end in a tree of boxes."""
+    """Merge points within boxes of half a cell: coincident points would make an octree endless."""
     box = np.floor(points / (0.5 * cell)).astype(np.int64)
     _, group, count = np.unique(box, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
@@ -137,7 +140,7 @@ def _field(
     inside: Float[np.ndarray, " q"],
     cell: float,
 ) -> Float[np.ndarray, " q"]:
-    """Signed distance near the points, negative inside; away from them what the winding says."""
+    """Signed distance near the points, negative inside; away from them, scaled winding number."""
     far = (0.5 - inside) * 4.0 * _BAND * cell
     tree = cKDTree(points)
     gap, _ = tree.query(node, distance_upper_bound=2.0 * _BAND * cell)
@@ -158,7 +161,7 @@ def _field(
 def _with_base(
     points: Points, normals: Points, area: PointScalars, support: Plane
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points and those of a tray below the support, as wide as the base."""
+    """Add the points of a tray below the support, with the outline of the base."""
     height = support.heights(points)
     frame = np.linalg.svd(support.normal[None])[2][1:]
     flat = (points - support.point) @ frame.T
@@ -178,8 +181,8 @@ def _outline(
     across: Float[np.ndarray, "n 2"],
     upward: PointScalars,
 ) -> Float[np.ndarray, "b 2"]:
-    """Corners of the base, one a direction: where the lowest points seen in it lie, or where their
-    tangent planes (normals along the support and off it) meet the support."""
+    """Corners of the base outline, one per sector: at the lowest points seen in it or, if these are
+    low, where their tangent planes (normals `across` and `upward`) meet the support."""
     centre = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     offset = flat - centre
     radius = np.linalg.norm(offset, axis=1)
@@ -190,7 +193,7 @@ def _outline(
     angle = np.arctan2(offset[:, 1], offset[:, 0])
     sector = np.floor((angle / (2.0 * np.pi) % 1.0) * _SECTORS).astype(np.int64) % _SECTORS
     reach = np.full(_SECTORS, np.nan)
-    # From the highest share to the lowest: what is seen lower tells more.
+    # From the highest fraction to the lowest, so that the lowest points override.
     for share in reversed(_LOW):
         low = faces & (height <= share * float(height.max()))
         for one in np.unique(sector[low]):
@@ -201,7 +204,7 @@ def _outline(
             "no view shows the object down to its support, nor its lower quarter: what closes it"
             " cannot be guessed; take views from lower down"
         )
-    # Where nothing low is seen, the base goes on as on both sides of it; no corner sticks out.
+    # Sectors without low points are interpolated; the median filter removes spikes.
     reach = np.interp(np.arange(_SECTORS), known, reach[known], period=_SECTORS)
     reach = median_filter(reach, size=5, mode="wrap")
     direction = 2.0 * np.pi * (np.arange(_SECTORS) + 0.5) / _SECTORS
@@ -212,11 +215,11 @@ def _outline(
 def _tray(
     outline: Float[np.ndarray, "b 2"], depth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, outward normals and areas of a floor and of walls up to height 0, over an outline."""
+    """Points, outward normals and areas of a tray: a floor, and walls up to height 0."""
     ends = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
     step = 0.5 * float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
     centre = outline.mean(axis=0)
-    # The floor in triangles about the middle, each a few points.
+    # The floor is divided into triangles about its centre, with a row of points in each.
     weights = (np.arange(_FLOOR) + 0.5) / _FLOOR
     share = (2.0 * np.arange(_FLOOR) + 1.0) / _FLOOR**2
     middle = ends.mean(axis=1)

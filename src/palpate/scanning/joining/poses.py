@@ -1,8 +1,8 @@
-"""Poses of views: as given, or estimated from the surface that views share.
+"""Poses of views: as given, or estimated from the surface that overlapping views share.
 
-The pose of each view next to its predecessor comes from many starts on few points, then from the
-distances of all points from the tangent planes of the other's; views that turn out to overlap
-besides join in, and one adjustment of all poses closes the loop.
+Each view is registered to its predecessor by point-to-plane distances: first from many starts with
+few points, then with up to some thousand points. A joint adjustment of all poses, which includes
+all pairs of views found to overlap, closes the loop.
 
 Source: Chen and Medioni, Object modelling by registration of multiple range images (1992); Pulli,
 Multiview registration for large data sets (1999).
@@ -23,22 +23,22 @@ from palpate.shapes import Points
 
 # Points of a view for the many starts, and for the adjustment.
 _FEW, _MANY = 250, 3000
-# Turns that starts are spread over, about axes through the middle of the points [degrees].
+# Angles of the starts about axes through the centroid of the points [degrees].
 _TURNS = (0.0, 12.0, -12.0, 25.0, -25.0, 40.0, -40.0, 60.0, -60.0)
 _AXES = 9
 _COARSE_STEPS, _FINE_STEPS, _ROUNDS = 25, 40, 30
-# Distances from tangent planes that count, at the end, in standard deviations of a point.
+# Final width of the robust weights for distances from tangent planes, in standard deviations.
 _WIDTH = 4.0
-# Views overlap if this share of one's points lie on the other.
+# Views overlap if this fraction of one's points lie on the other.
 _SHARED = 0.4
-# A motion by this much of the size, rms, after which as many points as this still lie on the other
-# view is not fixed by the shape.
+# Test of determinacy: rms motion as a fraction of the size; if this fraction of the overlapping
+# points still lie on the other view afterwards, the shape does not determine the pose.
 _TRIAL, _STILL = 0.03, 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cloud:
-    """Few points of a view, for looking up and for being looked up."""
+    """Subsampled points of a view with a search tree, median sigma and point spacing [m]."""
 
     points: Points
     normals: Points
@@ -48,12 +48,12 @@ class _Cloud:
 
 
 def posed(views: Sequence[View], *, progress: Progress = silent) -> tuple[View, ...]:
-    """The views in the object's frame.
+    """Transform the views to the object's frame, estimating their poses if not given.
 
     Parameters
     ----------
-    views : sequence of View        all with a pose; or none, in the order they were taken: then the
-                                    frame is that of the first
+    views : sequence of View        all with a pose; or all without, in the order they were taken,
+                                    and the object's frame is then that of the first
     progress : callable
 
     Returns
@@ -62,8 +62,8 @@ def posed(views: Sequence[View], *, progress: Progress = silent) -> tuple[View, 
 
     Raises
     ------
-    InputError                      views next to each other do not overlap, or their shape does not
-                                    fix how they are turned
+    InputError                      consecutive views do not overlap, or their shape does not
+                                    determine the relative pose
     """
     if views[0].T_object_view is not None:
         return tuple(
@@ -75,7 +75,7 @@ def posed(views: Sequence[View], *, progress: Progress = silent) -> tuple[View, 
     step = np.eye(4)
     for k in range(1, len(views)):
         progress(f"pose {k + 1} of {len(views)}", 0.7 * k / len(views))
-        # On a turntable every step is the last one again.
+        # On a turntable every step repeats the previous one.
         step = _pair_pose(views[k - 1], views[k], clouds[k - 1], clouds[k], guess=step)
         poses.append(poses[-1] @ step)
     if len(views) > 1:
@@ -93,7 +93,7 @@ def _cloud(view: View, count: int) -> _Cloud:
 
 
 def _pair_pose(first: View, second: View, a: _Cloud, b: _Cloud, *, guess: Pose) -> Pose:
-    """T_first_second from the shape that both show."""
+    """Pose T_first_second from the shape that both views show."""
     few = _cloud(second, _FEW)
     size = float(np.linalg.norm(np.ptp(few.points, axis=0)))
     centre = few.points.mean(axis=0)
@@ -121,7 +121,7 @@ def _pair_pose(first: View, second: View, a: _Cloud, b: _Cloud, *, guess: Pose) 
 
 
 def _axes() -> Float[np.ndarray, "a 3"]:
-    """Directions over half a sphere."""
+    """Directions distributed over a hemisphere."""
     k = np.arange(_AXES) + 0.5
     z, turn = k / _AXES, np.pi * (1.0 + 5.0**0.5) * k
     r = np.sqrt(1.0 - z * z)
@@ -138,20 +138,20 @@ def _turned(centre: np.ndarray, axis: np.ndarray, degrees: float) -> Pose:
 def _matched(
     a: _Cloud, b: _Cloud, pose: Pose, width: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points of b in a's frame, normals of a there, distances from its planes, weights."""
+    """Points of b in a's frame, normals of a there, distances from a's tangent planes, weights."""
     place = b.points @ pose[:3, :3].T + pose[:3, 3]
     gap, index = a.tree.query(place)
     normal = a.normals[index]
     height = np.einsum("na,na->n", place - a.points[index], normal)
     weight = 1.0 / (1.0 + (height / width) ** 2) ** 2
-    # What has no counterpart, or shows another side, tells nothing.
+    # Points without a counterpart, or on another side of the object, get no weight.
     weight *= 1.0 / (1.0 + (gap / (3.0 * width + a.spacing)) ** 2) ** 2
     weight *= np.einsum("na,na->n", b.normals @ pose[:3, :3].T, normal) > 0.5
     return place, normal, height, weight
 
 
 def _stepped(a: _Cloud, b: _Cloud, pose: Pose, width: float) -> Pose:
-    """One step towards the tangent planes."""
+    """One weighted point-to-plane step of b towards a's tangent planes."""
     place, normal, height, weight = _matched(a, b, pose, width)
     if weight.sum() < 10.0 * np.finfo(float).eps:
         return pose
@@ -172,13 +172,13 @@ def _motion(turn: np.ndarray, shift: np.ndarray, centre: np.ndarray) -> Pose:
 
 
 def _cost(a: _Cloud, b: _Cloud, pose: Pose, width: float) -> float:
-    """Share of the points of b that do not lie on a, softly: 0 to 1."""
+    """Fraction of the points of b that do not lie on a, with soft weights: 0 to 1."""
     *_, weight = _matched(a, b, pose, width)
     return 1.0 - float(weight.mean())
 
 
 def _shared(a: _Cloud, b: _Cloud, pose: Pose) -> float:
-    """Share of the points of b that lie on a."""
+    """Fraction of the points of b that lie on a."""
     place = b.points @ pose[:3, :3].T + pose[:3, 3]
     gap, index = a.tree.query(place)
     height = np.einsum("na,na->n", place - a.points[index], a.normals[index])
@@ -188,7 +188,7 @@ def _shared(a: _Cloud, b: _Cloud, pose: Pose) -> float:
 
 
 def _adjusted(clouds: Sequence[_Cloud], poses: list[Pose], *, progress: Progress) -> list[Pose]:
-    """All poses together, so that errors along the chain spread over the loop."""
+    """Adjust all poses jointly, so that errors along the chain are distributed over the loop."""
     count = len(clouds)
     for round_ in range(_ROUNDS):
         progress("closing the loop", round_ / _ROUNDS)
@@ -215,7 +215,7 @@ def _adjusted(clouds: Sequence[_Cloud], poses: list[Pose], *, progress: Progress
 
 
 def _overlapping(clouds: Sequence[_Cloud], poses: list[Pose]) -> list[tuple[int, int]]:
-    """Pairs of views, each way round, that show the same surface; neighbours in any case."""
+    """Ordered pairs of views that overlap; consecutive views in any case."""
     pairs = []
     for i in range(len(clouds)):
         for j in range(len(clouds)):
@@ -235,7 +235,7 @@ def _size(cloud: _Cloud) -> float:
 def _pair_equations(
     a: _Cloud, b: _Cloud, first: Pose, second: Pose, centre: np.ndarray, scale: float
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6"]]:
-    """Normal equations of the motion of b's view against a's, in the common frame."""
+    """Normal equations of the motion of b's view relative to a's, in the common frame."""
     width = _WIDTH * max(a.sigma, b.sigma)
     place, normal, height, weight = _matched(a, b, np.linalg.inv(first) @ second, width)
     place, normal = place @ first[:3, :3].T + first[:3, 3], normal @ first[:3, :3].T
@@ -245,7 +245,7 @@ def _pair_equations(
 
 
 def _check_fixed(views: Sequence[View], clouds: Sequence[_Cloud], poses: list[Pose]) -> None:
-    """Refuse shapes, as balls, that look the same after a turn."""
+    """Raise if the shape, such as a sphere, does not determine the pose of a view."""
     for k in range(1, len(clouds)):
         a, b = clouds[k - 1], clouds[k]
         pose = np.linalg.inv(poses[k - 1]) @ poses[k]

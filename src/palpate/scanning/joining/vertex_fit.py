@@ -1,4 +1,4 @@
-"""Vertices put on the points around them, each with its standard deviation."""
+"""Fitting of a mesh's vertices to the surrounding points, with their standard deviations."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from scipy.spatial import cKDTree
 from palpate.geometry import TriangleMesh, half_edges, vertex_normals
 from palpate.shapes import PointIndices, Points, PointScalars
 
-# Points that a quadratic surface is fitted to, and the fewest.
+# Largest and smallest number of points for the fit of a quadratic surface.
 _NEIGHBOURS, _FEWEST = 60, 15
-# Tukey's constant: 95 % efficient for normal noise.
+# Constant of Tukey's biweight: 95 % efficiency for normal noise.
 _TUKEY = 4.685
 _ROUNDS = 3
-# Vertices whose pairs of points are in memory at once.
+# Vertices processed at once, which limits the memory for their pairs of points.
 _AT_ONCE = 256
 
 
@@ -26,7 +26,7 @@ class FittedSurface:
     ----------
     mesh : TriangleMesh
     sigma : (v,) float [m]          standard deviation of each vertex along its normal, from the
-                                    scatter of the points; NaN where no points were
+                                    scatter of the points; NaN where the vertex was not fitted
     """
 
     mesh: TriangleMesh
@@ -43,20 +43,21 @@ def fitted(
     shared: Float[np.ndarray, " n"],
     fixed: Bool[np.ndarray, " v"] | None = None,
 ) -> FittedSurface:
-    """Move vertices along their normals onto the smooth surface through the points around.
+    """Move vertices along their normals onto a smooth surface fitted to the surrounding points.
 
-    A quadratic surface through the nearest points has no bias of curvature, which the mean of
-    tangent planes has.
+    A robust quadratic fit to the nearest points is not biased by curvature, as the mean of tangent
+    planes would be.
 
     Parameters
     ----------
     mesh : TriangleMesh             of v vertices, near the points
-    points, normals : (n, 3) float [m]
-    sigma : (n,) float [m]          of the points along their normals
-    view : (n,) int                 that each point is of
-    shared : (n,) float [m]         points of a view that are nearer to each other share errors, all
-                                    of them where they are one; and where the residuals show more
-    fixed : (v,) bool or None       vertices that stay
+    points, normals : (n, 3) float  positions [m], unit normals
+    sigma : (n,) float [m]          standard deviation of the points along their normals
+    view : (n,) int                 index of each point's view
+    shared : (n,) float [m]         distance within which errors of points of a view are correlated,
+                                    fully at distance 0; if residuals show more correlation, all
+                                    standard deviations are inflated
+    fixed : (v,) bool or None       vertices not to be moved
 
     Returns
     -------
@@ -73,18 +74,18 @@ def fitted(
     offset = points[index] - mesh.vertices[:, None]
     height = np.einsum("vka,va->vk", offset, normal)
     base = _fit_rows(offset, normal, edge)
-    # Far neighbours count less; the noise of each point counts as it is.
+    # Weights decrease with distance, and with the variance of each point.
     radius = np.maximum(np.where(near, gap, 0.0).max(axis=1), 1e-12)[:, None]
     weight = np.where(near, (1.0 - (np.where(near, gap, 0.0) / (1.0001 * radius)) ** 2) ** 2, 0.0)
     weight /= sigma[index] ** 2
     move, error, pull = _solved(base, height, weight, sigma[index])
     std = _deviation(error, points[index], view[index], shared[index])
-    # What the residuals show of it: less, for the fit takes a part of what neighbours share.
+    # Inflate by the correlation seen in residuals; a lower bound, for the fit absorbs part of it.
     alone = float((error**2).sum())
     if alone > 0.0:
         std *= max(1.0, _correlation(pull, view[index]) / np.sqrt((std**2).sum() / alone))
     known = (near.sum(axis=1) >= _FEWEST) & (abs(move) < 0.5 * edge)
-    # Points on one side only would be led on into nothing.
+    # With points on one side only, the fit would extrapolate.
     middle = np.linalg.norm((weight[..., None] * offset).sum(axis=1), axis=1)
     known &= middle < 0.6 * radius[:, 0] * np.maximum(weight.sum(axis=1), 1e-300)
     if fixed is not None:
@@ -98,7 +99,7 @@ def fitted(
 def _fit_rows(
     offset: Float[np.ndarray, "v k 3"], normal: Float[np.ndarray, "v 3"], scale: float
 ) -> Float[np.ndarray, "v k 6"]:
-    """1, s, t, s^2, s t, t^2 in tangent coordinates over the scale."""
+    """Terms 1, s, t, s^2, s t, t^2 in tangent coordinates, in units of `scale`."""
     axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
     first = np.cross(normal, axis)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
@@ -114,8 +115,8 @@ def _solved(
     weight: Float[np.ndarray, "v k"],
     sigma: Float[np.ndarray, "v k"],
 ) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
-    """Height of the surface at each vertex, and the parts in it of each point's standard deviation
-    and of its residual [m]."""
+    """Height of the fitted surface at each vertex, and the contributions to it of each point's
+    standard deviation and residual [m]."""
     robust = weight.copy()
     damping = 1e-9 * np.eye(6)
     for _ in range(_ROUNDS):
@@ -131,7 +132,7 @@ def _solved(
         level = np.maximum(level.filled(1.0), 1e-6)[:, None]
         u = unit / (_TUKEY * level)
         robust = weight * np.where(abs(u) < 1.0, (1.0 - u**2) ** 2, 0.0)
-    # What each height adds to the result; their noise is the larger of claimed and seen.
+    # Weight of each point's height in the result; its noise is the larger of claimed and observed.
     gain = np.einsum("vi,vki,vk->vk", inverse[:, 0], base, robust) / total[:, :, 0]
     noise = sigma * np.maximum(level, 1.0)
     return coefficients[:, 0], gain * noise, gain * residual
@@ -143,9 +144,9 @@ def _deviation(
     view: Int[np.ndarray, "v k"],
     shared: Float[np.ndarray, "v k"],
 ) -> Float[np.ndarray, " v"]:
-    """Standard deviation of sums of errors of which those of near points of a view go together.
+    """Standard deviation of sums of errors, correlated between nearby points of the same view.
 
-    Two windows of a picture have as much noise in common as they overlap.
+    The correlation decreases linearly to zero at distance `shared`, as the overlap of windows does.
     """
     variance = np.empty(len(error))
     for rows in np.array_split(np.arange(len(error)), len(error) // _AT_ONCE + 1):
@@ -159,7 +160,7 @@ def _deviation(
 
 
 def _correlation(pull: Float[np.ndarray, "v k"], view: Int[np.ndarray, "v k"]) -> float:
-    """By how much the residuals' parts of one view add up to more than independent ones, >= 1."""
+    """Rms of the residuals' sums over each view relative to that of independent ones, >= 1."""
     alone = float((pull**2).sum())
     together = 0.0
     for one in range(int(view.max()) + 1):

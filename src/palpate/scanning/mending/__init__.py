@@ -1,7 +1,7 @@
-"""Broken surfaces made the skin of one solid.
+"""Repair of broken surfaces to the boundary of one solid.
 
-Purpose    : what a scanner, a printer's file or a drawing program leaves open, doubled, folded or
-             turned, mended; what cannot be is refused with its place and the reason.
+Purpose    : repair surfaces from scanners, 3-D printing files or CAD programs that are open,
+             duplicated, folded or inverted; reject what cannot be repaired, with place and reason.
 Takes      : `TriangleMesh`, closed or not; the plane that the object stood on.
 Gives      : `Mended` with its `Action`s; `Deviation` between two surfaces.
 Depends on : `geometry`; libigl, manifold3d and Mmg.

@@ -1,4 +1,4 @@
-"""What was done to a surface, for the person who gave it."""
+"""Record of repairs to a surface, for the user."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,14 @@ from palpate.shapes import Vector3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Action:
-    """One kind of defect and what became of it.
+    """One kind of defect and its repair.
 
     Attributes
     ----------
-    defect : str                    in the singular, as it stands in tables
-    count : int                     how many
+    defect : str                    name in the singular, for tables
+    count : int                     number of such defects
     place : (3,) float [m]          of the first one
-    done : str
+    done : str                      the repair, in words
     """
 
     defect: str
@@ -34,6 +34,6 @@ def place_text(point: Vector3) -> str:
 
     Returns
     -------
-    str                             such as `(1.25, 0, 40) mm`
+    str                             e.g. `(1.25, 0, 40) mm`
     """
     return "(" + ", ".join(f"{x:.5g}" for x in np.round(1e3 * np.asarray(point), 2) + 0.0) + ") mm"

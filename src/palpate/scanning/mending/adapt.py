@@ -1,4 +1,4 @@
-"""Triangles of wanted sizes over a surface, by Mmg."""
+"""Remeshing of a surface to wanted edge lengths, by Mmg."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,11 +10,11 @@ from palpate.scanning.mending.deviation import nearest
 from palpate.scanning.plane import Plane
 from palpate.shapes import Triangles, TriangleScalars, Vertices
 
-# Mmg's own limit of how much neighbouring edges differ.
+# Largest ratio of neighbouring edges, Mmg's default.
 _GRADATION = 1.3
-# Height above a plane below which a vertex lies in it, of the diagonal.
+# Distance from a plane below which a vertex lies in it, as a fraction of the diagonal.
 _IN_PLANE = 1e-6
-# An angle that no triangle is to fall below for being put on the surface; rounds until none does.
+# Smallest angle allowed when vertices are projected onto the surface; rounds until none is smaller.
 _FLAT, _ROUNDS = np.radians(12.0), 12
 
 
@@ -26,15 +26,16 @@ def adapted(
     creases: bool = True,
     support: Plane | None = None,
 ) -> TriangleMesh:
-    """The same surface in triangles with edges of wanted lengths, their vertices on it.
+    """Remesh a surface to given edge lengths, with vertices projected back onto it.
 
     Parameters
     ----------
     mesh : TriangleMesh             closed, manifold
-    size : (v,) float [m]           wanted length of edges at each vertex
-    onto : TriangleMesh or None     surface that the vertices are put on; None: `mesh`
+    size : (v,) float [m]           wanted edge length at each vertex
+    onto : TriangleMesh or None     surface to project the vertices onto; None: `mesh`
     creases : bool                  keep edges where triangles turn by more than 40 degrees
-    support : Plane or None         without creases: keep the edges where the surface leaves it
+    support : Plane or None         plane whose boundary edges with the surface are kept; for
+                                    `creases` False
 
     Returns
     -------
@@ -42,7 +43,7 @@ def adapted(
 
     Raises
     ------
-    MeshError                       Mmg gives up
+    MeshError                       Mmg fails
 
     Source
     ------
@@ -62,7 +63,7 @@ def adapted(
         body.set_triangles(mesh.triangles.astype(np.int32))
         body.set_edges(rim.astype(np.int32))
         body.set_ridge_edges(np.arange(len(rim), dtype=np.int32))
-    # The sizes alone say how fine: curvature is not to add to them.
+    # A large Hausdorff distance, so that curvature does not refine below the given sizes.
     try:
         body.remesh(hgrad=_GRADATION, hausd=float(size.max()), verbose=-1, **ridges)
     except RuntimeError as error:
@@ -74,18 +75,18 @@ def adapted(
         vertices=np.array(body.get_vertices(), dtype=np.float64),
         triangles=np.array(body.get_triangles(), dtype=np.int64),
     )
-    # Mmg follows a smooth surface of its own, which strays by edges where sizes change quickly.
+    # Mmg's own smooth surface deviates by up to an edge where sizes change quickly.
     return _put_on(free, onto or mesh)
 
 
 def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:
-    """Edges between a triangle in a plane and one that is not."""
+    """Edges between a triangle in a plane and one outside it."""
     flat = abs(support.heights(mesh.vertices)) < _IN_PLANE * bounding_diagonal(mesh)
     return half_edges(mesh.triangles).rim(flat[mesh.triangles].all(axis=1))
 
 
 def _put_on(free: TriangleMesh, onto: TriangleMesh) -> TriangleMesh:
-    """Vertices moved to the nearest points of a surface, but where that would flatten triangles."""
+    """Project vertices onto a surface, except where that would flatten or invert triangles."""
     _, place = nearest(free.vertices, onto)
     before = _smallest_angles(free.vertices, free.triangles)
     normal = area_vectors(free)
@@ -101,7 +102,7 @@ def _put_on(free: TriangleMesh, onto: TriangleMesh) -> TriangleMesh:
 
 
 def _smallest_angles(vertices: Vertices, triangles: Triangles) -> TriangleScalars:
-    """Of each triangle [rad]."""
+    """Smallest angle of each triangle [rad]."""
     corner = vertices[triangles]
     edge = np.roll(corner, -1, axis=1) - corner
     unit = edge / np.maximum(np.linalg.norm(edge, axis=2, keepdims=True), 1e-300)

@@ -1,4 +1,4 @@
-"""Triangles and vertices that are none: needles, copies, cracks between triangles that meet."""
+"""Removal of degenerate and duplicate triangles, and closing of cracks between triangles."""
 
 from itertools import pairwise
 
@@ -17,17 +17,17 @@ from palpate.geometry import (
 from palpate.scanning.mending.action import Action
 from palpate.shapes import Triangles, Vertices
 
-# Height over longest edge below which a triangle has no normal; what `checked_mesh` refuses.
+# Ratio of height to longest edge below which a triangle has no normal, as in `checked_mesh`.
 _DEGENERATE_HEIGHT = 1e-6
-# Rims as near as this to each other are one seam, of the diagonal and of the median edge: a printer
-# or a scanner resolves no less, and no triangle may be folded away.
+# Rims closer than this form one seam, as a fraction of the diagonal (what printers and scanners
+# resolve) and of the median edge (so that no triangle collapses).
 _SEAM, _SEAM_EDGE = 1e-3, 0.2
 _PASSES = 20
 Faces = Int[np.ndarray, "_ 3"]
 
 
 def cleaned(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
-    """A surface without triangles that have no area, without copies, its cracks sewn.
+    """Remove degenerate and duplicate triangles, and close cracks.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def cleaned(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
     Returns
     -------
     mesh : TriangleMesh             may be open, or more than one piece
-    actions : list of Action        what was done
+    actions : list of Action        repairs made
 
     Raises
     ------
@@ -56,7 +56,7 @@ def cleaned(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
 
 
 def seam_width(mesh: TriangleMesh) -> float:
-    """Distance below which two rims are the two sides of one crack.
+    """Distance below which two rims are taken as the two sides of one crack.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def seam_width(mesh: TriangleMesh) -> float:
 
 
 def compacted(vertices: Vertices, triangles: Triangles) -> TriangleMesh:
-    """A surface without the vertices that no triangle uses.
+    """Remove vertices that no triangle uses.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def compacted(vertices: Vertices, triangles: Triangles) -> TriangleMesh:
 
 
 def rim_vertices(triangles: Triangles) -> Int[np.ndarray, " k"]:
-    """Vertices on edges of one triangle only.
+    """Vertices on boundary edges, i.e. edges of only one triangle.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def rim_vertices(triangles: Triangles) -> Int[np.ndarray, " k"]:
 
 
 def _without_flat(vertices: Vertices, triangles: Triangles, actions: list[Action]) -> Faces:
-    """Without triangles of no area; what they leave open is sewn later."""
+    """Remove triangles of zero area; the cracks they leave are closed later."""
     if len(triangles) == 0:
         return triangles
     corner = vertices[triangles]
@@ -115,7 +115,7 @@ def _without_flat(vertices: Vertices, triangles: Triangles, actions: list[Action
 
 
 def _without_copies(vertices: Vertices, triangles: Triangles, actions: list[Action]) -> Faces:
-    """One triangle of those with the same three vertices, whichever way they face."""
+    """Keep one of all triangles with the same three vertices, whatever their orientation."""
     if len(triangles) == 0:
         return triangles
     _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
@@ -138,10 +138,10 @@ def _tell(
 
 
 def _sewn(vertices: Vertices, triangles: Triangles, reach: float, actions: list[Action]) -> Faces:
-    """Triangles with the vertices of rims that lie within reach of each other made one."""
+    """Merge rim vertices that lie within `reach` of each other."""
     rim = rim_vertices(triangles)
     pairs = rim[cKDTree(vertices[rim]).query_pairs(reach, output_type="ndarray")]
-    # The ends of one edge are no crack.
+    # The two ends of an edge are not to be merged.
     own = half_edges(triangles).ends
     is_edge = np.isin(pairs @ [len(vertices), 1], own @ [len(vertices), 1])
     is_edge |= np.isin(pairs[:, ::-1] @ [len(vertices), 1], own @ [len(vertices), 1])
@@ -184,7 +184,7 @@ def _split_at_rims(
 def _splits(
     vertices: Vertices, triangles: Triangles, reach: float
 ) -> list[tuple[int, int, list[int]]]:
-    """Triangles with a rim edge that passes rim vertices: number, corner, those vertices."""
+    """Triangles with a rim edge that passes rim vertices: index, corner, and those vertices."""
     halves = half_edges(triangles)
     rim = np.unique(halves.ends[halves.count == 1])
     if len(rim) == 0:

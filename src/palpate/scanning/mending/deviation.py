@@ -1,4 +1,4 @@
-"""How far two surfaces are from each other."""
+"""Distances between two surfaces."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ _SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """Distance between two surfaces, over samples of the area of both, and of their volumes.
+    """Distance between two surfaces, sampled on both, and difference of their volumes.
 
     Attributes
     ----------
     median, percentile_95, largest : float [m]
-    volume : float                  relative: 0.01 where the second one's is 1 % larger
+    volume : float [-]              relative: 0.01 if the second surface's volume is 1 % larger
     """
 
     median: float
@@ -44,7 +44,7 @@ def distances(points: Points, mesh: TriangleMesh) -> PointScalars:
 
 
 def nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
-    """Distance of points from a surface, and its points nearest to them.
+    """Distance of points from a surface, and the closest points on it.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
 
     Returns
     -------
-    (n,) float [m], (n, 3) float [m]
+    (n,) float [m], (n, 3) float [m]    distances, closest points
     """
     igl = late_import("igl", extra="surface", purpose="comparing surfaces")
     square, _, place = igl.point_mesh_squared_distance(
@@ -64,11 +64,11 @@ def nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
 
 
 def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
-    """How far a closed surface is from another one, both ways.
+    """Two-sided distance between two closed surfaces.
 
     Parameters
     ----------
-    true, other : TriangleMesh      closed, outward
+    true, other : TriangleMesh      closed, outward normals
 
     Returns
     -------
@@ -90,7 +90,7 @@ def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
 
 
 def spread(mesh: TriangleMesh, count: int) -> Points:
-    """Points evenly over a surface, the same ones at every call.
+    """Random points uniform over the area of a surface, the same at every call.
 
     Parameters
     ----------

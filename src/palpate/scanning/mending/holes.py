@@ -1,4 +1,4 @@
-"""Holes of a surface: their rims, and the flat patches that close them."""
+"""Holes of a surface: their rims, and flat patches that close them."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,10 +11,10 @@ from palpate.scanning.mending.cleaning import Faces, seam_width
 from palpate.scanning.plane import Plane, plane_text
 from palpate.shapes import Points, Triangles, Vector3, Vertices
 
-# The most that may be guessed of a surface: a hole's share of all the area, unless it stood on the
-# support. A flat patch over it is off by about its own size squared over the object's.
+# Largest hole that is closed, as a fraction of the surface's area, except at the support. A flat
+# patch deviates by about its size squared over the object's.
 _MOST_CAP = 0.05
-# Rims within this of the support belong to it, of the diagonal: what a camera does not see of the
+# Rims within this fraction of the diagonal from the support belong to it: a camera does not see the
 # object just above a table.
 SUPPORT_REACH = 0.1
 Chain = Int[np.ndarray, " _"]
@@ -22,7 +22,7 @@ Places = Float[np.ndarray, "_ 3"]
 
 
 def rims(triangles: Triangles) -> list[Chain]:
-    """Closed chains of vertices around the holes, in the order that a patch must have them.
+    """Closed chains of vertices around the holes, oriented as a patch needs them.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ def rims(triangles: Triangles) -> list[Chain]:
 
     Returns
     -------
-    list of (k,) int                k >= 3; a vertex stands once in a chain
+    list of (k,) int                k >= 3; no vertex occurs twice in a chain
     """
     halves = half_edges(triangles)
     open_half = np.flatnonzero(halves.count[halves.edge] == 1)
-    # The patch runs the other way along an edge than the triangle beside it.
+    # A patch traverses an edge in the opposite direction to the adjacent triangle.
     starts = halves.tail[halves.following[open_half]].tolist()
     ends = halves.tail[open_half].tolist()
     onward: dict[int, list[int]] = {}
@@ -48,7 +48,7 @@ def rims(triangles: Triangles) -> list[Chain]:
             if not onward[chain[-1]]:
                 del onward[chain[-1]]
             if follower in chain:
-                # Where rims touch in a vertex, each is its own chain.
+                # Rims that touch at a vertex become separate chains.
                 where = chain.index(follower)
                 if len(chain) - where >= 3:
                     chains.append(np.array(chain[where:]))
@@ -61,22 +61,22 @@ def rims(triangles: Triangles) -> list[Chain]:
 def closed(
     mesh: TriangleMesh, support: Plane | None
 ) -> tuple[TriangleMesh, Bool[np.ndarray, " _"], list[Action]]:
-    """A surface with its holes closed by flat patches, those at the support in its plane.
+    """Close holes by flat patches; those at the support, in its plane.
 
     Parameters
     ----------
     mesh : TriangleMesh             consistently oriented
-    support : Plane or None         that the object stood on
+    support : Plane or None         plane on which the object stood
 
     Returns
     -------
-    mesh : TriangleMesh             without rims
-    guessed : (m,) bool             triangles that nobody measured
+    mesh : TriangleMesh             without boundary
+    guessed : (m,) bool             triangles added, which were not measured
     actions : list of Action
 
     Raises
     ------
-    MeshError                       a hole is too large to guess what is in it
+    MeshError                       a hole away from the support exceeds 5 % of the area
     """
     chains = rims(mesh.triangles)
     reach = SUPPORT_REACH * bounding_diagonal(mesh)
@@ -104,18 +104,19 @@ def closed(
 
 
 def on_plane(mesh: TriangleMesh, chains: list[Chain], support: Plane) -> tuple[Places, Faces]:
-    """Vertices and triangles that lead from rims straight to a plane and close it there.
+    """Extend rims perpendicularly to a plane and close the surface there.
 
     Parameters
     ----------
     mesh : TriangleMesh
-    chains : list of (k,) int       rims, as `rims` gives them
+    chains : list of (k,) int       from `rims`
     support : Plane
 
     Returns
     -------
-    vertices : (w, 3) float [m]     those of the mesh, then new ones
-    triangles : (n, 3) int          of skirt and base
+    vertices : (w, 3) float [m]     those of the mesh, then new ones; rims that already lie near the
+                                    plane are moved into it instead
+    triangles : (n, 3) int          new triangles of skirt and base
     """
     vertices = mesh.vertices.copy()
     rim = np.concatenate(chains)
@@ -137,13 +138,13 @@ def on_plane(mesh: TriangleMesh, chains: list[Chain], support: Plane) -> tuple[P
 
 
 def patch(vertices: Vertices, chains: list[Chain], normal: Vector3 | None = None) -> Faces:
-    """Triangles between the vertices of one or more rims, as flat as they can be.
+    """Triangulate one or more rims, projected to a plane, without new vertices.
 
     Parameters
     ----------
     vertices : (v, 3) float [m]
-    chains : list of (k,) int       rims in the order of the patch, holes in it the other way
-    normal : (3,) float or None     of the plane; None: that of the first rim
+    chains : list of (k,) int       rims oriented as the patch; holes in it, the opposite way
+    normal : (3,) float or None     of the plane; None: the area-weighted mean of the rims' normals
 
     Returns
     -------
@@ -159,22 +160,22 @@ def patch(vertices: Vertices, chains: list[Chain], normal: Vector3 | None = None
     plane = np.stack([right, up], axis=1)
     corners = np.concatenate(chains)
     polygons = [vertices[chain] @ plane for chain in chains]
-    # Even triangles come later; a fan about a corner of a round hole would cross a ragged rim.
+    # A fan about one corner, as for a convex polygon, would cross a ragged rim.
     return corners[manifold.triangulate(polygons, allow_convex=False).astype(np.int64)]
 
 
 def _newell(ring: Points) -> Float[np.ndarray, "3"]:
-    """Normal of a closed chain times its area [m^2]."""
+    """Area vector of a closed chain: normal times area [m^2], by Newell's method."""
     centred = ring - ring.mean(axis=0)
     return 0.5 * np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
 
 
 def _check_size(ring: Points, whole: float) -> None:
-    """Refuse a hole that is no gap in a surface but the missing side of a body."""
+    """Raise if a hole is not a gap in a surface but the missing side of a body."""
     area = _newell(ring)
     share = float(np.linalg.norm(area)) / whole
     centred = ring - ring.mean(axis=0)
-    # A rim that is bent, or a slit, encloses less than its plane's share of it says.
+    # The area vector underestimates a bent rim or a slit: at least a quarter of its disc counts.
     round_share = float((centred**2).sum(axis=1).max()) * np.pi / whole
     if max(share, round_share / 4.0) <= _MOST_CAP:
         return

@@ -1,4 +1,4 @@
-"""A closed, manifold, outward surface from whatever a scanner or a drawing program wrote."""
+"""A closed manifold surface with outward normals from the output of a scanner or CAD program."""
 
 from dataclasses import dataclass
 
@@ -22,8 +22,7 @@ from palpate.scanning.mending.solid import above, united, wrapped
 from palpate.scanning.plane import Plane
 from palpate.shapes import Vector3
 
-# Volume over area and size below which a surface bounds a sheet, not a body: a disc of a
-# thousandth of its diameter.
+# Thickness relative to size below which, roughly, a surface is a sheet and not that of a body.
 _SHEET = 1e-3
 
 
@@ -33,9 +32,9 @@ class Mended:
 
     Attributes
     ----------
-    mesh : TriangleMesh             closed, manifold, outward, not yet of even triangles
-    actions : tuple of Action       what was done
-    guessed : TriangleMesh or None  the patches that nobody measured
+    mesh : TriangleMesh             closed, manifold, outward normals; triangles not yet even
+    actions : tuple of Action       repairs made
+    guessed : TriangleMesh or None  patches that close holes and were not measured
     """
 
     mesh: TriangleMesh
@@ -44,12 +43,13 @@ class Mended:
 
 
 def mend(mesh: TriangleMesh, support: Plane | None = None) -> Mended:
-    """Mend a surface, or say where and why it cannot be.
+    """Mend a surface, or raise an error that says where and why it cannot be mended.
 
     Parameters
     ----------
     mesh : TriangleMesh             welded
-    support : Plane or None         that the object stood on: it is cut off there, or closed
+    support : Plane or None         plane on which the object stood; the surface is cut off or
+                                    closed there
 
     Returns
     -------
@@ -57,8 +57,8 @@ def mend(mesh: TriangleMesh, support: Plane | None = None) -> Mended:
 
     Raises
     ------
-    MeshError                       one-sided, a sheet, several objects, a cavity, a large part is
-                                    missing
+    MeshError                       the surface is one-sided, a sheet, of several objects, has a
+                                    cavity, lacks a large part, or does not reach the support
     """
     mesh, actions = cleaned(mesh)
     for step in (without_walls, without_dust):
@@ -85,13 +85,13 @@ def mend(mesh: TriangleMesh, support: Plane | None = None) -> Mended:
 
 
 def _upward(support: Plane, mesh: TriangleMesh) -> Plane:
-    """The plane with its normal to the object's side."""
+    """The plane with its normal pointing to the object's side."""
     side = np.median(support.heights(mesh.vertices))
     return support if side >= 0.0 else Plane(support.point, -support.normal)
 
 
 def _one_solid(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
-    """The surface if it is one already, else parts united, else found anew on a grid."""
+    """The surface if it is valid; else the union of its parts; else a reconstruction on a grid."""
     try:
         return checked_mesh(mesh)[0], []
     except MeshError as error:
@@ -123,12 +123,12 @@ def _first_crossing(mesh: TriangleMesh) -> Vector3:
     igl = late_import("igl", extra="surface", purpose="mending a surface")
     centre = mesh.vertices[mesh.triangles].mean(axis=1)
     winding = igl.fast_winding_number(mesh.vertices, mesh.triangles, centre)
-    # A skin has 1/2; where it passes through itself more.
+    # On a simple surface the winding number is 1/2; where it intersects itself, it is not.
     return centre[int(np.abs(np.asarray(winding) - 0.5).argmax())]
 
 
 def _refuse_cavities(before: TriangleMesh, mesh: TriangleMesh) -> None:
-    """Refuse a piece inside another that faced inward: the wall of a cavity."""
+    """Raise if a piece inside another faced inward, and so is the wall of a cavity."""
     label = pieces(mesh.triangles)
     if label.max() == 0:
         return
@@ -149,7 +149,7 @@ def _refuse_cavities(before: TriangleMesh, mesh: TriangleMesh) -> None:
 
 
 def _refuse_sheet(mesh: TriangleMesh) -> None:
-    """Refuse a surface around nothing."""
+    """Raise if the surface encloses almost no volume."""
     area, size = float(triangle_areas(mesh).sum()), bounding_diagonal(mesh)
     if abs(enclosed_volume(mesh)) < 0.25 * _SHEET * area * size:
         raise MeshError(
@@ -160,7 +160,7 @@ def _refuse_sheet(mesh: TriangleMesh) -> None:
 
 
 def _cut(mesh: TriangleMesh, support: Plane) -> tuple[TriangleMesh, list[Action]]:
-    """The part above the support."""
+    """Cut off the part below the support; raises if the surface does not reach the support."""
     heights = support.heights(mesh.vertices)
     deepest, actions = int(heights.argmin()), []
     place = mesh.vertices[deepest]

@@ -1,4 +1,4 @@
-"""Parts of a surface: which way they face, and which of them are no part of the object."""
+"""Connected pieces of a surface: their orientation, and removal of those not of the object."""
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -18,15 +18,15 @@ from palpate.scanning.mending.cleaning import compacted, seam_width
 from palpate.scanning.mending.deviation import distances
 from palpate.shapes import Triangles
 
-# A piece smaller than this is dust of a scan, of the largest piece's size and of all the area.
+# Smaller pieces are dust of a scan: fractions of the largest piece's size and of the total area.
 _DUST_SIZE, _DUST_AREA = 0.1, 0.01
-# Winding number about a surface: 1 inside, 0 outside.
+# Winding number above which a point is inside; it is 1 inside, 0 outside.
 _INSIDE = 0.75
 _PURPOSE = "mending a surface"
 
 
 def pieces(triangles: Triangles) -> Int[np.ndarray, " m"]:
-    """Which piece each triangle belongs to; pieces share no vertex.
+    """Label the connected pieces of a surface; pieces share no vertex.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def pieces(triangles: Triangles) -> Int[np.ndarray, " m"]:
 
     Returns
     -------
-    (m,) int                        from 0
+    (m,) int                        number of each triangle's piece, from 0
     """
     links = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     _, group = connected_groups(links, int(triangles.max()) + 1)
@@ -43,20 +43,20 @@ def pieces(triangles: Triangles) -> Int[np.ndarray, " m"]:
 
 
 def oriented(mesh: TriangleMesh) -> tuple[TriangleMesh, Bool[np.ndarray, " m"]]:
-    """A surface whose triangles agree with their neighbours, every patch facing away from itself.
+    """Orient the triangles consistently, with every patch facing outward.
 
     Parameters
     ----------
-    mesh : TriangleMesh             edges of more than two triangles part its patches
+    mesh : TriangleMesh             patches are separated by edges of more than two triangles
 
     Returns
     -------
     mesh : TriangleMesh
-    turned : (m,) bool              triangles that were turned
+    turned : (m,) bool              triangles whose orientation was reversed
 
     Raises
     ------
-    MeshError                       one-sided
+    MeshError                       the surface is one-sided
     """
     triangles, patch = _consistent(mesh)
     for label in range(int(patch.max()) + 1):
@@ -69,10 +69,10 @@ def oriented(mesh: TriangleMesh) -> tuple[TriangleMesh, Bool[np.ndarray, " m"]]:
 
 
 def _consistent(mesh: TriangleMesh) -> tuple[Triangles, Int[np.ndarray, " m"]]:
-    """Triangles that agree across edges of two, and the patch of each."""
+    """Triangles oriented consistently across edges of two, and the patch number of each."""
     igl = late_import("igl", extra="surface", purpose=_PURPOSE)
     found, patch = igl.bfs_orient(mesh.triangles)
-    # Its own kind of 64 bits is none of NumPy's.
+    # libigl's 64-bit integer type is not NumPy's int64.
     triangles = found.astype(np.int64)
     halves = half_edges(triangles)
     a, b = halves.pairs().T
@@ -87,14 +87,14 @@ def _consistent(mesh: TriangleMesh) -> tuple[Triangles, Int[np.ndarray, " m"]]:
 
 
 def _is_odd(before: Triangles, after: Triangles) -> Bool[np.ndarray, " m"]:
-    """Where the same three vertices run the other way round."""
+    """True where the same three vertices are in reverse cyclic order."""
     first = (before[:, :1] == after).argmax(axis=1)
     following = after[np.arange(len(after)), (first + 1) % 3]
     return following != before[:, 1]
 
 
 def without_dust(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
-    """A surface without pieces too small to be an object, and without second copies of its skin.
+    """Remove pieces too small to be an object, and duplicate shells.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def without_dust(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
 
 
 def without_walls(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
-    """A surface without sheets at edges of more than two triangles: walls inside, fins outside.
+    """Remove sheets attached at edges of more than two triangles: inner walls and outer fins.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def without_walls(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
 
     Raises
     ------
-    MeshError                       one-sided
+    MeshError                       the surface is one-sided
     """
     halves = half_edges(mesh.triangles)
     if halves.count.max() <= 2:

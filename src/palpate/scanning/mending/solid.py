@@ -1,4 +1,4 @@
-"""One solid from parts that overlap, or from a surface that passes through itself."""
+"""One solid from overlapping parts, or from a self-intersecting surface."""
 
 from typing import Any
 
@@ -15,26 +15,27 @@ from palpate.scanning.mending.pieces import pieces
 from palpate.scanning.plane import Plane
 
 _PURPOSE = "uniting parts of a surface"
-# What a part must have of the volume of all to be an object of its own.
+# Fraction of the volume above which a part counts as an object of its own.
 _PART = 0.01
-# Nodes of the grid on which a surface that passes through itself is found anew: cells of about a
-# seventieth of the object, in seconds.
+# Nodes of the grid on which a self-intersecting surface is reconstructed: cells of about 1/70 of
+# the object, within seconds.
 _NODES = 4e5
-# Edges of the triangles made of it, in cells.
+# Edge length of the resulting triangles, in cells.
 _EDGE = 2.5
-# Least distance of a node from the surface, in cells.
+# Minimum distance of a node from the surface, in cells.
 _LEAST = 0.02
+# Margin of the grid around the surface, in cells.
 _MARGIN = 3
-# Edges shorter than this beside a cut are collapsed, of the diagonal.
+# Edges beside a cut that are shorter than this fraction of the diagonal are collapsed.
 _NEEDLE = 3e-4
 
 
 def united(parts: list[TriangleMesh]) -> tuple[TriangleMesh, list[Action]]:
-    """The skin of closed parts together, exact, its edges sharp.
+    """Exact Boolean union of closed parts, with sharp edges.
 
     Parameters
     ----------
-    parts : list of TriangleMesh    each closed, manifold, outward
+    parts : list of TriangleMesh    each closed, manifold, with outward normals
 
     Returns
     -------
@@ -43,7 +44,7 @@ def united(parts: list[TriangleMesh]) -> tuple[TriangleMesh, list[Action]]:
 
     Raises
     ------
-    MeshError                       they are several objects
+    MeshError                       the union is several separate objects
     """
     manifold = late_import("manifold3d", extra="surface", purpose=_PURPOSE)
     whole = manifold.Manifold.batch_boolean([_solid(part) for part in parts], manifold.OpType.Add)
@@ -56,13 +57,14 @@ def united(parts: list[TriangleMesh]) -> tuple[TriangleMesh, list[Action]]:
 
 
 def wrapped(mesh: TriangleMesh) -> TriangleMesh:
-    """The skin of what a surface winds around, found anew on a grid.
+    """Reconstruct the outer boundary of a surface from its winding number on a grid.
 
-    Overlaps, folds, walls and gaps below a cell vanish; sharp edges are blunt by a part of a cell.
+    Overlaps, folds, inner walls, and gaps smaller than a cell vanish; sharp edges are blunted by a
+    fraction of a cell.
 
     Parameters
     ----------
-    mesh : TriangleMesh             consistently oriented, outward as far as it can be said
+    mesh : TriangleMesh             consistently oriented, with outward normals as far as defined
 
     Returns
     -------
@@ -70,7 +72,7 @@ def wrapped(mesh: TriangleMesh) -> TriangleMesh:
 
     Raises
     ------
-    MeshError                       it is several objects
+    MeshError                       the surface bounds several objects
 
     Source
     ------
@@ -82,25 +84,25 @@ def wrapped(mesh: TriangleMesh) -> TriangleMesh:
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     cell = float((np.prod(high - low) / _NODES) ** (1.0 / 3.0))
     sides = [np.arange(-_MARGIN, int(span / cell) + _MARGIN + 2) for span in high - low]
-    # Off the faces of boxes, which would lie on the nodes.
+    # Offset, so that nodes do not lie exactly on the faces of boxes.
     origin = low - 0.317 * cell
     z, y, x = np.meshgrid(sides[2], sides[1], sides[0], indexing="ij")
     place = origin + cell * np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
-    # Turned inside out, a part winds -1 times around its inside: no body.
+    # A part that is inside out has winding number -1 and does not count as a body.
     inside = np.asarray(igl.fast_winding_number(mesh.vertices, mesh.triangles, place)).ravel() > 0.5
-    # A surface through a node would have triangles without area there.
+    # If the surface passed through a node, triangles there would have no area.
     gap = np.maximum(distances(place, mesh), _LEAST * cell)
     signed = np.where(inside, -1.0, 1.0) * gap
     found = igl.marching_cubes(signed, place, *(len(side) for side in sides), 0.0)
     skin = compacted(np.asarray(found[0]), found[1].astype(np.int64))
-    # The steps of the grid are no creases.
+    # Steps of the grid must not be kept as creases below.
     skin = largest_piece(skin)
     size = np.full(len(skin.vertices), _EDGE * cell)
     return adapted(skin, size, creases=False)
 
 
 def largest_piece(mesh: TriangleMesh) -> TriangleMesh:
-    """The one object of a closed surface.
+    """The piece of a closed surface with the largest volume.
 
     Parameters
     ----------
@@ -108,11 +110,11 @@ def largest_piece(mesh: TriangleMesh) -> TriangleMesh:
 
     Returns
     -------
-    TriangleMesh                    the piece with the largest volume
+    TriangleMesh
 
     Raises
     ------
-    MeshError                       a second piece is as good an object
+    MeshError                       a second piece has more than 1 % of its volume
     """
     label = pieces(mesh.triangles)
     parts = [compacted(mesh.vertices, mesh.triangles[label == k]) for k in range(label.max() + 1)]
@@ -123,19 +125,23 @@ def largest_piece(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def above(mesh: TriangleMesh, plane: Plane) -> TriangleMesh:
-    """The part of a solid above a plane, the cut closed.
+    """The part of a solid above a plane, with the cut closed.
 
     Parameters
     ----------
-    mesh : TriangleMesh             closed, manifold, outward
-    plane : Plane                   its normal points to what is kept
+    mesh : TriangleMesh             closed, manifold, outward normals
+    plane : Plane                   its normal points to the side that is kept
 
     Returns
     -------
     TriangleMesh
+
+    Raises
+    ------
+    MeshError                       several pieces remain
     """
     cut = _solid(mesh).trim_by_plane(plane.normal.tolist(), float(plane.normal @ plane.point))
-    # Where the plane passes close by a vertex it leaves needles.
+    # Where the plane passes close to a vertex, it leaves needle-shaped triangles.
     cut = cut.simplify(_NEEDLE * bounding_diagonal(mesh))
     return checked_mesh(largest_piece(_mesh(cut)))[0]
 
@@ -152,7 +158,7 @@ def _several(parts: list[Any]) -> MeshError:
 
 def _solid(mesh: TriangleMesh) -> Any:
     manifold = late_import("manifold3d", extra="surface", purpose=_PURPOSE)
-    # It takes no read-only arrays.
+    # manifold3d does not accept read-only arrays.
     return manifold.Manifold(
         manifold.Mesh64(mesh.vertices.copy(), mesh.triangles.astype(np.uint64))
     )

@@ -1,6 +1,6 @@
-"""What a scanner saw from its viewpoints.
+"""Views of an object: points measured from single viewpoints.
 
-Purpose    : read points, depth maps and pictures of several cameras, as points with normals.
+Purpose    : read point clouds, depth maps and pictures of several cameras, as points with normals.
 Takes      : `scan.toml`; PLY, PCD, NPY, columns of text; 16-bit depth maps; a `Rig` and pictures.
 Gives      : `Scan` with its `View`s.
 Depends on : `records`, `vision`; files of its room.

@@ -14,25 +14,25 @@ from palpate.vision import normalised, picture_count
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 _MOST_BYTES = 2**28
-# What such cameras see, [m].
+# Plausible range of depth [m].
 _NEAREST, _FARTHEST = 0.02, 30.0
-# More points of one view tell nothing about a mesh of some thousand vertices.
+# More points per view add nothing for a mesh of some thousand vertices.
 _MOST_POINTS = 20_000
-# Neighbouring pixels whose depths differ by more than this much of the depth lie on two surfaces.
+# Neighbouring pixels whose depths differ by more than this fraction lie on two surfaces.
 _JUMP = 0.01
 
 
 def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Points:
-    """Points of a depth map in the camera's frame: z along its axis.
+    """Points of a depth map in the camera's frame, z along its axis.
 
-    Pixels of value 0, not finite, or beside a jump of the depth are left out; of more than 20 000
-    every second, third ... row and column is taken.
+    Pixels that are zero, not finite, or beside a discontinuity of depth are left out. If more than
+    20 000 remain, only every k-th row and column is used.
 
     Parameters
     ----------
     path : Path                     16-bit PNG or TIFF, or NPY: depth along the axis
     camera : Camera
-    metres_per_level : float        length of one grey level, 0.001 most often
+    metres_per_level : float        depth per grey level [m], usually 0.001
 
     Returns
     -------
@@ -40,8 +40,8 @@ def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Poin
 
     Raises
     ------
-    RecordError                     not there, not readable, of another size than the camera's, no
-                                    depth in it, or depths that no camera measures
+    RecordError                     the file is missing, not readable, or not of the camera's size;
+                                    it has no depths, or their median is not between 0.02 and 30 m
     """
     depth = _levels(path) * metres_per_level
     if camera.size is not None and depth.shape[::-1] != camera.size:
@@ -85,7 +85,7 @@ def _levels(path: Path) -> Float[np.ndarray, "rows columns"]:
 
 
 def _beside_jump(depth: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Pixels at the rim of a surface: what they hold is a mixture."""
+    """Pixels beside a discontinuity of depth, whose values may mix two surfaces."""
     beside = np.zeros_like(seen)
     for axis in (0, 1):
         first, second = (

@@ -1,4 +1,4 @@
-"""Points in files: PLY, PCD, E57, XYZ and other columns of text, NPY."""
+"""Reading point clouds: PLY, PCD, E57, NPY, XYZ and other columns of text."""
 
 from io import BytesIO
 from pathlib import Path
@@ -13,28 +13,29 @@ from palpate.shapes import Points
 
 POINT_SUFFIXES = (".ply", ".pcd", ".e57", ".npy", ".xyz", ".txt", ".csv", ".asc")
 _MOST_BYTES = 2**30
-# Objects and their scans, [m]: beyond, a unit is wrong.
+# Smallest plausible extent and largest plausible coordinate [m]; otherwise the unit is wrong.
 _SPAN = (1e-6, 1e4)
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
 
 
 def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
-    """Points of a cloud, in metres, without those that the scanner marked as not measured.
+    """Read a point cloud in metres, without points marked as not measured.
 
     Parameters
     ----------
     path : Path                     .ply .pcd .e57 .npy, or text with columns x y z: .xyz .txt .csv
                                     .asc
-    metres_per_unit : float         length of the file's unit; > 0; E57 is in metres always
+    metres_per_unit : float         length unit of the file [m], > 0; E57 is always in metres
 
     Returns
     -------
-    (n, 3) float [m]                n > 0; rows with NaN, and those at 0, 0, 0 where there are many,
-                                    are left out
+    (n, 3) float [m]                n > 0; rows that are not finite are left out, and rows at
+                                    0, 0, 0 if there is more than one
 
     Raises
     ------
-    RecordError                     not there, not readable, no points, of no object's size
+    RecordError                     the file is missing, not readable, of an unknown type, has no
+                                    points, or an implausible size
     """
     suffix = path.suffix.lower()
     if suffix not in POINT_SUFFIXES:
@@ -53,7 +54,7 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
             raise ValueError(f"its numbers have the shape {points.shape}, not three columns")
     points = points[:, :3]
     points = points[np.isfinite(points).all(axis=1)]
-    # Scanners write the origin where they saw nothing.
+    # Scanners write the origin for rays without a return.
     nothing = (points == 0.0).all(axis=1)
     points = points[~nothing] if nothing.sum() > 1 else points
     if len(points) == 0:
@@ -83,7 +84,7 @@ def _read(path: Path, content: bytes, suffix: str) -> np.ndarray:
 
 
 def _e57(path: Path) -> Float[np.ndarray, "n 3"]:
-    """The one scan of a file, in the file's frame, without points that are marked as invalid."""
+    """The only scan of a file, in the file's frame, without points marked as invalid."""
     pye57 = late_import("pye57", extra="e57", purpose=f"reading {path.name}")
     file = pye57.E57(str(path))
     try:
@@ -99,14 +100,14 @@ def _e57(path: Path) -> Float[np.ndarray, "n 3"]:
 
 
 def _text(text: str) -> Float[np.ndarray, "n 3"]:
-    """The first three columns below a heading; separated by blanks, commas or semicolons."""
+    """The first three columns, below any heading; separated by blanks, commas or semicolons."""
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
         if len(words) < 3:
             continue
         try:
-            # Python takes 1_0 for ten.
+            # Python's float would accept 1_0 as ten.
             rows.append([float(word.replace("_", "?")) for word in words[:3]])
         except ValueError:
             # Headings stand above the first row.

@@ -1,4 +1,4 @@
-"""`scan.toml`: which views there are, where they were taken from, and what the object stood on."""
+"""Reading `scan.toml`: the views of an object, their poses, and the support it stood on."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -38,10 +38,10 @@ class Scan:
 
     Attributes
     ----------
-    path : Path                     of the file
-    views : tuple of View           all with a pose, or none
+    path : Path                     of scan.toml
+    views : tuple of View           all with a pose, or all without
     support : Plane or None         in the object's frame
-    files : tuple of Path           everything that was read
+    files : tuple of Path           all files that were read
     """
 
     path: Path
@@ -52,7 +52,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
-    """What all views share."""
+    """Settings shared by all views."""
 
     folder: Path
     unit: float
@@ -64,7 +64,7 @@ class _Setup:
 
 
 def read_scan(path: Path, *, progress: Progress = silent) -> Scan:
-    """Read a scan and turn every view into points with normals.
+    """Read a scan and convert every view to points with normals.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def read_scan(path: Path, *, progress: Progress = silent) -> Scan:
 
     Raises
     ------
-    RecordError                     a file that is not there or damaged, a key unknown or missing
-    InputError                      a view without enough points
+    RecordError                     a file is missing or damaged, or a key unknown or missing
+    InputError                      a view has too few points
     """
     file = path / SCAN_FILE if path.is_dir() else path
     table = read_toml(file)
@@ -181,7 +181,7 @@ def _pose(table: TomlTable, setup: _Setup) -> tuple[Pose | None, list[Path]]:
 
 
 def _stereo_view(table: TomlTable, setup: _Setup, pose: Pose | None) -> tuple[View, list[Path]]:
-    """Points that two or more cameras see at one instant, in the rig's frame."""
+    """View made of stereo points of one instant, in the rig's frame, and its picture files."""
     if setup.rig is None:
         table.fail("images", "need a [rig] with its cameras")
     pattern = table.text("images")
@@ -194,6 +194,6 @@ def _stereo_view(table: TomlTable, setup: _Setup, pose: Pose | None) -> tuple[Vi
         pose=pose,
     )  # fmt: skip
     along = np.einsum("na,nab,nb->n", view.normals, found.covariance, view.normals)
-    # Windows overlap as far as they are wide.
+    # The noise of overlapping windows is correlated up to their width.
     width = StereoSettings().subset * float(np.median(found.spacing)) / found.step
     return replace(view, sigma=np.sqrt(along), shared=width), files

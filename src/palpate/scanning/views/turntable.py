@@ -1,4 +1,4 @@
-"""A table that turns the object before a scanner that stands still."""
+"""A turntable that rotates the object in front of a stationary scanner."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from palpate.shapes import Vector3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turntable:
-    """The axis that the object turns about, in the frame of the scanner.
+    """Rotation axis of the object, in the frame of the scanner.
 
     Parameters
     ----------
@@ -34,14 +34,18 @@ class Turntable:
         object.__setattr__(self, "axis", self.axis / length)
 
     def pose(self, angle: float) -> Float[np.ndarray, "4 4"]:
-        """T_object_view where the table stands at an angle; the object's frame is that at 0.
+        """Pose T_object_view at an angle of the table; the object's frame is the view's at angle 0.
 
         Parameters
         ----------
-        angle : float [rad]
+        angle : float [rad]         right-handed about the axis
+
+        Returns
+        -------
+        (4, 4) float [m]
         """
         pose = np.eye(4)
-        # The table has turned the object; turned back, its points are where they are at 0.
+        # Undo the rotation of the table.
         pose[:3, :3] = Rotation.from_rotvec(-angle * self.axis).as_matrix()
         pose[:3, 3] = self.point - pose[:3, :3] @ self.point
         return pose

@@ -1,4 +1,4 @@
-"""What one viewpoint saw of the surface."""
+"""Points of a surface measured from one viewpoint."""
 
 from dataclasses import dataclass, replace
 
@@ -11,25 +11,25 @@ from palpate.errors import InputError
 from palpate.shapes import Points, PointScalars, Vector3
 
 Pose = Float[np.ndarray, "4 4"]
-# Neighbours that tell the tangent plane of a point, of its own view.
+# Neighbours in its own view, itself included, that define a point's tangent plane.
 _NEIGHBOURS = 24
 _FEWEST = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Points of the surface as one viewpoint measured them.
+    """Points of the surface measured from one viewpoint.
 
     Parameters
     ----------
     name : str
     points : (n, 3) float [m]       frame of the view
-    normals : (n, 3) float          unit, toward the viewpoint
+    normals : (n, 3) float          unit, towards the viewpoint
     sigma : (n,) float [m]          standard deviation along the normal, > 0
-    eye : (3,) float [m]            viewpoint
-    T_object_view : (4, 4) float or None    None where it is not known
-    shared : float [m]              points nearer to each other share a part of their errors; 0:
-                                    each errs by itself
+    eye : (3,) float [m]            viewpoint, frame of the view
+    T_object_view : (4, 4) float [m] or None    None if unknown
+    shared : float [m]              distance within which errors of points are correlated; 0: they
+                                    are independent
     """
 
     name: str
@@ -41,7 +41,7 @@ class View:
     shared: float = 0.0
 
     def placed(self, pose: Pose) -> "View":
-        """The view with points, normals and eye in the frame that a pose leads to.
+        """Transform points, normals and viewpoint by a pose.
 
         Parameters
         ----------
@@ -69,16 +69,17 @@ def make_view(
     eye: Vector3 | None = None,
     pose: Pose | None = None,
 ) -> View:
-    """A view of points: normals from their neighbours, noise from what these leave.
+    """Make a view from points, estimating normals and, if not given, noise from neighbours.
 
     Parameters
     ----------
     name : str
     points : (n, 3) float [m]       frame of the view
-    sigma : (n,) or float [m] or None   along the normal; None: the scatter of neighbours about
-                                    their plane, which bends add to
-    eye : (3,) float [m] or None    where they were seen from; None: the origin of the view
-    pose : (4, 4) float or None     T_object_view
+    sigma : (n,) or float [m] or None   standard deviation along the normal; None: the median
+                                    scatter of neighbours about their tangent plane, which includes
+                                    curvature
+    eye : (3,) float [m] or None    viewpoint; None: the origin of the view's frame
+    pose : (4, 4) float [m] or None T_object_view
 
     Returns
     -------
@@ -86,7 +87,7 @@ def make_view(
 
     Raises
     ------
-    InputError                      fewer than 50 points, or points on a line; sigma not positive
+    InputError                      fewer than 50 points; collinear points; sigma not positive
     """
     points = fixed_array(points, name=f"points of view '{name}'", shape=(None, 3))
     if len(points) < _FEWEST:

@@ -1,9 +1,10 @@
-"""Where calibrated cameras see points, and where in space pixels lie.
+"""Projection of points into calibrated cameras, and from pixels back into space.
 
-Purpose    : projection with its derivative and inverse, triangulation, rectification, and what each
-             pixel sees of a surface.
+Purpose    : projection with its Jacobian and inverse, triangulation, rectification, and the surface
+             point seen by each pixel.
 Takes      : `Camera` and `Rig`, points, pixels, a triangle surface.
-Gives      : pixels, rays, `Triangulation`, `SurfaceMap`, `Rectified`, strains of space.
+Gives      : pixels, rays, `Triangulation`, `SurfaceMap`, `Rectified`, apparent strains due to
+             calibration errors.
 Depends on : `records`, `vision.images`.
 Read first : `lens.py`, then `projection.py`.
 """

@@ -1,15 +1,15 @@
-"""The camera model as kernels: projection with its derivative, lens distortion and its inverse.
+"""Kernels of the camera model: projection with its Jacobian, lens distortion and its inverse.
 
 OpenCV's pinhole model with the rational distortion: x = X/Z, y = Y/Z, r2 = x^2 + y^2,
 radial = (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3), then
 x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2), y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y and
-column = fx x' + skew y' + cx, row = fy y' + cy. In the kernels `c` is a camera as one row of
-numbers: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, R by rows, t.
+column = fx x' + skew y' + cx, row = fy y' + cy. In the kernels `c` is a camera packed into one row:
+fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, R by rows, t.
 
-Far from the axis such polynomials fold over: two rays reach one pixel. Only the branch that holds
-the axis is the lens; `lens_reach` says how far it goes.
+Far from the axis the distortion is not invertible: two rays map to one pixel. Only the branch that
+contains the axis describes the lens; `lens_reach` gives its radius.
 
-No `fastmath` here: NaN means "not seen" and has to come through.
+No `fastmath` here: NaN means "not seen" and must propagate.
 
 Source: OpenCV, Camera calibration and 3D reconstruction, detailed description.
 """
@@ -17,20 +17,20 @@ Source: OpenCV, Camera calibration and 3D reconstruction, detailed description.
 import numpy as np
 from numba import njit
 
-# Largest error of the inverse, in the plane z = 1: 1e-13 is 7e-10 px at a focal length of 7000 px,
-# and far above rounding.
+# Tolerance of the inverse in the plane z = 1: 1e-13 is 7e-10 px at a focal length of 7000 px, and
+# well above rounding.
 _MAX_ERROR = 1e-13
-# Newton squares an error below this: what its step leaves is rounding. Only where the area of a
-# pixel has not shrunk to less than this share, as it does where the lens is about to fold over.
+# Newton converges quadratically: after a step from an error below `_NEARLY`, only rounding is left,
+# unless the Jacobian determinant is below `_MIN_AREA`, as it is where the distortion folds over.
 _NEARLY, _MIN_AREA = 1e-8, 1e-2
 _MAX_STEPS = 50
-# Rays farther from the axis than this (89.94 degrees) reach no camera.
+# Largest radius of a ray in the plane z = 1 (89.94 degrees off the axis).
 _MAX_RADIUS = 1e3
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _radial_kernel(c, r2):
-    """Radial factor of the distortion at r^2, and its derivative by r^2."""
+    """Radial factor of the distortion, and its derivative with respect to r^2."""
     over = 1.0 + r2 * (c[5] + r2 * (c[6] + r2 * c[9]))
     under = 1.0 + r2 * (c[10] + r2 * (c[11] + r2 * c[12]))
     over_slope = c[5] + r2 * (2.0 * c[6] + 3.0 * r2 * c[9])
@@ -41,7 +41,7 @@ def _radial_kernel(c, r2):
 
 @njit(cache=True, error_model="numpy")
 def distort_kernel(c, a, b):
-    """Distorted place of a ray and its derivatives.
+    """Distorted coordinates of a ray and their derivatives.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ def distort_kernel(c, a, b):
 
     Returns
     -------
-    x, y : float [-]                where the lens sends it, in the plane z = 1
-    xa, xb, yb : float [-]          derivatives: x by a, x by b (= y by a), y by b
+    x, y : float [-]                distorted coordinates in the plane z = 1
+    xa, xb, yb : float [-]          dx/da, dx/db (= dy/da), dy/db
     """
     r2 = a * a + b * b
     radial, slope = _radial_kernel(c, r2)
@@ -80,11 +80,11 @@ def project_kernel(c, x, y, z):
     Parameters
     ----------
     c : (25,) float                 `packed_camera`
-    x, y, z : float [m]             object frame; before the camera, within the lens's reach
+    x, y, z : float [m]             object frame; in front of the camera, within the lens's reach
 
     Returns
     -------
-    column, row : float [px]        without meaning for a point that the camera does not see
+    column, row : float [px]        meaningless for a point that the camera does not see
     """
     a, b, _ = _pinhole_kernel(c, x, y, z)
     xd, yd, _, _, _ = distort_kernel(c, a, b)
@@ -93,21 +93,21 @@ def project_kernel(c, x, y, z):
 
 @njit(cache=True, error_model="numpy")
 def jacobian_kernel(c, x, y, z, out):
-    """Pixel of an object point, its derivative by the point, and whether the camera can see it.
+    """Pixel of an object point, its Jacobian, and quantities that tell whether it is visible.
 
     Parameters
     ----------
     c : (25,) float                 `packed_camera`
     x, y, z : float [m]             object frame
-    out : (2, 3) float [px/m]       filled with the derivative of column and row
+    out : (2, 3) float [px/m]       filled with the Jacobian of column and row
 
     Returns
     -------
     column, row : float [px]
-    depth : float [m]               above 0 before the camera
-    square : float [-]              squared distance from the axis in the plane z = 1: below that of
-                                    `lens_reach` on the lens's branch that holds the axis
-    area : float [-]                determinant of the distortion's derivative: above 0 there
+    depth : float [m]               positive in front of the camera
+    square : float [-]              squared distance from the axis in the plane z = 1: below the
+                                    square of `lens_reach` on the valid branch of the lens
+    area : float [-]                determinant of the distortion's Jacobian: positive there
     """
     a, b, zc = _pinhole_kernel(c, x, y, z)
     xd, yd, xa, xb, yb = distort_kernel(c, a, b)
@@ -124,15 +124,15 @@ def jacobian_kernel(c, x, y, z, out):
 
 @njit(cache=True, error_model="numpy")
 def jacobians_kernel(c, reach, points, pixels, jacobians):
-    """Pixels of points and their derivatives, NaN where the camera does not see the point.
+    """Pixels of points and their Jacobians, NaN where the camera does not see the point.
 
     Parameters
     ----------
     c : (25,) float                 `packed_camera`
     reach : float [-]               `lens_reach`
     points : (n, 3) float [m]       object frame
-    pixels : (n, 2) float [px]      filled; NaN behind the camera and off the lens's branch that
-                                    holds the axis
+    pixels : (n, 2) float [px]      filled; NaN behind the camera and off the valid branch of the
+                                    lens
     jacobians : (n, 2, 3) float [px/m]  filled likewise
     """
     for i in range(len(points)):
@@ -146,9 +146,9 @@ def jacobians_kernel(c, reach, points, pixels, jacobians):
 
 @njit(cache=True, error_model="numpy")
 def _radial_start(c, distorted, reach):
-    """Radius that the radial terms alone take to `distorted`, on the branch that holds the axis.
+    """Undistorted radius for a distorted one, by the radial terms alone, on the valid branch.
 
-    Where nothing gets so far out, the last radius before the fold.
+    If no radius is mapped that far out, the limit of the branch. By bisection.
     """
     low, high = 0.0, min(reach, _MAX_RADIUS)
     for _ in range(_MAX_STEPS):
@@ -163,7 +163,7 @@ def _radial_start(c, distorted, reach):
 
 @njit(cache=True, error_model="numpy")
 def _newton_kernel(c, reach, x, y, a, b):
-    """Place near (a, b) whose distorted place is (x, y); NaN where Newton finds none."""
+    """Solve for the point near (a, b) that is distorted to (x, y); NaN where Newton fails."""
     limit = reach * reach
     allowed = _MAX_ERROR * (1.0 + np.hypot(x, y))
     for _ in range(_MAX_STEPS):
@@ -174,7 +174,7 @@ def _newton_kernel(c, reach, x, y, a, b):
             return (a, b) if area > 0.0 else (np.nan, np.nan)
         step_a = (yb * (x - u) - xb * (y - v)) / area
         step_b = (xa * (y - v) - xb * (x - u)) / area
-        # A step across the fold would end on another branch.
+        # Halve the step if it would leave the valid branch.
         for _ in range(_MAX_STEPS):
             if (a + step_a) ** 2 + (b + step_b) ** 2 < limit:
                 break
@@ -187,22 +187,22 @@ def _newton_kernel(c, reach, x, y, a, b):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def normalised_kernel(begin, end, c, reach, pixels, out):
-    """x / z and y / z of the rays that reach pixels.
+    """x / z and y / z of the rays through pixels.
 
     Parameters
     ----------
-    begin, end : int                rows of `pixels` to do
+    begin, end : int                range of rows of `pixels` to process
     c : (25,) float                 `packed_camera`
     reach : float [-]               `lens_reach`
     pixels : (n, 2) float [px]
-    out : (n, 2) float [-]          filled; NaN where no ray reaches the pixel
+    out : (n, 2) float [-]          filled; NaN where no ray maps to the pixel
     """
     for i in range(begin, end):
         y = (pixels[i, 1] - c[3]) / c[1]
         x = (pixels[i, 0] - c[2] - c[4] * y) / c[0]
         a, b = _newton_kernel(c, reach, x, y, x, y)
         if np.isnan(a):
-            # Next to the fold, or a strong lens: the radial terms alone give a better start.
+            # Strong distortion, or near its fold: the radial terms alone give a better start.
             distorted = np.hypot(x, y)
             scale = _radial_start(c, distorted, reach) / distorted
             a, b = _newton_kernel(c, reach, x, y, scale * x, scale * y)

@@ -1,4 +1,4 @@
-"""Projection of points of the object into a camera, and the rays of its pixels, on whole arrays."""
+"""Projection of object points into a camera, and rays through its pixels, for whole arrays."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,14 +9,15 @@ from palpate.shapes import Points, PointScalars, Vector3
 from palpate.threads import in_threads
 from palpate.vision.cameras.lens import jacobians_kernel, normalised_kernel
 
-# Pixels that are worth a thread: each takes some 0.1 us.
+# Minimum number of pixels per thread: each takes about 0.1 us.
 _MIN_PIXELS_PER_THREAD = 1024
-# Roots whose imaginary part is below this share are real; numpy's are good to about 1e-12.
+# A root counts as real if its imaginary part is a smaller fraction of its modulus; numpy's roots
+# are accurate to about 1e-12.
 _MAX_IMAGINARY = 1e-9
 
 
 def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
-    """A camera as one row of numbers for the kernels.
+    """Pack a camera into one row of numbers for the kernels.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
 
 
 def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
-    """All cameras of a rig for the kernels.
+    """Pack all cameras of a rig for the kernels.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
 
 
 def lens_reach(distortion: Float[np.ndarray, "8"]) -> float:
-    """Distance from the axis, in the plane z = 1, at which the radial distortion folds over.
+    """Radius in the plane z = 1 up to which the radial distortion is invertible.
 
     Parameters
     ----------
@@ -55,8 +56,8 @@ def lens_reach(distortion: Float[np.ndarray, "8"]) -> float:
 
     Returns
     -------
-    float [-]                       smallest r > 0 where r radial(r^2) stops rising or has a pole;
-                                    infinite where it always rises
+    float [-]                       smallest r > 0 where r radial(r^2) stops increasing or has a
+                                    pole; infinite where it always increases
     """
     k1, k2, _, _, k3, k4, k5, k6 = (float(term) for term in distortion)
     if not any((k1, k2, k3, k4, k5, k6)):
@@ -72,7 +73,7 @@ def lens_reach(distortion: Float[np.ndarray, "8"]) -> float:
 
 
 def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:
-    """Where a camera sees points of the object.
+    """Project points of the object into a camera.
 
     Parameters
     ----------
@@ -81,9 +82,9 @@ def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:
 
     Returns
     -------
-    (n, 2) float [px]               column and row, in the picture or beside it; NaN for a point at
-                                    or behind the camera's centre, or so far off the axis that the
-                                    lens model has folded over
+    (n, 2) float [px]               column and row, inside or outside the picture; NaN for a point
+                                    at or behind the camera's centre, or so far off the axis that
+                                    the lens model is no longer invertible (`lens_reach`)
     """
     return project_jacobian(camera, points)[0]
 
@@ -91,7 +92,7 @@ def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:
 def project_jacobian(
     camera: Camera, points: Points
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 3"]]:
-    """Where a camera sees points, and how that moves with them.
+    """Project points into a camera, with the Jacobian of the projection.
 
     Parameters
     ----------
@@ -101,10 +102,10 @@ def project_jacobian(
     Returns
     -------
     pixels : (n, 2) float [px]      as `project`
-    jacobian : (n, 2, 3) float [px/m]   entry [n, i, j]: pixel coordinate i by point coordinate j;
+    jacobian : (n, 2, 3) float [px/m]   [n, i, j]: d(pixel coordinate i) / d(point coordinate j);
                                     NaN where the pixel is
     """
-    # A copy can be written to, so that the kernel is compiled for one kind of array only.
+    # A copy is writable, so the kernel is compiled for one array type only.
     points = np.array(points, dtype=np.float64, order="C")
     pixels, jacobian = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
     reach = lens_reach(camera.distortion)
@@ -113,9 +114,9 @@ def project_jacobian(
 
 
 def normalised(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Undo the camera matrix and the lens: directions in the camera frame, as x / z and y / z.
+    """Invert camera matrix and lens: directions in the camera frame, as x / z and y / z.
 
-    Newton's method with the analytic derivative; forward and back again agree to 1e-9 px.
+    Newton's method with the analytic Jacobian; a round trip through `project` is exact to 1e-9 px.
 
     Parameters
     ----------
@@ -124,8 +125,8 @@ def normalised(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.nda
 
     Returns
     -------
-    (n, 2) float [-]                NaN where the pixel is, and where the lens model, folding over,
-                                    sends no ray
+    (n, 2) float [-]                NaN where the pixel is, and where the lens model maps no ray to
+                                    the pixel
     """
     pixels = np.ascontiguousarray(pixels, dtype=np.float64)
     directions = np.empty_like(pixels)
@@ -135,7 +136,7 @@ def normalised(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.nda
 
 
 def check_picture_size(camera: Camera, shape: tuple[int, int]) -> None:
-    """Refuse pictures of another size than the camera's.
+    """Raise if pictures do not have the camera's size.
 
     Parameters
     ----------
@@ -144,7 +145,7 @@ def check_picture_size(camera: Camera, shape: tuple[int, int]) -> None:
 
     Raises
     ------
-    InputError                      the camera has a size, and it is not this one
+    InputError                      the camera's size is known and differs from `shape`
     """
     rows, columns = shape
     if camera.size is not None and camera.size != (columns, rows):
@@ -155,7 +156,7 @@ def check_picture_size(camera: Camera, shape: tuple[int, int]) -> None:
 
 
 def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 rows columns"]:
-    """Where the ray of every pixel centre meets the plane z = 1 of the camera.
+    """Intersection of every pixel's ray with the plane z = 1 of the camera.
 
     Parameters
     ----------
@@ -168,7 +169,7 @@ def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 r
 
     Raises
     ------
-    InputError                      a shape that contradicts the camera's
+    InputError                      a shape that contradicts the camera's size
     """
     check_picture_size(camera, shape)
     row, column = np.indices(shape, dtype=np.float64).reshape(2, -1)
@@ -182,7 +183,7 @@ def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 r
 
 
 def rays(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> tuple[Vector3, Points]:
-    """Rays of light that reach pixels, in the object frame.
+    """Rays from the camera through pixels, in the object frame.
 
     Parameters
     ----------
@@ -202,12 +203,12 @@ def rays(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> tuple[Vector3, Poi
 
 
 def pixel_sizes(camera: Camera, point: Points) -> PointScalars:
-    """Side of a camera's pixel on a surface that faces it.
+    """Side of a pixel projected onto a surface that faces the camera.
 
     Parameters
     ----------
     camera : Camera
-    point : (n, 3) float [m]        object frame, before the camera
+    point : (n, 3) float [m]        object frame, in front of the camera
 
     Returns
     -------

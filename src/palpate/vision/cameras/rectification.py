@@ -1,10 +1,11 @@
-"""Rectified pictures: epipolar lines along the rows, and for an L of three cameras the columns too.
+"""Rectification: epipolar lines along rows and, for an L of three cameras, also along columns.
 
-All rectified cameras share one rotation and one K but for the principal point, and have no lens.
-For a pair the x axis is the baseline. For an L the image plane is parallel to the plane of the
-three centres and x is the baseline of the left camera; where the L is not a right angle, K gets the
-skew that lays the baseline of the top camera along the columns. So the reference picture serves
-both baselines, and a rectified camera is an ordinary `Camera`: `project` and `rays` work on it.
+All rectified cameras share one rotation and, apart from the principal point, one camera matrix K;
+they have no lens distortion. For a pair the x axis is the baseline. For an L the image plane is
+parallel to the plane of the three centres and x is the baseline of the left camera; if the arms are
+not at a right angle, K has the skew that maps the baseline of the top camera onto the columns. So
+one rectified reference picture serves both baselines. A rectified camera is an ordinary `Camera`:
+`project` and `rays` work on it.
 """
 
 from collections.abc import Sequence
@@ -19,23 +20,24 @@ from palpate.shapes import Matrix3, Vector3
 from palpate.vision.cameras.projection import check_picture_size, normalised, project
 from palpate.vision.images import interpolate, make_spline_picture
 
-# Tilting a picture by 60 degrees stretches its centre by two and its far edge without bound.
+# Rotating the image plane by 60 degrees stretches the picture's centre by a factor of two, and its
+# far edge without bound.
 _MIN_COSINE = np.cos(np.deg2rad(60.0))
-# An L this far from a right angle (30 degrees between the arms) is sheared by two.
+# With arms at 30 (or 150) degrees, rectification shears the picture by about two.
 _MIN_SINE = np.sin(np.deg2rad(30.0))
-# Where `cv2.remap` is sent for a pixel that the camera does not see: outside, whatever the method.
+# Coordinate passed to `cv2.remap` for pixels that the camera does not see: far outside.
 _OUTSIDE = -1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rectified:
-    """Two or three cameras made parallel; the first is the reference.
+    """Two or three rectified cameras; the first is the reference.
 
     Attributes
     ----------
-    cameras : tuple of Camera       k of them, rectified: no lens, one rotation, own T_camera_object
-    maps : tuple of (2, rows, columns) float32 [px]     column and row in each camera's own picture,
-                                    for `cv2.remap`; far outside where it sees nothing
+    cameras : tuple of Camera       k of them, without distortion, with one common rotation
+    maps : tuple of (2, rows, columns) float32 [px]     column and row in each camera's original
+                                    picture, for `cv2.remap`; far outside where it sees nothing
     axis : tuple of int             for each camera but the first: 0 where its disparity is in
                                     columns (epipolar lines along rows), 1 where in rows
     """
@@ -46,23 +48,23 @@ class Rectified:
 
 
 def rectify(cameras: Sequence[Camera], shape: tuple[int, int]) -> Rectified:
-    """Turn cameras so that a point shares its row with the second, its column with the third.
+    """Rectify cameras: a point keeps its row in the second camera and its column in the third.
 
     Parameters
     ----------
-    cameras : 2 or 3 of Camera      the reference first; three make an L, not necessarily a right
-                                    angle: the left one before the top one
+    cameras : 2 or 3 of Camera      the reference first; three form an L, not necessarily with a
+                                    right angle: the left one before the top one
     shape : (rows, columns) [px]    of their pictures
 
     Returns
     -------
-    Rectified                       its pictures hold the whole reference picture
+    Rectified                       its pictures contain the whole reference picture
 
     Raises
     ------
-    CalibrationError                one centre, centres (nearly) on a line, or cameras that look
-                                    along the line of the two centres or the plane of the three
-    InputError                      a shape that contradicts a camera's
+    CalibrationError                coincident or (nearly) collinear centres, or cameras that look
+                                    along the baseline or the plane of the three centres
+    InputError                      a shape that contradicts a camera's size
     """
     reference, *others = cameras
     arms = [_arm(reference, other) for other in others]
@@ -90,10 +92,11 @@ def rectify(cameras: Sequence[Camera], shape: tuple[int, int]) -> Rectified:
 def remapped(
     rectified: Rectified, index: int, picture: Float[np.ndarray, "_ _"]
 ) -> Float[np.ndarray, "rows columns"]:
-    """The picture of one camera as its rectified camera would take it.
+    """Resample the picture of one camera into its rectified camera.
 
-    Interpolated by the cubic spline that the refinement uses too: `cv2.remap`, which takes the maps
-    as well, rounds places to a 32nd of a pixel, and its bicubic kernel bends a plain slope.
+    Interpolates with the cubic spline that the refinement uses too: `cv2.remap`, which accepts the
+    same maps, rounds coordinates to 1/32 px, and its bicubic kernel does not reproduce a linear
+    ramp.
 
     Parameters
     ----------
@@ -118,7 +121,7 @@ def _arm(reference: Camera, other: Camera) -> Vector3:
     """Unit vector from the centre of the reference to that of another camera, object frame."""
     arm = camera_centre(other) - camera_centre(reference)
     distance = np.linalg.norm(camera_centre(reference))
-    # Centres closer than the rounding of their coordinates give no direction.
+    # Centres that coincide within rounding give no direction.
     if np.linalg.norm(arm) <= 1e-9 * max(float(distance), 1e-9):
         raise CalibrationError(
             f"cameras '{reference.name}' and '{other.name}' have the same centre; depth needs a"
@@ -128,7 +131,7 @@ def _arm(reference: Camera, other: Camera) -> Vector3:
 
 
 def _plane_normal(cameras: Sequence[Camera], arms: Sequence[Vector3]) -> Vector3:
-    """Normal of the plane of three centres, as long as the sine of the angle between the arms."""
+    """Normal of the plane of three centres; its length is the sine of the angle of the arms."""
     normal = np.cross(arms[0], arms[1])
     if np.linalg.norm(normal) < _MIN_SINE:
         reference, left, top = (camera.name for camera in cameras)
@@ -142,7 +145,7 @@ def _plane_normal(cameras: Sequence[Camera], arms: Sequence[Vector3]) -> Vector3
 
 
 def _mean_view(cameras: Sequence[Camera]) -> Vector3:
-    """Unit vector along which the cameras look, on average, object frame."""
+    """Mean viewing direction of the cameras, unit vector in the object frame."""
     view = np.sum([camera.T_camera_object[2, :3] for camera in cameras], axis=0)
     return view / max(float(np.linalg.norm(view)), 1e-12)
 
@@ -177,7 +180,7 @@ def _rectified(
 def _extent(
     camera: Camera, rotation: Matrix3, matrix: Matrix3, shape: tuple[int, int]
 ) -> Float[np.ndarray, "2 2"]:
-    """Least and greatest (column, row) of a camera's picture after the turn, principal point 0."""
+    """Minimum and maximum (column, row) of a camera's rectified picture, principal point at 0."""
     check_picture_size(camera, shape)
     rows, columns = shape
     column, row = np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64)
@@ -199,7 +202,7 @@ def _extent(
 def _canvas(
     extents: Sequence[Float[np.ndarray, "2 2"]], axis: tuple[int, ...]
 ) -> tuple[tuple[int, int], list[Float[np.ndarray, "2"]]]:
-    """Common size (columns, rows), and the place of each camera's first pixel.
+    """Common size (columns, rows) of the rectified pictures, and coordinates of their first pixels.
 
     Along its disparity a camera's picture is centred in the canvas; across, all share one origin.
     """
@@ -220,7 +223,7 @@ def _canvas(
 def _map(
     camera: Camera, turned: Camera, size: tuple[int, int]
 ) -> Float[np.ndarray, "2 rows columns"]:
-    """Where the pixels of a rectified camera lie in the picture as it was taken."""
+    """Positions of a rectified camera's pixels in the original picture."""
     row, column = np.indices(size[::-1], dtype=np.float64).reshape(2, -1)
     pixels = np.column_stack([column, row, np.ones(len(row))])
     back = np.linalg.inv(turned.matrix @ turned.T_camera_object[:3, :3])

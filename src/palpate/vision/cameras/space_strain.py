@@ -1,4 +1,4 @@
-"""What errors of a calibration do to lengths: space as cameras see it, stretched and sheared."""
+"""Apparent strain of measured space caused by calibration errors of the cameras."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,35 +14,35 @@ from palpate.vision.cameras.projection import project
 from palpate.vision.cameras.triangulation import triangulate
 
 _LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-# Where the first four of them stand in the matrix of a camera.
+# Indices of the first four of them in the camera matrix.
 _INNER = np.array([0, 1, 0, 1]), np.array([0, 1, 2, 2])
 _POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
-# Points that space is looked at, around those that are given; how far around, of their extent.
+# Number of given points used, and the offset of further points around them as a fraction of extent.
 _MAX_POINTS, _AROUND = 100, 0.05
-# Fewer say nothing.
+# Minimum number of points that must be seen.
 _FEWEST = 12
-# A step of so many standard deviations both ways: what follows is linear in it.
+# Central differences over this many standard deviations on each side.
 _STEP = 0.5
-# Strains that add less than this to the variance of the largest are left out.
+# Principal strains whose variance is below this fraction of the largest are dropped.
 _LEAST_VARIANCE = 1e-3
 
 
 def calibration_numbers(cameras: Sequence[Camera], names: Sequence[str]) -> Float[np.ndarray, " p"]:
-    """Numbers of cameras by the names that a covariance gives them (`RigCovariance.names`).
+    """Values of the camera parameters named by a covariance (`RigCovariance.names`).
 
     Parameters
     ----------
-    cameras : sequence of Camera    the first of the calibration is the one without a pose in
+    cameras : sequence of Camera    the calibration's first camera is the one without a pose in
                                     `names`
-    names : sequence of p str
+    names : sequence of p str       `camera.term`
 
     Returns
     -------
-    (p,) float                      of the pose with respect to that first camera
+    (p,) float                      poses with respect to that first camera
 
     Raises
     ------
-    CalibrationError                a name of no camera or term
+    CalibrationError                a name that matches no camera or term
     """
     by_name = {camera.name: camera for camera in cameras}
     first = _first(cameras, names)
@@ -63,12 +63,12 @@ def calibration_numbers(cameras: Sequence[Camera], names: Sequence[str]) -> Floa
 
 
 def space_strains(rig: Rig, known: RigCovariance, points: Points) -> Float[np.ndarray, "m 3 3"]:
-    """Strains of what cameras measure around some points, by the errors of their calibration.
+    """Apparent strains around some points due to errors of the calibration.
 
-    A point that cameras triangulate lies beside the true one; what differs between points changes
-    displacements. Its mean over all that two cameras have in their pictures counts. A common turn
-    is left out: a surface that was measured with the same cameras, or registered to what they see,
-    is turned alike.
+    Calibration errors shift triangulated points; the gradient of the shift distorts measured
+    displacements. Its mean over all points in the pictures of at least two cameras is taken. The
+    rotation is left out: a surface measured with the same cameras, or registered to what they see,
+    is rotated alike.
 
     Parameters
     ----------
@@ -78,13 +78,13 @@ def space_strains(rig: Rig, known: RigCovariance, points: Points) -> Float[np.nd
 
     Returns
     -------
-    (m, 3, 3) float [-]             symmetric, for one standard deviation of independent errors, the
-                                    largest first, m <= 6
+    (m, 3, 3) float [-]             symmetric strain tensors for independent errors of one standard
+                                    deviation each, the largest first, m <= 6
 
     Raises
     ------
-    CalibrationError                the covariance is of other cameras; two cameras do not see the
-                                    points
+    CalibrationError                the covariance belongs to other cameras, or fewer than 12 points
+                                    are seen by two cameras
     """
     _check_same(rig, known)
     points = _cloud(rig, points)
@@ -109,8 +109,8 @@ def space_strains(rig: Rig, known: RigCovariance, points: Points) -> Float[np.nd
 
 
 def _cloud(rig: Rig, points: Points) -> Float[np.ndarray, "m 3"]:
-    """Points that two cameras see, and some around each, lest a flat surface leave its normal
-    open."""
+    """Points around each given point (so that a flat surface, too, determines the gradient along
+    its normal), as far as two cameras see them."""
     points = points[:: max(len(points) // _MAX_POINTS, 1)]
     reach = _AROUND * float(np.ptp(points, axis=0).max())
     around = reach * np.concatenate([np.eye(3), -np.eye(3)])
@@ -118,7 +118,7 @@ def _cloud(rig: Rig, points: Points) -> Float[np.ndarray, "m 3"]:
     count = np.zeros(len(points), dtype=np.int64)
     for camera in rig.cameras:
         pixel = project(camera, points)
-        # Beyond the picture nothing holds the lens.
+        # Outside the picture the lens model is not calibrated.
         end = np.array(camera.size or (np.inf, np.inf)) - 1.0
         with np.errstate(invalid="ignore"):
             count += ((pixel >= 0.0) & (pixel <= end)).all(axis=1)
@@ -132,7 +132,7 @@ def _cloud(rig: Rig, points: Points) -> Float[np.ndarray, "m 3"]:
 
 
 def _first(cameras: Sequence[Camera], names: Sequence[str]) -> Camera:
-    """The camera whose frame the poses are in: the one that has none."""
+    """The camera whose frame the poses are relative to: the one without a pose in `names`."""
     posed = {name.rpartition(".")[0] for name in names if name.rpartition(".")[2] in _POSE}
     told = {name.rpartition(".")[0] for name in names}
     known = {camera.name: camera for camera in cameras}
@@ -145,13 +145,13 @@ def _first(cameras: Sequence[Camera], names: Sequence[str]) -> Camera:
 
 
 def _check_same(rig: Rig, known: RigCovariance) -> None:
-    """Refuse a covariance of numbers that are not the rig's."""
+    """Raise if the covariance's values are not those of the rig."""
     try:
         found = calibration_numbers(rig.cameras, known.names)
     except CalibrationError as error:
         raise CalibrationError(f"{known.source}: {error}") from error
     std = np.sqrt(np.diag(known.covariance))
-    # Files are written with all digits; a turn and its inverse are not exact to the last.
+    # Files hold all digits, but converting a rotation and back rounds the last ones.
     off = np.abs(found - known.value) - std - 1e-6 * np.abs(known.value)
     if np.any(off > 1e-9):
         worst = int(off.argmax())
@@ -163,13 +163,14 @@ def _check_same(rig: Rig, known: RigCovariance) -> None:
 
 
 def moved_rig(rig: Rig, names: Sequence[str], step: Float[np.ndarray, " p"]) -> Rig:
-    """The rig with its numbers off by a step; poses with respect to the first camera.
+    """The rig with its parameters changed by a step; poses are relative to the first camera.
 
     Parameters
     ----------
     rig : Rig
     names : sequence of p str       as in `RigCovariance`
-    step : (p,) float               a turn is added after that of the pose
+    step : (p,) float               a rotation vector [rad] is applied after the pose's rotation, a
+                                    shift [m] is added
 
     Returns
     -------

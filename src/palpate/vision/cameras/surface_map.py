@@ -1,8 +1,9 @@
-"""What each pixel of a camera sees of a triangle surface.
+"""Ray casting: the point of a triangle surface seen by each pixel of a camera.
 
-The ray of a pixel is found once by undoing the lens distortion; in the plane z = 1 of the camera
-every triangle is a straight triangle then, and the inverse of the depth is linear over it. So the
-hits are exact whatever the distortion, and a fold of the lens model beyond the picture is harmless.
+The ray of each pixel is found once by inverting the lens distortion. In the plane z = 1 of the
+camera every triangle is then a straight-edged triangle over which inverse depth is linear. So the
+intersections are exact for any distortion, and a fold of the lens model outside the picture is
+harmless.
 """
 
 from dataclasses import dataclass
@@ -18,19 +19,19 @@ from palpate.shapes import Flags, Points, Triangles, Vertices
 from palpate.threads import in_threads
 from palpate.vision.cameras.projection import pixel_grid, project
 
-# Side of the squares of pixels that are skipped together [px]: a triangle of a usual mesh covers
-# one to four of them.
+# Side of the tiles of pixels that are tested together [px]: a triangle of a usual mesh covers one
+# to four of them.
 _TILE = 8
-# Pixels this share of a triangle's size outside it still hit it: far above rounding (1e-13 for a
-# triangle of one pixel), far below a pixel, so that no ray slips through a shared edge.
+# Tolerance of the inside test, as a fraction of a triangle's size: well above rounding (1e-13 for a
+# triangle of one pixel) and well below a pixel, so that no ray slips through a shared edge.
 _RIM = 1e-9
-# Rounding of a projection onto a pixel centre at the edge of the picture [px].
+# Tolerance for rounding of a projection at the edge of the picture [px].
 _EDGE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMap:
-    """Point of the surface behind every pixel centre of one camera.
+    """Surface point behind every pixel centre of one camera.
 
     Attributes
     ----------
@@ -50,8 +51,8 @@ def surface_map(
 ) -> SurfaceMap:
     """Intersect the ray of every pixel centre with a triangle surface; the nearest hit is kept.
 
-    The surface may be open or closed, and is seen from both sides. The result does not depend on
-    the number of threads.
+    The surface may be open or closed; both sides are visible. The result does not depend on the
+    number of threads.
 
     Parameters
     ----------
@@ -66,8 +67,8 @@ def surface_map(
 
     Raises
     ------
-    InputError                      a shape that contradicts the camera's
-    CalibrationError                a part of the surface is beside or behind the camera
+    InputError                      a shape that contradicts the camera's size
+    CalibrationError                part of the surface is not in front of the camera
     """
     grid = pixel_grid(camera, shape)
     pose = camera.T_camera_object
@@ -92,26 +93,26 @@ def surface_map(
 def _tiled(
     extreme: np.ufunc, grid: Float[np.ndarray, "2 rows columns"]
 ) -> Float[np.ndarray, "2 bands tiles"]:
-    """`np.fmin` or `np.fmax` over the pixels of every tile, NaN left out."""
+    """`np.fmin` or `np.fmax` over the pixels of every tile, ignoring NaN."""
     rows, columns = (np.arange(0, size, _TILE) for size in grid.shape[1:])
     return extreme.reduceat(extreme.reduceat(grid, rows, axis=1), columns, axis=2)
 
 
 def visible(surface: SurfaceMap, camera: Camera, points: Points, *, tolerance: float) -> Flags:
-    """True for the points that a camera sees: in the picture, and not behind the surface.
+    """True for points that a camera sees: in the picture, and not behind the surface.
 
-    The depth of the surface is interpolated between the four pixel centres around the projection;
-    one without surface counts as infinitely far. Less than a pixel off an outline the answer is a
-    guess: a point beside the outline of something nearer counts as hidden, one just past the
-    outline against the background as seen.
+    The depth of the surface is interpolated between the four pixel centres around the projection; a
+    pixel without surface counts as infinitely far. Within a pixel of an outline the result is
+    uncertain: a point beside the outline of a nearer part counts as hidden, one just beyond an
+    outline against the background counts as seen.
 
     Parameters
     ----------
     surface : SurfaceMap            of this camera
     camera : Camera
     points : (n, 3) float [m]       object frame
-    tolerance : float [m]           how far behind the surface, along the ray, a point may lie; more
-                                    than the error of the mesh
+    tolerance : float [m]           how far behind the surface, along the ray, a point may lie and
+                                    still be seen; should exceed the error of the mesh
 
     Returns
     -------
@@ -132,7 +133,7 @@ def visible(surface: SurfaceMap, camera: Camera, points: Points, *, tolerance: f
 
 
 def _check_in_front(camera: Camera, depth: Float[np.ndarray, " v"], triangles: Triangles) -> None:
-    """Refuse a surface that reaches beside or behind the camera."""
+    """Raise if any part of the surface is not in front of the camera."""
     used = depth[triangles]
     behind = ~(used > 0.0)
     if behind.any():
@@ -149,7 +150,7 @@ def _depth_at(
 ) -> Float[np.ndarray, " k"]:
     """Depth of the surface between pixel centres [m], infinite where there is none.
 
-    Its inverse is interpolated: linear over a plane.
+    Inverse depth is interpolated, because it is linear over a plane.
     """
     toward = camera.T_camera_object[2]
     depth = surface.point @ toward[:3] + toward[3]
@@ -158,13 +159,13 @@ def _depth_at(
         return 1.0 / map_coordinates(inverse, pixel[:, ::-1].T, order=1, mode="nearest")
 
 
-# No fastmath here: NaN marks pixels without a ray.
+# No fastmath: NaN marks pixels without a ray.
 @njit(cache=True, nogil=True, error_model="numpy")
 def _hit_bands(begin, end, grid, bounds, corner, boxes, inverse_depth, triangle):
     """Inverse depth and triangle of the nearest hit of every pixel, in bands of one tile's height.
 
-    `bounds` (2, 2, bands, tiles): least and greatest x and y of each tile; `corner` (m, 3, 3):
-    x / z, y / z and 1 / z of each vertex; `boxes` (2, 2, m): least and greatest x and y.
+    `bounds` (2, 2, bands, tiles): minimum and maximum x and y of each tile; `corner` (m, 3, 3):
+    x / z, y / z and 1 / z of each vertex; `boxes` (2, 2, m): minimum and maximum x and y.
     """
     tiles = bounds.shape[3]
     for band in range(begin, end):
@@ -188,7 +189,7 @@ def _hit_bands(begin, end, grid, bounds, corner, boxes, inverse_depth, triangle)
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _is_apart(box, other):
-    """True for boxes (2, 2), least and greatest x and y, that have no point in common."""
+    """True for disjoint boxes (2, 2), given by minimum and maximum x and y."""
     return (
         box[0, 0] > other[1, 0]
         or box[1, 0] < other[0, 0]
@@ -199,11 +200,11 @@ def _is_apart(box, other):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _hit_kernel(grid, left, right, corner, number, inverse_depth, triangle):
-    """Note one triangle at those of some pixels that it hits in front of what is noted there."""
+    """Depth-test one triangle against some pixels, recording it where it is the nearest so far."""
     x0, y0, near0 = corner[0, 0], corner[0, 1], corner[0, 2]
     x1, y1, near1 = corner[1, 0], corner[1, 1], corner[1, 2]
     x2, y2, near2 = corner[2, 0], corner[2, 1], corner[2, 2]
-    # A triangle seen edge on has no area: its weights are infinite or NaN, and hit nothing.
+    # A triangle seen edge-on has no area: its weights are infinite or NaN, so it is never hit.
     inverse = 1.0 / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
     for i in range(grid.shape[1]):
         for j in range(left, right):

@@ -1,4 +1,4 @@
-"""Points of the object from their pixels in two or more cameras."""
+"""Triangulation: points of the object from their pixels in two or more cameras."""
 
 from dataclasses import dataclass
 
@@ -18,30 +18,30 @@ from palpate.vision.small_systems import (
     cholesky_solve_kernel,
 )
 
-# Gauss-Newton converges in three to six steps; a point that needs more has no minimum nearby.
+# Gauss-Newton converges in three to six steps; a point that needs far more has no minimum nearby.
 _MAX_STEPS = 60
-# Of the depth: a step below rounding of the projection (1e-13 px).
+# Final step length as a fraction of depth: below the rounding of the projection (1e-13 px).
 _CONVERGED = 1e-12
-# Rounding may raise the cost of the last steps, which are too short to matter.
+# Steps shorter than this fraction of depth are accepted even if rounding raises the cost.
 _TINY = 1e3 * _CONVERGED
-# Points that are worth a thread: each takes some 4 us.
+# Minimum number of points per thread: each takes about 4 us.
 _MIN_POINTS_PER_THREAD = 64
-# A determinant below this share of the diagonal's product is rounding: rays are parallel.
+# A determinant below this fraction of the product of the diagonal is rounding: rays are parallel.
 _MIN_DETERMINANT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """Points of the object and how well the cameras agree on them.
+    """Triangulated points of the object, with covariances and residuals.
 
     Attributes
     ----------
     point : (n, 3) float [m]        object frame; NaN where fewer than two cameras see it, where the
-                                    rays are parallel, or where they meet behind a camera
-    covariance : (n, 3, 3) float [m^2]  from that of the pixels; NaN where the point is
-    residual : (n,) float [px]      rms distance of the point's projections from the pixels, per
-                                    coordinate, over the cameras that see it; NaN where the point is
-    cameras : (n,) int              how many cameras see the point
+                                    rays are parallel, or where they intersect behind a camera
+    covariance : (n, 3, 3) float [m^2]  propagated from the pixels; NaN where the point is
+    residual : (n,) float [px]      rms reprojection error per coordinate, over the cameras that see
+                                    the point; NaN where the point is
+    cameras : (n,) int              number of cameras that see the point
     """
 
     point: Points
@@ -55,25 +55,25 @@ def triangulate(
     pixels: Float[np.ndarray, "c n 2"],
     covariance: Float[np.ndarray, "_ _ 2 2"] | float,
 ) -> Triangulation:
-    """Most likely points for the pixels at which cameras see them.
+    """Maximum-likelihood points from their pixels in the cameras.
 
-    A linear start, then Gauss-Newton on the weighted distances in the pictures, lenses included.
+    A linear start, then Gauss-Newton on the weighted reprojection errors, lens distortion included.
 
     Parameters
     ----------
     rig : Rig                       c cameras
     pixels : (c, n, 2) float [px]   NaN where a camera does not see the point
     covariance : (c, n, 2, 2) float [px^2] or float [px]    of each pixel, positive definite where
-                                    it is given; or one standard deviation for all, > 0
+                                    the pixel is given; or one standard deviation for all, > 0
 
     Returns
     -------
-    Triangulation                   does not depend on the number of threads
+    Triangulation                   independent of the number of threads
 
     Raises
     ------
-    InputError                      another number of cameras; a covariance that is not positive
-                                    definite, or of another shape
+    InputError                      the number of cameras differs from the rig's; a covariance is
+                                    not positive definite, or has the wrong shape
 
     Source
     ------
@@ -132,9 +132,9 @@ def _weights(
 def _linear_start(
     rig: Rig, flat: Float[np.ndarray, "c n 2"], seen: Bool[np.ndarray, "c n"]
 ) -> Points:
-    """Least-squares points of the normalised rays; NaN where they are parallel."""
+    """Linear least-squares points from the normalised rays; NaN where these are parallel."""
     pose = np.stack([camera.T_camera_object[:3] for camera in rig.cameras])[:, None]
-    # x / z = place: a row of (R x + t) less place times that of z.
+    # x = flat z: the row of (R x + t) minus flat times that of z.
     rows = np.where(seen[..., None, None], pose[:, :, :2] - flat[..., None] * pose[:, :, 2:], 0.0)
     normal = np.einsum("cnai,cnaj->nij", rows[..., :3], rows[..., :3])
     right = -np.einsum("cnai,cna->ni", rows[..., :3], rows[..., 3])
@@ -145,7 +145,7 @@ def _linear_start(
 
 @njit(cache=True, error_model="numpy")
 def _normal_equations_kernel(cameras, pixels, seen, weight, i, point, matrix, right):
-    """Gauss-Newton system of one point; its weighted cost, squared error [px^2] and least depth."""
+    """Gauss-Newton system of one point; returns weighted cost, squared error [px^2], min. depth."""
     right[:] = 0.0
     matrix[:, :] = 0.0
     jacobian = np.empty((2, 3))
@@ -172,9 +172,9 @@ def _normal_equations_kernel(cameras, pixels, seen, weight, i, point, matrix, ri
 
 @njit(cache=True, error_model="numpy")
 def _refine_kernel(cameras, pixels, seen, weight, i, point, inverse):
-    """Move a point to the least cost and invert its system; its squared error, NaN where lost.
+    """Minimise the cost over a point and invert its normal matrix; returns the squared error.
 
-    A step that raises the cost or leads behind a camera is halved.
+    A step that raises the cost or leads behind a camera is halved. NaN where there is no minimum.
     """
     matrix, step = np.empty((3, 3)), np.empty(3)
     cost, square, depth = _normal_equations_kernel(
@@ -206,7 +206,7 @@ def _refine_kernel(cameras, pixels, seen, weight, i, point, inverse):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _refine_range(begin, end, cameras, pixels, seen, weight, point, covariance, square):
-    """Refine points that have a start; NaN for those that find no least cost."""
+    """Refine all points that have a start; NaN for those without a minimum."""
     for i in range(begin, end):
         if not np.isnan(point[i, 0]):
             square[i] = _refine_kernel(cameras, pixels, seen, weight, i, point[i], covariance[i])

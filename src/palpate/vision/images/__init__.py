@@ -1,8 +1,8 @@
-"""Pictures from files, made ready to be searched and matched.
+"""Pictures from files, prepared for searching and matching.
 
-Purpose    : grey levels of a whole file or a message about what is wrong with it; pictures
-             normalised, with features, and between their pixels.
-Takes      : files of pictures, a `Rig`.
+Purpose    : grey levels from picture files, or a message about what is wrong with a file;
+             normalised pictures, their features, and interpolation between pixels.
+Takes      : picture files, a `Rig`.
 Gives      : `Pictures`, `NormalisedImage`, `PreparedPictures`, `SplinePicture`.
 Depends on : `records`.
 Read first : `pictures.py`, then `spline.py`.

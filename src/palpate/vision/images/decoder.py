@@ -1,9 +1,9 @@
-"""Decoding of picture files with OpenCV, and whether they were whole.
+"""Decoding of picture files with OpenCV, with detection of damaged files.
 
-The codecs behind OpenCV (libjpeg, libpng, libtiff) mention damage on the process's error stream
-only; libjpeg even returns a picture then, whose lower part is grey and would be taken for the
-object. That stream is led into a file while one picture is decoded: nothing of it reaches the
-terminal, and the damage becomes known.
+The codecs behind OpenCV (libjpeg, libpng, libtiff) report damage only on the process's standard
+error; libjpeg even returns a picture, whose lower part is grey and would be taken for the object.
+Standard error is therefore redirected to a file while a picture is decoded, so that nothing reaches
+the terminal and damage is detected.
 """
 
 import os
@@ -20,20 +20,20 @@ from palpate.errors import RecordError
 from palpate.vision.images.picture_size import BMP, JPEG, PNG, TIFF, picture_count
 
 PICTURE_KINDS = "PNG, JPEG, TIFF or BMP"
-# Start of the coded data of a JPEG's last scan, and end of its picture.
+# JPEG markers: start of the coded data of a scan, and end of the image.
 _START_OF_SCAN, _END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
-# The error stream belongs to the whole process: one at a time may lead it elsewhere.
+# Standard error belongs to the whole process: only one thread at a time may redirect it.
 _ONE_AT_A_TIME = threading.Lock()
 _ERROR_STREAM = 2
 _FROM_CODECS = re.compile(r"JPEG|libpng|TIFF|imgcodecs|grfmt|imdecode|\[ *(WARN|ERROR|INFO):")
 # Warnings, such as one about an unknown tag, say nothing about the pixels.
 _DAMAGE = re.compile(r"Corrupt JPEG|[Pp]remature end|ERROR|error")
-# Where in OpenCV's sources a message arose.
+# Prefix of an OpenCV message: the place in its sources.
 _SOURCE = re.compile(r"^\[.*?\] global \S+ ")
 
 
 def decode_picture(content: bytes) -> np.ndarray:
-    """Pixels of a file as they are stored: not converted, not turned.
+    """Decode the pixels of a file as stored: not converted, not rotated.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def decode_picture(content: bytes) -> np.ndarray:
 
     Raises
     ------
-    RecordError                     the file is empty, of another kind, cut off or damaged, or a
-                                    TIFF with several pictures; the text is the end of a sentence
+    RecordError                     the file is empty, of an unknown type, truncated or damaged, or
+                                    a TIFF with several pictures; the message continues a sentence
                                     that begins with the file's name
     """
     if not content:
@@ -63,7 +63,7 @@ def decode_picture(content: bytes) -> np.ndarray:
     with _codec_messages() as messages, suppress(cv2.error):
         pixels = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     damage = [_SOURCE.sub("", line.strip()) for line in messages if _DAMAGE.search(line)]
-    # In the coded data 0xFF is never followed by 0xD9.
+    # The end marker 0xFF 0xD9 cannot occur within coded data.
     if content.startswith(JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
         damage.insert(0, "it has no end-of-image marker")
     if damage or pixels is None:
@@ -77,15 +77,15 @@ def decode_picture(content: bytes) -> np.ndarray:
 
 @contextmanager
 def _codec_messages() -> Iterator[list[str]]:
-    """Lead the error stream into a file; at the end the list holds what the codecs wrote there.
+    """Redirect standard error to a file; on exit the list holds the codecs' messages.
 
-    What others wrote is passed on.
+    Anything else written there meanwhile is passed on.
     """
     messages: list[str] = []
     with _ONE_AT_A_TIME, tempfile.TemporaryFile() as aside:
         try:
             kept = os.dup(_ERROR_STREAM)
-        except OSError:  # there is no error stream to keep clean
+        except OSError:  # standard error is closed
             yield messages
             return
         try:

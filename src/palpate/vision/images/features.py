@@ -1,7 +1,7 @@
-"""The same features in the pictures of several cameras, found without knowing anything of these.
+"""Feature matches between the pictures of several cameras, without using their calibration.
 
 Source: Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60(2), 2004: the
-features, and the ratio test, which of speckle patterns leaves one mistake in some hundred.
+features, and the ratio test, which on speckle patterns leaves about one wrong match in a hundred.
 """
 
 from collections.abc import Sequence
@@ -15,13 +15,13 @@ from palpate.errors import InputError
 from palpate.records import Rig
 from palpate.vision.images.normalisation import NormalisedImage, make_normalised_image
 
-# Larger pictures are halved: what is left of a speckle of two pixels is still a feature.
+# Larger pictures are halved: a speckle of two pixels is then still a feature.
 _MAX_PIXELS = 2_500_000
-# Strongest features that are compared: a thousand of them are found again.
+# Number of strongest features compared: about a thousand of them are matched.
 _MAX_FEATURES = 4000
-# Half of OpenCV's threshold: contrast has been normalised, and the ratio decides later.
+# Half of OpenCV's threshold: contrast has been normalised, and the ratio test follows.
 _MIN_CONTRAST = 0.02
-# The nearest descriptor must be this much nearer than the second: Lowe's figure.
+# Largest ratio of the nearest to the second-nearest descriptor distance: Lowe's value.
 _MAX_RATIO = 0.8
 
 
@@ -41,7 +41,7 @@ class Features:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Places of the same features in two pictures.
+    """Positions of matched features in two pictures.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Matches:
     second: Float[np.ndarray, "n 2"]
 
     def chosen(self, rows: np.ndarray) -> "Matches":
-        """Some of the matches.
+        """Select some of the matches.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class Matches:
 
 
 def find_features(picture: NormalisedImage) -> Features:
-    """Strongest features of a picture.
+    """Find the strongest features of a picture.
 
     Parameters
     ----------
@@ -74,11 +74,11 @@ def find_features(picture: NormalisedImage) -> Features:
 
     Returns
     -------
-    Features                        none where there is no texture
+    Features                        empty if there is no texture
 
     Source
     ------
-    Lowe (2004), as OpenCV has it.
+    Lowe (2004), in OpenCV's implementation.
     """
     grey: np.ndarray = picture.levels
     area: np.ndarray = picture.textured.astype(np.uint8)
@@ -99,7 +99,7 @@ def find_features(picture: NormalisedImage) -> Features:
 
 
 def match_features(first: Features, second: Features) -> Matches:
-    """Pairs of features that are each other's nearest by far.
+    """Pairs of features that are mutual nearest neighbours and pass the ratio test.
 
     Parameters
     ----------
@@ -107,11 +107,11 @@ def match_features(first: Features, second: Features) -> Matches:
 
     Returns
     -------
-    Matches                         good to half a pixel; one in a hundred may be mistaken
+    Matches                         accurate to half a pixel; about one in a hundred may be wrong
 
     Source
     ------
-    Lowe (2004), section 7.1, the ratio test; and each must be the other's nearest.
+    Lowe (2004), section 7.1: the ratio test.
     """
     if len(first.point) < 2 or len(second.point) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
@@ -126,7 +126,7 @@ def match_features(first: Features, second: Features) -> Matches:
 def nearest_descriptors(
     first: Float[np.ndarray, "n 128"], second: Float[np.ndarray, "m 128"]
 ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"], Float[np.ndarray, "n m"]]:
-    """The nearest of other descriptors to each.
+    """Nearest neighbour of each descriptor in a second set.
 
     Parameters
     ----------
@@ -134,18 +134,18 @@ def nearest_descriptors(
 
     Returns
     -------
-    choice : (n,) int               which of the second
-    mutual : (n,) bool              whether each is the nearest to its choice
-    distance : (n, m) float32       squared
+    choice : (n,) int               index of the nearest in the second set
+    mutual : (n,) bool              whether each is also the nearest to its choice
+    distance : (n, m) float32       squared distances
     """
-    # All sums of squares stay below 2^24: exact in any order. Of thousands of features a matrix
-    # has 100 MB: it is made once.
+    # All sums of squares stay below 2^24, so they are exact in any order. For thousands of features
+    # the matrix takes 100 MB, so it is modified in place.
     distance = first @ second.T
     distance *= -2.0
     distance += (first**2).sum(axis=1)[:, None]
     distance += (second**2).sum(axis=1)
     choice, row = distance.argmin(axis=1), np.arange(len(distance))
-    # The least of a column is found at once, its place takes twenty times as long.
+    # The minimum of each column is cheap; its index would take twenty times as long.
     nearest = distance[row, choice] == distance.min(axis=0)[choice]
     earliest = np.full(distance.shape[1], len(row))
     np.minimum.at(earliest, choice[nearest], row[nearest])
@@ -154,7 +154,7 @@ def nearest_descriptors(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedPictures:
-    """Pictures of one instant, normalised, with their features.
+    """Pictures of one instant, with their normalised versions and features.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ def prepare_pictures(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]]) -> 
 
     Raises
     ------
-    InputError                      another number of pictures than cameras
+    InputError                      the number of pictures differs from that of the cameras
     """
     if len(pictures) != len(rig.cameras):
         raise InputError(f"{len(pictures)} pictures for {len(rig.cameras)} cameras; give one each")

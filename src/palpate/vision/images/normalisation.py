@@ -1,4 +1,4 @@
-"""A picture normalised: no difference of lighting or gain is left in it, only texture."""
+"""Normalised pictures: local differences of lighting and gain removed, only texture left."""
 
 from dataclasses import dataclass
 
@@ -7,32 +7,33 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.special import erfinv
 
-# Side of the windows in which pictures are normalised and compared [px]: that of the usual
+# Side of the windows in which pictures are normalised and compared [px]: that of the default
 # refinement.
 WINDOW = 21
-# Windows in which edges are looked at [px], and how far their contrast stands over the noise.
+# Side of the windows in which edges are examined [px], and their minimum contrast-to-noise.
 _EDGE_WINDOW = 7
 _EDGE_CONTRAST = 30.0
-# Of the pixels in such windows, the share that lies off the middle of an edge or on a soft one.
+# Quantile of slope over contrast in such windows that is taken as the middle of a sharp edge.
 _SOFT = 0.95
-# What a pixel's own area spreads light by, the least that any camera does [px^2].
+# Blur variance of a pixel's own area, a lower bound for any camera [px^2].
 _PIXEL_SPREAD = 1.0 / 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalisedImage:
-    """A picture ready to be searched.
+    """A picture prepared for searching.
 
     Attributes
     ----------
-    grey : (rows, columns) float32 [grey levels]    stretched to 0 to 255
-    levels : (rows, columns) uint8 [grey levels]    mean 128 and contrast 40 in every window with
-                                            texture, less where noise is a part of it
-    mean, variance : (rows, columns) float32 [grey levels, and squared]     of `grey` in the window
-                                            of 21 px around
-    textured : (rows, columns) bool         signal has three times the variance of noise there
-    width : float [px]                      of the texture, as the sigma of Gaussian speckles; 0
-                                            where there is none
+    grey : (rows, columns) float32 [grey levels]    rescaled to 0 to 255
+    levels : (rows, columns) uint8 [grey levels]    mean 128 and standard deviation 40 in every
+                                            window with texture, less where noise contributes
+    mean, variance : (rows, columns) float32 [grey levels, grey levels^2]   of `grey` in the
+                                            surrounding window of 21 px
+    textured : (rows, columns) bool         where the variance of the texture exceeds three times
+                                            that of the noise
+    width : float [px]                      of the texture, as the sigma of Gaussian speckles; 0 if
+                                            there is none
     """
 
     grey: Float[np.ndarray, "rows columns"]
@@ -44,7 +45,7 @@ class NormalisedImage:
 
 
 def make_normalised_image(grey: Float[np.ndarray, "rows columns"]) -> NormalisedImage:
-    """Local mean and contrast of a picture, and the picture without them.
+    """Normalise a picture by its local mean and contrast.
 
     Parameters
     ----------
@@ -54,13 +55,12 @@ def make_normalised_image(grey: Float[np.ndarray, "rows columns"]) -> Normalised
     -------
     NormalisedImage
     """
-    # Any scale: 255 grey levels, whatever they were.
     low, high = float(grey.min()), float(grey.max())
     scale = 255.0 / (high - low) if high > low else 1.0
     grey = (np.ascontiguousarray(grey, dtype=np.float32) - np.float32(low)) * np.float32(scale)
     noise = _noise(grey)
     mean, variance = moments(grey)
-    # Four times the noise: where there is nothing else, it is not blown up to look like texture.
+    # (4 sigma)^2 of noise is added to the variance, so that pure noise is not amplified to texture.
     levels = (grey - mean) / np.sqrt(variance + np.float32(16.0 * noise**2))
     levels = cv2.addWeighted(levels, 40.0, levels, 0.0, 128.0, dtype=cv2.CV_8U)  # rounds and clips
     textured = variance > 4.0 * noise**2
@@ -70,15 +70,15 @@ def make_normalised_image(grey: Float[np.ndarray, "rows columns"]) -> Normalised
 
 
 def _noise(grey: Float[np.ndarray, "rows columns"]) -> float:
-    """Standard deviation of the pixel noise [grey levels], rather too large than too small.
+    """Standard deviation of the pixel noise [grey levels], biased upwards rather than downwards.
 
-    Source: Immerkaer, Fast noise variance estimation, CVIU 64(2), 1996; but a quartile in place of
-    the mean (0.3186 of a normal distribution's sigma), so that sharp texture may fill most of the
-    picture.
+    Source: Immerkaer, Fast noise variance estimation, CVIU 64(2), 1996, but with the lower quartile
+    instead of the mean (0.3186 sigma for a normal distribution), so that sharp texture may fill
+    most of the picture.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     rough = np.abs(cv2.filter2D(grey, -1, mask)[1:-1:2, 1:-1:2])
-    # What rounding to whole grey levels leaves, where nothing else does.
+    # At least the noise of rounding to whole grey levels.
     return max(float(np.percentile(rough, 25.0)) / (6.0 * 0.3186), 12.0**-0.5)
 
 
@@ -94,7 +94,7 @@ def moments(
 
     Returns
     -------
-    mean : (rows, columns) float [grey levels]          the picture is mirrored beyond its edge
+    mean : (rows, columns) float [grey levels]          the picture is mirrored at its edge
     variance : (rows, columns) float [grey levels^2]    >= 0; both in the precision of `grey`
     """
     size = (side, side)
@@ -108,9 +108,8 @@ def _width(
     textured: Bool[np.ndarray, "rows columns"],
     noise: float,
 ) -> float:
-    """Width of the texture [px]: of speckles of that sigma, variance over squared gradient.
-
-    Sobel's two operators keep 0.375 of the variance of noise.
+    """Width of the texture [px] as the sigma of Gaussian speckles: root of variance over squared
+    gradient, both without noise. The two Sobel operators keep 0.375 of the noise variance.
     """
     column, row = cv2.Sobel(grey, -1, 1, 0, scale=0.125), cv2.Sobel(grey, -1, 0, 1, scale=0.125)
     count = int(textured.sum())
@@ -120,11 +119,11 @@ def _width(
 
 
 def point_spread(grey: Float[np.ndarray, "rows columns"]) -> float:
-    """Variance of the spot that lens and chip make of a point, as far as the picture tells [px^2].
+    """Variance of the point spread function of lens and sensor, estimated from a picture.
 
-    No edge is sharper than the camera, but all may be softer: what is known is an upper bound, the
-    width of the sharpest edges, and a lower one, the area of a pixel. Of the scale in between
-    nothing is known, and the mean of what is left is returned.
+    No edge is sharper than the camera, but all may be softer. So the width of the sharpest edges is
+    an upper bound and the area of a pixel a lower bound. The mean of the variance is returned, with
+    a log-uniform prior between the two.
 
     Parameters
     ----------
@@ -132,7 +131,7 @@ def point_spread(grey: Float[np.ndarray, "rows columns"]) -> float:
 
     Returns
     -------
-    float [px^2]                    along one axis, at least 1 / 12
+    float [px^2]                    variance along one axis, at least 1 / 12
     """
     around = np.ones((_EDGE_WINDOW, _EDGE_WINDOW), dtype=np.uint8)
     grey = np.ascontiguousarray(grey, dtype=np.float32)
@@ -144,7 +143,7 @@ def point_spread(grey: Float[np.ndarray, "rows columns"]) -> float:
     strong = contrast[inner] > _EDGE_CONTRAST * _noise(grey)
     if not strong.any():
         return _PIXEL_SPREAD
-    # Half the step from one pixel before a blurred edge to one behind, over its height.
+    # Slope (half the difference over two pixels) over step height, of the sharpest edges.
     sharp = np.quantile(slope[inner][strong] / contrast[inner][strong], _SOFT)
     share = min(float(sharp), 0.499)
     widest = 0.5 / float(erfinv(2.0 * share)) ** 2
@@ -153,7 +152,7 @@ def point_spread(grey: Float[np.ndarray, "rows columns"]) -> float:
 
 
 def cropped(picture: NormalisedImage, box: tuple[slice, slice]) -> NormalisedImage:
-    """A part of a picture.
+    """Crop a normalised picture.
 
     Parameters
     ----------
@@ -162,7 +161,7 @@ def cropped(picture: NormalisedImage, box: tuple[slice, slice]) -> NormalisedIma
 
     Returns
     -------
-    NormalisedImage                 mean, variance and width are those of the whole picture
+    NormalisedImage                 mean, variance and width are kept from the whole picture
     """
     return NormalisedImage(
         np.ascontiguousarray(picture.grey[box]),

@@ -1,18 +1,19 @@
-"""Size and number of pictures that a file says it has, read before any pixel is decoded."""
+"""Size and number of pictures as stated in a file's headers, read before decoding any pixel."""
 
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
 
 PNG, JPEG, BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
-# Both byte orders, each plain and large.
+# Classic TIFF and BigTIFF, in both byte orders.
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# Markers of JPEG that begin a frame: 0xC0 to 0xCF but for tables and arithmetic coding's settings.
+# JPEG markers that begin a frame: 0xC0 to 0xCF except DHT, JPG and DAC.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# TIFF tags: ImageWidth, ImageLength, NewSubfileType.
 _WIDTH, _HEIGHT, _PURPOSE = 256, 257, 254
-# Purposes of pictures that come with another one: a smaller copy, a mask.
+# Bits of NewSubfileType for pictures that accompany another: reduced resolution, mask.
 _COMPANION = 1 | 4
-# Bytes of a number of each of TIFF's types that a size may have: SHORT, LONG, LONG8.
+# `struct` formats of the TIFF types that a size may have: SHORT, LONG, LONG8.
 _FORMATS = {3: "H", 4: "I", 16: "Q"}
 
 
@@ -25,7 +26,7 @@ def claimed_size(content: bytes) -> tuple[int, int] | None:
 
     Returns
     -------
-    (int, int) or None              columns, rows; None where the header is cut off or is none
+    (int, int) or None              columns, rows; None where the header is truncated or not valid
 
     Source
     ------
@@ -36,7 +37,7 @@ def claimed_size(content: bytes) -> tuple[int, int] | None:
         if content.startswith(PNG):
             return struct.unpack_from(">II", content, 16)
         if content.startswith(BMP):
-            # The old header, of 12 bytes, has shorter numbers; a height below zero turns the rows.
+            # The old 12-byte header has 16-bit sizes; a negative height means top-down rows.
             old = struct.unpack_from("<I", content, 14) == (12,)
             columns, rows = struct.unpack_from("<HH" if old else "<ii", content, 18)
             return abs(columns), abs(rows)
@@ -49,7 +50,7 @@ def claimed_size(content: bytes) -> tuple[int, int] | None:
 
 
 def picture_count(content: bytes) -> int:
-    """Pictures in a file; smaller copies and masks of one in a TIFF do not count.
+    """Number of pictures in a file, without reduced-size copies and masks in a TIFF.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def picture_count(content: bytes) -> int:
 
     Returns
     -------
-    int                             1 for all but TIFF; of a TIFF that is cut off, those before it
+    int                             1 for all but TIFF; for a truncated TIFF, those before the end
     """
     if not content.startswith(TIFF):
         return 1
@@ -69,7 +70,7 @@ def picture_count(content: bytes) -> int:
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:
-    """From the first frame, segment by segment."""
+    """Columns and rows from the first frame header, searched segment by segment."""
     place = 2
     while True:
         mark, kind, length = struct.unpack_from(">BBH", content, place)
@@ -83,7 +84,7 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
 
 
 def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
-    """What each directory of a TIFF says of its picture: size and purpose."""
+    """Yield size and purpose tags of each image file directory of a TIFF."""
     order = "<" if content.startswith(b"II") else ">"
     large = content[2:4] in (b"+\0", b"\0+")
     head, count, entry, value = ("Q", "Q", 20, 12) if large else ("I", "H", 12, 8)

@@ -1,4 +1,4 @@
-"""Grey pictures of all cameras of a rig, at one instant, from files."""
+"""Reading of grey pictures from files, for all cameras of a rig at one instant."""
 
 import os
 import re
@@ -18,28 +18,29 @@ from palpate.vision.images.picture_size import claimed_size
 CAMERA_FIELD = "{camera}"
 # Luminance of ITU-R BT.601, in OpenCV's order blue, green, red.
 _LUMINANCE = np.array([0.114, 0.587, 0.299], dtype=np.float32)
-# 65535 becomes 255: grey levels mean the same whatever the depth of the file.
+# Maps 65535 to 255, so that grey levels mean the same for any bit depth of the file.
 _LEVELS_16_PER_8 = 257.0
-# Integer levels this close together are a quantised constant: no picture of anything.
+# Pictures of integers with no larger range count as constant.
 _MAX_CONSTANT_RANGE = 2
-# Cameras of 10, 12 and 14 bits put their levels at the low or at the high end of 16 bits.
+# White levels of 16-bit files: cameras of 10, 12 and 14 bits use either the low or the high bits.
 _WHITE_16 = [2**k - 1 for k in (10, 12, 14, 16)] + [2**16 - 2 ** (16 - k) for k in (10, 12, 14)]
 _MAX_NAMES = 8
-# The largest chips have 150 million.
+# The largest sensors have 150 million pixels.
 _MOST_PIXELS = 2e8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures:
-    """What the cameras of a rig saw at one instant.
+    """Pictures of the cameras of a rig at one instant.
 
     Attributes
     ----------
     grey : tuple of c (rows, columns) float32   grey levels, 255 is white, in the rig's order;
                                                 sizes may differ between the cameras
-    saturated : tuple of c float [-]            share of pixels at the white end; NaN where the file
-                                                (floating-point grey levels) has no such end
-    notes : tuple of str                        what was converted or left out, in sentences
+    saturated : tuple of c float [-]            fraction of saturated pixels; NaN for files with
+                                                floating-point grey levels, which have no white
+                                                level
+    notes : tuple of str                        sentences about what was converted or left out
     """
 
     grey: tuple[Float[np.ndarray, "_rows _columns"], ...]
@@ -48,18 +49,18 @@ class Pictures:
 
 
 def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Pictures:
-    """Read the picture of every camera of a rig and turn it into grey levels.
+    """Read the picture of every camera of a rig and convert it to grey levels.
 
-    Read are PNG, JPEG, TIFF and BMP files. Grey levels of 16 bits are divided by 257, colours are
-    turned into luminance, floating-point levels are kept; a turn asked for by a file's orientation
-    tag is not made, for the calibration is that of the sensor.
+    Reads PNG, JPEG, TIFF and BMP files. 16-bit grey levels are divided by 257, colours are
+    converted to luminance, floating-point levels are kept. A file's orientation tag is ignored,
+    because the calibration refers to the sensor.
 
     Parameters
     ----------
     rig : Rig
     pattern : str                   file name with `{camera}` in place of the camera's name
-    folder : Path                   that the pattern is relative to
-    what : str                      step or probing, for messages, e.g. "step 's3'"
+    folder : Path                   folder that the pattern is relative to
+    what : str                      name of the step or probing for messages, e.g. "step 's3'"
 
     Returns
     -------
@@ -67,10 +68,10 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
 
     Raises
     ------
-    RecordError                     a file that is missing, cut off, damaged, of another kind, not
-                                    finite, of several pictures, or the same grey everywhere; no
-                                    `{camera}`
-    CalibrationError                a picture of another size than its camera's
+    RecordError                     a file is missing, truncated, damaged, of an unknown type, holds
+                                    several pictures, values that are not finite, or one grey
+                                    everywhere; the pattern has no `{camera}`
+    CalibrationError                a picture does not have its camera's size
     """
     if CAMERA_FIELD not in pattern and len(rig.cameras) > 1:
         raise RecordError(
@@ -96,7 +97,7 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
 
 
 def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path:
-    """The file of one camera; where it is missing, what is there instead."""
+    """Path of one camera's picture; if it is missing, the error names what is there instead."""
     path = folder / pattern.replace(CAMERA_FIELD, camera.name)
     if os.path.exists(path):
         return path
@@ -124,14 +125,14 @@ def _listed(names: list[str]) -> str:
 def _read_picture(
     camera: Camera, path: Path, place: str
 ) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
-    """Grey levels, saturated share and remarks of one file."""
+    """Grey levels, saturated fraction and remarks of one file."""
     stored, place = _stored(path, place, camera)
     levels, remarks = _grey_levels(stored, place)
     return levels, _saturated_share(stored), remarks
 
 
 def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
-    """Grey levels of one picture file, as `read_pictures` takes them.
+    """Grey levels of one picture file, converted as by `read_pictures`.
 
     Parameters
     ----------
@@ -143,15 +144,15 @@ def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
 
     Raises
     ------
-    RecordError                     missing, damaged, of another kind, not finite, of one grey,
-                                    several pictures
+    RecordError                     the file is missing, damaged, of an unknown type, holds several
+                                    pictures, values that are not finite, or one grey everywhere
     """
     stored, place = _stored(path, "picture", None)
     return _grey_levels(stored, place)[0]
 
 
 def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, str]:
-    """Pixels of a file as they are stored, and its place."""
+    """Pixels of a file as stored, and the file's name for messages."""
     try:
         content = read_bytes(path)
     except RecordError as error:
@@ -185,7 +186,7 @@ def _check_size(camera: Camera | None, size: tuple[int, int], place: str) -> Non
 def _grey_levels(
     stored: np.ndarray, place: str
 ) -> tuple[Float[np.ndarray, "rows columns"], list[str]]:
-    """Grey levels from 0 to 255 of stored pixels, and what was done for it."""
+    """Convert stored pixels to grey levels from 0 to 255; also returns remarks on what was done."""
     if stored.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
         raise RecordError(
             f"{place}: has grey levels of type {stored.dtype}; must be of 8 or 16 bits without"
@@ -212,7 +213,7 @@ def _grey_levels(
 
 
 def _check_contents(stored: np.ndarray, place: str) -> None:
-    """Refuse pictures of nothing."""
+    """Raise if grey levels are not finite or all the same."""
     whole = np.issubdtype(stored.dtype, np.integer)
     missing = 0 if whole else int((~np.isfinite(_single(stored))).sum())
     if missing:
@@ -229,13 +230,13 @@ def _check_contents(stored: np.ndarray, place: str) -> None:
 
 
 def _single(stored: np.ndarray) -> Float[np.ndarray, "..."]:
-    """In single precision; what is too large for it becomes infinite."""
+    """Convert to single precision; values that overflow become infinite."""
     with np.errstate(over="ignore"):
         return stored.astype(np.float32)
 
 
 def _saturated_share(stored: np.ndarray) -> float:
-    """Share of pixels at the white end of their scale."""
+    """Fraction of pixels at the white level; NaN for floating-point files."""
     if not np.issubdtype(stored.dtype, np.integer):
         return float("nan")
     colours = stored[..., :3] if stored.ndim == 3 else stored[..., None]

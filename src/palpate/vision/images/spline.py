@@ -1,4 +1,4 @@
-"""Pictures between their pixels: cubic B-spline interpolation.
+"""Interpolation of pictures between pixels by cubic B-splines.
 
 The spline passes through every grey level and has continuous second derivatives. Its transfer
 function stays near one up to two thirds of the band limit, which is what keeps the bias of
@@ -15,22 +15,23 @@ from jaxtyping import Float
 from numba import njit
 from scipy.ndimage import spline_filter
 
-# Coefficients are mirrored this far beyond the picture, so that a window may touch its edge.
+# Coefficients are mirrored this far beyond the picture [px], so that a window may touch its edge.
 PADDING = 4
-# Sum over the pixels k of L(t - k)^2, L the cardinal cubic spline, at t = 1/2: what is left there
-# of the variance of white noise. 1 - (1 - q)(4 t (1 - t))^2 is within 0.006 of it everywhere.
+# q: fraction of the variance of white noise left by interpolation at t = 1/2, i.e. the sum over k
+# of L(t - k)^2 with the cardinal cubic spline L. For other t, 1 - (1 - q)(4 t (1 - t))^2 is within
+# 0.006 of it.
 _SHARE_HALF_WAY = 0.75613
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplinePicture:
-    """A grey picture ready to be matched.
+    """A grey picture prepared for matching.
 
     Attributes
     ----------
     grey : (rows, columns) float32              grey levels
     along_column, along_row : (rows, columns) float32
-                                                derivative of the spline by the column and by the
+                                                derivatives of the spline with respect to column and
                                                 row at the pixel centres [grey levels/px]
     coefficients : (rows + 8, columns + 8) float32  of the spline, mirrored beyond the edge
     """
@@ -49,10 +50,10 @@ def make_spline_picture(
     Parameters
     ----------
     grey : (rows, columns) float    grey levels, finite
-    smoothing : float [px]          standard deviation of a Gaussian low-pass applied first. What is
-                                    finer than the pixels comes back as coarser structure that does
-                                    not move with the object; motions of a fraction of a pixel are
-                                    then measured a few per cent too long
+    smoothing : float [px]          standard deviation of a Gaussian low-pass applied first. Without
+                                    it, structure finer than the pixels is aliased to coarser
+                                    structure that does not move with the object, and motions of a
+                                    fraction of a pixel are measured a few per cent too large
 
     Returns
     -------
@@ -64,7 +65,7 @@ def make_spline_picture(
     inner = spline_filter(grey, order=3, output=np.float32, mode="mirror")
     blur = np.array([1.0, 4.0, 1.0]) / 6.0
     slope = np.array([-0.5, 0.0, 0.5])
-    # Mirrored at the edge, as the coefficients are.
+    # OpenCV's default border mirrors at the edge, as do the coefficients.
     along_column = cv2.sepFilter2D(inner, -1, slope, blur)
     along_row = cv2.sepFilter2D(inner, -1, blur, slope)
     return SplinePicture(grey, along_column, along_row, np.pad(inner, PADDING, mode="reflect"))
@@ -73,12 +74,12 @@ def make_spline_picture(
 def spline_pictures(
     pictures: Sequence[Float[np.ndarray, "_ _"]], smoothing: float
 ) -> tuple[SplinePicture, ...]:
-    """`make_spline_picture` of every camera's picture.
+    """Apply `make_spline_picture` to every camera's picture.
 
     Parameters
     ----------
     pictures : sequence of c (rows, columns) float [grey levels]    finite
-    smoothing : float [px]          >= 0, see there
+    smoothing : float [px]          >= 0, as in `make_spline_picture`
 
     Returns
     -------
@@ -88,11 +89,11 @@ def spline_pictures(
 
 
 def smoothing_gain(smoothing: float) -> float:
-    """Standard deviation that the low-pass leaves of white noise, as a share of what it was.
+    """Factor by which the low-pass reduces the standard deviation of white noise.
 
     Parameters
     ----------
-    smoothing : float [px]          of `make_spline_picture`; none where 0
+    smoothing : float [px]          as in `make_spline_picture`; 0: no low-pass
 
     Returns
     -------
@@ -108,7 +109,7 @@ def smoothing_gain(smoothing: float) -> float:
 def interpolate(
     picture: SplinePicture, pixels: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
-    """Grey level at any place; beyond the edge the picture is continued as a mirror image.
+    """Grey level at any position; up to 3 px beyond the edge, of the mirrored picture.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def _interpolate_all(coefficients, pixels):
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _weights_kernel(t):
-    """Weights of four coefficients in a row, a share t of a pixel beyond the second."""
+    """B-spline weights of four coefficients in a row, at a fraction t beyond the second."""
     one, sixth = np.float32(1.0), np.float32(1.0 / 6.0)
     t2 = t * t
     r = one - t
@@ -144,7 +145,7 @@ def _weights_kernel(t):
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def sample_kernel(coefficients, column, row):
-    """Grey level of the spline at a place of the picture.
+    """Grey level of the spline at a position in the picture.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ def sample_kernel(coefficients, column, row):
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def noise_share_kernel(column, row):
-    """Share of white noise's variance that is left after interpolation at a place.
+    """Fraction of the variance of white noise that interpolation at a position leaves.
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ def noise_share_kernel(column, row):
     Returns
     -------
     float32 [-]                     1 at pixel centres, 0.57 in the middle of four; within 0.009 of
-                                    the spline's own
+                                    the exact value
     """
     one = np.float32(1.0)
     drop = np.float32(16.0 * (1.0 - _SHARE_HALF_WAY))

@@ -1,4 +1,4 @@
-"""Frames of a video, one after the other."""
+"""Frames of a video, one at a time."""
 
 import os
 from collections.abc import Iterator
@@ -12,21 +12,25 @@ from palpate.errors import RecordError
 from palpate.files import checked_file
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
-# FFmpeg's own remarks on the terminal: none.
+# Silences FFmpeg's own messages on the terminal.
 _QUIET = {"OPENCV_FFMPEG_LOGLEVEL": "-8"}
 _CURE = "copy it again, or convert it, e.g. to MP4 with H.264 or to AVI with MJPEG"
 
 
 def open_video(path: Path) -> "cv2.VideoCapture":
-    """A video that is ready to be read.
+    """Open a video for reading.
 
     Parameters
     ----------
     path : Path
 
+    Returns
+    -------
+    cv2.VideoCapture                to be released by the caller
+
     Raises
     ------
-    RecordError                     not there, or no video that can be decoded
+    RecordError                     the file does not exist or cannot be decoded as a video
     """
     checked_file(path)
     for name, value in _QUIET.items():
@@ -40,7 +44,7 @@ def open_video(path: Path) -> "cv2.VideoCapture":
 
 
 def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
-    """All frames of a video; no more than one of them is in memory.
+    """Iterate over all frames of a video, holding only one in memory.
 
     Parameters
     ----------
@@ -48,11 +52,12 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
 
     Yields
     ------
-    float [s], (rows, columns) uint8    its time as the file says, grey levels
+    float [s], (rows, columns) uint8    time stamp in the file, grey levels
 
     Raises
     ------
-    RecordError                     as `open_video`; fewer than two frames that can be decoded
+    RecordError                     as `open_video`; or fewer than two frames can be decoded, which
+                                    is raised after the last one
     """
     capture, number = open_video(path), 0
     try:

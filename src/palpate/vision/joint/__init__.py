@@ -1,9 +1,9 @@
 """The method `joint`: every window of the surface matched in all cameras at once.
 
-Purpose    : follow points of the surface from picture to picture to a hundredth of a pixel, with a
-             covariance that says how well each is known.
-Takes      : a `Rig`, the pictures of its cameras instant by instant, a triangle surface.
-Gives      : `JointFlow`, a `FlowMethod`; `JointState`, what it remembers.
+Purpose    : track points of the surface from picture to picture to a hundredth of a pixel, each
+             with its covariance.
+Takes      : a `Rig`, the pictures of its cameras at each instant, a triangle surface.
+Gives      : `JointFlow`, a `FlowMethod`; `JointState`, its state between instants.
 Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `geometry`, `records`.
 Read first : `flow.py`, then `match.py`, then `refinement.py`.
 """

@@ -1,4 +1,4 @@
-"""Which points of a match are believed, and how well their displacement is known."""
+"""Acceptance or rejection of matched points, and the covariance of their displacements."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,21 +18,21 @@ from palpate.vision.joint.scene import Scene
 from palpate.vision.matching import median_around
 from palpate.vision.range_flow import Outcome, RangeFlow
 
-# A displacement that noise leaves no better known than this is not known; the usual match is ten
-# times better [px]. A rig that is a little wrong has nothing to do with the texture.
+# Largest standard deviation by noise [px]; a usual match is ten times better. Bias is not included,
+# because errors of the rig have nothing to do with the texture.
 _MAX_NOISE_PX = 0.1
-# A window's contrast in units of the noise; with less, noise is a tenth of the gradients that it is
-# matched by, and more.
+# Minimum contrast of a window in units of noise; with less, noise makes up a tenth or more of the
+# gradients.
 _MIN_CONTRAST = 3.0
-# A point is dropped where the cameras or the neighbours contradict it by more than this many
-# standard deviations.
+# A point is rejected if the cameras or its neighbours contradict it by more than this many standard
+# deviations.
 _MAX_DISAGREEMENT = 5.0
-# Systematic error of one camera's match that no residual shows (interpolation, response of the
-# pixels), part of every covariance; at least so much beside what covers or shadows the surface.
+# Systematic error of one camera's match that does not show in residuals (interpolation, pixel
+# response), part of every covariance; and its minimum beside occlusions and shadows.
 _MATCHING_BIAS_PX = 0.002
 _BIAS_BESIDE_CHANGE_PX = 0.006
-# Derivatives that a window takes from its neighbours bring their noise along: variance of its
-# motion over that of a window whose derivatives are known (benchmarks/flow_sigma.py).
+# Variance inflation because derivatives taken from the neighbours carry noise, relative to a window
+# with known derivatives (benchmarks/flow_sigma.py).
 _CARRIED_NOISE = 1.44
 
 
@@ -43,7 +43,7 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
     ----------
     scene : Scene
     match : Match
-    noise : (c,) float [grey levels]    standard deviation that a match leaves in each camera
+    noise : (c,) float [grey levels]    typical standard deviation of the residual in each camera
 
     Returns
     -------
@@ -84,19 +84,19 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
 
 
 def _matching_bias(match: Match, used: Bool[np.ndarray, "n c"]) -> float:
-    """Systematic error of one camera's match [px]: the usual, or more where the cameras show more.
+    """Systematic error of one camera's match [px]: the default, or more if the cameras disagree.
 
-    A rig that is a little wrong makes the cameras contradict each other everywhere, by more than
-    noise does. That is no reason to reject a point, and it is part of every point's error.
+    A slightly wrong rig makes the cameras contradict each other everywhere by more than noise. That
+    does not reject points, but is part of every point's error.
     """
     count = used.sum(axis=1, keepdims=True)
     some = used & (count >= 2) & (match.outcome == Outcome.VALID)[:, None]
     if not some.any():
         return _MATCHING_BIAS_PX
-    # Of two components a camera, three in all are taken up by the common displacement.
+    # Of the 2 count residual components, the common displacement takes up three.
     share = np.broadcast_to(1.0 - 1.5 / np.maximum(count, 2), used.shape)
     square = (match.own**2).mean(axis=2)[some] / share[some]
-    # Median of a chi square of two, less what noise explains.
+    # Variance from the median of chi-squared with two degrees of freedom, minus that of the noise.
     extra = np.median(square) / np.log(2.0) - np.median(match.own_variance[some])
     return float(max(_MATCHING_BIAS_PX, np.sqrt(max(extra, 0.0))))
 
@@ -108,7 +108,7 @@ def _outcome(
     noise: Float[np.ndarray, " c"],
     bias_px: float,
 ) -> Int[np.ndarray, " n"]:
-    """What became of each point; the first reason that applies."""
+    """Outcome of each point: the first reason for rejection that applies, or VALID."""
     outcome = match.outcome.copy()
     poor = _contrast(scene) < _MIN_CONTRAST * noise[scene.rig.reference] / np.sqrt(2.0)
     outcome[poor & (outcome != Outcome.HIDDEN)] = Outcome.TEXTURE
@@ -133,9 +133,9 @@ def _outcome(
 def _beside_change(scene: Scene, outcome: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Points within half a window of one whose window changed or was lost.
 
-    What covers a window, or the shadow in it, reaches into theirs, too, by too little to show in
-    what their match leaves, and their second derivatives come from one side alone. Beside a tool
-    that moves all points of its rim alike, toward it, and Poisson's ratio with them.
+    An occlusion or shadow extends into their windows too, but too little to show in the residuals,
+    and their second derivatives come from one side only. Around a tool this shifts all points at
+    its edge alike, towards it, and so biases Poisson's ratio.
     """
     changed = np.isin(outcome, (Outcome.SCORE, Outcome.LOST))
     if not changed.any():
@@ -145,23 +145,26 @@ def _beside_change(scene: Scene, outcome: Int[np.ndarray, " n"]) -> Bool[np.ndar
 
 
 def _pixel_sizes(scene: Scene) -> Float[np.ndarray, " n"]:
-    """Side of the reference camera's pixel at each point [m]."""
+    """Side of the reference camera's pixels at each point [m]."""
     return pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point)
 
 
 def _roughness(scene: Scene, match: Match) -> Float[np.ndarray, " n"]:
-    """Variance of a motion from what the match leaves over that from white noise, at least 1."""
+    """Inflation of the variance by correlated residuals, relative to white noise.
+
+    Median of `Match.rough` over the neighbourhood, at least 1, divided by `_share_in_blocks`.
+    """
     found = match.outcome == Outcome.VALID
-    # One window's estimate of its roughness is itself rough: 27 blocks.
+    # The estimate from a single window is noisy: it rests on about 27 blocks.
     rough = median_around(scene.point, match.rough, found, reach=neighbourhood(scene))
     return np.asarray(np.maximum(rough, 1.0) / _share_in_blocks(scene))
 
 
 def _share_in_blocks(scene: Scene) -> float:
-    """How much of smoothed noise's roughness the blocks of a window catch (`window_blocks_kernel`).
+    """Fraction of the low-passed noise's covariance within blocks (`window_blocks_kernel`), 0 to 1.
 
-    The low-pass makes neighbouring pixels' noise alike, with the correlation exp(-(d / 2 s)^2); of
-    the pairs that are alike some lie on both sides of a block's edge.
+    The low-pass correlates the noise of pixels at distance d by exp(-(d / 2 s)^2); pairs on either
+    side of a block's edge are missed.
     """
     if scene.smoothing <= 0.0:
         return 1.0
@@ -179,7 +182,7 @@ def _contrast(scene: Scene) -> Float[np.ndarray, " n"]:
 
 
 def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Standard deviation across the reference camera's axis, the worse direction of two [m]."""
+    """Standard deviation across the reference camera's axis, the larger of two directions [m]."""
     turn = scene.rig.cameras[scene.rig.reference].T_camera_object[:2, :3]
     across = np.einsum("ai,nij,bj->nab", turn, covariance, turn)
     return np.sqrt(np.maximum(across[:, 0, 0], across[:, 1, 1]))
@@ -188,10 +191,10 @@ def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.n
 def _bias_covariance(
     scene: Scene, use: Bool[np.ndarray, "n c"], bias: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Covariance of the displacement if every camera's match were off by `bias` pixels.
+    """Covariance of the displacement for a matching bias of `bias` pixels in every camera.
 
-    Half of the errors differ from camera to camera; the other half are the same in all of them, for
-    cameras that look the same way see the same fraction of a pixel, and move the point sideways.
+    It is the sum of two equal parts: one independent between the cameras, and one common to all,
+    which shifts the point sideways; cameras with similar views see similar sub-pixel positions.
     """
     slope = np.stack([project_jacobian(c, scene.point)[1] for c in scene.rig.cameras])
     information = np.einsum("nc,cnai,cnaj->nij", use.astype(np.float64), slope, slope)

@@ -1,10 +1,11 @@
-"""What the method `joint` makes of a motion that bends within its windows: averages of it.
+"""Spatial averaging of the displacement by the windows of the method `joint`.
 
-A window that is matched by an affine motion finds the affine fit of the motion over its pixels. The
-last match takes the bend from the points around, which makes good for what these see of it, and a
-vertex is given the local quadratic of the points around it. All three are sums of the surface's
-displacements with known weights, so what a vertex is given is one, too. Who compares it with a
-model takes the same sum of the model's displacements: of the windows' size nothing is left then.
+A window with an affine shape function measures the affine fit of the motion over its pixels. The
+final match takes second derivatives from the surrounding points, which corrects for as much of the
+bending as these resolve, and a vertex gets the value of a local quadratic fit to the points around
+it. All three steps are linear with known weights, so each vertex value is a weighted sum of the
+surface's displacements. Applying the same sum to a model's displacements removes the effect of the
+window size from a comparison.
 
 Source: Schreier and Sutton, Systematic errors in digital image correlation due to undermatched
 subset shape functions, Experimental Mechanics 42 (2002).
@@ -32,35 +33,36 @@ from palpate.shapes import Points, PointScalars
 from palpate.vision.cameras import pixel_sizes, project
 from palpate.vision.matching import LocalFits, coefficient_operators, local_terms, sums_about
 
-# Pieces of the surface that stand for its pixels have about this side, in sides of a window.
+# Side of the surface pieces that represent pixels, in sides of a window.
 _PIECE = 0.25
-# Where windows are far smaller than triangles, pieces are larger: a few hundred bytes each.
+# Largest number of pieces, a few hundred bytes each: if windows are far smaller than triangles,
+# pieces are larger than `_PIECE`.
 _MOST_PIECES = 1e6
 # Area of an equilateral triangle of side one.
 _EQUILATERAL = 0.433
-# Cosine below which a camera sees the surface too obliquely for its windows to count.
+# Minimum cosine between normal and viewing direction for a camera's windows to count.
 _FACING = 0.2
-# The pixels of a window lie on one part of the surface: within so many half windows.
+# Radius, in half windows, within which a window's pixels lie on one part of the surface.
 _APART = 4.0
-# Terms of a quadratic that bend: x^2, x y, y^2.
+# Indices of the second-order terms of a quadratic: x^2, x y, y^2.
 _BENDS = (3, 4, 5)
-# Sum of the weights' sizes: 1.6 as a rule, up to 3.5 at creases and beside tools. Beyond, all
-# points lie on one side, and it counts which of them the match took its bend from.
+# Largest sum of absolute weights: usually 1.6, up to 3.5 at creases and beside tools. Above it all
+# points lie on one side, and the weights depend on which of them gave the second derivatives.
 _MOST_WEIGHT = 4.0
-# Of a sum of some hundred weights.
+# Tolerance for rounding in a sum of about a hundred weights.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pieces:
-    """Small triangles that stand for the pixels on them.
+    """Small triangles that represent the pixels on them.
 
     Attributes
     ----------
     middle : (k, 3) float [m]
-    area : (k, 3) float [m^2]       along the outward normal
-    nodes : (s, 3) float [m]        vertices and midpoints of the quadratic elements
-    from_nodes : (k, s) sparse      a displacement at the middles from that at the nodes
+    area : (k, 3) float [m^2]       area vector along the outward normal
+    nodes : (s, 3) float [m]        vertices and midside nodes of the quadratic elements
+    from_nodes : (k, s) sparse      interpolates a displacement from the nodes to the middles
     """
 
     middle: Points
@@ -77,21 +79,25 @@ def surface_average(
     bends: LocalFits,
     order: int,
 ) -> SurfaceAverage:
-    """What the displacements that are given to vertices are averages of.
+    """Weights with which measured vertex displacements average the surface's displacement.
 
     Parameters
     ----------
     subset : int [px]               side of a window
     rig : Rig
     surface : TriangleMesh
-    vertices : LocalFits            quadratics about v vertices through the p matched points
-    bends : LocalFits               quadratics through the same points, about each of them: where
-                                    affine windows have their bend from
-    order : 1 or 2                  windows that find an affine or a quadratic motion
+    vertices : LocalFits            quadratic fits about v vertices to the p matched points
+    bends : LocalFits               quadratic fits to the same points about each of them, which give
+                                    affine windows their second derivatives
+    order : 1 or 2                  shape function of the windows: affine or quadratic
 
     Returns
     -------
-    SurfaceAverage                  of v points; without weights where windows are not known
+    SurfaceAverage                  of v points; rows without weights where they are not reliable
+
+    Source
+    ------
+    Schreier and Sutton (2002), for the bias of undermatched shape functions.
     """
     extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], bends.place)
     pieces = _cut(surface, _PIECE * 2.0 * float(np.median(extent)), bends.place)
@@ -108,12 +114,12 @@ def surface_average(
 
 
 def _cut(surface: TriangleMesh, side: float, points: Points) -> _Pieces:
-    """Cut the triangles about some points into small ones of about one size."""
+    """Subdivide the triangles near some points into pieces of about equal size."""
     corner = surface.vertices[surface.triangles]
     centre = corner.mean(axis=1)
     reach = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
     near = np.flatnonzero(cKDTree(points).query(centre)[0] < reach + side / _PIECE)
-    # The triangle in which a point of the surface lies, on average.
+    # Mean area of a triangle, weighted by area.
     area = triangle_areas(surface)[near]
     usual = float((area**2).sum() / area.sum())
     cuts = round(np.sqrt(usual / (_EQUILATERAL * side**2)))
@@ -125,14 +131,14 @@ def _cut(surface: TriangleMesh, side: float, points: Points) -> _Pieces:
     found = element_points(nodes[fitted.element[near]], middles).reshape(-1, 6)
     owner, place = np.repeat(near, cuts**2), np.tile(middles, (len(near), 1))
     from_nodes = interpolation_matrix(free_nodes(fitted), owner, place)
-    # Normals are those of a parallelogram, two pieces and more.
+    # Area normals of parallelograms, twice those of the pieces.
     return _Pieces(found[:, :3], 0.5 * found[:, 3:] / cuts**2, nodes, from_nodes)
 
 
 def _windows(
     subset: int, rig: Rig, pieces: _Pieces, points: LocalFits, extent: PointScalars
 ) -> LocalFits:
-    """Pieces of the surface in the windows of each point, weighted by the pixels they cover."""
+    """Pieces of the surface within each point's windows, weighted by the pixels they cover."""
     place, tangent = points.place, points.tangent
     normal = np.cross(tangent[:, 0], tangent[:, 1])
     weight = csr_array((len(place), len(pieces.middle)))
@@ -149,7 +155,7 @@ def _windows(
 
 
 def _cosine(camera: Camera, place: Points, normal: Points) -> Float[np.ndarray, " n"]:
-    """Cosine of the angle between the surface's normal and the line to a camera."""
+    """Cosine of the angle between the surface's normal and the direction to a camera."""
     toward = camera_centre(camera) - place
     size = np.linalg.norm(toward, axis=1) * np.linalg.norm(normal, axis=1)
     return np.einsum("ni,ni->n", toward, normal) / size
@@ -158,10 +164,10 @@ def _cosine(camera: Camera, place: Points, normal: Points) -> Float[np.ndarray, 
 def _in_windows(
     camera: Camera, subset: int, place: Points, normal: Points, pieces: _Pieces
 ) -> csr_array:
-    """Pixels that pieces cover in one camera's windows around those points that it sees."""
+    """Number of pixels that pieces cover in one camera's windows around the points it sees."""
     cosine = _cosine(camera, pieces.middle, pieces.area)
     pixel, centre = project(camera, pieces.middle), project(camera, place)
-    # No number beside the camera, and beyond the fold of its lens.
+    # NaN behind the camera and outside the valid range of its lens model.
     shown = np.flatnonzero((cosine > _FACING) & np.isfinite(pixel).all(axis=1))
     faces = _cosine(camera, place, normal) > _FACING
     seen = np.flatnonzero(faces & np.isfinite(centre).all(axis=1))
@@ -169,7 +175,7 @@ def _in_windows(
     cover = cosine[shown] * np.linalg.norm(pieces.area[shown], axis=1)
     cover /= pixel_sizes(camera, middle) ** 2
     side = np.sqrt(cover)
-    # A piece counts by the part that is inside; with that a window has the spread of its pixels.
+    # A piece counts by the fraction inside, in a window shrunk so that its second moment is right.
     half = 0.5 * np.sqrt(np.maximum(subset**2 - cover, 0.0))
     widest = 0.5 * (subset + side.max(initial=0.0))
     found = cKDTree(pixel).query_ball_point(centre, widest, p=np.inf)
@@ -187,7 +193,7 @@ def _in_windows(
 
 
 def _moments(windows: LocalFits, mean: bsr_array, bends: LocalFits) -> list[bsr_array]:
-    """What each window makes of each term of a motion that bends about its point."""
+    """Response of each window to each second-order term of a motion about its point."""
     monomials, _ = local_terms(windows)
     every = np.arange(len(windows.place) + 1)
     scale = ((windows.reach / bends.reach) ** 2)[:, None, None]
@@ -198,8 +204,8 @@ def _moments(windows: LocalFits, mean: bsr_array, bends: LocalFits) -> list[bsr_
 
 
 def _used(weights: csr_array, points: Points) -> SurfaceAverage:
-    """The average, without points that do not count and without rows that are not known: they do
-    not add up to one, or take differences of far more than there is."""
+    """The average without unused points and without unreliable rows: those whose weights do not add
+    up to the identity, or whose absolute sum is too large."""
     blocks = (weights @ np.tile(np.eye(3), (len(points), 1))).reshape(-1, 3, 3)
     whole = np.abs(blocks - np.eye(3)).max(axis=(1, 2)) < _ROUNDING
     whole &= abs(weights).sum(axis=1).reshape(-1, 3).max(axis=1) < _MOST_WEIGHT

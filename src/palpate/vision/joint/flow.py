@@ -1,10 +1,10 @@
 """Range flow by matching the windows of all cameras jointly: the method `joint`.
 
 Every later instant is matched with the first one, so that errors do not accumulate; the search
-starts from the motion found last. Where the first picture has become too different, the motion
-through the instant before is taken instead: a surface that has moved far or lost its light may no
-longer resemble its first picture, but always resembles the last one. Such motions add up errors, so
-the drift is measured on points that were followed both ways.
+starts from the last motion found. Where the picture has become too different from the first one,
+the motion via the previous instant is used instead: a surface that has moved far, or whose
+illumination has changed, still resembles its last picture. Errors of such motions accumulate, so
+the drift is measured on points that are matched both ways.
 """
 
 from collections.abc import Sequence
@@ -29,30 +29,31 @@ from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching import BASES, Scatter, dense_start, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
-# Median derivative of the motion above which pictures are matched unsmoothed: the low-pass is tied
-# to the pixels and does not turn and stretch with the surface. A turn of 1.7 degrees.
+# Median displacement gradient (Frobenius norm) above which pictures are matched unsmoothed: the
+# low-pass is fixed to the pixels and does not rotate or stretch with the surface.
 _MAX_SMOOTHED_GRADIENT = 0.03
-# Of the points that need no motion through the instant before, one in so many is followed that way
-# all the same, to measure the drift.
+# One in this many points is matched via the previous instant in any case, to measure the drift.
 _DRIFT_SAMPLE = 8
-# The dense start is good to about half a pixel; cameras that contradict each other by more than
-# four times that were misled.
+# The dense start is accurate to about half a pixel; where the cameras contradict each other by more
+# than four times that, it is wrong.
 _START_ERROR_PX = 0.5
 _MAX_START_RESIDUAL_PX = 2.0
-# The field that carries starts over gaps is smoothed over so many half windows.
+# Smoothing radius, in half windows, of the field that interpolates starts over gaps.
 _START_REACH = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointState:
-    """What the method `joint` remembers from instant to instant.
+    """State of the method `joint` between instants.
 
     Attributes
     ----------
     scene : Scene                       the first instant
     grey : tuple of c (rows, columns) float [grey levels]   pictures of the last instant
-    motion : (n, 6, 3) float [m]        from the first instant to the last; NaN where not known
-    flow : RangeFlow or None            the same as measured; None at the first instant
+    motion : (n, 6, 3) float [m]        from the first instant to the last, as in `Match`; the start
+                                        where rejected, NaN where unknown
+    flow : RangeFlow or None            range flow from the first instant to the last; None at the
+                                        first instant
     """
 
     scene: Scene
@@ -67,18 +68,18 @@ class JointFlow:
 
     Parameters
     ----------
-    subset : int [px]               side of the window, odd, at least 5; more is less noise and less
-                                    detail
+    subset : int [px]               side of the window, odd, at least 5; a larger one has less noise
+                                    and resolves less detail
     step : int [px]                 spacing of the points in the reference camera, at least 1
-    shape : "shift", "affine" or "quadratic"    what a window itself determines of its motion; the
-                                    derivatives beyond that are taken from its neighbours, so that a
-                                    window has no bias where the surface stretches, turns or bends
-    smoothing : float [px]          Gaussian low-pass of every picture before it is matched, against
-                                    the bias of structure finer than the pixels
+    shape : "shift", "affine" or "quadratic"    shape function of a window; higher derivatives, up
+                                    to the second, are taken from its neighbours, to reduce the bias
+                                    where the surface stretches, rotates or bends
+    smoothing : float [px]          standard deviation of the Gaussian low-pass of every picture,
+                                    against the bias from aliased structure; 0: none
 
     Raises
     ------
-    InputError                      an even or tiny subset, a step below one pixel
+    InputError                      the subset is even or below 5, or the step is below 1
     """
 
     subset: int = 21
@@ -95,9 +96,10 @@ class JointFlow:
     def start(
         self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
     ) -> JointState:
-        """The first instant, as `FlowMethod.start` says.
+        """Process the first instant; see `FlowMethod.start`.
 
-        The points lie on the smooth surface that the estimate takes the mesh for, not its facets.
+        The points lie on the smooth surface through the mesh's vertices that the estimate uses too,
+        not on the facets.
 
         Parameters
         ----------
@@ -118,7 +120,7 @@ class JointFlow:
         vertices: Vertices,
         triangles: Triangles,
     ) -> JointState:
-        """The first instant of a surface taken as it is, open or closed.
+        """Process the first instant with a surface used as given, open or closed.
 
         Parameters
         ----------
@@ -139,11 +141,11 @@ class JointFlow:
     def follow(
         self, state: JointState, pictures: Sequence[Float[np.ndarray, "_ _"]]
     ) -> tuple[JointState, RangeFlow]:
-        """Match the first instant with the next one, as `FlowMethod.follow` says.
+        """Match the first instant with the next one; see `FlowMethod.follow`.
 
         Parameters
         ----------
-        state : JointState              of the instant before
+        state : JointState              of the previous instant
         pictures : sequence of c (rows, columns) float [grey levels]
 
         Returns
@@ -172,7 +174,7 @@ class JointFlow:
 
         Returns
         -------
-        VertexDisplacement              NaN where `vertex_displacement` has too little around
+        VertexDisplacement              NaN where `vertex_displacement` finds too few points
         """
         camera = rig.cameras[rig.reference]
         return vertex_displacement(flow, camera, surface.vertices, surface.triangles)
@@ -180,7 +182,7 @@ class JointFlow:
     def averaged(
         self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
     ) -> VertexDisplacement:
-        """The same with what each displacement is the average of (`surface_average`).
+        """Add the averaging of the surface's displacement by the windows (`surface_average`).
 
         Parameters
         ----------
@@ -191,7 +193,7 @@ class JointFlow:
 
         Returns
         -------
-        VertexDisplacement              without average for windows that shift only
+        VertexDisplacement              unchanged for the shape function "shift"
         """
         order = BASES[self.shape] // 3
         return found if order == 0 else with_average(found, flow, rig, surface, order)
@@ -202,7 +204,7 @@ class JointFlow:
         now: tuple[Float[np.ndarray, "_ _"], ...],
         start: Float[np.ndarray, "n 6 3"],
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
-        """Range flow of a scene to later pictures, and the motion of every window."""
+        """Range flow from a scene to later pictures, and the motion of every window."""
         scene, later = equally_sharp(scene, now, start)
         match, noise = match_scene(scene, later, start, shape=self.shape)
         return accepted_flow(scene, match, noise), match.motion
@@ -217,7 +219,7 @@ class JointFlow:
         direct: RangeFlow,
         motion: Float[np.ndarray, "n 6 3"],
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
-        """The direct flow and motion, through the last instant where there is no direct one."""
+        """Complete the direct flow and motion by those via the last instant."""
         followed, missing = is_valid(last), ~is_valid(direct)
         sample = np.arange(len(missing)) % _DRIFT_SAMPLE == 0
         rows = np.flatnonzero(followed & (missing | sample))
@@ -236,10 +238,10 @@ class JointFlow:
 def _flow_start(
     state: JointState, now: tuple[Float[np.ndarray, "_ _"], ...]
 ) -> Float[np.ndarray, "n 6 3"]:
-    """Motion of every point from the first instant to now, good to a pixel or so.
+    """Initial motion of every point from the first instant to now, accurate to about a pixel.
 
-    From the motion to the last instant and a dense search between its pictures and those of now;
-    NaN where nothing is known around a point either.
+    It is composed of the motion to the last instant and a dense search from its pictures to the
+    present ones, smoothed; NaN where nothing is known near a point.
     """
     scene = state.scene
     if len(scene.point) == 0:
@@ -261,7 +263,7 @@ def _flow_start(
 def _smooth_start(
     scene: Scene, displacement: Points, covariance: Float[np.ndarray, "n 3 3"], good: Flags
 ) -> Float[np.ndarray, "n 6 3"]:
-    """The start with its gradient, from a local plane through what is known around."""
+    """The start and its gradient, from local linear fits to the known displacements nearby."""
     result = np.full((len(displacement), 6, 3), np.nan)
     if not good.any():
         return result
@@ -278,7 +280,7 @@ def _smooth_start(
 
 
 def _unsmoothed_where_turned(scene: Scene, start: Float[np.ndarray, "n 6 3"]) -> Scene:
-    """The scene, with its pictures unsmoothed where the surface turns or stretches much."""
+    """The scene, with unsmoothed pictures if the surface rotates or stretches strongly."""
     gradient = np.linalg.norm(start[:, 1:3] / scene.extent[:, None, None], axis=(1, 2))
     gradient = gradient[np.isfinite(gradient)]
     if len(gradient) == 0 or np.median(gradient) <= _MAX_SMOOTHED_GRADIENT:
@@ -296,9 +298,10 @@ def _completed(
     extent: Float[np.ndarray, " k"],
     rows: Int[np.ndarray, " k"],
 ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
-    """The direct flow and motion, with the motion through the last instant where they are missing.
+    """The direct flow and motion, replaced by those via the last instant where they are missing.
 
-    `whole` is that motion for some `rows`, the sum of `last` and of the flow `further` from there.
+    `whole` is that motion for the points `rows`, composed of `last` and of the flow `further` from
+    there.
     """
     found, directly = is_valid(further), is_valid(direct)[rows]
     both, take = found & directly, found & ~directly
@@ -331,20 +334,20 @@ def composed_motion(
     second: Float[np.ndarray, "k 2 3"],
     extent: Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, "k 6 3"]:
-    """One motion after another, with its first derivatives.
+    """Composition of two motions, including first derivatives.
 
     Parameters
     ----------
-    before, after : (k, 6, 3) float [m]     see `refine_joint`
-    first, second : (k, 2, 3) float         tangents that their derivatives are taken along
-    extent : (k,) float [m]
+    before, after : (k, 6, 3) float [m]     as in `Match`
+    first, second : (k, 2, 3) float         tangents along which their derivatives are taken
+    extent : (k,) float [m]                 half side of a window on the surface
 
     Returns
     -------
     (k, 6, 3) float [m]                     second-order terms are zero
     """
     images = first + before[:, 1:3] / extent[:, None, None]
-    # Each image is a sum of the second tangents and a small normal part, which turns along.
+    # Each image is a combination of the second tangents; its small normal part is neglected.
     share = np.einsum("kai,kbi->kab", images, second)
     result = np.zeros_like(before)
     result[:, 0] = before[:, 0] + after[:, 0]

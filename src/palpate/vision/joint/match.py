@@ -1,8 +1,8 @@
-"""Following the points of a scene into later pictures: one match of all cameras, made robust.
+"""Tracking the points of a scene into later pictures: a robust joint match of all cameras.
 
-The joint refinement from a start; cameras whose window changed are dropped; points that were lost
-are tried again from their neighbours' motion; and a last refinement takes derivatives of the motion
-from the neighbours, so that a window sees no bias where the surface bends and little noise.
+The steps are a joint refinement from a start; dropping of cameras whose window has changed; second
+attempts at lost points from their neighbours' motion; and a final refinement with derivatives of
+the motion from the neighbours, which avoids bias where the surface bends and keeps the noise low.
 """
 
 from collections.abc import Sequence
@@ -17,33 +17,34 @@ from palpate.vision.joint.scene import Scene
 from palpate.vision.matching import BASES, Prediction, Scatter, local_field, predicted
 from palpate.vision.range_flow import Outcome
 
-# Rounds of second tries: the front of found points moves a few windows each.
+# Rounds of second attempts: in each, the front of found points advances by a few windows.
 _RETRIES = 2
-# A second try starts from a good guess or is hopeless: twice the steps that a usual match takes.
+# A second attempt has a good start or is hopeless: twice the steps of a usual match.
 _RETRY_ITERATIONS = 10
-# Neighbours within this many half windows are asked; their windows overlap but are not the same.
+# Radius of the neighbourhood in half windows: the windows overlap but do not coincide.
 BEND_REACH = 2.0
-# A camera is dropped, then the point, where what is left after the match is more than this many
-# times what it is elsewhere.
+# A camera, and then the point, is dropped where the rms residual of its match exceeds this many
+# times the usual one.
 _MAX_EXCESS = 2.0
 
 
 def match_scene(
     scene: Scene, moved: Sequence[SplinePicture], start: Float[np.ndarray, "n 6 3"], *, shape: str
 ) -> tuple[Match, Float[np.ndarray, " c"]]:
-    """Follow all points of a scene into later pictures.
+    """Track all points of a scene into later pictures.
 
     Parameters
     ----------
     scene : Scene
     moved : sequence of c SplinePicture
-    start : (n, 6, 3) float [m]         motion to start from; NaN where there is none
-    shape : "shift", "affine" or "quadratic"    what windows determine of their motion themselves
+    start : (n, 6, 3) float [m]         initial motion; NaN where there is none
+    shape : "shift", "affine" or "quadratic"    shape function of the final refinement; the higher
+                                        derivatives are taken from the neighbours
 
     Returns
     -------
     match : Match
-    noise : (c,) float [grey levels]    standard deviation that a match leaves in each camera
+    noise : (c,) float [grey levels]    typical standard deviation of the residual in each camera
     """
     every = np.arange(len(scene.point))
     limits = Limits(scene.subset // 2)
@@ -76,14 +77,14 @@ def _refined(
     noise: Float[np.ndarray, " c"],
     limits: Limits,
 ) -> Match:
-    """`refine_joint`, with the covariance that goes with what each match leaves."""
+    """`refine_joint`, with covariances scaled by each match's own residual variance."""
     found = refine_joint(scene, rows, moved, start, use, noise, limits)
-    # The noise is that of the whole picture; a window with more of it knows its motion less.
+    # `noise` is that of the whole picture; a window with a larger residual is less certain.
     return found._replace(covariance=found.covariance * _excess(found, noise)[:, None, None])
 
 
 def used_cameras(match: Match) -> Bool[np.ndarray, "n c"]:
-    """True for cameras that took part in a match and found the window.
+    """True for cameras that were used in a match and found the window.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ def used_cameras(match: Match) -> Bool[np.ndarray, "n c"]:
 def mean_over(
     value: Float[np.ndarray, "n c"], used: Bool[np.ndarray, "n c"]
 ) -> Float[np.ndarray, " n"]:
-    """Mean of a quantity over the cameras used.
+    """Mean of a quantity over the cameras that were used.
 
     Parameters
     ----------
@@ -116,40 +117,40 @@ def mean_over(
 
 
 def _excess(match: Match, noise: Float[np.ndarray, " c"]) -> Float[np.ndarray, " n"]:
-    """Variance that each match leaves over that of the noise, the mean over its cameras."""
+    """Ratio of each match's residual variance to that of the noise, averaged over its cameras."""
     return mean_over(match.left / noise**2, used_cameras(match))
 
 
 def _noise(match: Match) -> Float[np.ndarray, " c"]:
-    """What a match leaves in each camera, the median over the points [grey levels]."""
+    """Residual standard deviation in each camera, from the median over points [grey levels]."""
     found = match.outcome == Outcome.VALID
     noise = np.ones(match.left.shape[1])
     for c in range(len(noise)):
         left = match.left[found & np.isfinite(match.left[:, c]), c]
         if len(left) > 0:
-            # A picture without noise, or rounded to it, still has its rounding.
+            # At least the rounding noise of two pictures in whole grey levels.
             noise[c] = np.sqrt(max(float(np.median(left)), 1.0 / 6.0))
     return noise
 
 
 def changed_cameras(match: Match, noise: Float[np.ndarray, " c"]) -> Bool[np.ndarray, "n c"]:
-    """Cameras whose window looks different when loaded: covered, shadowed, a highlight.
+    """Cameras whose window looks different under load: covered, shadowed, a highlight.
 
     Parameters
     ----------
     match : Match                   of n points in c cameras
-    noise : (c,) float [grey levels]    standard deviation that a match usually leaves
+    noise : (c,) float [grey levels]    typical standard deviation of the residual
 
     Returns
     -------
-    (n, c) bool                     True where twice the noise and more is left
+    (n, c) bool                     True where the rms residual exceeds twice the noise
     """
     with np.errstate(invalid="ignore"):
         return match.use & (match.left > (_MAX_EXCESS * noise) ** 2)
 
 
 def _fits(match: Match, noise: Float[np.ndarray, " c"]) -> Bool[np.ndarray, " n"]:
-    """Points that were found and whose cameras all show the same surface as at first."""
+    """Points that were found and whose windows are unchanged in all cameras."""
     return (match.outcome == Outcome.VALID) & ~changed_cameras(match, noise).any(axis=1)
 
 
@@ -162,10 +163,10 @@ def _without_one_camera(
     noise: Float[np.ndarray, " c"],
     limits: Limits,
 ) -> Match:
-    """Try the points that do not fit without each of their cameras in turn, where two are left.
+    """Rematch points that do not fit, leaving out each camera in turn if two or more remain.
 
-    A camera whose view is covered drags the common motion along until no camera fits, so that what
-    it leaves does not identify it; the others fit when it is the one that is left out.
+    A camera whose view is covered biases the common motion until no camera fits, so its residual
+    alone does not identify it; the others fit once it is left out.
     """
     own_use = match.use
     again = np.flatnonzero(~_fits(match, noise) & (own_use.sum(axis=1) >= 3))
@@ -186,7 +187,7 @@ def _without_one_camera(
 
 
 def _replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
-    """A match whose rows are replaced where the other one found something."""
+    """Replace rows of a match by those that another match found."""
     good = other.outcome == Outcome.VALID
     result = Match(*(array.copy() for array in match))
     for array, new in zip(result, other, strict=True):
@@ -197,7 +198,7 @@ def _replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
 def _second_tries(
     scene: Scene, match: Match, noise: Float[np.ndarray, " c"]
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 6 3"]]:
-    """Points that were lost or fit badly, with their neighbours' motion to start from."""
+    """Points that were lost or fit badly, and starts from their neighbours' motion."""
     fits = _fits(match, noise)
     guess = predicted_motion(scene, match, fits)
     may = np.isin(match.outcome, (Outcome.LOST, Outcome.VALID, Outcome.OUTSIDE))
@@ -214,13 +215,13 @@ def _second_tries(
 
 
 def predicted_motion(scene: Scene, match: Match, valid: Bool[np.ndarray, " n"]) -> Prediction:
-    """Motion of each point as its valid neighbours predict it; see `predicted`.
+    """Motion of each point as predicted by its valid neighbours; see `predicted`.
 
     Parameters
     ----------
     scene : Scene                   of n points
     match : Match                   of the same points
-    valid : (n,) bool               points that may predict
+    valid : (n,) bool               points used for prediction
 
     Returns
     -------
@@ -238,7 +239,7 @@ def predicted_motion(scene: Scene, match: Match, valid: Bool[np.ndarray, " n"]) 
 
 
 def _with_derivatives(scene: Scene, match: Match) -> Float[np.ndarray, "n 6 3"]:
-    """The motion found, with derivatives from the motion around each point; NaN without those."""
+    """The motion found, with derivatives from a local field; NaN where undetermined."""
     good = match.outcome == Outcome.VALID
     motion = np.full(match.motion.shape, np.nan)
     if not good.any():
@@ -264,5 +265,5 @@ def _with_derivatives(scene: Scene, match: Match) -> Float[np.ndarray, "n 6 3"]:
 
 
 def neighbourhood(scene: Scene) -> float:
-    """Radius within which points are compared with each other [m]."""
+    """Radius of the neighbourhood of a point [m]; 1 for a scene without points."""
     return BEND_REACH * float(np.median(scene.extent)) if len(scene.extent) else 1.0

@@ -2,12 +2,12 @@
 
 Every camera's window around the projected point is matched with the same camera's later picture,
 and all cameras share one motion of the surface: the point's displacement u, its derivatives along
-two tangents, and (quadratic) its second-order terms. The normal follows the tangents, so any rigid
-motion is exact. Pixels get their 3-D points from the camera's surface map: creases and curvature
-are no error. Nothing is rectified; each grey level is interpolated once.
+two tangents, and (quadratic) its second-order terms. The normal rotates with the tangents, so any
+rigid motion is represented exactly. Each pixel's 3-D point comes from the camera's surface map, so
+creases and curvature cause no error. Nothing is rectified; each grey level is interpolated once.
 
-Inverse-compositional Gauss-Newton: gradients come from the first picture, so the matrix is made
-once a point. Gain and offset of every camera are eliminated in closed form.
+Inverse-compositional Gauss-Newton: gradients come from the first picture, so the normal matrix is
+assembled once per point. Gain, offset and shading of every camera are eliminated in closed form.
 """
 
 from collections import namedtuple
@@ -43,22 +43,22 @@ from palpate.vision.small_systems import (
     cholesky_solve_kernel,
 )
 
-# Outcomes as plain numbers, for the kernels.
+# Outcomes as plain integers, for the kernels.
 _VALID = int(Outcome.VALID)
 _HIDDEN = int(Outcome.HIDDEN)
 _TEXTURE = int(Outcome.TEXTURE)
 _OUTSIDE = int(Outcome.OUTSIDE)
 _LOST = int(Outcome.LOST)
-# Points that are worth a thread of their own: each takes some 0.2 ms.
+# Minimum number of points per thread: each takes about 0.2 ms.
 _MIN_POINTS_PER_THREAD = 8
-# Blocks along a side of a window whose residuals are taken as independent of each other.
+# Blocks along a side of a window whose residuals are treated as mutually independent.
 BLOCKS = 3
-# What a camera sees at the first instant, tuples of c arrays but for the packed cameras (c, 25) and
-# the light's spread (c,) [px^2].
+# Data of the first instant: tuples of c arrays, except for the packed cameras (c, 25) and the blur
+# variance `spread` (c,) [px^2].
 _First = namedtuple("_First", "cameras grey along_column along_row surface inner spread")
-# What is followed: (n, 3), (n, 2, 3) tangents, (n,) half side of a window on the surface [m].
+# Points to track: (n, 3), (n, 2, 3) tangents, (n,) half side of a window on the surface [m].
 _Points = namedtuple("_Points", "point tangent extent")
-# Work arrays of one thread. What takes them is inlined: passing so many arrays is slow to compile.
+# Work arrays of one thread. Functions that take them are inlined: so many arguments compile slowly.
 _Work = namedtuple(
     "_Work",
     "window place sampled sums moments normal mapping jacobian contents centre hessian inverse"
@@ -67,20 +67,19 @@ _Work = namedtuple(
 
 
 class Limits(NamedTuple):
-    """How a window is matched.
+    """Settings of the match of a window.
 
     Attributes
     ----------
-    half : int [px]                 half of a window's side, rounded down
-    bases : 1, 3 or 6               polynomials of the motion that are free: shift, affine,
+    half : int [px]                 half the side of a window, rounded down
+    bases : 1, 3 or 6               terms of the shape function that are free: shift, affine,
                                     quadratic
-    iterations : int                at most so many
-    shading : bool                  whether the light on a window may vary linearly from one picture
-                                    to the next, besides gain and offset: moving objects turn in the
-                                    light, tools cast soft shadows
-    tolerance : float [px]          a step shorter than this ends the iteration; far below the noise
-    reach : float [px]              a window that leaves its start by more than this is lost
-    least_share : float             share of the window that must show the surface at rest
+    iterations : int                largest number of iterations
+    shading : bool                  whether the gain may vary linearly over a window: a moving
+                                    object rotates in the light, tools cast soft shadows
+    tolerance : float [px]          the iteration ends when a step is shorter; far below the noise
+    reach : float [px]              a window that moves farther than this from its start is lost
+    least_share : float             fraction of the window that must show the surface at rest
     """
 
     half: int
@@ -93,19 +92,20 @@ class Limits(NamedTuple):
 
 
 class Match(NamedTuple):
-    """Motion of n points as c cameras see it; NaN where there is none.
+    """Motion of n points from the pictures of c cameras; NaN where not found.
 
     Attributes
     ----------
     motion : (n, 6, 3) float [m]        u, its derivatives along the tangents times the extent, its
                                         second-order terms times the square of the extent
-    covariance : (n, 3, 3) float [m^2]  of u for white noise of the size that was given
+    covariance : (n, 3, 3) float [m^2]  of u for white noise of the given standard deviations
     score : (n, c) float                normalised cross-correlation
-    left : (n, c) float [grey levels^2] variance of what is left
-    own : (n, c, 2) float [px]          what each camera alone would add
-    own_variance : (n, c) float [px^2]  of that, per component
-    rough : (n,) float [-]              covariance of u from what is left over that of white noise
-    use : (n, c) bool                   cameras that took part
+    left : (n, c) float [grey levels^2] residual variance
+    own : (n, c, 2) float [px]          further step that each camera alone would take
+    own_variance : (n, c) float [px^2]  variance of `own` per component
+    rough : (n,) float [-]              ratio of the variance of u from the residuals in blocks
+                                        (sandwich estimate) to that from white residuals
+    use : (n, c) bool                   cameras to use, as given
     outcome : (n,) int                  VALID, HIDDEN, TEXTURE, OUTSIDE or LOST
     """
 
@@ -129,16 +129,16 @@ def refine_joint(
     noise: Float[np.ndarray, " c"],
     limits: Limits,
 ) -> Match:
-    """Motion of surface points between two instants.
+    """Refine the motion of surface points between two instants.
 
     Parameters
     ----------
     scene : Scene                       the first instant
-    rows : (n,) int                     of its points that are followed
+    rows : (n,) int                     indices of the points to track
     moved : sequence of c SplinePicture     the later instant
-    start : (n, 6, 3) float [m]         motion to start from, as in `Match`; NaN: not to be followed
-    use : (n, c) bool                   cameras that see the point
-    noise : (c,) float [grey levels]    what a match leaves, the weight of a camera
+    start : (n, 6, 3) float [m]         initial motion, as in `Match`; points with NaN are skipped
+    use : (n, c) bool                   cameras to use for each point
+    noise : (c,) float [grey levels]    residual standard deviation, which weights the cameras
     limits : Limits
 
     Returns
@@ -148,7 +148,7 @@ def refine_joint(
     Source
     ------
     Baker and Matthews, Lucas-Kanade 20 years on, International Journal of Computer Vision 56
-    (2004), for the inverse composition.
+    (2004), for the inverse-compositional algorithm.
     """
     count, views = use.shape
     shapes = ((6, 3), (3, 3), (views,), (views,), (views, 2), (views,), ())
@@ -174,16 +174,16 @@ def refine_joint(
 
 
 def _of_four(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Those of all cameras; of fewer than four, with empty ones behind them.
+    """The arrays of all cameras as a tuple, padded to four with empty ones.
 
-    The kernel is compiled anew for every length of a tuple, which takes many seconds.
+    The kernel is recompiled for every tuple length, which takes many seconds.
     """
     return (*arrays, *[arrays[0][:0]] * (4 - len(arrays)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _refine_range(begin, end, first, moved, points, start, known, noise, limits, found):
-    """`refine_joint` of the points from `begin` to `end`."""
+    """`refine_joint` for the points from `begin` to `end`."""
     work = _make_work(len(noise), limits.half, limits.bases)
     outcome = found.outcome
     for i in range(begin, end):
@@ -235,7 +235,7 @@ def _make_work(views, half, bases):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _prepare_kernel(first, points, i, use, noise, limits, work):
-    """Windows of all cameras and the factorised Gauss-Newton matrix of one point."""
+    """Load all windows of one point and factorise its Gauss-Newton matrix; an outcome."""
     point, tangent, extent = points.point[i], points.tangent[i], points.extent[i]
     seen = 0
     for c in range(len(use)):
@@ -269,7 +269,7 @@ def _prepare_kernel(first, points, i, use, noise, limits, work):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
-    """Gauss-Newton steps until they are short; the motion is left in `work.q`."""
+    """Gauss-Newton steps until convergence, leaving the motion in `work.q`; an outcome."""
     point, tangent, extent = points.point[i], points.tangent[i], points.extent[i]
     total = work.total
     for _ in range(limits.iterations):
@@ -296,9 +296,10 @@ def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _right_kernel(first, moved, points, i, c, limits, work):
-    """Right-hand side of one camera at the present motion, in `work.right`.
+    """Right-hand side of one camera at the current motion, in `work.right`.
 
-    Returns the gain and the share of noise left by interpolation; `work.light` holds the rest.
+    Returns the gain and the fraction of noise variance left by interpolation. `work.light` is
+    filled, see `window_right_kernel`.
     """
     share = sample_surface_kernel(
         first.cameras[c], moved[c], work.place[c], work.window[c, 3], points.point[i], work.q,
@@ -313,7 +314,7 @@ def _right_kernel(first, moved, points, i, c, limits, work):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
-    """Motion, its covariance, and what the match leaves in each camera."""
+    """Store the motion of a point, its covariance, and the residuals in each camera."""
     bases, views = limits.bases, len(noise)
     score, left, own = found.score[i], found.left[i], found.own[i]
     _set_kernel(found.motion[i], work.q)
@@ -358,7 +359,7 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
             own[c, 0] = -work.right[0]
             own[c, 1] = -work.right[bases]
             found.own_variance[i, c] = left[c] * _mean_variance_kernel(work.normal[c], work.right)
-    # Residuals of few blocks, bent toward zero by the fit of 3 bases unknowns.
+    # Correct for the 3 bases degrees of freedom that the fit takes from few blocks.
     blocks = seen * BLOCKS * BLOCKS
     correction = blocks / max(blocks - 3.0 * bases, 1.0)
     robust = white = 0.0
@@ -366,13 +367,13 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
         row = work.inverse[a * bases]
         white += row[a * bases]
         robust += np.dot(row, np.dot(meat, row))
-    # Of pictures that are the same nothing is left: as good as white.
+    # Identical pictures leave no residual: treated as white.
     found.rough[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
 
 
 @njit(cache=True, error_model="numpy")
 def _mean_variance_kernel(factor, scratch):
-    """Mean of the two diagonal entries of an inverse that belong to the shift."""
+    """Mean of the two diagonal entries of the inverse that belong to the shift."""
     variance = 0.0
     bases = len(scratch) // 2
     for a in (0, bases):

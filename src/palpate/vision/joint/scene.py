@@ -1,4 +1,4 @@
-"""One instant as the cameras see it: pictures, surface, and the points to be followed."""
+"""One instant as the cameras see it: pictures, surface, and the points to be tracked."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,11 +14,11 @@ from palpate.vision.cameras import SurfaceMap, packed_rig, pixel_sizes, surface_
 from palpate.vision.images import SplinePicture, point_spread, spline_pictures
 from palpate.vision.range_flow import grid_points, grid_triangles
 
-# A pixel this close to an outline mixes object and ground: its response, and the spline's, reach so
-# far.
+# Pixels this close to an outline mix object and background, by the support of the pixel response
+# and of the spline.
 _RIM_PX = 2
 # Neighbouring pixels whose depths differ by more than this many pixel sides lie on two parts of the
-# object, one before the other, or on one seen at less than 12 degrees.
+# object, one in front of the other, or on a surface seen at less than 12 degrees.
 _MAX_DEPTH_JUMP_PX = 5.0
 
 
@@ -29,11 +29,12 @@ class Scene:
     Attributes
     ----------
     rig : Rig
-    packed : (c, 25) float              the cameras for the kernels
-    grey : tuple of c (rows, columns) float [grey levels]   the pictures as they are
-    pictures : tuple of c SplinePicture     the same, smoothed, ready to be matched
+    packed : (c, 25) float              the cameras for the kernels, see `packed_camera`
+    grey : tuple of c (rows, columns) float [grey levels]   the original pictures
+    pictures : tuple of c SplinePicture     the same, smoothed, prepared for matching
     surface : tuple of c (rows, columns, 3) float32 [m]     point behind each pixel, NaN where none
-    inner : tuple of c (rows, columns) float32      1 where a pixel surely shows the surface, else 0
+    inner : tuple of c (rows, columns) float32      1 where a pixel shows only one unbroken part of
+                                        the surface, else 0
     pixel : (n, 2) float [px]           of the points, in the reference camera
     point : (n, 3) float [m]            on the surface
     tangent : (n, 2, 3) float           two orthonormal tangents there
@@ -41,9 +42,8 @@ class Scene:
     seen : (n, c) bool                  which cameras see the point
     subset : int [px]                   side of a window
     step : int [px]                     spacing of the points in the reference camera
-    smoothing : float [px]              Gaussian low-pass of `pictures`
-    spread : (c,) float [px^2]          variance by which light is spread in `pictures`: by lens and
-                                        chip, and by the low-pass
+    smoothing : float [px]              standard deviation of the Gaussian low-pass of `pictures`
+    spread : (c,) float [px^2]          blur variance of `pictures`: lens, sensor and low-pass
     """
 
     rig: Rig
@@ -73,7 +73,7 @@ def make_scene(
     step: int,
     smoothing: float,
 ) -> Scene:
-    """Cut a surface into points on the reference camera's grid.
+    """Set up an instant, with points of the surface on a grid of the reference camera.
 
     Parameters
     ----------
@@ -85,13 +85,13 @@ def make_scene(
 
     Returns
     -------
-    Scene                           without points where the reference camera sees none
+    Scene                           with no points if the reference camera sees none
     """
     maps, views = _views(rig, pictures, vertices, triangles, smoothing)
     shown = views["inner"][rig.reference] > 0.0
     pixel, point, tangent = grid_points(maps[rig.reference], shown, vertices, triangles, step)
     extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], point)
-    # Behind the surface by more than half a window means behind another part of it.
+    # More than half a window behind the surface means hidden by another part of it.
     tolerance = float(np.median(extent)) if len(extent) else 0.0
     return Scene(
         rig=rig,
@@ -115,7 +115,7 @@ def advanced_scene(
     motion: Float[np.ndarray, "n 6 3"],
     valid: Bool[np.ndarray, " n"],
 ) -> Scene:
-    """The scene at a later instant, its surface where it has moved to.
+    """The scene at a later instant, with its surface moved.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def advanced_scene(
 
     Returns
     -------
-    Scene                           of the same n points; those not valid are seen by no camera
+    Scene                           of the same n points; those not valid are marked as unseen
     """
     moved = scene.point + np.where(valid[:, None], motion[:, 0], 0.0)
     rows = np.flatnonzero(valid)
@@ -143,7 +143,7 @@ def advanced_scene(
 
 
 def scene_rows(scene: Scene, rows: Int[np.ndarray, " k"]) -> Scene:
-    """The scene with some of its points only.
+    """The scene restricted to some of its points.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def scene_rows(scene: Scene, rows: Int[np.ndarray, " k"]) -> Scene:
 
 
 def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows columns"]:
-    """1 where one unbroken part of the surface is seen at a pixel and two pixels around, else 0.
+    """1 where a pixel and its neighbours within 2 px show one unbroken part of the surface, else 0.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows
 
     Returns
     -------
-    (rows, columns) float32         weights of the pixels in a window
+    (rows, columns) float32         weight of each pixel in a window
     """
     pose = camera.T_camera_object
     depth = surface.point @ pose[2, :3] + pose[2, 3]
@@ -193,7 +193,7 @@ def _views(
     triangles: Triangles,
     smoothing: float,
 ) -> tuple[list[SurfaceMap], dict[str, Any]]:
-    """What each camera sees of a surface, and the fields of a `Scene` that pictures and it make."""
+    """Surface maps of all cameras, and the fields of a `Scene` made from them and the pictures."""
     maps = [
         surface_map(camera, picture.shape, vertices, triangles)
         for camera, picture in zip(rig.cameras, pictures, strict=True)

@@ -1,9 +1,9 @@
-"""Pictures that are blurred as a whole, by focus or motion, made equally sharp before a match.
+"""Equalising the sharpness of two pictures, one of which is blurred by defocus or motion.
 
-A window that has lost its fine structure still matches, off by a share of the blur: the surface's
-stretching and the light answer for what no motion explains. Blurring by a Gaussian adds half its
-squared width times the Laplacian to a picture, so the later picture less the first, beside its own
-Laplacian, shows by how much one is wider than the other. The sharper one is blurred by as much.
+A window that has lost its fine structure still matches, but with an error of a fraction of the blur
+width, because stretch and illumination absorb what no motion explains. Blurring by a Gaussian adds
+half its variance times the Laplacian to a picture. So regressing the difference of the two pictures
+on the Laplacian gives the difference of their blur variances, and the sharper one is blurred by it.
 """
 
 from collections.abc import Sequence
@@ -24,15 +24,15 @@ from palpate.vision.joint.refinement import Limits, Match, refine_joint
 from palpate.vision.joint.scene import Scene
 from palpate.vision.range_flow import Outcome
 
-# Windows that are looked at: enough for the width to 0.1 px, few beside those of the flow.
+# Number of windows used: enough for the width to 0.1 px, few compared with those of the flow.
 _WINDOWS = 100
-# Fewer say nothing about the picture as a whole.
+# Fewer windows do not represent the whole picture.
 _FEWEST = 8
-# Each round finds what the one before left, for the picture is not linear in a wide blur.
+# Iterations on the remaining difference: a picture is not linear in a wide blur.
 _ROUNDS = 6
-# A width counts where it is this many of its standard errors.
+# A width is applied if it exceeds this many of its standard errors.
 _SURE = 4.0
-# The Laplacian is that of pictures smoothed by so much, against noise [px].
+# Smoothing of the pictures whose Laplacian is taken, against noise [px].
 _SMOOTHING = 1.0
 
 Greys = Sequence[Float[np.ndarray, "_ _"]]
@@ -41,18 +41,19 @@ Greys = Sequence[Float[np.ndarray, "_ _"]]
 def equally_sharp(
     scene: Scene, now: Greys, start: Float[np.ndarray, "n 6 3"]
 ) -> tuple[Scene, tuple[SplinePicture, ...]]:
-    """A scene and the later pictures, ready to be matched and equally sharp in each camera.
+    """Prepare a scene and the later pictures for matching, equally sharp in each camera.
 
     Parameters
     ----------
     scene : Scene                       of n points in c cameras
-    now : sequence of c (rows, columns) float [grey levels]     as they are
-    start : (n, 6, 3) float [m]         motion to start from; NaN where there is none
+    now : sequence of c (rows, columns) float [grey levels]     the later pictures, unprocessed
+    start : (n, 6, 3) float [m]         initial motion; NaN where there is none
 
     Returns
     -------
-    Scene                               its own pictures blurred where the later one is
-    tuple of c SplinePicture            smoothed like the scene's, blurred where the first one is
+    Scene                               its pictures blurred where the later one is less sharp
+    tuple of c SplinePicture            smoothed like the scene's; blurred where the first one is
+                                        less sharp
     """
     width = np.zeros(len(now))
     there, later = scene, spline_pictures(now, scene.smoothing)
@@ -72,7 +73,7 @@ def equally_sharp(
         there, later = _blurred(scene, now, width, scene.smoothing)
     if not width.any():
         return there, later
-    # One of the two is smoothed by this much more: half of it is what their difference shows.
+    # Only one of the two is smoothed more, so the effective smoothing has half of the extra.
     usual = float(np.sqrt(scene.smoothing**2 + 0.5 * np.abs(width).mean()))
     return replace(there, smoothing=usual), later
 
@@ -80,8 +81,8 @@ def equally_sharp(
 def _blurred(
     scene: Scene, now: Greys, width: Float[np.ndarray, " c"], smoothing: float
 ) -> tuple[Scene, tuple[SplinePicture, ...]]:
-    """Both instants' pictures, smoothed, the first by a squared width more, or the later by one
-    less than zero [px^2]."""
+    """Both instants' pictures, smoothed; `width` [px^2] is extra blur variance for the first where
+    positive, for the later where negative."""
     first, later = (
         tuple(
             make_spline_picture(grey, smoothing=float(np.sqrt(smoothing**2 + max(more, 0.0))))
@@ -99,8 +100,8 @@ def _relative_width(
     rows: Int[np.ndarray, " k"],
     start: Float[np.ndarray, "k 6 3"],
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
-    """Squared width of the later pictures' blur less that of the first ones, and its standard
-    error [px^2]; an infinite error where too little is seen."""
+    """Blur variance of the later pictures minus that of the first ones, and its standard error
+    [px^2]; the error is infinite where too few windows are found."""
     limits = Limits(scene.subset // 2)
     noise = np.ones(len(later))
     match = refine_joint(scene, rows, later, start, scene.seen[rows], noise, limits)
@@ -109,7 +110,7 @@ def _relative_width(
         each = _window_widths(scene, picture, rows, match, c)
         if len(each) >= _FEWEST:
             found[c] = np.median(each)
-            # The median's own error, from the spread of the middle half.
+            # Standard error of the median, from the interquartile range.
             spread = np.subtract(*np.quantile(each, [0.75, 0.25])) / 1.349
             error[c] = 1.2533 * spread / np.sqrt(len(each))
     return found, error
@@ -118,7 +119,7 @@ def _relative_width(
 def _window_widths(
     scene: Scene, later: SplinePicture, rows: Int[np.ndarray, " k"], match: Match, camera: int
 ) -> Float[np.ndarray, " w"]:
-    """What each window that was found tells of the relative width in one camera [px^2]."""
+    """Relative blur variance in one camera, estimated from each window found [px^2]."""
     first = scene.pictures[camera]
     ours, theirs = (cv2.Laplacian(picture.grey, cv2.CV_32F) for picture in (first, later))
     kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.use[:, camera])
@@ -140,7 +141,7 @@ def _window_widths(
 def _window_pixels(
     scene: Scene, rows: Int[np.ndarray, " w"], camera: int
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-    """Pixels of a camera's windows that show the surface: window, in order, column and row."""
+    """Pixels of a camera's windows that show the surface: window index (ascending), column, row."""
     half, size = scene.subset // 2, np.array(scene.grey[camera].shape[::-1])
     line = np.arange(-half, half + 1)
     offset = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
@@ -158,7 +159,7 @@ def _moved(
     motion: Float[np.ndarray, "p 6 3"],
     point: Float[np.ndarray, "p 3"],
 ) -> Float[np.ndarray, "p 3"]:
-    """Where the surface around some points has gone, by their motions and first derivatives [m]."""
+    """Displaced surface points, from nearby motions and their first derivatives [m]."""
     away = np.einsum("pi,pai->pa", point - scene.point[rows], scene.tangent[rows])
     away /= scene.extent[rows, None]
     return point + motion[:, 0] + np.einsum("pa,pai->pi", away, motion[:, 1:3])

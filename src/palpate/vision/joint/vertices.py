@@ -25,20 +25,20 @@ from palpate.vision.range_flow import (
     measured_vertices,
 )
 
-# Radius of the points that speak for a vertex, in half windows: those whose windows hold it.
+# Radius around a vertex, in half windows, of the points used: those whose windows contain it.
 _REACH = 1.2
-# Cosine beyond which a vertex is seen so obliquely that its points lie on one side of it.
+# Minimum cosine between normal and viewing direction: below it, the points lie on one side only.
 _FACING = 0.1
-# Twice the unknowns of a quadratic.
+# Twice the number of coefficients of a quadratic.
 _FEWEST = 12
-# A vertex known so many times worse than the usual point lies outside the points.
+# A vertex whose standard deviation exceeds this many times that of a typical point is extrapolated.
 _WORSE = 3.0
 
 
 def vertex_displacement(
     flow: RangeFlow, camera: Camera, vertices: Vertices, triangles: Triangles
 ) -> VertexDisplacement:
-    """Displacement, with covariance, of the vertices around which range flow was measured.
+    """Displacement and covariance of the vertices around which range flow was measured.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def vertex_displacement(
     Returns
     -------
     VertexDisplacement              NaN at vertices that face away from the camera, have fewer than
-                                    12 points around them, or lie outside them
+                                    12 points around them, or lie outside the measured area
     """
     displacement = np.full(vertices.shape, np.nan)
     covariance = np.full((*vertices.shape, 3), np.nan)
@@ -62,7 +62,7 @@ def vertex_displacement(
         scatter = _scatter(flow, valid)
         field = _field_at(scatter, vertices[rows], normal[rows], camera)
         good = np.isfinite(field.displacement).all(axis=1) & (field.count >= _FEWEST)
-        # Beside the points a polynomial goes anywhere, and its variance says so.
+        # Outside the points the polynomial extrapolates, with a large variance.
         trace = np.trace(field.covariance, axis1=1, axis2=2)
         usual = np.median(np.trace(flow.covariance[valid], axis1=1, axis2=2))
         with np.errstate(invalid="ignore"):
@@ -79,15 +79,15 @@ def vertex_displacement(
 def with_average(
     found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh, order: int
 ) -> VertexDisplacement:
-    """The same with what each displacement is the average of.
+    """Add the weighted average of the surface's displacement that each vertex value represents.
 
     Parameters
     ----------
-    found : VertexDisplacement      of v vertices, from that flow
+    found : VertexDisplacement      of v vertices, from `flow`
     flow : RangeFlow
     rig : Rig
     surface : TriangleMesh          of v vertices
-    order : 1 or 2                  windows that find an affine or a quadratic motion
+    order : 1 or 2                  shape function of the windows: affine or quadratic
 
     Returns
     -------
@@ -109,7 +109,7 @@ def with_average(
 
 
 def _scatter(flow: RangeFlow, valid: Flags) -> Scatter:
-    """The valid points of range flow."""
+    """Collect the valid points of range flow."""
     return Scatter(
         flow.point[valid],
         flow.pixel[valid],
@@ -126,18 +126,18 @@ def _field_at(
     normal: Float[np.ndarray, "k 3"],
     camera: Camera,
 ) -> LocalField:
-    """Local field at vertices."""
+    """Local field of the scatter at vertices."""
     reach = _REACH * _half_window(scatter, camera)
     return local_field(scatter, place, _tangents(normal), reach=reach, fewest=_FEWEST)
 
 
 def _half_window(scatter: Scatter, camera: Camera) -> float:
-    """Half a window's side on the surface [m]."""
+    """Half the side of a window on the surface [m]."""
     return (scatter.subset // 2) * float(np.median(pixel_sizes(camera, scatter.point)))
 
 
 def _facing(camera: Camera, vertices: Vertices, normal: Vertices) -> Flags:
-    """True for the vertices whose normal points toward the camera."""
+    """True for vertices whose normals point towards the camera."""
     toward = camera_centre(camera) - vertices
     toward = toward / np.linalg.norm(toward, axis=1)[:, None]
     return (toward * normal).sum(axis=1) > _FACING

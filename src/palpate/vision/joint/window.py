@@ -1,4 +1,4 @@
-"""One camera's window on the moving surface: its pixels' surface points, and their later places."""
+"""Kernels for one camera's window: surface points of its pixels, and their later projections."""
 
 import numpy as np
 from numba import njit
@@ -7,7 +7,7 @@ from palpate.vision.cameras import distort_kernel, jacobian_kernel, project_kern
 from palpate.vision.images import noise_share_kernel, sample_kernel
 from palpate.vision.matching import load_window_kernel
 
-# The spline reaches this far beyond a place, and its coefficients are padded by as much [px].
+# Total padding of the spline coefficients, 4 px on each side [px].
 _SPLINE_MARGIN_PX = 8
 
 
@@ -16,13 +16,13 @@ def load_camera_kernel(
     camera, grey, along_column, along_row, surface, inner, point, tangent, extent, half,
     least_share, shading, spread, window, place, centre, contents,
 ):  # fmt: skip
-    """Window of one camera with its pixels' surface points; False where it sees too little.
+    """Load one camera's window with the surface points of its pixels; False if too few are seen.
 
-    `window` (6, side, side) as in `load_window_kernel`; `place` (3, side, side): coordinates of
-    each pixel's point along the two tangents and the normal, in extents; `centre` (2,) int [px]
-    column and row; `contents` (3,): pixels inside, their mean, sum of squares about it;
-    `tangent` (2, 3) is orthonormal, `extent` [m] half a window's side, `least_share` 0 to 1,
-    `spread` [px^2] of the light in the picture.
+    Filled are `window` (6, side, side), see `load_window_kernel`; `place` (3, side, side),
+    coordinates of each pixel's point along the two tangents and the normal, in units of `extent`;
+    `centre` (2,) int [px], column and row; `contents` (3,): pixels inside, their mean, sum of
+    squared deviations. `tangent` (2, 3) is orthonormal, `extent` [m] half the side of a window,
+    `least_share` (0 to 1) the visible fraction required, `spread` [px^2] the blur variance.
     """
     x, y = project_kernel(camera, point[0], point[1], point[2])
     rows, columns = grey.shape
@@ -37,7 +37,7 @@ def load_camera_kernel(
     n0 = t[1] * s[2] - t[2] * s[1]
     n1 = t[2] * s[0] - t[0] * s[2]
     n2 = t[0] * s[1] - t[1] * s[0]
-    # Beyond this distance a pixel shows another part of the object, behind a silhouette.
+    # Beyond three extents (squared) a pixel shows another part of the object, behind a silhouette.
     far = 9.0
     count = 0.0
     for r in range(2 * half + 1):
@@ -72,12 +72,12 @@ def load_camera_kernel(
 
 @njit(cache=True, error_model="numpy")
 def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian, mapping):
-    """From the surface's motion to the window's polynomial in pixels, (2 bases, 3 bases) [px/m].
+    """Matrix from coefficients of the surface motion to those of the pixel motion in a window.
 
-    Within the window the surface coordinates are taken as linear in the pixel; this shapes the
-    steps and the weights, not the solution. `camera` (25,) packed, `point` (3,) [m], `tangent`
-    (2, 3), `extent` [m], `half` a window's side and `centre` (2,) [px]; `jacobian` (2, 3) is
-    scratch.
+    `mapping`, (2 bases, 3 bases) [px/m], is filled. Within the window the surface coordinates are
+    linearised in the pixel coordinates; this affects steps and weights, not the solution. `camera`
+    (25,) packed, `point` (3,) [m], `tangent` (2, 3), `extent` [m], `half` side of the window and
+    `centre` (2,) [px]; `jacobian` (2, 3) is scratch.
     """
     x, y, _, _, _ = jacobian_kernel(camera, point[0], point[1], point[2], jacobian)
     b00 = b01 = b10 = b11 = 0.0
@@ -86,7 +86,7 @@ def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian
         b01 += jacobian[0, a] * tangent[1, a]
         b10 += jacobian[1, a] * tangent[0, a]
         b11 += jacobian[1, a] * tangent[1, a]
-    # Seen edge-on the linear map is singular; such a window adds nothing anyway.
+    # Seen edge-on the linear map is singular; such a window contributes nothing anyway.
     determinant = b00 * b11 - b01 * b10
     if abs(determinant) < 1e-12 * (abs(b00) + abs(b01) + abs(b10) + abs(b11)) ** 2:
         determinant = np.inf
@@ -112,7 +112,7 @@ def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian
 
 @njit(cache=True, error_model="numpy")
 def _product_kernel(first, second, out):
-    """Product of two linear polynomials in two variables."""
+    """Product of two linear polynomials in two variables, as six coefficients."""
     out[0] = first[0] * second[0]
     out[1] = first[0] * second[1] + first[1] * second[0]
     out[2] = first[0] * second[2] + first[2] * second[0]
@@ -125,8 +125,8 @@ def _product_kernel(first, second, out):
 def deformed_frame_kernel(q, tangent, extent, frame):
     """Deformed tangents and unit normal as rows, (3, 3), written into `frame`.
 
-    The tangents are the images of the orthonormal ones, `tangent` (2, 3), under the motion `q`
-    (6, 3) [m] with its derivatives times `extent` [m]; a stretched surface has longer ones.
+    The deformed tangents are the images of the orthonormal `tangent` (2, 3) under the motion `q`
+    (6, 3) [m], whose derivatives are multiplied by `extent` [m]; stretch makes them longer than 1.
     """
     for a in range(3):
         frame[0, a] = tangent[0, a] + q[1, a] / extent
@@ -141,13 +141,13 @@ def deformed_frame_kernel(q, tangent, extent, frame):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent, half, sampled):
-    """Later picture where the moved surface points are seen; mean share of noise that is left.
+    """Sample the later picture at the projections of the moved surface points.
 
-    `moved` spline coefficients, `place` and `weight` of the window's pixels, `point` (3,) [m], `q`
-    (6, 3) [m] the motion, `frame` (3, 3) deformed tangents and normal; `sampled` (side, side)
-    [grey levels] is filled.
+    `moved` are spline coefficients, `place` and `weight` those of the window's pixels, `point` (3,)
+    [m], `q` (6, 3) [m] the motion, `frame` (3, 3) the deformed tangents and normal. `sampled`
+    (side, side) [grey levels] is filled. Returns the mean fraction of noise variance left.
     """
-    # Camera coordinates of a pixel's point: a polynomial in its place on the surface.
+    # Camera coordinates of a pixel's point: a polynomial in its surface coordinates.
     c = np.empty((7, 3))
     for a in range(3):
         i = 13 + 3 * a
@@ -190,10 +190,10 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
 
 @njit(cache=True, error_model="numpy")
 def update_kernel(q, frame, tangent, step, bases):
-    """Compose the motion with the inverse of the step: u - F step, F the surface's deformation.
+    """Compose the motion with the inverse of the step: u - F step, F the deformation gradient.
 
-    `q` (6, 3) [m] is changed; `frame` (3, 3) deformed tangents and normal, `tangent` (2, 3) at
-    rest, `step` (3 bases,) [m]: coefficients of each component after one another.
+    `q` (6, 3) [m] is updated; `frame` (3, 3) holds the deformed tangents and normal, `tangent`
+    (2, 3) those at rest, `step` (3 bases,) [m] the coefficients component by component.
     """
     t, s = tangent[0], tangent[1]
     normal = (
@@ -212,7 +212,7 @@ def update_kernel(q, frame, tangent, step, bases):
 
 @njit(cache=True, error_model="numpy")
 def pixel_lengths_kernel(cameras, point, active, step, q, start):
-    """Lengths of the last step and of the move from the start, the longest of all cameras [px].
+    """Length of the last step and distance from the start, the maximum over cameras [px].
 
     `cameras` (c, 25) packed, `point` (3,) [m], `active` (c,) bool, `step` (3 bases,) [m], `q` and
     `start` (6, 3) [m].
@@ -242,10 +242,10 @@ def pixel_lengths_kernel(cameras, point, active, step, q, start):
 
 @njit(cache=True, error_model="numpy")
 def in_picture_kernel(cameras, moved, point, q, active, half):
-    """True where the moved windows lie within the later pictures of all cameras in use.
+    """True if the moved windows lie within the later pictures of all active cameras.
 
     `cameras` (c, 25) packed, `moved` tuple of c spline coefficients, `point` (3,) [m], `q` (6, 3)
-    [m], `active` (c,) bool, `half` a window's side [px].
+    [m], `active` (c,) bool, `half` side of the window [px].
     """
     for c in range(len(active)):
         if active[c]:

@@ -1,8 +1,8 @@
 """The paper's method as written: stereo, whole-pixel correlation, and a vote of the cameras.
 
-Purpose    : the range flow and the vertices' displacement of Lang and Pai (2001), section 4, as the
-             baseline that `joint` is compared with.
-Takes      : a `Rig`, the pictures of its cameras instant by instant, a triangle mesh.
+Purpose    : range flow and vertex displacements by the method of Lang and Pai (2001), section 4,
+             as the baseline for `joint`.
+Takes      : a `Rig`, the pictures of its cameras at each instant, a triangle mesh.
 Gives      : `LangPaiFlow`, a `FlowMethod`.
 Depends on : `vision.cameras`, `vision.images`, `records`, `geometry`.
 Read first : `flow.py`, then `voting.py`, then `vertices.py`.

@@ -1,11 +1,11 @@
 """Disparity of every pixel of a rectified reference picture, by area matching in all cameras.
 
 For each trial disparity, the windows of all other cameras are correlated with the reference's and
-the correlations added; the best sum is refined by a parabola. A pixel without texture, without an
-inner maximum, with a second maximum nearly as high, or whose partner in another camera belongs to a
-better match of another pixel has no disparity.
+the correlations summed; the maximum of the sum is refined by a parabola. A pixel gets no disparity
+if it has no texture, no interior maximum, or a second maximum nearly as high, or if its partner in
+another camera belongs to a better match of another pixel.
 
-This stands for the commercial stereo library of the source, which is not described there.
+This replaces the commercial stereo library of the source, which is not described there.
 """
 
 from collections.abc import Sequence
@@ -18,39 +18,38 @@ from jaxtyping import Bool, Float, Int
 from palpate.errors import InputError
 from palpate.threads import in_threads
 
-# Along which axis of the picture a camera is shifted.
+# Axis of the picture along which a camera's disparity lies.
 COLUMNS = 0
 ROWS = 1
 # Side of the window [px].
 WINDOW = 7
-# Least standard deviation in a window [grey levels]: the noise of an 8-bit camera is 1 to 2, and
-# below it noise is matched with noise.
+# Smallest standard deviation in a window [grey levels]: the noise of an 8-bit camera is 1 to 2;
+# below that, noise would be matched with noise.
 MIN_CONTRAST = 2.0
-# A second maximum higher than this share of the best one leaves the match in doubt.
+# A match is ambiguous if a second maximum exceeds this fraction of the best one.
 _MAX_RIVAL = 0.95
-# Trial disparities beside the best one that belong to the same maximum: texture is matched within
-# about its own size, and a parabola takes one on either side.
+# Trial disparities on either side of the best that belong to the same maximum: its width is about
+# the size of the texture, and the parabola uses one on each side.
 _SAME_MAXIMUM = 2
-# Rows that are matched together: a band and its trial disparities stay in the processor's cache.
+# Rows matched together: a band and its trial disparities stay in the processor's cache.
 _BAND = 32
-# Sum of squares of a window without contrast, with rounding [grey levels^2]: greys to 1e3 in double
-# precision leave 1e-8, contrast of a hundredth of a grey level 5e-3.
+# Rounding error in the sum of squares of a window without contrast stays below this [grey
+# levels^2]: double precision leaves 1e-8 of grey levels up to 1e3; a contrast of 0.01 gives 5e-3.
 _MIN_SQUARES = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """How disparity moves a pixel of the rectified reference into the other cameras.
+    """Shift of a pixel from the rectified reference into the other cameras by its disparity.
 
-    A pixel lies in camera i at offset + ratio * disparity beyond its place in the reference, along
-    columns or rows; row 0 of the arrays is the reference itself, with no shift.
+    In camera i a pixel is shifted by offset + ratio * disparity from its position in the reference,
+    along columns or rows. Entry 0 of the arrays is the reference itself, with zero shift.
 
     Attributes
     ----------
     along : (c,) int                `COLUMNS` or `ROWS`
-    ratio : (c,) float [-]          shift for one pixel of disparity, 1 or -1 for the longest
-                                    baseline
-    offset : (c,) float [px]        shift at no disparity
+    ratio : (c,) float [-]          shift per pixel of disparity; 1 or -1 for the longest baseline
+    offset : (c,) float [px]        shift at zero disparity
     """
 
     along: Int[np.ndarray, " c"]
@@ -64,7 +63,7 @@ class Instant:
 
     Attributes
     ----------
-    pictures : (c, rows, columns) float32 [grey levels]     the reference first; NaN: nothing known
+    pictures : (c, rows, columns) float32 [grey levels]     the reference first; NaN where no data
     disparity : (rows, columns) float [px]                  NaN where there is none
     """
 
@@ -82,17 +81,18 @@ def disparity_map(
     Parameters
     ----------
     pictures : sequence of c (rows, columns) float [grey levels]    rectified, the reference first;
-                                    NaN where a camera sees nothing
+                                    NaN where a camera has no data
     views : Views                   of the c cameras
-    limits : (least, greatest) [px] disparities to try
+    limits : (float, float) [px]    minimum and maximum disparity to try
 
     Returns
     -------
-    (rows, columns) float [px]      to a fraction of a pixel; NaN where there is no valid match
+    (rows, columns) float [px]      sub-pixel disparity; NaN where there is no valid match
 
     Raises
     ------
-    InputError                      as many pictures as views, and some disparities, are needed
+    InputError                      fewer than two pictures, their number differs from that of the
+                                    views, or `limits` is not increasing
     """
     if len(pictures) != len(views.along) or len(pictures) < 2:
         raise InputError(
@@ -101,7 +101,7 @@ def disparity_map(
     if not limits[1] > limits[0]:
         raise InputError(f"disparities from {limits[0]:g} to {limits[1]:g}; must be rising")
     stack = np.stack([np.asarray(picture, dtype=np.float64) for picture in pictures])
-    # Sums of squares are exact to more digits around zero.
+    # Centred at zero, sums of squares lose fewer digits.
     stack -= np.nanmean(stack)
     disparity, score = np.full((2, *stack.shape[1:]), np.nan)
     rows = stack.shape[1] - WINDOW + 1
@@ -119,7 +119,7 @@ def _trials(views: Views, limits: tuple[float, float]) -> Float[np.ndarray, " t"
     longest = int(np.argmax(np.abs(views.ratio)))
     beyond = views.offset[longest] * np.sign(views.ratio[longest])
     low, high = np.floor(limits[0] + beyond), np.ceil(limits[1] + beyond)
-    # One more at either end: a maximum there must not be cut off.
+    # One extra at each end, so that a maximum there is interior.
     return np.arange(low - 1.0, high + 1.5) - beyond
 
 
@@ -132,7 +132,7 @@ def _match_rows(
     disparity: Float[np.ndarray, "rows columns"],
     best: Float[np.ndarray, "rows columns"],
 ) -> None:
-    """Write disparity and sum of correlations of the windows whose first row is in a range."""
+    """Fill in disparity and correlation sum for windows whose first row is in a range."""
     half = WINDOW // 2
     for top in range(begin, end, _BAND):
         rows = np.arange(top, min(top + _BAND, end) + 2 * half)
@@ -150,7 +150,7 @@ def _scores(
     trials: Float[np.ndarray, " t"],
     rows: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "t h w"]:
-    """Sum over the other cameras of the correlations of the windows within some rows."""
+    """Correlation with the reference's windows in some rows, summed over the other cameras."""
     many = WINDOW * WINDOW
     here = pictures[0][rows]
     mean = _window_sums(here) / many
@@ -169,7 +169,7 @@ def _scores(
 
 
 def _window_sums(values: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "h w"]:
-    """Sums over the windows that lie within an array."""
+    """Sums over all windows that lie within an array."""
     high, wide = len(values) - WINDOW + 1, values.shape[1] - WINDOW + 1
     down = reduce(np.add, (values[k : k + high] for k in range(WINDOW)))
     return reduce(np.add, (down[:, k : k + wide] for k in range(WINDOW)))
@@ -178,7 +178,7 @@ def _window_sums(values: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "h w"]:
 def _shifted(
     grey: Float[np.ndarray, "rows columns"], rows: Int[np.ndarray, " k"], shift: float, along: int
 ) -> Float[np.ndarray, "k columns"]:
-    """Grey levels at a shift from some rows, linear between pixels, NaN beyond the picture."""
+    """Some rows shifted, with linear interpolation; NaN outside the picture."""
     whole = int(np.floor(shift))
     part = shift - whole
     near = _taken(grey, rows, whole, along)
@@ -190,7 +190,7 @@ def _shifted(
 def _taken(
     grey: Float[np.ndarray, "rows columns"], rows: Int[np.ndarray, " k"], shift: int, along: int
 ) -> Float[np.ndarray, "k columns"]:
-    """Grey levels a whole number of pixels from some rows, NaN beyond the picture."""
+    """Some rows shifted by a whole number of pixels; NaN outside the picture."""
     row = rows + shift * along
     column = np.arange(grey.shape[1]) + shift * (1 - along)
     down = (row >= 0) & (row < grey.shape[0])
@@ -203,7 +203,7 @@ def _taken(
 def _lone_maxima(
     score: Float[np.ndarray, "t h w"],
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Row, column and trial of each pixel's highest inner maximum, where no other comes close."""
+    """Row, column and trial index of each pixel's highest interior maximum, where unambiguous."""
     middle = score[1:-1]
     # Comparisons with NaN are false.
     inner = (middle > score[:-2]) & (middle >= score[2:]) & (middle > 0.0)
@@ -223,9 +223,9 @@ def _is_mutual(
     along: int,
     ratio: float,
 ) -> Bool[np.ndarray, "rows columns"]:
-    """True where no better match of another disparity claims the same pixel of the other camera."""
+    """True where no better match with another disparity claims the same pixel of the camera."""
     y, x = np.nonzero(np.isfinite(shift))
-    # The best match comes last and overwrites the others' claims.
+    # The best match is written last and overwrites the others.
     order = np.argsort(score[y, x], kind="stable")
     y, x = y[order], x[order]
     away = np.floor(shift[y, x] + 0.5).astype(np.int64)

@@ -1,13 +1,12 @@
 """Range flow as in the source: stereo, whole-pixel optical flow, and a vote of the cameras.
 
-The baseline that the method `joint` is compared with. The pictures are rectified and matched with
-each other at every instant; the pixels of the reference camera whose stereo points lie on the
-object's surface are followed from instant to instant by `vote`; a displacement is the difference of
-two stereo points. The flow has no sub-pixel step and rounding adds up over the instants, as it does
-in the source.
+The baseline for the method `joint`. The pictures of every instant are rectified and matched with
+each other. Pixels of the reference camera whose stereo points lie on the object's surface are
+tracked from instant to instant by `vote`; a displacement is the difference of two stereo points.
+The flow has no sub-pixel step, and rounding errors accumulate over the instants, as in the source.
 
-What the source leaves open is settled so: its stereo is that of a commercial library, here
-`disparity_map`; a pixel is on the surface where its disparity is that of the mesh to a pixel.
+Choices where the source is silent: its stereo is a commercial library, here `disparity_map`; a
+pixel is on the surface if its disparity agrees with that of the mesh to one pixel.
 
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """
@@ -38,21 +37,21 @@ from palpate.vision.lang_pai.vertices import lang_pai_vertices
 from palpate.vision.lang_pai.voting import Vote, vote
 from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, grid_points
 
-# Disparity by which a pixel may miss that of the mesh and still show it [px]: matching by whole
-# pixels errs by less than one.
+# Largest difference from the mesh's disparity for a pixel on its surface [px]: the error of
+# matching in whole pixels is smaller.
 _MAX_SURFACE_MISS_PX = 1.0
-# Share of the mesh's bounding diagonal by which the surface may come nearer or go farther, for the
-# range of disparities.
+# Motion towards or away from the camera that the range of disparities allows for, as a fraction of
+# the mesh's bounding diagonal.
 _TRAVEL = 0.5
-# Standard deviation of normal errors over the median of their sizes.
+# Ratio of standard deviation to median absolute value of normal errors.
 _FROM_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What the rectified reference sees of the mesh, at the pixels that are followed.
+    """The mesh as seen by the rectified reference, at the tracked pixels.
 
-    `pixel` (n, 2) column and row, `point` (n, 3) [m], `tangent` (n, 2, 3), and the disparities of
+    `pixel` (n, 2) column and row, `point` (n, 3) [m], `tangent` (n, 2, 3), and `disparity` (n,) of
     the mesh there [px].
     """
 
@@ -64,21 +63,21 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LangPaiState:
-    """What the method `lang-pai` remembers from instant to instant.
+    """State of the method `lang-pai` between instants.
 
     Attributes
     ----------
     rig : Rig
     head : StereoHead
-    limits : (least, greatest) [px]     disparities that are tried
-    point : (n, 3) float [m]            at the first instant: by stereo where tracking began, else
-                                        of the mesh
+    limits : (float, float) [px]        minimum and maximum disparity tried
+    point : (n, 3) float [m]            at the first instant: from stereo where tracking began,
+                                        otherwise on the mesh
     tangent : (n, 2, 3) float
     rounding : (n, 3, 3) float [m^2]    covariance of one rounding to whole pixels
-    noise : (n, 3, 3) float [m^2]       covariance that goes with the disparities of both instants
+    noise : (n, 3, 3) float [m^2]       covariance due to the disparity errors of both instants
     instant : Instant                   the last one
-    track : Vote                        where the pixels have come to
-    steps : int                         instants since the first
+    track : Vote                        current position of the tracked pixels
+    steps : int                         number of instants since the first
     """
 
     rig: Rig
@@ -95,25 +94,26 @@ class LangPaiState:
 
 @dataclass(frozen=True, slots=True)
 class LangPaiFlow:
-    """The method `lang-pai`, a `FlowMethod`: the paper's, with its own figures where it gives them.
+    """The method `lang-pai`, a `FlowMethod`: the paper's, with its parameter values where given.
 
-    Of its flow, `gradient`, `noise` and `drift` are NaN: the method measures none. `through_last`
-    is False, although every point goes through all instants: there is nothing else to fall back
-    from. `bias` is the rounding to whole pixels, taken to be the same in every step since the first
-    instant; `covariance` adds the scatter of the first disparities about the mesh.
+    In its flow, `gradient`, `noise` and `drift` are NaN, because the method does not measure them.
+    `through_last` is False, although every point is tracked through all instants, because there is
+    no direct match. `bias` is the rounding to whole pixels, taken as fully correlated over the
+    steps since the first instant; `covariance` adds the scatter of the first disparities about the
+    mesh.
 
     Parameters
     ----------
-    subset : int [px]               side of the window of the optical flow, odd, at least 3; the
-                                    paper's 7
-    search : int [px]               side of the square that is searched at the next instant, odd, at
-                                    least 3; the paper's 13, for motions of up to 6 px
+    subset : int [px]               side of the window of the optical flow, odd, at least 3; 7 in
+                                    the paper
+    search : int [px]               side of the search square at the next instant, odd, at least 3;
+                                    13 in the paper, for motions of up to 6 px
     step : int [px]                 spacing of the points in the reference camera, at least 1; the
                                     paper tracks every pixel
 
     Raises
     ------
-    InputError                      a size or spacing that makes no sense
+    InputError                      `subset` or `search` even or below 3, `step` below 1
 
     Source
     ------
@@ -134,13 +134,13 @@ class LangPaiFlow:
     def start(
         self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
     ) -> LangPaiState:
-        """Stereo of the first instant, as `FlowMethod.start` says.
+        """Stereo matching of the first instant; see `FlowMethod.start`.
 
         The points are the pixels of the rectified reference that see the mesh.
 
         Parameters
         ----------
-        rig : Rig                       two cameras, or more with two that make an L with the
+        rig : Rig                       two cameras, or more of which two form an L with the
                                         reference
         pictures : sequence of c (rows, columns) float [grey levels]    of one size
         surface : TriangleMesh
@@ -151,8 +151,9 @@ class LangPaiFlow:
 
         Raises
         ------
-        InputError                      pictures that are not of the rig's cameras, or of two sizes
-        CalibrationError                cameras that cannot be rectified, a mesh not before them
+        InputError                      wrong number of pictures, or pictures of different sizes
+        CalibrationError                cameras that cannot be rectified, or a mesh that is not in
+                                        front of them
         """
         _check_pictures(rig, pictures)
         shape = pictures[0].shape
@@ -168,7 +169,7 @@ class LangPaiFlow:
         slide, away = _pixel_footprints(head.rectified.cameras[0], seen, head.parallax)
         off = np.abs(disparity - seen.disparity)[begun]
         scatter = _FROM_MEDIAN * float(np.median(off)) if len(off) else 0.0
-        # Errors of rounding are spread evenly over a pixel.
+        # Rounding errors are uniform over a pixel: variance 1 / 12.
         rounding = np.einsum("nki,nkj->nij", slide, slide) / 12.0
         noise = 2.0 * scatter**2 * np.einsum("ni,nj->nij", away, away)
         return LangPaiState(
@@ -178,13 +179,13 @@ class LangPaiFlow:
     def follow(
         self, state: LangPaiState, pictures: Sequence[Float[np.ndarray, "_ _"]]
     ) -> tuple[LangPaiState, RangeFlow]:
-        """Stereo of the next instant and the vote on each pixel, as `FlowMethod.follow` says.
+        """Stereo matching of the next instant and the vote on each pixel; see `FlowMethod.follow`.
 
-        Pixels that were rejected once are not taken up again.
+        Pixels once rejected are not tracked again.
 
         Parameters
         ----------
-        state : LangPaiState            of the instant before
+        state : LangPaiState            of the previous instant
         pictures : sequence of c (rows, columns) float [grey levels]
 
         Returns
@@ -194,7 +195,7 @@ class LangPaiFlow:
 
         Raises
         ------
-        InputError                      pictures not of the rig's cameras, or of another size
+        InputError                      wrong number of pictures, or pictures of another size
         """
         _check_pictures(state.rig, pictures, state.head.shape)
         after = make_instant(state.head, pictures, state.limits)
@@ -214,7 +215,7 @@ class LangPaiFlow:
         Parameters
         ----------
         flow : RangeFlow
-        rig : Rig                       not needed
+        rig : Rig                       not used
         surface : TriangleMesh          of v vertices
 
         Returns
@@ -226,18 +227,18 @@ class LangPaiFlow:
     def averaged(
         self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
     ) -> VertexDisplacement:
-        """Displacements as they are: votes say nothing of what they are the average of.
+        """Return the displacements unchanged: the averaging by the windows is not known here.
 
         Parameters
         ----------
         found : VertexDisplacement
-        flow : RangeFlow                not needed
-        rig : Rig                       not needed
-        surface : TriangleMesh          not needed
+        flow : RangeFlow                not used
+        rig : Rig                       not used
+        surface : TriangleMesh          not used
 
         Returns
         -------
-        VertexDisplacement              the given one
+        VertexDisplacement              `found`
         """
         return found
 
@@ -276,7 +277,7 @@ def _check_pictures(
     pictures: Sequence[Float[np.ndarray, "_ _"]],
     shape: tuple[int, int] | None = None,
 ) -> None:
-    """Refuse an instant that is not of the rig's cameras, or whose pictures differ in size."""
+    """Raise unless there is one picture per camera and all have one size."""
     if len(pictures) != len(rig.cameras):
         raise InputError(
             f"an instant has {len(pictures)} pictures; must be one of each camera:"
@@ -292,18 +293,18 @@ def _check_pictures(
 
 
 def _disparity_limits(head: StereoHead, surface: TriangleMesh) -> tuple[float, float]:
-    """Least and greatest disparity of the mesh, moved by a share of its size [px]."""
+    """Minimum and maximum disparity of the mesh [px], allowing for motion by `_TRAVEL`."""
     used = surface.vertices[surface.triangles].reshape(-1, 3)
     pose = head.rectified.cameras[0].T_camera_object
     depth = used @ pose[2, :3] + pose[2, 3]
     room = _TRAVEL * float(np.linalg.norm(np.ptp(used, axis=0)))
-    # Not nearer than half of where it is: a camera that close sees nothing of the rest of it.
+    # At least half its present distance: any closer, the camera would no longer see all of it.
     nearest = max(float(depth.min()) - room, 0.5 * float(depth.min()))
     return head.parallax / (float(depth.max()) + room), head.parallax / nearest
 
 
 def _seen_mesh(head: StereoHead, surface: TriangleMesh, step: int) -> _Seen:
-    """The points that are followed: pixels of a grid that see the mesh."""
+    """The points to track: pixels of a grid that see the mesh."""
     seen = surface_map(head.rectified.cameras[0], head.canvas, surface.vertices, surface.triangles)
     shown = seen.triangle >= 0
     pixel, point, tangent = grid_points(seen, shown, surface.vertices, surface.triangles, step)
@@ -311,7 +312,7 @@ def _seen_mesh(head: StereoHead, surface: TriangleMesh, step: int) -> _Seen:
 
 
 def _begun(first: Instant, seen: _Seen) -> Vote:
-    """All pixels where they are, valid where stereo finds the surface of the mesh."""
+    """Initial track: all pixels in place, valid where stereo confirms the surface of the mesh."""
     column, row = seen.pixel.T
     measured = first.disparity[row, column]
     n = len(measured)
@@ -329,7 +330,7 @@ def _begun(first: Instant, seen: _Seen) -> Vote:
 
 
 def _contrast(grey: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-    """Standard deviation in the window around each pixel [grey levels]; NaN where not all known."""
+    """Standard deviation in each pixel's window [grey levels]; NaN where a pixel has no data."""
     known = np.isfinite(grey)
     value = np.where(known, grey, 0.0).astype(np.float64)
     whole = cv2.erode(known.astype(np.uint8), np.ones((WINDOW, WINDOW), dtype=np.uint8)) > 0
@@ -339,8 +340,8 @@ def _contrast(grey: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "row
 def _pixel_footprints(
     camera: Camera, seen: _Seen, parallax: float
 ) -> tuple[Float[np.ndarray, "n 2 3"], Points]:
-    """How the surface point of a pixel moves along the surface with its column and its row [m/px],
-    and along its ray with the disparity [m/px].
+    """Derivatives of a pixel's surface point [m/px]: along the surface with respect to column and
+    row, (n, 2, 3), and along its ray with respect to disparity, (n, 3).
     """
     turn = camera.T_camera_object[:3, :3]
     back = np.linalg.inv(camera.matrix)
@@ -349,7 +350,7 @@ def _pixel_footprints(
     depth = parallax / seen.disparity
     normal = np.cross(seen.tangent[:, 0], seen.tangent[:, 1])
     facing = np.einsum("ni,ni->n", normal, ray)
-    # A facet seen edge on has no footprint; one at a hundredth of a radian is as good as that.
+    # Limited to a hundredth of a radian: the footprint of a facet seen edge-on is unbounded.
     facing = np.where(np.abs(facing) < 0.01, np.copysign(0.01, facing), facing)
     across = back[:, :2].T @ turn
     nearer = normal @ across.T / facing[:, None]

@@ -1,4 +1,4 @@
-"""The cameras of a rig as a stereo head: two side by side, or three in an L, made parallel."""
+"""The cameras of a rig as a rectified stereo head: a pair, or three in an L."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ from palpate.vision.lang_pai.disparity import Instant, Views, disparity_map
 class StereoHead:
     """Rectified cameras of a rig.
 
-    Disparity is counted in pixels of the longest baseline, from zero at infinity upwards.
+    Disparity is measured in pixels for the longest baseline; it is zero at infinity.
 
     Attributes
     ----------
     rectified : Rectified
-    order : tuple of c int          index in the rig of each of its cameras, the reference first
+    order : tuple of c int          index in the rig of each rectified camera, the reference first
     views : Views                   of the c cameras
     parallax : float [px m]         disparity times depth
-    shape : (rows, columns) [px]    of the pictures as they were taken
-    canvas : (rows, columns) [px]   of the rectified ones
+    shape : (rows, columns) [px]    of the original pictures
+    canvas : (rows, columns) [px]   of the rectified pictures
     """
 
     rectified: Rectified
@@ -38,13 +38,12 @@ class StereoHead:
 
 
 def make_head(rig: Rig, shape: tuple[int, int]) -> StereoHead:
-    """Rectify the reference camera of a rig and its partner, or the two that make an L with it.
+    """Rectify the reference camera of a rig with its partner, or with two that form an L with it.
 
     Parameters
     ----------
-    rig : Rig                       of more than three cameras the two whose directions from the
-                                    reference are nearest to a right angle are taken: the method has
-                                    no use for more
+    rig : Rig                       of more than three cameras, the method uses the two whose
+                                    directions from the reference are nearest to a right angle
     shape : (rows, columns) [px]    of the pictures
 
     Returns
@@ -53,7 +52,7 @@ def make_head(rig: Rig, shape: tuple[int, int]) -> StereoHead:
 
     Raises
     ------
-    CalibrationError                cameras that cannot be made parallel
+    CalibrationError                cameras that cannot be rectified
     """
     order = (rig.reference, *_partners(rig))
     rectified = rectify([rig.cameras[i] for i in order], shape)
@@ -81,7 +80,7 @@ def make_instant(
     ----------
     head : StereoHead
     pictures : sequence of (rows, columns) float [grey levels]  of all cameras of the rig
-    limits : (least, greatest) [px]     disparities to try
+    limits : (float, float) [px]    minimum and maximum disparity to try
 
     Returns
     -------
@@ -89,7 +88,7 @@ def make_instant(
     """
     flat = [remapped(head.rectified, k, pictures[i]) for k, i in enumerate(head.order)]
     disparity = disparity_map(flat, head.views, limits)
-    # At zero lies infinity; trials end a pixel or two beyond the limits.
+    # Zero is at infinity; trials extend a pixel or two beyond the limits.
     return Instant(np.stack(flat), np.where(disparity > 0.0, disparity, np.nan))
 
 
@@ -120,7 +119,7 @@ def head_disparity(
     Parameters
     ----------
     head : StereoHead
-    points : (..., 3) float [m]     object frame, before the reference camera
+    points : (..., 3) float [m]     object frame, in front of the reference camera
 
     Returns
     -------
@@ -131,7 +130,7 @@ def head_disparity(
 
 
 def _partners(rig: Rig) -> tuple[int, ...]:
-    """Indices of the other camera, or of the left and the top one."""
+    """Index of the other camera, or indices of the left and the top one."""
     others = [i for i in range(len(rig.cameras)) if i != rig.reference]
     if len(others) == 1:
         return tuple(others)
@@ -140,7 +139,7 @@ def _partners(rig: Rig) -> tuple[int, ...]:
     arm = {i: camera_centre(rig.cameras[i]) - camera_centre(reference) for i in others}
     unit = {i: arm[i] / max(float(np.linalg.norm(arm[i])), 1e-300) for i in others}
     pairs = list(permutations(others, 2))
-    # Nearest to a right angle; of the two orders the one whose first arm lies along the rows.
+    # The pair nearest to a right angle, in the order whose first arm lies along the rows.
     bent = [float(np.linalg.norm(np.cross(unit[i], unit[j]))) for i, j in pairs]
     along = [abs(float(unit[i] @ right)) - abs(float(unit[j] @ right)) for i, j in pairs]
     best = max(range(len(pairs)), key=lambda k: (round(bent[k], 9), along[k]))

@@ -1,8 +1,8 @@
-"""Displacement of the mesh's vertices as in the source: least median, rejection, weighted mean.
+"""Vertex displacements as in the source: least median of squares, rejection, weighted mean.
 
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4;
 Rousseeuw and Leroy, Robust Regression and Outlier Detection (1987), for the least median of squares
-and the scale that goes with it.
+and its robust scale.
 """
 
 import numpy as np
@@ -13,26 +13,27 @@ from scipy.spatial.distance import cdist
 from palpate.shapes import Flags, Points, PointScalars, Triangles, Vertices
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
-# Flow no farther from a vertex speaks for it [m]; the source's 1 cm.
+# Radius of the flow used for a vertex [m]; the source's 1 cm.
 _REACH = 0.01
 # Unit of d in the weight 1 / (1 + d) [m]: lengths are in cm in the source's tables.
 _DISTANCE_UNIT = 0.01
 # Standard deviations beyond which a motion is rejected; the source's 3.
 _MAX_DEVIATION = 3.0
-# Motions around a vertex that are tried as the least median, evenly spread: that all of 100 are
-# outliers where half of the motions are has a chance of 1e-30.
+# Motions around a vertex tried as centres, evenly spread: if half of the motions are outliers, the
+# probability that all 100 are is 1e-30.
 _TRIALS = 100
-# Fewer motions have no scatter in three dimensions.
+# Fewer motions do not determine a covariance in three dimensions.
 _MIN_MOTIONS = 4
 
 
 def lang_pai_vertices(
     flow: RangeFlow, vertices: Vertices, triangles: Triangles
 ) -> VertexDisplacement:
-    """Mean of the flow around each vertex, weighted by 1 / (1 + d), after outliers are rejected.
+    """Mean of the flow around each vertex, weighted by 1 / (1 + d), after rejection of outliers.
 
-    Around a vertex, the motion from which the others have the least median distance is found; what
-    is farther from it than three of the standard deviations that go with that median is rejected.
+    Of the motions around a vertex, the one with the smallest median distance to the others is
+    found. Motions farther from it than three robust standard deviations, derived from that median,
+    are rejected.
 
     Parameters
     ----------
@@ -43,8 +44,8 @@ def lang_pai_vertices(
     -------
     VertexDisplacement              NaN at vertices of no triangle, or with fewer than 4 motions
                                     left. The covariance is that of the mean, from the scatter of
-                                    what remains; motions count as one where their windows overlap,
-                                    and the rounding that they share is not averaged away
+                                    the remaining motions; motions with overlapping windows count as
+                                    one, and their shared rounding error is not averaged down
 
     Source
     ------
@@ -76,8 +77,8 @@ def lang_pai_vertices(
 def _agreeing(motion: Points) -> Flags:
     """True for motions within three standard deviations of the one with the least median distance.
 
-    For an even number of motions the median is the upper one, as the source on least medians has it
-    (h = n / 2 + 1).
+    For an even number of motions the upper median is used, as in Rousseeuw and Leroy (h = n / 2 +
+    1).
     """
     n = len(motion)
     tried = min(n, _TRIALS)
@@ -85,7 +86,8 @@ def _agreeing(motion: Points) -> Flags:
     square = cdist(motion[trial], motion, "sqeuclidean")
     median = np.partition(square, n // 2, axis=1)[:, n // 2]
     best = int(median.argmin())
-    # 1.4826 makes the median of normal errors their deviation, the rest corrects few of them.
+    # 1.4826 converts the median of normal errors to their deviation; the rest is a small-sample
+    # correction.
     deviation = 1.4826 * (1.0 + 5.0 / (n - 1)) * np.sqrt(median[best])
     return square[best] <= (_MAX_DEVIATION * deviation) ** 2
 
@@ -93,11 +95,11 @@ def _agreeing(motion: Points) -> Flags:
 def _weighted_mean(
     motion: Points, bias: Float[np.ndarray, "n 3 3"], weight: PointScalars, overlap: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Mean of motions by weights that add up to 1, and its covariance."""
+    """Weighted mean of motions, the weights adding up to 1, and its covariance."""
     mean = weight @ motion
     off = motion - mean
     share = float((weight**2).sum())
-    # The part of the scatter that is left in the mean; all of it where all windows overlap.
+    # Fraction of the scatter that remains in the mean; all of it where all windows overlap.
     left = min(1.0, overlap * share) / (1.0 - share)
     scatter = left * (weight[:, None] * off).T @ off
     return mean, scatter + np.einsum("n,nij->ij", weight, bias)

@@ -1,19 +1,20 @@
-"""Optical flow by whole pixels, on which all cameras must agree: the vote of Lang and Pai.
+"""Optical flow in whole pixels with a vote of all cameras, after Lang and Pai.
 
-The window around a tracked pixel is correlated, in every camera, with the windows around all pixels
-of the search range; disparity says where a pixel of the reference lies in the other cameras. The
-highest sum of correlations wins, and stands only if each camera's own highest is that pixel or one
-of the eight around it. The flow is a whole number of pixels of the reference: nothing finer is
-sought.
+In every camera, the window around a tracked pixel is correlated with the windows around all pixels
+of the search range; the disparity gives the position of a reference pixel in the other cameras. The
+candidate with the highest sum of correlations wins. It is accepted only if each camera's own
+maximum is that pixel or one of its eight neighbours. There is no sub-pixel step: the flow is a
+whole number of reference pixels.
 
-A window between two pixels is the linear mixture of the windows at both. Mean, products and sums
-are linear in it, so correlating mixed windows gives the same number as the mixture of correlations
-at whole pixels of the source's equation 6, and costs less where one window meets many others.
+A window between two pixels is the linear interpolation of the windows at both. Mean, products and
+sums are linear in it, so correlating interpolated windows gives the same value as interpolating the
+correlations at whole pixels (equation 6 of the source), and is cheaper when one window is compared
+with many others.
 
-Two places of the printed equation cannot be meant. Its second line weights (1 - p) q with the pixel
-b at column c_b; it must be c_b + 1 (and subscripts such as c_{a+1} mean c_a + 1). Its last line
-takes the square root of the squared correlation, which would let a negative print match its
-positive; here the correlation keeps its sign.
+The printed equation has two errors. Its second line weights (1 - p) q with the pixel b at column
+c_b; it must be c_b + 1 (and subscripts such as c_{a+1} mean c_a + 1). Its last line takes the
+square root of the squared correlation, which would let a negative of the picture match; here the
+correlation keeps its sign.
 
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """
@@ -29,13 +30,13 @@ from palpate.threads import in_threads
 from palpate.vision.lang_pai.disparity import Instant, Views
 from palpate.vision.range_flow import Outcome
 
-# NaN marks what no picture shows, so it must stay NaN.
+# Fast-math flags that preserve NaN, which marks pixels without data.
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
-# A mean correlation below this is no match. The source has no such limit; zero refuses only what
-# looks like a negative.
+# A mean correlation below this is no match. The source has no such limit; zero rejects only
+# negative correlations.
 _MIN_SCORE = 0.0
-# Outcomes as plain numbers, for the kernels; of a window: a good one, one without contrast, one
-# that reaches beyond what is known.
+# Outcomes as plain integers, for the kernels. The first three also describe a window: good, without
+# contrast, or reaching beyond known pixels.
 VALID = int(Outcome.VALID)
 TEXTURE = int(Outcome.TEXTURE)
 OUTSIDE = int(Outcome.OUTSIDE)
@@ -47,15 +48,15 @@ _REPROJECTION = int(Outcome.REPROJECTION)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vote:
-    """What became of tracked pixels.
+    """Result of the vote for each tracked pixel.
 
     Attributes
     ----------
-    pixel : (n, 2) int [px]         column and row that won, accepted or not; where there were no
-                                    candidates, the pixel that was looked for
+    pixel : (n, 2) int [px]         column and row of the winner, accepted or not; without
+                                    candidates, the tracked pixel itself
     score : (n,) float [-]          lowest correlation over the cameras at that pixel
     apart : (n,) float [px]         rms distance of the cameras' own maxima from it
-    agreed : (n,) int               cameras whose own maximum is it or one of the eight around it
+    agreed : (n,) int               cameras whose own maximum is it or one of its eight neighbours
     outcome : (n,) int              an `Outcome`: VALID; HIDDEN: no disparity before; TEXTURE;
                                     OUTSIDE: windows reach beyond the pictures; LOST: no candidate
                                     has a disparity; SCORE; REPROJECTION: the vote was lost
@@ -77,14 +78,14 @@ def vote(
     subset: int,
     search: int,
 ) -> Vote:
-    """Find pixels of the reference camera at the next instant.
+    """Track pixels of the reference camera to the next instant.
 
     Parameters
     ----------
     before, after : Instant         of the same rectified cameras
     views : Views
-    pixel : (n, 2) int [px]         column and row in the reference before, where the disparity is
-                                    known
+    pixel : (n, 2) int [px]         column and row in the reference picture `before`; HIDDEN where
+                                    it has no disparity
     subset : int [px]               side of the windows, odd
     search : int [px]               side of the square of candidates around a pixel, odd
 
@@ -94,8 +95,8 @@ def vote(
 
     Source
     ------
-    Lang and Pai (2001), section 4. Candidates are the pixels that have a disparity afterwards; only
-    the reference's own maximum is sought among all pixels, for it needs none.
+    Lang and Pai (2001), section 4. Candidates are the pixels that have a disparity in `after`; only
+    the reference's own maximum, which needs no disparity, is taken over all pixels.
     """
     n = len(pixel)
     found = Vote(
@@ -161,13 +162,13 @@ def _vote_range(
 
 @njit(cache=True, error_model="numpy")
 def _highest(values):
-    """Row and column of the highest value, the first of equal ones."""
+    """Row and column of the highest value; of equal values, the first."""
     return divmod(values.argmax(), values.shape[1])
 
 
 @njit(cache=True, error_model="numpy")
 def _start_windows(pictures, disparity, along, ratio, offset, column, row, half, window):
-    """Write every camera's window around a tracked pixel; an outcome."""
+    """Fill `window` with every camera's window around a tracked pixel; returns an outcome."""
     if np.isnan(disparity):
         return _HIDDEN
     for c in range(len(pictures)):
@@ -180,9 +181,9 @@ def _start_windows(pictures, disparity, along, ratio, offset, column, row, half,
 
 @njit(cache=True, error_model="numpy")
 def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, reach, window, table):
-    """Write every camera's correlation at every candidate, -inf where there is none.
+    """Fill `table` with every camera's correlation at every candidate, -inf where undefined.
 
-    LOST where no candidate has a disparity, else VALID.
+    Returns LOST if no candidate has a disparity, otherwise VALID.
     """
     rows, columns = disparity.shape
     other = np.empty(window.shape[1])
@@ -197,7 +198,7 @@ def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, re
             known = not np.isnan(disparity[i, j])
             outcome = VALID if known else outcome
             for c in range(len(pictures) if known else 1):
-                # The reference has no shift, whatever the disparity.
+                # The reference is not shifted, and its disparity may be NaN.
                 shift = offset[c] + ratio[c] * disparity[i, j] if c > 0 else 0.0
                 if window_kernel(pictures[c], j, i, shift, along[c], half, other) == VALID:
                     table[c, y, x] = dot_kernel(window[c], other)
@@ -206,10 +207,10 @@ def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, re
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
 def window_kernel(grey, column, row, shift, along, half, window):
-    """Write a window without its mean, scaled to length 1; `VALID`, `OUTSIDE` or `TEXTURE`.
+    """Fill `window` with zero mean and unit norm; returns `VALID`, `OUTSIDE` or `TEXTURE`.
 
-    Its centre is `shift` pixels beyond (column, row), along columns (0) or rows (1). The product of
-    two such windows (`dot_kernel`) is equation 6 of the source.
+    Its centre is `shift` pixels from (column, row), along columns (`along` = 0) or rows (1). The
+    inner product of two such windows (`dot_kernel`) is equation 6 of the source.
     """
     whole = int(np.floor(shift))
     fraction = shift - whole
@@ -240,7 +241,7 @@ def window_kernel(grey, column, row, shift, along, half, window):
         square += window[k] * window[k]
     if np.isnan(square):
         return OUTSIDE
-    # Rounding leaves less than this of a window without contrast.
+    # A window without contrast leaves less than this by rounding.
     if square < 1e-20 * (1.0 + mean * mean) * side * side:
         return TEXTURE
     scale = 1.0 / np.sqrt(square)
@@ -251,7 +252,7 @@ def window_kernel(grey, column, row, shift, along, half, window):
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
 def dot_kernel(a, b):
-    """Sum of products."""
+    """Inner product of two windows."""
     total = 0.0
     for k in range(len(a)):
         total += a[k] * b[k]

@@ -1,7 +1,7 @@
 """Windows of one picture found in another, and smooth fields through scattered displacements.
 
-Purpose    : where every pixel went, without a guess (dense and sparse flow); where a window went,
-             to a hundredth of a pixel; what the displacements around a point predict for it.
+Purpose    : the motion of every pixel without an initial guess (dense and sparse flow); the motion
+             of a window to a hundredth of a pixel; predictions from neighbouring displacements.
 Takes      : grey pictures, prepared by `images`; displacements of scattered points.
 Gives      : `dense_start`, `refine_planar`, `local_field`, `noise_correlation`, `predicted`, and
              the window kernels.

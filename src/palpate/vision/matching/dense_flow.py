@@ -1,13 +1,13 @@
-"""A displacement of every pixel to start from, found without a guess.
+"""Initial displacement of every pixel, found without a guess.
 
 Dense inverse search (Kroeger et al., Fast optical flow using dense inverse search, ECCV 2016) is
-quick and finds most motions by itself. What it explains is kept. If both pictures have texture left
-that the other does not explain, the motion is continued from what is explained, then from features
-that are found whatever the motion. A last dense search on the moved picture, brought back by the
-motion found, gives the accuracy.
+fast and finds most motions by itself. The areas it explains are kept. If texture in both pictures
+remains unexplained, the motion is extrapolated into it from the explained areas, then from feature
+matches, which do not depend on the size of the motion. A final dense search on the moved picture,
+warped back by the motion found so far, gives the accuracy.
 
-All searches work on pictures with equal mean and contrast everywhere, so that lighting and gain do
-not matter. OpenCV's searches and everything here give the same result for any number of threads.
+All searches work on pictures with locally normalised mean and contrast, so that lighting and gain
+do not matter. The result does not depend on the number of threads.
 """
 
 from dataclasses import dataclass
@@ -27,36 +27,36 @@ from palpate.vision.matching.sparse_flow import (
     sampled,
 )
 
-# Correlation from which two windows count as the same: the texture has then three times the
-# variance of the noise, what `textured` asks for too, and windows with a dozen independent
-# speckles, which correlate by chance with a standard deviation of 1 / sqrt(12) = 0.3, reach it in
-# one of a hundred places.
+# Correlation above which two windows count as the same. The variance of the texture is then three
+# times that of the noise, as `textured` requires too; windows with a dozen independent speckles,
+# whose chance correlation has a standard deviation of 1 / sqrt(12) = 0.3, exceed it in about one
+# place in a hundred.
 _MIN_CORRELATION = 0.75
 # Texture wider than this [px, sigma of Gaussian speckles] leaves fewer than a dozen independent
-# speckles in a window: the pictures are halved then.
+# speckles in a window: the pictures are then halved.
 _MAX_SPECKLE_PX = 3.0
-# Two searches, there and back, may contradict each other by this much [px]. At first: the reach of
-# the last search. At the end: each is to be good to half a pixel.
+# Largest forward-backward inconsistency [px]. At first: the reach of the final search. At the end:
+# each direction should be accurate to half a pixel.
 _MAX_FIRST_GAP_PX, _MAX_LAST_GAP_PX = 2.0, 1.0
-# The motion may differ from its mean around by this much [px]; it does not at all where it is
-# affine, and what fits noise does. As wide as the gap.
+# Largest difference between the motion and its local mean [px], as large as the gap above; it is
+# zero for an affine motion and large for one fitted to noise.
 _MAX_FIRST_ROUGHNESS_PX, _MAX_LAST_ROUGHNESS_PX = 2.0, 1.0
-# Share of the texture that may stay unexplained before more is tried: at worst a patch of 55 px in
-# a picture of 640 x 480.
+# Fraction of the texture that may stay unexplained before more is tried: at worst a patch of 55 px
+# in a picture of 640 x 480.
 _MAX_UNEXPLAINED = 0.01
-# Where less than this share is explained it may be by chance, and is not continued.
+# If less than this fraction is explained, it may be by chance: features are then used at once.
 _MIN_EXPLAINED = 0.1
-# Features come in, once, when a round of continuing the motion leaves more than this share of what
-# was lost before. Two rounds take the motion to where a feature or two leads, a third is spare.
+# Features are added, once, when a round of extrapolation leaves more than this fraction of what was
+# lost before. Two rounds usually extend the motion from a few features; a third is in reserve.
 _MAX_REMAINDER = 0.7
 _ROUNDS = 3
-# Nobody follows a motion on fewer pixels: two windows.
+# Smallest side of a picture: two windows.
 _MIN_SIDE_PX = 2 * WINDOW
-# Scales at which searches stop: a quarter of the resolution is quick, half gives the accuracy.
+# Finest pyramid levels of the searches: a quarter of the resolution is fast, half gives accuracy.
 _ROUGH_SCALE, _FINE_SCALE = 2, 1
-# Stiffness of the last search. OpenCV's 20 is too smooth where faces meet, 5 follows the noise.
+# Smoothness weight of the final search. OpenCV's 20 oversmooths edges of the object, 5 fits noise.
 _STIFFNESS = 10.0
-# Places in a row of a list that is sampled.
+# Columns into which a list of places is folded for `cv2.remap`.
 _FOLD = 1024
 
 
@@ -66,10 +66,10 @@ class DenseStart:
 
     Attributes
     ----------
-    flow : (rows, columns, 2) float32 [px]  along columns and rows; every pixel has one, also where
-                                            it is not trusted
-    trusted : (rows, columns) bool          looks the same in both pictures, is found again on the
-                                            way back, and moves as what is around it
+    flow : (rows, columns, 2) float32 [px]  column and row components; finite everywhere, also where
+                                            not trusted
+    trusted : (rows, columns) bool          looks alike in both pictures, passes the
+                                            forward-backward check, and moves like its surroundings
     """
 
     flow: Float[np.ndarray, "rows columns 2"]
@@ -78,7 +78,7 @@ class DenseStart:
     def at(
         self, place: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-        """Flow and trust at any number of places between pixels.
+        """Flow and its trust flag at sub-pixel places, interpolated bilinearly.
 
         Parameters
         ----------
@@ -87,9 +87,9 @@ class DenseStart:
         Returns
         -------
         flow : (n, 2) float32 [px]
-        trusted : (n,) bool             False beyond the picture
+        trusted : (n,) bool             False outside the picture
         """
-        # OpenCV maps pictures of less than 32767 columns: the list is folded into rows.
+        # `cv2.remap` takes at most 32767 columns, so the list is folded into rows.
         folded = np.full((1 + len(place) // _FOLD, _FOLD, 2), -_FOLD, dtype=np.float32)
         folded.reshape(-1, 2)[: len(place)] = place
         layers = np.dstack([self.flow, self.trusted.astype(np.float32)])
@@ -98,8 +98,7 @@ class DenseStart:
         return found[:, :2], found[:, 2] > 0.5
 
 
-# Of every pixel of the rest picture and of every pixel of the moved one: the motion into the other
-# picture [px]; a flag.
+# For every pixel of the rest picture, and of the moved one: the motion into the other [px]; a flag.
 _Motions = tuple[Float[np.ndarray, "rows columns 2"], Float[np.ndarray, "rows columns 2"]]
 _Flags = tuple[Bool[np.ndarray, "rows columns"], Bool[np.ndarray, "rows columns"]]
 
@@ -110,18 +109,18 @@ def dense_start(
     *,
     mask: Bool[np.ndarray, "_ _"] | None = None,
 ) -> DenseStart:
-    """Find where every pixel of a picture went, to about half a pixel, without a seed.
+    """Find the displacement of every pixel to about half a pixel, without an initial guess.
 
-    Good for motions of 100 px and more together with turns and strains; gain and offset may differ.
-    Windows of 21 px must have texture, wider ones where the texture is wide. Not trusted is what
-    leaves the picture, what is hidden, and what is closer than half a window to a jump of the
-    motion. Where a small object moves far over a background with texture of its own, a mask helps.
+    Works for motions of 100 px and more combined with rotation and strain; gain and offset may
+    differ. Windows of 21 px must contain texture (larger ones where the texture is coarse). Pixels
+    that leave the picture, are hidden, or lie within half a window of a discontinuity of the motion
+    are not trusted. Use a mask for a small object that moves far over a textured background.
 
     Parameters
     ----------
     rest, moved : (rows, columns) float [grey levels]   of any scale
-    mask : (rows, columns) bool or None     pixels of the rest picture that matter; the others are
-                                            not trusted, and the longer searches leave them out
+    mask : (rows, columns) bool or None     pixels of interest in the rest picture; the others are
+                                            not trusted, and the slower searches skip them
 
     Returns
     -------
@@ -129,7 +128,7 @@ def dense_start(
 
     Raises
     ------
-    InputError      pictures of different or too small size, or with grey levels that are not finite
+    InputError      pictures differ in size, are too small, or have grey levels that are not finite
     """
     shape = rest.shape
     _check(rest, moved, mask)
@@ -154,7 +153,7 @@ def _check(
     moved: Float[np.ndarray, "_ _"],
     mask: Bool[np.ndarray, "_ _"] | None,
 ) -> None:
-    """Refuse pictures that cannot be compared."""
+    """Raise if the pictures cannot be compared."""
     shapes = [rest.shape, moved.shape] + ([] if mask is None else [mask.shape])
     if len(set(shapes)) > 1:
         raise InputError(
@@ -176,7 +175,7 @@ def _check(
 
 
 def _bounds(area: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:
-    """Rows and columns that hold an area and a window around it, and are not too few."""
+    """Rows and columns of an area enlarged by a window, at least `_MIN_SIDE_PX` of each."""
     bounds = []
     for axis, size in ((1, area.shape[0]), (0, area.shape[1])):
         used = np.flatnonzero(area.any(axis=axis))
@@ -191,7 +190,7 @@ def _embedded(
     box: tuple[slice, slice],
     shape: tuple[int, ...],
 ) -> DenseStart:
-    """The result for the whole picture; beyond the part that was searched the flow goes on."""
+    """Extend the result to the whole picture; outside the searched box the flow is constant."""
     edges = (box[0].start, shape[0] - box[0].stop, box[1].start, shape[1] - box[1].stop)
     whole = np.zeros(shape, dtype=bool)
     whole[box] = trusted
@@ -201,7 +200,7 @@ def _embedded(
 def _doubled(
     start: DenseStart, wanted: Bool[np.ndarray, "rows columns"]
 ) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
-    """Flow and trust for pictures of twice the size; pixel i of a halved one is pixel 2 i."""
+    """Upsample flow and trust by a factor of two; pixel i of the half-size picture is pixel 2 i."""
     half = np.float32(0.5) * _grid(wanted.shape)
     trust = sampled(start.trusted.astype(np.float32), half) > 0.5
     return np.float32(2.0) * sampled(start.flow, half), trust & wanted
@@ -218,12 +217,12 @@ def _grid(shape: tuple[int, ...]) -> Float[np.ndarray, "rows columns 2"]:
 def _composed(
     first: Float[np.ndarray, "rows columns 2"], second: Float[np.ndarray, "rows columns 2"]
 ) -> Float[np.ndarray, "rows columns 2"]:
-    """One motion after another [px]."""
+    """Composition of two motions, the first applied first [px]."""
     return first + sampled(second, _grid(first.shape) + first)
 
 
 def _inside(place: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "rows columns"]:
-    """True where a place is within a picture of the same size."""
+    """True where a place lies within a picture of the same size."""
     rows, columns = place.shape[:2]
     column, row = place[..., 0], place[..., 1]
     return (column >= 0.0) & (row >= 0.0) & (column <= columns - 1) & (row <= rows - 1)
@@ -232,7 +231,7 @@ def _inside(place: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "row
 def _search(
     rest: UInt8[np.ndarray, "rows columns"], moved: UInt8[np.ndarray, "rows columns"], scale: int
 ) -> Float[np.ndarray, "rows columns 2"]:
-    """Dense inverse search that stops at a scale [px], float32."""
+    """Dense inverse search down to pyramid level `scale`; float32 [px]."""
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     search.setFinestScale(scale)
     if scale == _FINE_SCALE:
@@ -247,15 +246,15 @@ def _fits(
     gap: Float[np.ndarray, "rows columns 2"],
     limits: tuple[float, float],
 ) -> Bool[np.ndarray, "rows columns"]:
-    """True where the texture is found again, there and back agree, and the motion is smooth.
+    """True where the textures correlate, forward and backward agree, and the motion is smooth.
 
-    `gap` is what is left of there and back; `limits` on it and on the roughness [px].
+    `gap` is the forward-backward residual; `limits` apply to it and to the roughness [px].
     """
     place = _grid(a.grey.shape) + there
     found = sampled(b.grey, place)
     mean, variance = moments(found)
     common = cv2.blur(a.grey * found, (WINDOW, WINDOW)) - a.mean * mean
-    # Tiny against the rounding noise of one grey level: keeps 0 / 0 out.
+    # The constant avoids 0 / 0; it is negligible beside the quantisation noise.
     score = common / np.sqrt(a.variance * variance + np.float32(1e-6))
     rough = there - cv2.blur(there, (WINDOW, WINDOW))
     return (
@@ -267,19 +266,19 @@ def _fits(
 
 
 def _square(vectors: Float[np.ndarray, "rows columns 2"]) -> Float[np.ndarray, "rows columns"]:
-    """Squared length."""
+    """Squared length of each vector."""
     return vectors[..., 0] ** 2 + vectors[..., 1] ** 2
 
 
 def _motions(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motions:
-    """Both motions to within the reach of the last search, wherever they can be found."""
+    """Forward and backward motion, accurate enough for the final search wherever found."""
     motions = _search(a.levels, b.levels, _ROUGH_SCALE), _search(b.levels, a.levels, _ROUGH_SCALE)
     features: Samples | None = None
     staying, before = textured, np.inf
     for _ in range(_ROUNDS):
         explained = _explained(a, b, motions)
         lost, share = _lost(staying, explained, textured)
-        # What is lost in one picture only is hidden in the other.
+        # What is lost in only one picture is hidden in the other.
         if share < _MAX_UNEXPLAINED:
             break
         samples = _known(motions, explained, textured[0])
@@ -296,7 +295,7 @@ def _motions(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motio
 
 
 def _explained(a: NormalisedImage, b: NormalisedImage, motions: _Motions) -> _Flags:
-    """Where the two motions explain what became of the texture."""
+    """Pixels of each picture that the two motions match to the other."""
     limits = (_MAX_FIRST_GAP_PX, _MAX_FIRST_ROUGHNESS_PX)
     there, back = motions
     return (
@@ -306,9 +305,10 @@ def _explained(a: NormalisedImage, b: NormalisedImage, motions: _Motions) -> _Fl
 
 
 def _lost(staying: _Flags, explained: _Flags, textured: _Flags) -> tuple[_Flags, float]:
-    """Areas as large as a window that are not explained, and the share that the smaller one has.
+    """Unexplained areas of at least one window, and the size of the smaller one.
 
-    Both are shares of what is wanted of the rest picture: around a mask the moved one has more.
+    The size is a fraction of the textured pixels of interest in the rest picture: around a mask the
+    moved picture has more of them.
     """
     kernel = np.ones((WINDOW, WINDOW), dtype=np.uint8)
     rest, moved = (
@@ -320,7 +320,7 @@ def _lost(staying: _Flags, explained: _Flags, textured: _Flags) -> tuple[_Flags,
 
 
 def _feature_areas(textured: _Flags, lost: _Flags) -> _Flags:
-    """Where to look for features: around what is lost, or everywhere if that is most of it."""
+    """Where to look for features: around lost areas, or everywhere if most of a picture is lost."""
     kernel = np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), dtype=np.uint8)
     rest, moved = (
         whole
@@ -334,9 +334,9 @@ def _feature_areas(textured: _Flags, lost: _Flags) -> _Flags:
 def _known(
     motions: _Motions, explained: _Flags, wanted: Bool[np.ndarray, "rows columns"]
 ) -> Samples:
-    """Displacements at the nodes where they are explained, from both pictures.
+    """Explained displacements at the nodes, from both pictures.
 
-    Only of points of the rest picture that are wanted: beside the mask is another motion.
+    Only those of wanted points of the rest picture: what lies outside the mask moves differently.
     """
     both = []
     for flow, known in zip(motions, explained, strict=True):
@@ -354,9 +354,9 @@ def _known(
 def _repaired(
     a: NormalisedImage, b: NormalisedImage, motions: _Motions, explained: _Flags, samples: Samples
 ) -> tuple[_Motions, _Flags]:
-    """The motions continued from samples into what they do not explain, and searched anew.
+    """Extrapolate the motions from samples into unexplained areas, and search again.
 
-    Also where the continued motion stays in the picture: what leaves it is not to be found.
+    The flags mark pixels whose extrapolated motion stays within the other picture.
     """
     found, inside = [], []
     for here, other, known, before, given in (
@@ -373,7 +373,7 @@ def _repaired(
 def _brought_back(
     moved: NormalisedImage, flow: Float[np.ndarray, "rows columns 2"]
 ) -> UInt8[np.ndarray, "rows columns"]:
-    """The moved picture as it would look at rest, even grey where that is beyond its edge."""
+    """The moved picture warped back to rest, uniform grey where that lies beyond its edge."""
     place = _grid(moved.grey.shape) + flow
     edge, even_grey = cv2.BORDER_CONSTANT, 128
     return cv2.remap(
@@ -384,10 +384,10 @@ def _brought_back(
 def _finished(
     a: NormalisedImage, b: NormalisedImage, start: Float[np.ndarray, "rows columns 2"]
 ) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
-    """The last search, there and back, on the picture brought back; flow and trust."""
+    """Final search, forward and backward, on the moved picture warped back; flow and trust."""
     moved = _brought_back(b, start)
     change = _search(a.levels, moved, _FINE_SCALE)
     flow = _composed(change, start)
-    # The way back at another scale: what fits noise at one does not at the other.
+    # Backward at another scale: a motion fitted to noise at one scale does not recur at the other.
     gap = _composed(change, _search(moved, a.levels, _ROUGH_SCALE))
     return flow, _fits(a, b, flow, gap, (_MAX_LAST_GAP_PX, _MAX_LAST_ROUGHNESS_PX))

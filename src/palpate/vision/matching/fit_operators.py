@@ -1,9 +1,9 @@
-"""Local polynomials as operators: how their coefficients follow from the displacements around.
+"""Local polynomial fits as linear operators on the surrounding displacements.
 
-Weighted least squares are linear, so a coefficient is a sum of the displacements with weights that
-the geometry alone gives. The normal turns with the surface, as in `local_field` and in a window
-that is matched: what lies above or below the tangent plane moves along with the slope of the
-normal displacement, which makes every weight a matrix. Rigid motions stay exact.
+Weighted least squares are linear, so each coefficient is a sum of the displacements with weights
+that depend on the geometry alone. As in `local_field` and in a matched window, the normal rotates
+with the surface: points above or below the tangent plane are displaced by their height times the
+rotation of the normal, so every weight is a matrix. Infinitesimal rigid motions are exact.
 """
 
 from collections.abc import Sequence
@@ -16,15 +16,16 @@ from scipy.sparse import bsr_array
 from palpate.shapes import Points, PointScalars
 from palpate.vision.matching.local_regression import Scatter, nearest_within
 
-# Of each coefficient at least this share must be its own, or the polynomial is undetermined.
+# Smallest tolerance (1 / variance inflation factor) of a coefficient; below it the polynomial is
+# undetermined.
 _LEAST_OWN = 1e-3
-# Far below it: what is undetermined can be inverted and found out.
+# Far below that: lets a singular matrix be inverted, and then recognised.
 _RIDGE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalFits:
-    """Weighted polynomials about n places through the displacements of points around each.
+    """Weighted polynomial fits about n places to the displacements of surrounding points.
 
     Attributes
     ----------
@@ -32,8 +33,8 @@ class LocalFits:
     tangent : (n, 2, 3) float       orthonormal, the coordinates of the polynomials
     reach : (n,) float [m]          their unit of length
     around : (k, 3) float [m]       the points
-    first, second : (m,) int        a place, in rising order, and one of the points
-    weight : (m,) float             of that point about that place
+    first, second : (m,) int        index of a place (ascending) and of one of its points
+    weight : (m,) float             weight of that point in the fit about that place
     """
 
     place: Points
@@ -54,7 +55,7 @@ def local_fits(
     most: int = 48,
     fewest: int | None = None,
 ) -> LocalFits:
-    """The polynomials of `local_field`, as they are without outliers.
+    """Set up the polynomial fits of `local_field` as they are without outliers.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def local_fits(
     second = nearest[first, column]
     away = np.linalg.norm(scatter.point[second] - place[first], axis=1) / radius[first]
     trace = np.trace(scatter.covariance - scatter.bias, axis1=1, axis2=2)
-    # Nothing is known of what has no variance; windows of flat grey among others.
+    # Without a variance nothing is known, e.g. of windows without contrast.
     certainty = np.divide(1.0, trace, out=np.zeros_like(trace), where=trace > 0.0)
     weight = np.maximum(1.0 - away**2, 0.0) ** 2 * certainty[second]
     return LocalFits(place, tangent, radius, scatter.point, first, second, weight)
@@ -79,17 +80,18 @@ def local_fits(
 def coefficient_operators(
     fits: LocalFits, order: int, terms: Sequence[int]
 ) -> tuple[list[bsr_array], Bool[np.ndarray, " n"]]:
-    """How coefficients of the polynomials follow from the displacements of the points.
+    """Linear operators from the displacements of the points to the polynomial coefficients.
 
     Parameters
     ----------
     fits : LocalFits                of n places
     order : 1 or 2                  degree of the polynomials
-    terms : sequence of int         which of 1, x, y, x^2, x y, y^2, in units of the reach
+    terms : sequence of int         indices into 1, x, y, x^2, x y, y^2, with lengths in units of
+                                    the reach
 
     Returns
     -------
-    operators : list of (3 n, 3 k) sparse   one a term; zero where undetermined
+    operators : list of (3 n, 3 k) sparse   one per term; zero where undetermined
     determined : (n,) bool
     """
     monomials, height = local_terms(fits)
@@ -97,7 +99,7 @@ def coefficient_operators(
     weighted = fits.weight[:, None] * design
     inverse, determined = _inverse(_normal(fits, design, weighted))
     share = np.einsum("mi,mik->mk", weighted, inverse[fits.first])
-    # Displacement beside the tangent plane: height times slope, along each of the tangents.
+    # Displacement of points off the tangent plane: height times slope, along each tangent.
     lever = sums_about(fits, share * height[:, None])
     normals = np.cross(fits.tangent[:, 0], fits.tangent[:, 1])
     turned = np.einsum("nki,nj->nkij", fits.tangent, normals)
@@ -111,12 +113,12 @@ def coefficient_operators(
 
 
 def local_terms(fits: LocalFits) -> tuple[Float[np.ndarray, "m 6"], Float[np.ndarray, " m"]]:
-    """Terms 1, x, y, x^2, x y, y^2 of each point about its place, and its height over the tangent
-    plane, in units of the reach.
+    """Monomials 1, x, y, x^2, x y, y^2 of each point about its place, (m, 6), and its height above
+    the tangent plane, (m,), with lengths in units of the reach.
 
     Parameters
     ----------
-    fits : LocalFits
+    fits : LocalFits                of m pairs
     """
     away = (fits.around[fits.second] - fits.place[fits.first]) / fits.reach[fits.first, None]
     x, y = np.einsum("mki,mi->km", fits.tangent[fits.first], away)
@@ -126,7 +128,7 @@ def local_terms(fits: LocalFits) -> tuple[Float[np.ndarray, "m 6"], Float[np.nda
 
 
 def sums_about(fits: LocalFits, values: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
-    """Sums over the points about each place, one row a place."""
+    """Sum of `values` over the points about each place, (n, ...)."""
     result = np.zeros((len(fits.place), *values.shape[1:]))
     starts = np.flatnonzero(np.diff(fits.first, prepend=-1))
     result[fits.first[starts]] = np.add.reduceat(values, starts)
@@ -136,7 +138,7 @@ def sums_about(fits: LocalFits, values: Float[np.ndarray, "m ..."]) -> Float[np.
 def _normal(
     fits: LocalFits, design: Float[np.ndarray, "m k"], weighted: Float[np.ndarray, "m k"]
 ) -> Float[np.ndarray, "n k k"]:
-    """Matrix of the normal equations about each place; entry by entry, pairs are millions."""
+    """Normal matrix about each place, entry by entry: there may be millions of pairs."""
     count = design.shape[1]
     normal = np.empty((len(fits.place), count, count))
     for i in range(count):
@@ -148,7 +150,7 @@ def _normal(
 def _inverse(
     normal: Float[np.ndarray, "n k k"],
 ) -> tuple[Float[np.ndarray, "n k k"], Bool[np.ndarray, " n"]]:
-    """Inverse of each matrix, zero where a coefficient is not its own; and where it is."""
+    """Inverse of each matrix, zero where undetermined; and a flag where determined."""
     size = np.sqrt(np.einsum("nkk->nk", normal))
     size[size == 0.0] = 1.0
     scale = size[:, :, None] * size[:, None, :]
@@ -158,7 +160,7 @@ def _inverse(
 
 
 def _of_blocks(fits: LocalFits, block: Float[np.ndarray, "m 3 3"]) -> bsr_array:
-    """Sparse matrix of 3 x 3 blocks, one for each place and point."""
+    """Sparse matrix of 3 x 3 blocks, one per pair of place and point."""
     count = np.bincount(fits.first, minlength=len(fits.place))
     starts = np.concatenate([[0], np.cumsum(count)])
     shape = (3 * len(fits.place), 3 * len(fits.around))

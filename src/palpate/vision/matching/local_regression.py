@@ -1,10 +1,10 @@
 """A smooth field from scattered displacements of the surface: robust local polynomials.
 
-Around every place a polynomial in two tangent coordinates is fitted to the displacements nearby,
-weighted by their variances and by a smooth window, and made robust by Student weights. The result
-is a weighted sum of the displacements, so its covariance follows from theirs, and from how much
-their windows in the picture overlap: windows that share pixels share noise. What lies above or
-below the tangent plane turns with the normal, so a rigid motion is exact on curved and creased
+Around every place a polynomial in two tangent coordinates is fitted to nearby displacements,
+weighted by inverse variance and a smooth kernel, and made robust by Student-t weights. The result
+is a weighted sum of the displacements, so its covariance follows from theirs and from the overlap
+of their windows in the picture: windows that share pixels share noise. Points above or below the
+tangent plane rotate with the normal, so a rigid motion is reproduced exactly on curved and creased
 surfaces too.
 
 Source: Cleveland and Devlin, Locally weighted regression, Journal of the American Statistical
@@ -23,28 +23,29 @@ from palpate.threads import in_threads
 from palpate.vision.small_systems import cholesky_kernel, cholesky_solve_kernel
 
 _TERMS = {1: 3, 2: 6}
-# Degrees of freedom of the Student weights: outliers at ten sigma count 1/20.
+# Degrees of freedom of the Student-t weights: a residual of ten sigma in one component has 1/15 of
+# the usual weight.
 _DEGREES_OF_FREEDOM = 4.0
 _ROUNDS = 6
-# Places that are worth a thread of their own: each takes some 0.02 ms.
+# Minimum number of places per thread: each takes about 0.02 ms.
 _MIN_PLACES_PER_THREAD = 32
-# Displacements on a line, or on one side only, do not fix a polynomial: of each term at least this
-# share must be its own.
+# Smallest relative pivot (tolerance) of a term: displacements on a line, or on one side only, do
+# not determine the polynomial.
 _MIN_PIVOT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """Displacements at points of the surface.
+    """Displacements measured at scattered points of the surface.
 
     Attributes
     ----------
     point : (n, 3) float [m]
-    pixel : (n, 2) float [px]           of the point in the reference camera
-    displacement : (n, 3) float [m]     all of them finite
-    covariance : (n, 3, 3) float [m^2]  noise and bias
-    bias : (n, 3, 3) float [m^2]        part of it that they all share
-    subset : int [px]                   side of the windows that they come from
+    pixel : (n, 2) float [px]           position of the point in the reference camera
+    displacement : (n, 3) float [m]     all finite
+    covariance : (n, 3, 3) float [m^2]  noise plus bias
+    bias : (n, 3, 3) float [m^2]        the part of the covariance shared by neighbouring points
+    subset : int [px]                   side of the windows they were measured with
     """
 
     point: Points
@@ -57,17 +58,19 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalField:
-    """The field and its derivatives along two tangents at some places; NaN where undetermined.
+    """The fitted field and its derivatives along two tangents; NaN where undetermined.
 
     Attributes
     ----------
     displacement : (t, 3) float [m]
     gradient : (t, 2, 3) float [-]      along the first and the second tangent
     curvature : (t, 3, 3) float [1/m]   coefficients of xi^2, xi eta, eta^2; zero for order 1
-    covariance : (t, 3, 3) float [m^2]  larger where the field is rougher than its noise
-    count : (t,) int                    displacements within reach
-    nearest : (t, m) int                which of the scatter's they are; -1 where there are fewer
-    share : (t, m) float [-]            each one's part in the displacement, NaN where undetermined
+    covariance : (t, 3, 3) float [m^2]  of the displacement; inflated where the residuals exceed the
+                                        noise
+    count : (t,) int                    number of displacements within reach
+    nearest : (t, m) int                their indices in the scatter; -1 where there are fewer
+    share : (t, m) float [-]            weight of each in the fitted displacement; NaN where unused
+                                        or undetermined
     """
 
     displacement: Float[np.ndarray, "t 3"]
@@ -89,22 +92,23 @@ def local_field(
     most: int = 48,
     fewest: int | None = None,
 ) -> LocalField:
-    """Displacement of the surface at given places.
+    """Fit the displacement field of the surface at given places.
 
     Parameters
     ----------
     scatter : Scatter
     place : (t, 3) float [m]        on the surface
     tangent : (t, 2, 3) float       orthonormal tangents there
-    reach : float [m]               displacements farther away have no weight
+    reach : float [m]               displacements farther away have zero weight
     order : 1 or 2                  degree of the polynomial
-    most : int                      at most so many displacements, the nearest
-    fewest : int or None            where fewer are within reach, it grows until it holds so many,
-                                    to at most its double: surfaces seen at a slant have fewer
+    most : int                      largest number of displacements used, the nearest ones
+    fewest : int or None            where fewer are within reach, the reach grows until it holds
+                                    this many, but at most doubles: a surface seen obliquely has
+                                    fewer
 
     Returns
     -------
-    LocalField                      NaN where there are too few displacements around
+    LocalField                      NaN where too few displacements are near
     """
     nearest, radius = nearest_within(scatter.point, place, reach, most, fewest)
     noise = scatter.covariance - scatter.bias
@@ -127,7 +131,7 @@ def local_field(
 def nearest_within(
     point: Points, place: Float[np.ndarray, "t 3"], reach: float, most: int, fewest: int | None
 ) -> tuple[Int[np.ndarray, "t most"], Float[np.ndarray, " t"]]:
-    """Points around places, as `local_field` takes them.
+    """Nearest points of each place, as `local_field` uses them.
 
     Parameters
     ----------
@@ -138,7 +142,7 @@ def nearest_within(
     Returns
     -------
     nearest : (t, most) int         nearest first, -1 where there are fewer
-    reach : (t,) float [m]          within which they lie
+    reach : (t,) float [m]          radius within which they lie
     """
     nearest = np.full((len(place), most), -1)
     radius = np.full(len(place), reach)
@@ -149,7 +153,7 @@ def nearest_within(
         away, found = away.reshape(len(place), many), found.reshape(len(place), many)
         if fewest is not None:
             last = np.minimum(away[:, min(fewest, many) - 1], farthest)
-            # A little farther, so that the last one has some weight.
+            # Slightly larger, so that the last point has some weight.
             radius = np.maximum(reach, 1.1 * last)
         inside = (found < len(point)) & (away < radius[:, None])
         nearest[:, :many] = np.where(inside, found, -1)
@@ -182,7 +186,7 @@ def _fit_range(
             near = 1.0 - distance / (size * size)
             weight[m] = max(near, 0.0) ** 2 / trace[nearest[i, m]]
             m += 1
-        # One more than the unknowns, or nothing would be left to recognise an outlier by.
+        # Without a degree of freedom left, no outlier can be recognised.
         if m <= terms:
             continue
         good = False
@@ -223,7 +227,7 @@ def _fit_range(
 
 @njit(cache=True, error_model="numpy")
 def _turn_kernel(tangent, solution, reach, turn):
-    """Change of the surface's unit normal with the derivatives along the tangents."""
+    """Change of the surface's unit normal, from the derivatives along the tangents."""
     t, s, u = tangent[0], tangent[1], solution
     a0, a1, a2 = t[0] + u[0, 1] / reach, t[1] + u[1, 1] / reach, t[2] + u[2, 1] / reach
     b0, b1, b2 = s[0] + u[0, 2] / reach, s[1] + u[1, 2] / reach, s[2] + u[2, 2] / reach
@@ -259,7 +263,7 @@ def _design_kernel(place, tangent, point, reach, terms, out):
 
 @njit(cache=True, error_model="numpy")
 def _solve_kernel(design, weight, robust, displacement, height, turn, nearest, m, normal, solution):
-    """Weighted least squares; leaves the Cholesky factor in `normal`."""
+    """Weighted least squares; leaves the Cholesky factor in `normal`; False where singular."""
     terms = design.shape[1]
     normal[:] = 0.0
     solution[:] = 0.0
@@ -283,7 +287,7 @@ def _solve_kernel(design, weight, robust, displacement, height, turn, nearest, m
 def _reweigh_kernel(
     design, weight, robust, displacement, height, turn, trace, nearest, m, solution, ratio, ordered
 ):  # fmt: skip
-    """Student weights from what is left; returns its weighted rms in units of sigma."""
+    """Student-t weights from the residuals; returns their weighted rms in units of sigma."""
     terms = design.shape[1]
     for j in range(m):
         square = 0.0
@@ -298,7 +302,7 @@ def _reweigh_kernel(
             ordered[k] = ordered[k - 1]
             k -= 1
         ordered[k] = ratio[j]
-    # A field that is rougher than its noise is not an outlier everywhere.
+    # Where the field is rougher than its noise everywhere, not every point is an outlier.
     scale = max(1.0, 0.5 * (ordered[(m - 1) // 2] + ordered[m // 2]))
     total = 0.0
     squares = 0.0
@@ -311,7 +315,7 @@ def _reweigh_kernel(
 
 @njit(cache=True, error_model="numpy")
 def _covariance_kernel(share, covariance, trace, pixel, subset, nearest, m, spread):
-    """Covariance of the value: each displacement's share, and the noise that windows share."""
+    """Covariance of the fitted value, including the noise shared by overlapping windows."""
     mean = np.zeros((3, 3))
     total = 0.0
     for j in range(m):

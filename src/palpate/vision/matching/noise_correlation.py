@@ -1,4 +1,4 @@
-"""Correlation of the errors of neighbouring places of a field: their windows share pixels."""
+"""Correlation of the errors of a local field between neighbouring places: windows share pixels."""
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array, dia_array
@@ -7,16 +7,16 @@ from scipy.spatial import cKDTree
 from palpate.records import PointCorrelation
 from palpate.vision.matching.local_regression import LocalField, Scatter
 
-# Three of four pairs of places whose windows touch are correlated less; together they add a
-# hundredth to a variance.
+# Smaller correlations are dropped: three quarters of the pairs whose windows touch, which together
+# would add about 1 % to a variance.
 _LEAST = 0.05
 
 
 def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
-    """How the errors of a local field's displacements are correlated from place to place.
+    """Correlation between the errors of a local field's displacements at different places.
 
-    Each is a weighted sum of displacements whose windows overlap, as in the field's covariance;
-    what those share by their bias is as near as their noise.
+    Each displacement is a weighted sum of scattered ones whose noise is correlated by the overlap
+    of their windows, as in the field's covariance. Shared bias is taken to be correlated alike.
 
     Parameters
     ----------
@@ -25,7 +25,8 @@ def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
 
     Returns
     -------
-    PointCorrelation                of the t places, of 0.05 and more; undetermined ones have none
+    PointCorrelation                of the t places; magnitudes above 0.05 only; undetermined places
+                                    have none
     """
     known = np.isfinite(field.share)
     place, column = np.nonzero(known)
@@ -44,7 +45,7 @@ def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
 
 
 def _noise(scatter: Scatter) -> csr_array:
-    """Covariance of the noise of the scatter's displacements: overlap of their windows."""
+    """Noise covariance of the scattered displacements, from the overlap of their windows."""
     pair = cKDTree(scatter.pixel).query_pairs(scatter.subset, p=np.inf, output_type="ndarray")
     first, second = pair.T
     apart = np.abs(scatter.pixel[first] - scatter.pixel[second]) / scatter.subset

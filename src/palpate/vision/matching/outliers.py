@@ -1,8 +1,8 @@
-"""What the motion around a point predicts for the point's own.
+"""Prediction of a point's motion from its neighbours, and outlier tests based on it.
 
-Each neighbour carries its displacement along its own gradient to the point; the median of these is
-compared with the point's displacement in units of their own scatter (the normalised median test,
-first order).
+Each neighbour's displacement is extrapolated to the point with the neighbour's own gradient. The
+point's displacement is compared with the median of these predictions, in units of their scatter
+(the normalised median test, to first order).
 
 Source: Westerweel and Scarano, Universal outlier detection for PIV data, Experiments in Fluids 39
 (2005).
@@ -17,19 +17,20 @@ from scipy.spatial import cKDTree
 from palpate.shapes import Flags, Points, PointScalars
 
 _MAX_NEIGHBOURS = 12
-# Fewer neighbours have no majority when one of them is wrong.
+# With fewer neighbours, one wrong value leaves no majority.
 _MIN_NEIGHBOURS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Motion of points as their valid neighbours predict it; NaN where too few are near.
+    """Motion of points predicted by their valid neighbours; NaN where there are too few.
 
     Attributes
     ----------
     displacement : (n, 3) float [m]
     gradient : (n, 2, 3) float [-]
-    scatter : (n,) float [m]            median distance of the neighbours' predictions from it
+    scatter : (n,) float [m]            median distance of the neighbours' predictions from
+                                        `displacement`
     """
 
     displacement: Points
@@ -46,14 +47,14 @@ def predicted(
     *,
     reach: float,
 ) -> Prediction:
-    """Motion of each point from its valid neighbours, without its own.
+    """Predict the motion of each point from its valid neighbours, excluding the point itself.
 
     Parameters
     ----------
-    point, tangent : (n, 3), (n, 2, 3) float
+    point, tangent : (n, 3), (n, 2, 3) float    [m], and two orthonormal tangents
     displacement, gradient : (n, 3) [m], (n, 2, 3)  used where valid
     valid : (n,) bool
-    reach : float [m]                   neighbours farther away do not count
+    reach : float [m]                   neighbours farther away are ignored
 
     Returns
     -------
@@ -78,7 +79,7 @@ def predicted(
     carried += np.einsum("nki,nki->nk", away, normal[j])[..., None] * turn[j]
     middle = neighbours_median(carried, there)
     scatter = neighbours_median(np.linalg.norm(carried - middle[:, None], axis=2), there)
-    # Turned to each point's own tangents.
+    # Transformed to each point's own tangents.
     to_own = np.einsum("nai,nkbi->nkab", tangent, tangent[j])
     slope = neighbours_median(np.einsum("nkab,nkbi->nkai", to_own, gradient[j]), there)
     return Prediction(middle, slope, scatter)
@@ -87,16 +88,16 @@ def predicted(
 def neighbours_median(
     votes: Float[np.ndarray, "n k ..."], there: Bool[np.ndarray, "n k"]
 ) -> Float[np.ndarray, "n ..."]:
-    """Median of what the neighbours of each point vote for, component by component.
+    """Component-wise median over the neighbours of each point.
 
     Parameters
     ----------
-    votes : (n, k, ...) float       of any unit
-    there : (n, k) bool             neighbours that vote
+    votes : (n, k, ...) float       values from the neighbours, of any unit
+    there : (n, k) bool             neighbours to include
 
     Returns
     -------
-    (n, ...) float                  NaN where fewer than three vote
+    (n, ...) float                  NaN where fewer than three are included
 
     Source
     ------
@@ -112,22 +113,23 @@ def neighbours_median(
 
 
 def median_test(point: Points, displacement: Points, valid: Flags) -> PointScalars:
-    """How much a displacement differs from those around it, in units of what these differ by.
+    """Normalised median residual of each displacement relative to its neighbours.
 
-    The point's own displacement is compared with the median of the nearest twelve. Their scatter is
-    that of the third quartile, so that the bottom of a narrow dip does not stand out from the ring
-    around it; a quarter of what is usual among all points is added, for places without any.
+    The point's own displacement is compared with the median of the nearest twelve. The scatter is
+    the third quartile of their distances from that median, so that the bottom of a narrow dip does
+    not stand out from the ring around it. A quarter of the median scatter of all points is added,
+    for places where the neighbours do not scatter at all.
 
     Parameters
     ----------
     point, displacement : (n, 3) float [m]
-    valid : (n,) bool               measured points: only these are asked, and asked about
+    valid : (n,) bool               measured points: only these are tested and serve as neighbours
 
     Returns
     -------
-    (n,) float [-]                  up to 2.5 among 100 000 normal errors, 2 at the end of a field
-                                    with a slope, 3 in a dip (normal curve) of a standard deviation
-                                    of one spacing; NaN where not valid or too few are
+    (n,) float [-]                  at most 2.5 among 100 000 normal errors, 2 at the edge of a
+                                    field with a slope, 3 in a Gaussian dip whose standard deviation
+                                    is one spacing; NaN where not valid or with too few neighbours
 
     Source
     ------
@@ -158,12 +160,12 @@ def median_around(
     ----------
     point : (n, 3) float [m]
     value : (n,) float              of any unit
-    valid : (n,) bool               points whose value counts
-    reach : float [m]               neighbours farther away do not count
+    valid : (n,) bool               points whose values are used
+    reach : float [m]               neighbours farther away are ignored
 
     Returns
     -------
-    (n,) float                      the value itself where there is none around
+    (n,) float                      the value itself where neither it nor a neighbour is valid
     """
     near = _nearest(point, valid, reach)
     around = np.where(near >= 0, value[np.maximum(near, 0)], np.nan)
@@ -187,7 +189,7 @@ def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"
     found = found.reshape(len(point), many)
     index = np.where(found < len(rows), np.append(rows, -1)[np.minimum(found, len(rows))], -1)
     index = np.where(index == np.arange(len(point))[:, None], -1, index)
-    # Those that are missing to the end; the order among the others stays.
+    # Missing neighbours go to the end; the order of the others is kept.
     order = np.argsort(index < 0, axis=1, kind="stable")
     kept = np.take_along_axis(index, order, axis=1)[:, :_MAX_NEIGHBOURS]
     near[:, : kept.shape[1]] = kept

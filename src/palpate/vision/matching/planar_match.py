@@ -1,7 +1,7 @@
 """Sub-pixel displacement of windows between two pictures.
 
-Inverse-compositional Gauss-Newton on a square subset with an affine or a quadratic shape function;
-the gain and the offset of the second picture are unknowns too, eliminated in closed form.
+Inverse-compositional Gauss-Newton on a square subset with a constant, affine or quadratic shape
+function; gain and offset of the second picture are further unknowns, eliminated in closed form.
 
 Source: Baker and Matthews, Lucas-Kanade 20 years on, International Journal of Computer Vision 56
 (2004); Gao et al., High-efficiency and high-accuracy digital image correlation, Optics and Lasers
@@ -33,27 +33,27 @@ from palpate.vision.small_systems import (
     cholesky_solve_kernel,
 )
 
-# A step shorter than this ends the iteration [px]; far below the noise.
+# The iteration ends when a step is shorter than this [px]; far below the noise.
 _TOLERANCE_PX = 5e-4
 # Gauss-Newton steps at most.
 _MAX_ITERATIONS = 30
-# A window that leaves its start by more than this is lost [px].
+# A window that moves farther than this from its start is lost [px].
 _MAX_MOVE_PX = 8.0
-# Windows that are worth a thread of their own: each takes some 0.03 ms.
+# Minimum number of windows per thread: each takes about 0.03 ms.
 _MIN_WINDOWS_PER_THREAD = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarMatch:
-    """Where windows of one picture are found in another.
+    """Displacements of windows from one picture to another.
 
     Attributes
     ----------
     displacement : (n, 2) float [px]        column, row
-    gradient : (n, 2, 2) float [-]          [i, j]: derivative of component i by coordinate j
-    covariance : (n, 2, 2) float [px^2]     from what the match leaves and from the gradients
-    score : (n,) float [-]                  normalised cross-correlation, 1 at best
-    converged : (n,) bool                   False: rows above are NaN
+    gradient : (n, 2, 2) float [-]          [i, j]: d(component i) / d(coordinate j)
+    covariance : (n, 2, 2) float [px^2]     from residual variance and picture gradients
+    score : (n,) float [-]                  normalised cross-correlation, at most 1
+    converged : (n,) bool                   where False, the other attributes are NaN
     """
 
     displacement: Float[np.ndarray, "n 2"]
@@ -73,30 +73,31 @@ def refine_planar(
     shape: Literal["shift", "affine", "quadratic"] = "affine",
     start_gradient: Float[np.ndarray, "n 2 2"] | None = None,
 ) -> PlanarMatch:
-    """Displacement of windows of one picture in another, to a hundredth of a pixel.
+    """Refine the displacement of windows between two pictures to about a hundredth of a pixel.
 
     Parameters
     ----------
     reference, moved : SplinePicture
     points : (n, 2) float [px]      centres of the windows in `reference`, whole pixels
-    start : (n, 2) float [px]       displacements good to two pixels or so
+    start : (n, 2) float [px]       initial displacements, accurate to about two pixels
     subset : int [px]               side of a window, odd, at least 5
-    shape : "shift", "affine" or "quadratic"    how the displacement may vary within the window,
-                                    beyond the gradient that it starts with
-    start_gradient : (n, 2, 2) float [-]    that it starts with; zero by default
+    shape : "shift", "affine" or "quadratic"    shape function: how the displacement may vary within
+                                    the window, in addition to `start_gradient`
+    start_gradient : (n, 2, 2) float [-]    initial displacement gradient; zero by default
 
     Returns
     -------
-    PlanarMatch                     not converged: outside a picture, without contrast, or lost
+    PlanarMatch                     not converged where a window lies outside a picture, has no
+                                    contrast, or is lost
 
     Raises
     ------
-    InputError                      an even or tiny subset
+    InputError                      the subset is even or below 5
 
     Source
     ------
-    Baker and Matthews (2004) for the inverse composition; Gao et al. (2015) for it in digital image
-    correlation.
+    Baker and Matthews (2004), inverse-compositional algorithm; Gao et al. (2015), its use in
+    digital image correlation.
     """
     if subset < 5 or subset % 2 == 0:
         raise InputError(f"subset is {subset}; must be an odd number of pixels, 5 or more")
@@ -197,7 +198,10 @@ def _refine_range(
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _sample_window_kernel(moved, warp, column, row, half, sampled):
-    """Moved picture at the warped pixels; returns the mean share of noise that is left."""
+    """Sample the moved picture at the warped pixels.
+
+    Returns the mean fraction of the noise variance that interpolation leaves.
+    """
     scale = np.float32(1.0 / half)
     c3 = np.float32(warp[0, 3])
     r3 = np.float32(warp[1, 3])
@@ -226,7 +230,7 @@ def _update_kernel(warp, step, half, bases):
     """Compose the warp with the inverse of the step; returns the step's length at the centre [px].
 
     To first order in the step the composition is u - (1 + grad u) step, with the gradient at the
-    centre; what is left out vanishes with the step, so it costs iterations and no accuracy.
+    centre. The neglected terms vanish with the step, so they cost iterations but no accuracy.
     """
     a00 = 1.0 + warp[0, 1] / half
     a01 = warp[0, 2] / half

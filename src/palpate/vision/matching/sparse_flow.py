@@ -1,8 +1,9 @@
-"""Displacements of scattered points: from features of two pictures, and between the points.
+"""Displacements of scattered points from feature matches, and their interpolation.
 
-Scale invariant features (Lowe, Distinctive image features from scale-invariant keypoints, IJCV
-60(2), 2004) are found again after motions of any length, turns and strains, and where the lighting
-differs; but only some thousand of them, to about a pixel, and a few per cent are mistaken.
+Scale-invariant features (Lowe, Distinctive image features from scale-invariant keypoints, IJCV
+60(2), 2004) are matched after motions of any size, rotations and strains, and under different
+lighting; but there are only about a thousand of them, they are accurate to about a pixel, and a few
+per cent of the matches are wrong.
 """
 
 from dataclasses import dataclass
@@ -15,24 +16,24 @@ from scipy.spatial import cKDTree
 
 from palpate.vision.images import nearest_descriptors
 
-# Neighbouring displacements belong together when they differ by less than two pixels and this per
-# pixel of distance: a turn of 30 degrees or a strain of 50 %.
+# Neighbouring displacements agree if they differ by less than two pixels plus this times their
+# distance: a rotation of 30 degrees or a strain of 50 %.
 _MAX_SLOPE, _MAX_GAP_PX = 0.5, 2.0
-# One feature is taken for so many pixels of the area, within bounds: fewer leave small objects
-# without, more cost more than a second. About half of them agree, one in a square of 35 px.
+# Area per feature [px], with limits on the number: fewer would miss small objects, more would take
+# over a second. About half of them agree with their neighbours, one in a square of 35 px.
 _PIXELS_EACH = 600
 _MIN_FEATURES, _MAX_FEATURES = 500, 1500
-# The second picture gets so many times as many, that it has those of the first among them.
+# Factor for the second picture, so that its features include those of the first.
 _SECOND_FACTOR = 2
-# The strongest are taken from each square of this side first [px], so that they cover the picture.
+# The strongest feature of each square of this side [px] is taken first, for even coverage.
 _CELL = 32
-# Beyond an area of interest, features see this much [px]: the descriptor of a fine one.
+# Margin around the area of interest [px]: the extent of the descriptor of a fine feature.
 _MARGIN = 20
 # Spacing of the nodes between which a motion is interpolated [px]: less than a usual window.
 _SPACING = 16
-# Samples that fix the affine motion at a node: four times as many as its three pairs of unknowns.
+# Samples per node for the affine fit: four times its three unknowns per component.
 _SAMPLES = 12
-# OpenCV takes None for an array that is not given; its stubs do not say so.
+# OpenCV accepts None for an array that is not given; its type stubs do not say so.
 NOT_GIVEN: Any = None
 
 
@@ -50,11 +51,11 @@ class Samples:
     displacement: Float[np.ndarray, "n 2"]
 
     def reversed(self) -> "Samples":
-        """The way back: from where the points went."""
+        """The inverse displacements, at the displaced points."""
         return Samples(self.point + self.displacement, -self.displacement)
 
     def joined(self, other: "Samples") -> "Samples":
-        """These and others."""
+        """These samples followed by those of `other`."""
         return Samples(
             np.concatenate([self.point, other.point]),
             np.concatenate([self.displacement, other.displacement]),
@@ -67,7 +68,7 @@ def feature_matches(
     rest_area: Bool[np.ndarray, "rows columns"],
     moved_area: Bool[np.ndarray, "rows columns"],
 ) -> Samples:
-    """Displacements of features that choose each other and agree with their neighbours.
+    """Displacements of features that are mutual best matches and agree with their neighbours.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def feature_matches(
 
     Returns
     -------
-    Samples     none where there is no texture or nothing agrees
+    Samples     empty if there is no texture or no displacements agree
     """
     point, descriptors = _features(rest, rest_area, 1)
     other, other_descriptors = _features(moved, moved_area, _SECOND_FACTOR)
@@ -91,7 +92,7 @@ def feature_matches(
 def _features(
     picture: UInt8[np.ndarray, "rows columns"], area: Bool[np.ndarray, "rows columns"], times: int
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 128"]]:
-    """Place and descriptor of the strongest features of an area, spread evenly over it."""
+    """Positions and descriptors of the strongest features of an area, evenly distributed."""
     nothing = np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32)
     if not area.any():
         return nothing
@@ -99,7 +100,7 @@ def _features(
     corner = np.array([max(column[0] - _MARGIN, 0), max(row[0] - _MARGIN, 0)])
     crop = picture[corner[1] : row[-1] + _MARGIN + 1, corner[0] : column[-1] + _MARGIN + 1]
     crop = np.ascontiguousarray(crop)
-    # Half of OpenCV's threshold: contrast has been made even, and agreement decides later.
+    # Half of OpenCV's threshold: contrast has been normalised, and agreement is tested later.
     sift = cv2.SIFT.create(contrastThreshold=0.02)
     keys = sift.detect(crop, None)
     if not keys:
@@ -112,7 +113,7 @@ def _features(
     keep = keep[_spread(point[keep], strength[keep], limit)]
     if not len(keep):
         return nothing
-    # Features may be dropped here; those that are left are returned with their descriptors.
+    # `compute` may drop features; it returns the remaining ones with their descriptors.
     kept, descriptors = sift.compute(crop, [keys[int(i)] for i in keep])
     return np.array(cv2.KeyPoint.convert(kept), dtype=np.float64) + corner, descriptors
 
@@ -120,7 +121,7 @@ def _features(
 def _spread(
     point: Float[np.ndarray, "n 2"], strength: Float[np.ndarray, " n"], limit: int
 ) -> np.ndarray:
-    """Indices of the strongest point of each cell, then the second ones, up to `limit`."""
+    """Indices of each cell's strongest point, then each cell's second strongest, up to `limit`."""
     cell = (point // _CELL).astype(np.int64) @ np.array([1, 1 << 20])
     order = np.lexsort((-strength, cell))
     rank = np.arange(len(order)) - np.searchsorted(cell[order], cell[order])
@@ -130,10 +131,10 @@ def _spread(
 def _agreeing(
     point: Float[np.ndarray, "n 2"], displacement: Float[np.ndarray, "n 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """True for displacements that three of their eight neighbours confirm.
+    """True for displacements confirmed by at least three of their eight nearest neighbours.
 
-    A mistaken one lies anywhere within the picture: that three neighbours 30 px away agree with it
-    has a chance below 1e-5.
+    The end point of a wrong match is random within the picture, so the probability that three
+    neighbours 30 px away agree with it is below 1e-5.
     """
     if len(point) < 4:
         return np.zeros(len(point), dtype=bool)
@@ -151,17 +152,17 @@ def nodes(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    row, column : two grids of int [px]     16 px apart, the first at 8
+    row, column : two (_, _) int [px]   16 px apart, the first at 8
     """
     row, column = np.mgrid[_SPACING // 2 : shape[0] : _SPACING, _SPACING // 2 : shape[1] : _SPACING]
     return row, column
 
 
 def interpolated(samples: Samples, shape: tuple[int, int]) -> Float[np.ndarray, "rows columns 2"]:
-    """Motion of every pixel from scattered samples: at nodes, and bilinear between them.
+    """Motion of every pixel from scattered samples: fitted at nodes, bilinear between them.
 
-    At each node an affine motion is fitted to the dozen samples around, robustly, so that where the
-    motion jumps one side wins. Far from all samples it is continued as an affine motion.
+    At each node an affine motion is fitted robustly to the nearest dozen samples, so that at a
+    discontinuity one side wins. Far from all samples the fit extrapolates.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ def interpolated(samples: Samples, shape: tuple[int, int]) -> Float[np.ndarray, 
     row, column = nodes(shape)
     node = np.stack([column.ravel(), row.ravel()], axis=1).astype(np.float64)
     motion = _fitted(samples, node).reshape(*row.shape, 2).astype(np.float32)
-    # Bilinear between nodes, constant beyond the outermost.
+    # Constant beyond the outermost nodes.
     place = np.empty((*shape, 2), dtype=np.float32)
     place[..., 0] = (np.arange(shape[1], dtype=np.float32) - _SPACING // 2) / _SPACING
     place[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _SPACING // 2) / _SPACING)[:, None]
@@ -185,7 +186,7 @@ def interpolated(samples: Samples, shape: tuple[int, int]) -> Float[np.ndarray, 
 def sampled(
     values: Float[np.ndarray, "_ _ *k"], place: Float[np.ndarray, "rows columns 2"]
 ) -> Float[np.ndarray, "rows columns *k"]:
-    """Values at places between pixels, beyond the picture those of its edge.
+    """Bilinear interpolation between pixels; beyond the picture, the value at its edge.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ def sampled(
 
 
 def _fitted(samples: Samples, node: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k 2"]:
-    """Motion at the nodes, of the affine motion that most of the samples around agree on."""
+    """Motion at the nodes, by robust affine fits to the nearest samples."""
     count = min(_SAMPLES, len(samples.point))
     distance, index = cKDTree(samples.point).query(node, np.arange(1, count + 1))
     reach = np.maximum(distance[:, count // 2], 0.5 * _SPACING)[:, None]
@@ -208,7 +209,7 @@ def _fitted(samples: Samples, node: Float[np.ndarray, "k 2"]) -> Float[np.ndarra
     offset = (samples.point[index] - node[:, None]) / reach[..., None]
     terms = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
     wanted = samples.displacement[index]
-    # The slope is held back by half a per cent, for samples that lie on a line.
+    # A slight ridge on the slope, for collinear samples.
     ridge = np.diag([1e-6, 0.002, 0.002])
     weight = near
     for _ in range(4):

@@ -1,16 +1,17 @@
-"""Sums over one window of a picture: what Gauss-Newton needs, the light's changes eliminated.
+"""Sums over one window: the Gauss-Newton system with changes of illumination eliminated.
 
-Between two pictures of a window the light may change by an offset, a gain, and (shading) a gain
-that varies linearly over the window. These are eliminated in closed form: everything is projected
-on what they cannot explain. Light changes before lens, chip and low-pass spread it: a picture that
-is spread by a Gaussian of variance s, of light times x, is x times the picture plus s times its
-derivative. Without that term a window in a shadow's edge is drawn toward the dark.
+Between two pictures the illumination of a window may change by an offset, a gain, and (shading) a
+gain that varies linearly over the window. These are eliminated in closed form, by projection onto
+the orthogonal complement of what they span. Illumination acts before lens, sensor and low-pass blur
+the picture: blurring (x times the scene) with a Gaussian of variance s gives x times the blurred
+picture plus s times its derivative. Without that term a window at the edge of a shadow is drawn
+towards the dark side.
 
-A window holds six planes, `(6, side, side)` float32: grey level less its mean, derivative by the
-column, derivative by the row, weight (1 inside, 0 outside), and two planes of unit length that with
-the first and a constant span the light's changes; all but the weight are zero outside. The
+A window holds six planes, `(6, side, side)` float32: grey level minus its mean, its derivatives
+along columns and rows, weight (1 inside, 0 outside), and two planes of unit norm that with the
+first and a constant span the illumination changes; all but the weight are zero outside. The
 displacement varies over it as a polynomial in (xi, eta), the distance from the centre in half
-sides: 1, xi, eta, xi^2, xi eta, eta^2. Unknown k of component a is number a * bases + k.
+sides: 1, xi, eta, xi^2, xi eta, eta^2. Unknown k of component a has index a * bases + k.
 """
 
 import numpy as np
@@ -24,11 +25,12 @@ EXPONENTS = np.array([[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]])
 def load_window_kernel(
     grey, along_column, along_row, column, row, half, shading, spread, window
 ):  # fmt: skip
-    """Fill the planes around a pixel; the fourth, the weights, is given.
+    """Fill the window's planes around a pixel; the fourth, the weights, is input.
 
-    `grey`, `along_column`, `along_row` (rows, columns) float32 [grey levels, per px]; the window
-    must lie within them; `spread` [px^2] of the light in them, for the shading. Returns the number
-    of pixels inside, their mean [grey levels], and the sum of squares about it.
+    `grey`, `along_column`, `along_row` (rows, columns) float32 [grey levels, grey levels/px]; the
+    window must lie within them. `spread` [px^2] is the variance of their blur, for the shading.
+    Returns the number of pixels inside, their mean [grey levels], and the sum of squared deviations
+    from it.
     """
     side = 2 * half + 1
     inside = 0.0
@@ -69,7 +71,7 @@ def load_window_kernel(
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _fill_shading_kernel(window, half, inside, level, square, spread):
-    """The last two planes: light times column and times row, spread, less what the others span."""
+    """Fill the last two planes: shading along columns and rows, orthogonal to the other planes."""
     scale = np.float32(1.0 / half)
     slope = np.float32(spread / half)
     for r in range(2 * half + 1):
@@ -94,7 +96,7 @@ def _fill_shading_kernel(window, half, inside, level, square, spread):
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _dot_kernel(first, second):
-    """Sum of the products of two planes."""
+    """Inner product of two planes."""
     total = 0.0
     for r in range(len(first)):
         part = np.float32(0.0)
@@ -148,10 +150,10 @@ def _moments_kernel(first, second, half, moments):
 
 @njit(cache=True, error_model="numpy")
 def window_side_sums_kernel(window, half, sums, moments):
-    """Sums that couple the displacement with the light: (8, 6).
+    """Inner products that couple displacement and illumination, written into `sums` (8, 6).
 
     Rows 2 n and 2 n + 1: the two derivatives times each polynomial, times the weight (n = 0), the
-    grey level (1), the two shading planes (2, 3).
+    grey level (n = 1) and the two shading planes (n = 2, 3). `moments` (5, 5) is scratch.
     """
     for n in range(4):
         plane = window[3] if n == 0 else window[0] if n == 1 else window[2 + n]
@@ -163,11 +165,11 @@ def window_side_sums_kernel(window, half, sums, moments):
 
 @njit(cache=True, error_model="numpy")
 def window_hessian_kernel(window, half, bases, inside, square, sums, moments, hessian):
-    """Gauss-Newton matrix of one window, (2 bases, 2 bases), the light eliminated.
+    """Gauss-Newton matrix of one window, (2 bases, 2 bases), with illumination eliminated.
 
-    Grey levels squared per square pixel of displacement; `sums` (8, 6) from
-    `window_side_sums_kernel`, `inside` and `square` from `load_window_kernel`; `moments` (5, 5) is
-    scratch. Its inverse times the variance of the noise is the covariance of the displacement.
+    Its unit is grey levels^2/px^2; its inverse times the noise variance is the covariance of the
+    displacement coefficients. `sums` (8, 6) is from `window_side_sums_kernel`, `inside` and
+    `square` are from `load_window_kernel`; `moments` (5, 5) is scratch.
     """
     for a in range(2):
         for b in range(a + 1):
@@ -187,7 +189,7 @@ def window_hessian_kernel(window, half, bases, inside, square, sums, moments, he
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _row_right_kernel(sampled, level, window, r, half):
-    """Sums of one row of the moved picture with the planes of the window."""
+    """Contribution of one row to the inner products of the moved picture with the planes."""
     grey, by_column, by_row, weight = window[0, r], window[1, r], window[2, r], window[3, r]
     first, second = window[4, r], window[5, r]
     s = s2 = sf = sp = sq = np.float32(0.0)
@@ -216,11 +218,11 @@ def _row_right_kernel(sampled, level, window, r, half):
 
 @njit(cache=True, error_model="numpy")
 def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums, right, light):
-    """Right-hand side of one window for the sampled moved picture, the light eliminated.
+    """Right-hand side of one window for the sampled moved picture, with illumination eliminated.
 
     `light` (5,) is filled with offset, gain and the two shading amplitudes of the moved picture,
-    and the sum of squares that none of them explains [grey levels^2 of the first picture]; returns
-    the gain, 0 where the pictures do not resemble each other.
+    and the residual sum of squares [grey levels^2 of the first picture]. Returns the gain, or 0
+    where the pictures are not positively correlated.
     """
     total = np.zeros(5)
     right[:] = 0.0
@@ -255,10 +257,10 @@ def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def window_blocks_kernel(window, sampled, half, bases, mean, light, blocks):
-    """Share of each block of a window in the right-hand side, the light removed.
+    """Contribution of each block of a window to the right-hand side, illumination removed.
 
-    Blocks are the cells of a square division of the window; `blocks` is (cells, 2 bases) and is
-    filled with grey levels squared per pixel. `light` is from `window_right_kernel`.
+    Blocks are the cells of a square subdivision of the window; `blocks`, (cells, 2 bases), is
+    filled [grey levels^2/px]. `light` is from `window_right_kernel`.
     """
     side = 2 * half + 1
     cells = int(np.sqrt(len(blocks)))

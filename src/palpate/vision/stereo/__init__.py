@@ -1,8 +1,9 @@
-"""Points of the surface from the pictures of one instant, and whether the rig fits the pictures.
+"""Surface points from the pictures of one instant, and a check of the rig against the pictures.
 
-Purpose    : to know where the object is before anything is known of its surface or pose.
+Purpose    : locate the object before anything is known about its surface or pose.
 Takes      : `PreparedPictures` of one instant.
-Gives      : `StereoPoints` with covariance, `RigCheck`; their `Registration` onto a known object.
+Gives      : `StereoPoints` with covariance, `RigCheck`; the `Registration` of the points to a known
+             object.
 Depends on : `geometry`, `records`, `vision.images`, `vision.cameras`, `vision.matching`.
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
 """

@@ -1,4 +1,4 @@
-"""Points of the surface brought onto the mesh of the object that was looked at."""
+"""Registration of stereo points to the mesh of the object."""
 
 from dataclasses import replace
 
@@ -18,14 +18,14 @@ from palpate.vision.stereo.stereo import StereoPoints
 
 # Fewer points do not determine a pose.
 LEAST_POINTS = 50
-# Points this far from the middle of the mesh, in diagonals, are of the table or the wall behind.
+# Points farther than this from the centre of the mesh, in diagonals, belong to table or background.
 _REACH = 0.6
-# Parts of an edge of the mesh: its smooth surface, not its facets, is what the cameras see.
+# Subdivisions of a mesh edge: the cameras see its smooth surface, not its facets.
 _PIECES = 2
 
 
 def smooth_surface(mesh: TriangleMesh) -> TriangleMesh:
-    """What cameras see of a mesh: the surface that bends through its vertices.
+    """The smooth surface through a mesh's vertices, finely triangulated, as the cameras see it.
 
     Parameters
     ----------
@@ -41,13 +41,13 @@ def smooth_surface(mesh: TriangleMesh) -> TriangleMesh:
 def near_object(
     points: Points, mesh: TriangleMesh, pose: Float[np.ndarray, "4 4"] | None = None
 ) -> Bool[np.ndarray, " n"]:
-    """Points that may belong to the object if it stands where a pose has it.
+    """Points that may belong to the object at a given pose.
 
     Parameters
     ----------
     points : (n, 3) float [m]       the rig's object frame
     mesh : TriangleMesh
-    pose : (4, 4) float [m] or None x_mesh = pose x_points; None: one frame
+    pose : (4, 4) float [m] or None x_mesh = pose x_points; None: the frames coincide
 
     Returns
     -------
@@ -66,14 +66,14 @@ def register_object(
     *,
     start: Float[np.ndarray, "4 4"] | None = None,
 ) -> Registration | None:
-    """Bring the points near an object onto its surface.
+    """Register the points near an object to its surface.
 
     Parameters
     ----------
-    rig : Rig                       that saw the points
+    rig : Rig                       that measured the points
     stereo : StereoPoints
-    smooth : TriangleMesh           `smooth_surface`
-    start : (4, 4) float [m] or None    x_mesh = start x_points; None: one frame
+    smooth : TriangleMesh           from `smooth_surface`
+    start : (4, 4) float [m] or None    x_mesh = start x_points; None: the frames coincide
 
     Returns
     -------
@@ -89,7 +89,7 @@ def register_object(
 
 
 def object_frame(rig: Rig, registration: Registration) -> Rig:
-    """The rig in the frame of the mesh that its points were brought onto.
+    """Transform the rig to the frame of the mesh that its points were registered to.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def object_frame(rig: Rig, registration: Registration) -> Rig:
     -------
     Rig
     """
-    # x_camera = T_camera_object x_object, and what the rig calls object is what was measured.
+    # x_camera = T_camera_object x_object; the points were measured in the rig's own object frame.
     back = np.linalg.inv(registration.T_mesh_points)
     cameras = tuple(
         replace(camera, T_camera_object=camera.T_camera_object @ back) for camera in rig.cameras

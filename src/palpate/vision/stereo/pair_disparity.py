@@ -1,12 +1,12 @@
-"""Where the pixels of one camera are seen by another, to half a pixel, from whole pictures.
+"""Initial stereo matches of a pair of cameras, to half a pixel, by semi-global matching.
 
-The pair is rectified, features give the range of disparities, and semi-global matching the
-disparity of every pixel. A plane through the disparities around a point gives its match and how the
-match changes from pixel to pixel. Where a calibration has drifted, features of the pair are not in
-the same row; a smooth correction of the rows, found from them, lets the search work all the same.
+The pair is rectified, feature matches give the range of disparities, and semi-global matching the
+disparity of every pixel. A plane fitted to the disparities around a point gives its match and the
+match's gradient. If the calibration has drifted, matching features do not lie in the same row; a
+smooth correction of the rows, fitted to them, lets the search work all the same.
 
 Source: Hirschmueller, Stereo processing by semiglobal matching and mutual information, IEEE PAMI
-30(2), 2008, as OpenCV has it.
+30(2), 2008, in OpenCV's implementation.
 """
 
 from dataclasses import dataclass, replace
@@ -21,34 +21,35 @@ from palpate.shapes import Flags, PointScalars
 from palpate.vision.cameras import Rectified, normalised, project, rectify, remapped
 from palpate.vision.images import NormalisedImage, PreparedPictures, match_features
 
-# Side of the blocks of semi-global matching [px]: three to five speckles.
+# Block side of semi-global matching [px]: three to five speckles.
 _BLOCK = 7
-# More pixels times disparities than this take longer than seconds: the pictures are halved.
+# If pixels times disparities exceed this, matching takes more than seconds: pictures are halved.
 _MAX_WORK = 1_000_000_000
-# Disparities are sought beyond those of the features by this share of their range, and pixels.
+# Margin of the disparity search beyond those of the features: fraction of their range, plus pixels.
 _MARGIN, _MARGIN_PX = 0.25, 16
-# Features of textured pictures come in hundreds; fewer than this give no range to be trusted.
+# Textured pictures have hundreds of features; fewer than this give no reliable range.
 _MIN_FEATURES = 8
-# Six coefficients of the correction, four features each.
+# Four features per coefficient of the correction.
 _MIN_FEATURES_TO_FIT = 24
-# Fits of the correction, each to the features that agree with the one before.
+# Fits of the correction, each to the features consistent with the previous one.
 _FITS = 6
-# Disparities of a window that belong to one surface differ by this much [px], and this per pixel.
+# Disparities in a window belong to one surface if they differ by less than this [px], plus this per
+# pixel of distance.
 _MAX_JUMP_PX, _MAX_SLOPE = 1.5, 0.5
-# Mean of a normalised image [grey levels].
+# Mean of a normalised picture [grey levels].
 _GREY = 128.0
-# Samples along a side of the window.
+# Samples along each side of a window.
 _SAMPLES = 7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoStart:
-    """Where points of the first picture are in the second.
+    """Initial matches of points of the first picture in the second.
 
     Attributes
     ----------
-    displacement : (n, 2) float [px]    NaN where nothing was found
-    gradient : (n, 2, 2) float [-]      [i, j]: derivative of component i by coordinate j; 0 there
+    displacement : (n, 2) float [px]    NaN where no match was found
+    gradient : (n, 2, 2) float [-]      [i, j]: d(component i) / d(coordinate j); 0 without match
     """
 
     displacement: Float[np.ndarray, "n 2"]
@@ -57,10 +58,10 @@ class StereoStart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RowOffset:
-    """Row of a feature in the first rectified picture minus that in the second, a polynomial.
+    """Row in the first rectified picture minus row in the second, as a quadratic polynomial.
 
-    In (1, x, y, x^2, x y, y^2), x and y the second's column and the first's row scaled to (-1, 1)
-    over the features; constant beyond them.
+    Its terms are 1, x, y, x^2, x y, y^2, with x and y the second's column and the first's row,
+    scaled to (-1, 1) over the range of the features; clamped outside it.
     """
 
     centre: Float[np.ndarray, "2"]
@@ -68,7 +69,7 @@ class _RowOffset:
     coefficients: Float[np.ndarray, "6"]
 
     def at(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-        """The difference of rows [px] at columns and rows of shapes that broadcast."""
+        """Row difference [px] at columns and rows, of shapes that broadcast."""
         x = np.clip((column - self.centre[0]) / self.half[0], -1.0, 1.0)
         y = np.clip((row - self.centre[1]) / self.half[1], -1.0, 1.0)
         c = self.coefficients
@@ -77,7 +78,7 @@ class _RowOffset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
-    """A rectified pair and its correction."""
+    """A rectified pair and its row correction."""
 
     first: Camera
     second: Camera
@@ -85,11 +86,11 @@ class _Pair:
     offset: _RowOffset
 
     def into_first(self, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Rectified place of pixels of the first camera."""
+        """Map pixels of the first camera into its rectified picture."""
         return _seen_by(self.rectified.cameras[0], self.first, pixels)
 
     def out_of_second(self, column: PointScalars, row: PointScalars) -> Float[np.ndarray, "n 2"]:
-        """Pixels of the second camera, of its rectified columns and the first's rectified rows."""
+        """Pixels of the second camera from its rectified columns and the first's rectified rows."""
         place = np.column_stack([column, row - self.offset.at(column, row)])
         return _seen_by(self.second, self.rectified.cameras[1], place)
 
@@ -97,14 +98,14 @@ class _Pair:
 def stereo_start(
     pictures: PreparedPictures, partner: int, points: Float[np.ndarray, "n 2"], *, half: int
 ) -> StereoStart:
-    """Match points of the reference camera in another, wherever the object is.
+    """Match points of the reference camera in another one, without knowing the object's position.
 
     Parameters
     ----------
     pictures : PreparedPictures
     partner : int                   index of the other camera in the rig
     points : (n, 2) float [px]      in the reference picture
-    half : int [px]                 half side of the windows that will be matched
+    half : int [px]                 half side of the windows to be matched later
 
     Returns
     -------
@@ -113,10 +114,10 @@ def stereo_start(
     Raises
     ------
     CalibrationError                the pair cannot be rectified
-    InputError                      too few features seen by both
+    InputError                      fewer than 8 consistent feature matches
     """
     which = (pictures.rig.reference, partner)
-    # Their size is that of the pictures, whatever it was.
+    # The pictures define the size here; the cameras' own is not checked again.
     first, second = (replace(pictures.rig.cameras[k], size=None) for k in which)
     images = [pictures.normalised[k] for k in which]
     rows, columns = np.max([image.levels.shape for image in images], axis=0).tolist()
@@ -141,8 +142,8 @@ def stereo_start(
 def _seen_by(
     camera: Camera, other: Camera, pixels: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Pixels of another camera with the same centre, as a camera sees them."""
-    # With one centre, a point anywhere on the ray will do.
+    """Map pixels between two cameras with the same centre, from `other` to `camera`."""
+    # With a common centre, any point on the ray will do.
     place = np.column_stack([normalised(other, pixels), np.ones(len(pixels))])
     pose = other.T_camera_object
     return project(camera, (place - pose[:3, 3]) @ pose[:3, :3])
@@ -151,7 +152,7 @@ def _seen_by(
 def _row_offset(
     place: Float[np.ndarray, "n 2"], other: Float[np.ndarray, "n 2"]
 ) -> tuple[_RowOffset, Flags]:
-    """Correction of the rows, and the features that agree on it."""
+    """Robust row correction, and flags of the features consistent with it."""
     gap = place[:, 1] - other[:, 1]
     at = np.column_stack([other[:, 0], place[:, 1]])
     known = np.isfinite(gap) & np.isfinite(at).all(axis=1)
@@ -172,7 +173,7 @@ def _fitted_offset(at: Float[np.ndarray, "n 2"], gap: PointScalars) -> _RowOffse
     centre, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1.0)
     x, y = ((at - centre) / half).T
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    # Slopes that the features do not determine, on a line say, stay small.
+    # A ridge keeps undetermined coefficients small, e.g. for collinear features.
     normal = terms.T @ terms + 1e-3 * len(terms) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     return _RowOffset(centre, half, np.linalg.solve(normal, terms.T @ gap))
 
@@ -180,7 +181,7 @@ def _fitted_offset(at: Float[np.ndarray, "n 2"], gap: PointScalars) -> _RowOffse
 def _disparity(
     pair: _Pair, images: list[NormalisedImage], low: float, high: float
 ) -> Float[np.ndarray, "rows columns"]:
-    """Column in the first minus column in the second rectified picture; NaN where not found."""
+    """Disparity [px], column in the first minus column in the second; NaN where not found."""
     corrected = _corrected(pair)
     grey = []
     for k, image in enumerate(images):
@@ -210,17 +211,18 @@ def _semi_global(
         minDisparity=least,
         numDisparities=count,
         blockSize=_BLOCK,
-        # OpenCV's recommendation for the price of a small and of a large step.
+        # OpenCV's recommended penalties for small and large disparity steps.
         P1=8 * _BLOCK**2,
         P2=32 * _BLOCK**2,
         disp12MaxDiff=1,
         uniquenessRatio=10,
-        # Islands smaller than a window are mistakes.
+        # Regions smaller than a window are mismatches.
         speckleWindowSize=200,
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    # OpenCV leaves out every pixel for which one of the disparities leads out of the picture.
+    # OpenCV skips pixels for which any trial disparity leaves the picture, so the pictures are
+    # padded.
     left, right = max(least + count, 0), max(-least, 0)
     wide = [
         cv2.copyMakeBorder(picture, 0, 0, left, right, cv2.BORDER_CONSTANT, value=_GREY)
@@ -231,7 +233,7 @@ def _semi_global(
 
 
 def _corrected(pair: _Pair) -> Rectified:
-    """The pair with the rows of the second picture moved to those of the first."""
+    """The pair with the second picture's rows corrected to those of the first."""
     rows, columns = pair.rectified.maps[1].shape[1:]
     row, column = np.mgrid[:rows, :columns].astype(np.float32)
     row = (row - pair.offset.at(column, row)).astype(np.float32)
@@ -248,7 +250,7 @@ def _start(
     disparity: Float[np.ndarray, "rows columns"],
     half: int,
 ) -> StereoStart:
-    """Match and gradient of points from a plane through the disparities around each."""
+    """Matches and their gradients from a plane fitted to the disparities around each point."""
     at = pair.into_first(points)
     plane, good = _planes(disparity, at, half)
 
@@ -260,7 +262,7 @@ def _start(
     displacement = np.where(good[:, None], match(points) - points, np.nan)
     gradient = np.empty((len(points), 2, 2))
     for j, step in enumerate(np.eye(2)):
-        # Over the width of the window: lens and perspective included.
+        # Difference over the width of the window, including distortion and perspective.
         ends = match(points + half * step) - match(points - half * step)
         gradient[:, :, j] = ends / (2.0 * half) - step
     known = good & np.isfinite(gradient).all(axis=(1, 2))
@@ -270,11 +272,11 @@ def _start(
 def _planes(
     disparity: Float[np.ndarray, "rows columns"], at: Float[np.ndarray, "n 2"], half: int
 ) -> tuple[Float[np.ndarray, "n 3"], Flags]:
-    """Disparity and its slopes at places of the rectified picture; and whether they are known."""
+    """Disparity and its slopes at positions in the rectified picture, and flags where known."""
     away = np.linspace(-half, half, _SAMPLES)
     away = np.stack(np.meshgrid(away, away), axis=-1).reshape(-1, 2)
     value, offset = _sampled(disparity, at, away)
-    # The middle third decides which surface is meant.
+    # The middle third of the window selects the surface.
     third = np.abs(away).max(axis=1) <= half / 3.0 + 0.1
     good = np.isfinite(value[:, third]).sum(axis=1) > third.sum() // 2
     plane = np.zeros((len(at), 3))
@@ -297,7 +299,7 @@ def _sampled(
     at: Float[np.ndarray, "n 2"],
     away: Float[np.ndarray, "s 2"],
 ) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s 2"]]:
-    """Disparity at the pixels nearest to places around points, NaN outside; and where these are."""
+    """Disparity at the pixels nearest to samples around points, NaN outside; and their offsets."""
     size = np.array(disparity.shape[::-1])
     known = np.isfinite(at).all(axis=1)
     place = np.rint(np.where(known[:, None], at, -1e6)[:, None] + away).astype(np.int64)

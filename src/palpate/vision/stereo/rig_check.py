@@ -1,7 +1,7 @@
-"""Whether a rig fits the pictures that it is given with, judged by features that cameras share.
+"""Consistency check of a rig with its pictures, by feature matches between cameras.
 
-A feature of one picture lies on a line of the other that follows from the rig, and in front of both
-cameras. Where that is not so, other orders of the pictures are tried.
+The match of a feature must lie on its epipolar line, and the triangulated point in front of both
+cameras. Otherwise, other assignments of pictures to cameras are tried.
 """
 
 from dataclasses import dataclass
@@ -17,16 +17,15 @@ from palpate.shapes import Matrix3, PointScalars
 from palpate.vision.cameras import normalised, triangulate
 from palpate.vision.images import Matches, PreparedPictures, match_features
 
-# Half a speckle: cameras that are farther off their epipolar lines see different speckles in the
-# windows around one point.
+# Half a speckle: with larger epipolar errors, windows around one point show different speckles.
 _MAX_RESIDUAL_PX = 2.0
-# A rig is blamed only for what is several times the error of the features themselves.
+# The rig is rejected only for errors of several times those of the features themselves.
 _MAX_RESIDUAL_NOISE = 4.0
-# Ten times the error of a window's match.
+# Errors above this, ten times that of a window match, give a note.
 _NOTED_RESIDUAL_PX = 0.5
-# Fewer features in common may be chance.
+# Fewer feature matches may be due to chance.
 _MIN_MATCHES = 12
-# More cameras than this have too many orders to try.
+# With more cameras there are too many permutations to try.
 _MAX_REORDERED_CAMERAS = 4
 
 _Pairs = dict[tuple[int, int], Matches]
@@ -34,13 +33,13 @@ _Pairs = dict[tuple[int, int], Matches]
 
 @dataclass(frozen=True, slots=True)
 class RigCheck:
-    """How well the cameras' pictures agree with the rig.
+    """Agreement of the cameras' pictures with the rig.
 
     Attributes
     ----------
     residual : tuple of float [px]      median distance of features from their epipolar lines, for
-                                        each camera but the reference; NaN where too few are shared
-    matches : tuple of int              features that these rest on
+                                        each camera except the reference; NaN with too few matches
+    matches : tuple of int              number of feature matches behind each residual
     notes : tuple of str                what could not be checked, or fits badly
     """
 
@@ -50,7 +49,7 @@ class RigCheck:
 
 
 def check_rig(pictures: PreparedPictures) -> RigCheck:
-    """Compare the pictures of one instant with the rig.
+    """Check the rig against the pictures of one instant.
 
     Parameters
     ----------
@@ -63,9 +62,9 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
     Raises
     ------
     CalibrationError                features lie more than two pixels off their epipolar lines, or
-                                    behind the cameras: the text says whether swapped pictures
+                                    behind the cameras; the message says whether swapped pictures
                                     explain it
-    InputError                      a picture without any texture
+    InputError                      a picture has no texture
     """
     rig = pictures.rig
     pairs = _all_matches(pictures)
@@ -100,7 +99,7 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
 
 
 def _all_matches(pictures: PreparedPictures) -> _Pairs:
-    """Features that every two pictures share, for both orders of the two."""
+    """Feature matches of every pair of pictures, in both orders."""
     cameras = pictures.rig.cameras
     for camera, picture, own in zip(cameras, pictures.grey, pictures.features, strict=True):
         if len(own.point) == 0:
@@ -118,9 +117,9 @@ def _all_matches(pictures: PreparedPictures) -> _Pairs:
 
 
 def _consistent(first: Camera, second: Camera, found: Matches) -> Matches:
-    """The matches that agree on one epipolar geometry, whichever; none where most do not.
+    """The matches consistent with a common epipolar geometry of any kind; none if most are not.
 
-    Matches by chance agree on none: any seven lie on one, few more do.
+    Any seven matches fit some epipolar geometry, but few further random ones do.
     """
     flat = [_undistorted(first, found.first), _undistorted(second, found.second)]
     known = np.flatnonzero(np.isfinite(np.hstack(flat)).all(axis=1))
@@ -135,14 +134,14 @@ def _consistent(first: Camera, second: Camera, found: Matches) -> Matches:
 
 
 def _undistorted(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Pixels as without a lens, about the optical axis [px]."""
+    """Undistorted pixels relative to the principal point [px]."""
     return normalised(camera, pixels) * camera.matrix[0, 0]
 
 
 def _misfit(rig: Rig, order: tuple[int, ...], pairs: _Pairs, which: tuple[int, int]) -> float:
-    """Median distance of features from their epipolar lines; infinite where most lie behind.
+    """Median distance of features from their epipolar lines [px]; infinite if most lie behind.
 
-    `order` says which camera each picture is taken for.
+    `order[k]` is the camera that picture k is assigned to.
     """
     found = pairs[which]
     first, second = (rig.cameras[order[k]] for k in which)
@@ -156,7 +155,7 @@ def _misfit(rig: Rig, order: tuple[int, ...], pairs: _Pairs, which: tuple[int, i
 
 
 def _epipolar_distance(first: Camera, second: Camera, found: Matches) -> PointScalars:
-    """Distance of features from each other's epipolar lines, mean of both pictures [px]."""
+    """Distance of matches from each other's epipolar lines, mean over the two pictures [px]."""
     a, b = normalised(first, found.first), normalised(second, found.second)
     between = second.T_camera_object @ np.linalg.inv(first.T_camera_object)
     x, y, z = between[:3, 3]
@@ -169,14 +168,14 @@ def _epipolar_distance(first: Camera, second: Camera, found: Matches) -> PointSc
 def _line_distance(
     a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], matrix: Matrix3
 ) -> PointScalars:
-    """Distance of `b` from the lines that a fundamental matrix makes of `a`, in their unit."""
+    """Distance of `b` from the epipolar lines of `a` by a fundamental matrix, in their unit."""
     line = np.column_stack([a, np.ones(len(a))]) @ matrix.T
     miss = np.abs((b * line[:, :2]).sum(axis=1) + line[:, 2])
     return miss / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)
 
 
 def _own_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
-    """Median distance from the epipolar lines that the features themselves agree on best [px]."""
+    """Median distance from the epipolar lines of the geometry that fits the features best [px]."""
     found = pairs[which]
     a, b = (
         _undistorted(rig.cameras[k], pixels)
@@ -189,7 +188,7 @@ def _own_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
 
 
 def _explanation(rig: Rig, pairs: _Pairs, worst: float) -> str:
-    """Why the rig does not fit, as far as another order of the pictures tells."""
+    """Message that the rig does not fit, naming pictures that seem to be swapped."""
     what = (
         f"features lie {worst:.1f} px off their epipolar lines"
         if np.isfinite(worst)
@@ -214,7 +213,7 @@ def _explanation(rig: Rig, pairs: _Pairs, worst: float) -> str:
 
 
 def _better_order(rig: Rig, pairs: _Pairs) -> tuple[int, ...] | None:
-    """Camera that each picture belongs to, where another order than the given one fits."""
+    """Permutation of cameras under which the pictures fit; None if there is no such."""
     count = len(rig.cameras)
     if count > _MAX_REORDERED_CAMERAS:
         return None

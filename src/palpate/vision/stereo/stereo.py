@@ -1,9 +1,9 @@
-"""Points of the surface that two or more cameras see, without knowing where the surface is.
+"""Stereo points: surface points seen by two or more cameras, without prior knowledge of the shape.
 
-For every camera but the reference: a dense start, then windows matched to a hundredth of a pixel in
-the pictures as they were taken. Where a window shows more than one smooth surface, smaller ones are
-tried. What the cameras say is joined by triangulation; what contradicts its neighbours or the other
-cameras is rejected and counted.
+For every camera except the reference: a dense start, then windows matched to a hundredth of a pixel
+in the original pictures. Where a window covers more than one smooth surface, a smaller one is used.
+The matches of all cameras are triangulated; those that contradict their neighbours or the other
+cameras are rejected and counted.
 """
 
 from dataclasses import dataclass
@@ -25,29 +25,29 @@ from palpate.vision.stereo.window_matches import (
     window_matches,
 )
 
-# A camera is left out where it misses the joint point by more standard deviations.
+# A camera is dropped if its reprojection error exceeds this many standard deviations.
 _MAX_DEVIATIONS = 5.0
-# Standard deviation of a normal distribution over the median of its absolute values.
+# Ratio of standard deviation to median absolute value of normal errors.
 _PER_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
 class StereoSettings:
-    """How surface points are found from one instant's pictures.
+    """Settings for finding surface points from one instant's pictures.
 
     Parameters
     ----------
     subset : int [px]               side of the largest window, odd, at least 9; windows down to
-                                    4/10 of it are taken where it shows edges of the object
+                                    0.43 of it are used where it covers edges of the object
     step : int [px]                 spacing of the points in the reference camera, at least 1
-    reprojection : float [px]       a match is rejected where a camera misses the joint point by
-                                    more, > 0: half a speckle. A rig that fits worse shows
-                                    different speckles in the windows of its cameras
+    reprojection : float [px]       largest reprojection error of a match, > 0; the default is half
+                                    a speckle: with a larger error the windows of the cameras show
+                                    different speckles
 
     Raises
     ------
-    InputError                      an even or tiny subset, a step below one pixel, a limit that is
-                                    not positive
+    InputError                      the subset is even or below 9, the step below 1, or
+                                    `reprojection` not positive
     """
 
     subset: int = 21
@@ -71,16 +71,15 @@ class StereoPoints:
 
     Attributes
     ----------
-    pixel : (n, 2) float [px]           column and row in the reference camera: middle of the window
-    point : (n, 3) float [m]            that the windows of all cameras show, object frame; beside
-                                        the ray of the pixel by as much as noise moved the windows
+    pixel : (n, 2) float [px]           column and row of the window's centre in the reference
+    point : (n, 3) float [m]            triangulated from all cameras that agree, object frame; off
+                                        the ray of the pixel by the noise of the matches
     covariance : (n, 3, 3) float [m^2]  from the residuals of the matches, without the errors of the
-                                        calibration, which neighbours share
-    residual : (n,) float [px]          rms distance between the point and the matches, over the
-                                        cameras and both coordinates
-    cameras : (n,) int                  how many agree, the reference included
-    spacing : (n,) float [m]            width of a step of the grid there, across the line of sight
-    counts : (8,) int                   points of the grid by `Outcome`; the first is n
+                                        calibration, which neighbouring points share
+    residual : (n,) float [px]          rms reprojection error over the cameras and coordinates
+    cameras : (n,) int                  number of cameras that agree, including the reference
+    spacing : (n,) float [m]            size of a grid step there, across the line of sight
+    counts : (8,) int                   number of grid points by `Outcome`; the first entry is n
     step : int [px]                     spacing of the grid
     """
 
@@ -96,17 +95,18 @@ class StereoPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoMatches:
-    """Where all cameras see the points of a grid in the reference camera's picture.
+    """Matches of a grid of points in the reference camera's picture in all other cameras.
 
-    What a rig is judged by: the matches rest on the pictures, its poses only tell where to search.
+    They can be used to assess a rig: they depend on the pictures alone, and the rig's poses only
+    determine where to search.
 
     Attributes
     ----------
     pixel : (n, 2) float [px]           column and row in the reference camera
-    pixels : (c, n, 2) float [px]       in every camera; NaN where it was not found
-    covariance : (c, n, 2, 2) float [px^2]  of the match; NaN there, and in the reference
-    outcome : (n,) int                  an `Outcome`, of the camera that came farthest
-    blank : int                         points of the grid without texture, which are not among n
+    pixels : (c, n, 2) float [px]       in every camera; NaN where not found
+    covariance : (c, n, 2, 2) float [px^2]  of the match; NaN where not found, and in the reference
+    outcome : (n,) int                  the largest `Outcome` over the cameras
+    blank : int                         number of grid points without texture, not among the n
     """
 
     pixel: Float[np.ndarray, "n 2"]
@@ -127,7 +127,7 @@ def stereo_matches(
     Parameters
     ----------
     pictures : PreparedPictures     of 2 or more cameras
-    mask, settings                  as of `stereo_points`
+    mask, settings                  as for `stereo_points`
 
     Returns
     -------
@@ -135,7 +135,7 @@ def stereo_matches(
 
     Raises
     ------
-    InputError, CalibrationError    as of `stereo_points`
+    InputError, CalibrationError    as for `stereo_points`
     """
     reference = pictures.rig.reference
     shape = pictures.grey[reference].shape
@@ -159,7 +159,7 @@ def stereo_matches(
         found[k] = confirmed_matches(matches, cell, pixel)
     if not found:
         raise failures[0]
-    # The reason of the camera that came farthest: the outcomes are in the order of the steps.
+    # Outcomes are roughly in the order of the steps: the largest is of the one that got farthest.
     outcome = np.max([matches.outcome for matches in found.values()], axis=0)
     pixels = np.full((len(splines), len(pixel), 2), np.nan)
     covariance = np.full((*pixels.shape, 2), np.nan)
@@ -176,25 +176,24 @@ def stereo_points(
     mask: Bool[np.ndarray, "rows columns"] | None = None,
     settings: StereoSettings = StereoSettings(),
 ) -> StereoPoints:
-    """Find the points of the surface that the reference camera and another one see.
+    """Find the surface points seen by the reference camera and at least one other.
 
     Parameters
     ----------
     pictures : PreparedPictures     of 2 or more cameras
-    mask : (rows, columns) bool or None     pixels of the reference camera that matter; all of them
-                                    where None
+    mask : (rows, columns) bool or None     pixels of interest in the reference camera; None: all
     settings : StereoSettings
 
     Returns
     -------
-    StereoPoints                    does not depend on the number of threads
+    StereoPoints                    independent of the number of threads
 
     Raises
     ------
     InputError                      a mask of another size; no camera shares features with the
                                     reference
-    CalibrationError                no camera can be paired with the reference: at one place, or
-                                    looking along the line between
+    CalibrationError                no camera can be rectified with the reference: the centres
+                                    coincide, or the cameras look along their baseline
     """
     matches = stereo_matches(pictures, mask=mask, settings=settings)
     return joined_matches(pictures.rig, matches, settings=settings)
@@ -207,23 +206,23 @@ def joined_cameras(
     *,
     reprojection: float,
 ) -> tuple[Triangulation, Bool[np.ndarray, "c n"]]:
-    """Triangulate without the cameras that contradict the others; of two that disagree use neither.
+    """Triangulate without cameras that contradict the others; if two disagree, use neither.
 
-    The matches of all cameras are against one reference picture and share its noise: half of their
-    variance is given to the reference.
+    The matches of all cameras are with one reference picture and share its noise, so half of their
+    variance is assigned to the reference.
 
     Parameters
     ----------
     rig : Rig
     pixels : (c, n, 2) float [px]   NaN where a camera does not see the point; the reference's are
-                                    whole
-    covariance : (c, n, 2, 2) float [px^2]  of the match of each camera; the reference's is not read
-    reprojection : float [px]       by how much a camera may miss the joint point at most
+                                    whole numbers
+    covariance : (c, n, 2, 2) float [px^2]  of the match of each camera; the reference's is ignored
+    reprojection : float [px]       largest reprojection error of a camera
 
     Returns
     -------
-    triangulation : Triangulation   covariance from the matches; residual and cameras as used
-    used : (c, n) bool              all False for points where no two cameras agree
+    triangulation : Triangulation   from the cameras used; covariance from that of the matches
+    used : (c, n) bool              all False for points on which no two cameras agree
     """
     used = np.isfinite(pixels).all(axis=2)
     for _ in range(len(pixels) - 1):
@@ -248,7 +247,7 @@ def _triangulated(
     covariance: Float[np.ndarray, "c n 2 2"],
     used: Bool[np.ndarray, "c n"],
 ) -> tuple[Triangulation, Float[np.ndarray, "c n 2"]]:
-    """Joint points, and by how much each camera misses them [px]."""
+    """Triangulated points and the reprojection error of each camera [px]."""
     others = used.copy()
     others[rig.reference] = False
     half = np.where(others[..., None, None], 0.5 * covariance, 0.0)
@@ -265,9 +264,9 @@ def _excess(
     covariance: Float[np.ndarray, "c n 2 2"],
     reprojection: float,
 ) -> Float[np.ndarray, "c n"]:
-    """Distance of each camera from the joint point, over what is allowed; -inf where not used.
+    """Reprojection error of each camera relative to what is allowed; -inf where not used.
 
-    What all points of a camera miss by is the rig's error: only `reprojection` limits it.
+    The median error over all points of a camera is due to the rig: only `reprojection` limits it.
     """
     excess = np.full(used.shape, -np.inf)
     for c in range(len(used)):
@@ -285,7 +284,7 @@ def _excess(
 def _grid(
     wanted: Bool[np.ndarray, "rows columns"], step: int
 ) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """Row and column on the grid, and column and row in the picture, of the points that matter."""
+    """Row and column on the grid, and column and row in the picture, of the wanted points."""
     first = step // 2
     cell = np.argwhere(wanted[first::step, first::step])
     return cell, (first + step * cell[:, ::-1]).astype(np.float64)
@@ -294,13 +293,13 @@ def _grid(
 def joined_matches(
     rig: Rig, matches: StereoMatches, *, settings: StereoSettings = StereoSettings()
 ) -> StereoPoints:
-    """One point from the matches of all cameras.
+    """Triangulate the matches of all cameras.
 
     Parameters
     ----------
     rig : Rig
     matches : StereoMatches         of its cameras
-    settings : StereoSettings       that they were made with
+    settings : StereoSettings       with which they were made
 
     Returns
     -------

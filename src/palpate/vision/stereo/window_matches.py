@@ -1,8 +1,7 @@
-"""Windows of one camera's picture in another's, each as large as the surface allows.
+"""Matching windows between two cameras, each window as large as the surface allows.
 
-A large window knows its match well where the surface is smooth, and is wrong where it lies across
-an edge of the object. Of windows of growing size the largest is taken whose match no smaller one
-contradicts.
+A large window gives a precise match where the surface is smooth, but a wrong one across an edge of
+the object. Of windows of increasing size, the largest one consistent with all smaller ones is used.
 
 Source: Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Transactions on
 Signal Processing 47 (1999): the intersection of confidence intervals.
@@ -20,37 +19,37 @@ from palpate.vision.matching import PlanarMatch, neighbours_median, refine_plana
 from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.pair_disparity import StereoStart
 
-# Fewer pixels a side do not fix six coefficients a component.
+# Smaller windows do not determine six coefficients per component.
 MIN_WINDOW_PX = 9
-# Sides of the windows as shares of the largest, each with half the pixels of the next.
+# Sides of the windows relative to the largest.
 _SHARES = (0.43, 0.53, 0.7, 1.0)
-# A match known no better than this is not known: sub-pixel matching is ten times better.
+# Largest standard deviation of a match [px]: good sub-pixel matching is ten times better.
 _MAX_SIGMA_PX = 0.1
 # Below this correlation a window shows as much noise, or something else, as texture.
 _MIN_SCORE = 0.7
-# The best quarter of the windows leave noise alone; it differs little among them.
+# Percentile of the residuals taken as noise: the best quarter of the windows leave little else.
 _NOISE_PERCENTILE = 25.0
-# A window is rejected where it leaves more than so many times that noise.
+# A window is rejected if its residual exceeds this many times that noise.
 _MAX_EXCESS = 2.0
-# Half widths of the confidence intervals, in standard deviations: Katkovnik's figure.
+# Half widths of the confidence intervals, in standard deviations: Katkovnik's value.
 _INTERVAL = 2.0
-# Systematic error of a match from interpolation and the pixels' response, at best.
+# Minimum systematic error of a match, from interpolation and pixel response.
 _BIAS_PX = 0.005
-# A match is rejected where its neighbours contradict it by more standard deviations.
+# A match is rejected if its neighbours contradict it by more than this many standard deviations.
 _MAX_DEVIATIONS = 5.0
-# Removing what is wrong changes what its neighbours are compared with.
+# Rounds of the neighbour test, because removing wrong matches changes those of the others.
 _ROUNDS = 2
 _AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowMatches:
-    """Points of one picture in another.
+    """Matches of points of one picture in another.
 
     Attributes
     ----------
-    displacement : (n, 2) float [px]        NaN, as the rest, where the outcome is not VALID
-    gradient : (n, 2, 2) float [-]          [i, j]: derivative of component i by coordinate j
+    displacement : (n, 2) float [px]        NaN where the outcome is not VALID
+    gradient : (n, 2, 2) float [-]          [i, j]: d(component i) / d(coordinate j)
     covariance : (n, 2, 2) float [px^2]
     outcome : (n,) int                      an `Outcome`
     """
@@ -63,7 +62,7 @@ class WindowMatches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """Windows of one size: their matches, rms residuals and least variance beside the middle."""
+    """Windows of one size: matches, rms residuals, and minimum variance beside the centre."""
 
     match: PlanarMatch
     residual: PointScalars
@@ -83,8 +82,8 @@ def window_matches(
     Parameters
     ----------
     first, second : SplinePicture
-    pixel : (n, 2) float [px]       whole column and row in the first
-    start : StereoStart             of the points, good to a pixel or two
+    pixel : (n, 2) float [px]       column and row in the first, whole numbers
+    start : StereoStart             of the points, accurate to one or two pixels
     subset : int [px]               side of the largest window, odd
 
     Returns
@@ -111,7 +110,7 @@ def window_matches(
     outcomes = [_outcomes(attempt, noise) for attempt in attempts]
     choice = _largest_consistent(attempts, outcomes, noise)
     found = np.flatnonzero(choice >= 0)
-    # A smaller window has other reasons to fail; that of the largest one is reported.
+    # The reason for failure of the largest window is the one reported.
     outcome = np.full(len(pixel), int(Outcome.HIDDEN))
     outcome[rows] = np.where(outcomes[-1] == Outcome.VALID, int(Outcome.SCORE), outcomes[-1])
     outcome[rows[found]] = Outcome.VALID
@@ -128,11 +127,11 @@ def window_matches(
 def confirmed_matches(
     matches: WindowMatches, cell: Int[np.ndarray, "n 2"], pixel: Float[np.ndarray, "n 2"]
 ) -> WindowMatches:
-    """Matches without those that their neighbours on the grid do not confirm.
+    """Reject matches that their neighbours on the grid do not confirm.
 
-    Every neighbour carries its match along its own gradient to the point; the median of these is
-    compared with the point's own, in units of their scatter and of the match's noise. A point with
-    fewer than three neighbours is confirmed by nobody.
+    Each neighbour's match is extrapolated to the point with its own gradient. The median of these
+    is compared with the point's match, in units of their scatter combined with the match's noise.
+    A point with fewer than three valid neighbours is rejected.
 
     Parameters
     ----------
@@ -142,7 +141,7 @@ def confirmed_matches(
 
     Returns
     -------
-    WindowMatches                   outcome NEIGHBOURS and displacement NaN for those
+    WindowMatches                   outcome NEIGHBOURS and displacement NaN for rejected ones
 
     Source
     ------
@@ -176,7 +175,7 @@ def confirmed_matches(
 def _largest_consistent(
     attempts: Sequence[_Attempt], outcomes: Sequence[Int[np.ndarray, " n"]], noise: float
 ) -> Int[np.ndarray, " n"]:
-    """Index of the largest window that no smaller one contradicts; -1 where none is good."""
+    """Index of the largest window consistent with all smaller ones; -1 where none is valid."""
     n = len(attempts[0].residual)
     choice = np.full(n, -1)
     low, high = np.full((n, 2), -np.inf), np.full((n, 2), np.inf)
@@ -184,7 +183,7 @@ def _largest_consistent(
     for k, (attempt, outcome) in enumerate(zip(attempts, outcomes, strict=True)):
         good = outcome == Outcome.VALID
         variance = np.einsum("nii->ni", attempt.match.covariance)
-        # What a window leaves beyond the noise must not excuse its contradiction.
+        # An excess residual must not widen the interval and so hide a contradiction.
         share = np.minimum(1.0, noise / np.maximum(attempt.residual, 1e-9))[:, None]
         half = _INTERVAL * np.sqrt(share**2 * variance + _BIAS_PX**2)
         new_low = np.fmax(low, attempt.match.displacement - half)
@@ -197,7 +196,7 @@ def _largest_consistent(
 
 
 def _sides(subset: int) -> list[int]:
-    """Sides of the windows that are tried [px], smallest first."""
+    """Sides of the windows to try [px], smallest first."""
     sides = [2 * round(0.5 * share * subset - 0.5) + 1 for share in _SHARES]
     return sorted({max(side, MIN_WINDOW_PX) for side in sides})
 
@@ -205,10 +204,10 @@ def _sides(subset: int) -> list[int]:
 def _contrast(
     picture: SplinePicture, pixel: Float[np.ndarray, "n 2"], match: PlanarMatch, side: int
 ) -> tuple[PointScalars, PointScalars]:
-    """Rms residual of each match [grey levels], and the least variance beside the window's middle.
+    """Rms residual of each match [grey levels], and minimum variance beside the window's centre.
 
-    The latter over windows of a third of the side to the left, right, above and below: where one of
-    them is blank, the point may lie beyond an outline.
+    The latter is the minimum over windows of a third of the side to the left and right, above and
+    below [grey levels^2]: where one of them is blank, the point may lie beyond an outline.
     """
     rows, columns = picture.grey.shape
     column, row = pixel.astype(np.int64).T
@@ -226,7 +225,7 @@ def _contrast(
 
 
 def _outcomes(attempt: _Attempt, noise: float) -> Int[np.ndarray, " n"]:
-    """What became of windows of one size."""
+    """Outcomes of the windows of one size."""
     match = attempt.match
     outcome = np.full(len(match.score), int(Outcome.VALID))
     sigma = np.sqrt(np.trace(match.covariance, axis1=1, axis2=2))
